@@ -42,6 +42,7 @@ def accept(
             "only printed.",
         ),
     ] = None,
+    package_dir: options.PackageDirs = None,
     setup: options.SetupFile = None,
     model: options.Model = None,
     base: options.Base = None,
@@ -88,7 +89,7 @@ def accept(
         chains = subject.chains
     else:
         used = stated
-        chains = open_chains(robot, stated)
+        chains = open_chains(robot, stated, package_dirs=package_dir)
     require_distinct(measurements)
     files = []
     if output is not None:

@@ -21,6 +21,7 @@ from calib_pin.cli.report import report
 from calib_pin.cli.robots import robots
 from calib_pin.cli.simulate import simulate
 from calib_pin.cli.view import view
+from calib_pin.errors import OptionError
 from calib_pin.plugins import extensions
 
 COMMANDS: dict[Callable[..., int | None], str] = {
@@ -89,7 +90,12 @@ class Command(TyperCommand):
         return ["[OPTIONS]", *(argument.metavar or "" for argument in arguments)]
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Let an option whose value stands in brackets do without one."""
+        """Let an option whose value stands in brackets do without one.
+
+        Words like `name:=value`, wherever they stand, belong to the robot.
+        """
+        own = [word for word in args if _is_argument(word)]
+        args = [word for word in args if word not in own]
         alone = {
             name
             for param in self.get_params(ctx)
@@ -101,7 +107,13 @@ class Command(TyperCommand):
             words.append(word)
             if word in alone and following.startswith("-"):
                 words.append("")
-        return super().parse_args(ctx, words)
+        rest = super().parse_args(ctx, words)
+        if own and "robot" not in ctx.params:
+            reason = f"{own[0]} is an argument of a robot, and this command takes none"
+            raise OptionError(reason)
+        if own:
+            ctx.params["robot"] = " ".join([ctx.params["robot"], *own])
+        return rest
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Arguments, then the options under the heading of their help panel."""
@@ -116,6 +128,15 @@ class Command(TyperCommand):
         for topic, rows in topics.items():
             with formatter.section(topic):
                 formatter.write_dl(rows)
+
+
+def _is_argument(word: str) -> bool:
+    """Whether a word is an argument of a xacro file; loads little for those without."""
+    if ":=" not in word:
+        return False
+    from calib_pin.io.xacro_files import ARGUMENT
+
+    return ARGUMENT.fullmatch(word) is not None
 
 
 def _filled(text: str) -> str:

@@ -48,6 +48,7 @@ def calibrate(
             "Folder for the results; without it they are only printed.",
         ),
     ] = None,
+    package_dir: options.PackageDirs = None,
     setup: options.SetupFile = None,
     model: options.Model = None,
     base: options.Base = None,
@@ -142,7 +143,7 @@ def calibrate(
     if stated.solver.evolution and stated.solver.name not in ("de", "hybrid"):
         name = stated.solver.name
         notice(f"{name} ignores the options of differential evolution in 'solver'")
-    chains = open_chains(robot, stated)
+    chains = open_chains(robot, stated, package_dirs=package_dir)
     inputs = [robot, setup, validation, *measurements]
     files = None if output is None else result_files(output, chains.robot.name)
     pictures = figure_files(figures, figure_format, "calibration")

@@ -26,6 +26,7 @@ def evaluate(
     measurements: Annotated[
         list[Path], typer.Argument(metavar="MEASUREMENTS...", help="CSV files.")
     ],
+    package_dir: options.PackageDirs = None,
     setup: options.SetupFile = None,
     model: options.Model = None,
     base: options.Base = None,
@@ -68,7 +69,7 @@ def evaluate(
         if chain is not None:
             require_known("chain", chain, subject.measured_chains)
     else:
-        chains, sockets = open_chains(robot, stated, chain), []
+        chains, sockets = open_chains(robot, stated, chain, package_dir), []
     require_distinct(measurements)
     with progress_bar() as bar:
         measured, rows = open_measurements(

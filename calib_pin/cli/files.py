@@ -17,6 +17,7 @@ from calib_pin.errors import (
 )
 
 if TYPE_CHECKING:
+    from calib_pin.kinematics.chain import Robot
     from calib_pin.kinematics.chains import Chains
     from calib_pin.observations import BlockKey, Observations
     from calib_pin.setup import JointMap, Setup
@@ -109,7 +110,10 @@ def stated_blocks(setup: Setup, *chains: str) -> tuple[BlockKey, ...]:
 
 
 def open_chains(
-    robot: str, setup: Setup, measured: Sequence[BlockKey] | str | None = None
+    robot: str,
+    setup: Setup,
+    measured: Sequence[BlockKey] | str | None = None,
+    package_dirs: Sequence[Path] | None = None,
 ) -> Chains:
     """The chains of a robot by the setup.
 
@@ -118,11 +122,15 @@ def open_chains(
         setup: The setup.
         measured: What is measured, or the name of the only chain; default what the
             measurements will name.
+        package_dirs: Folders of the packages that the robot names.
 
     Raises:
+        OptionError: If one of the folders is not there.
         RobotError: If the robot, a link or a chain cannot be used.
     """
     from calib_pin.io.urdf import load_chains
+
+    require_folders(package_dirs or [])
 
     if robot.endswith(".json"):
         raise RobotError(
@@ -138,9 +146,22 @@ def open_chains(
     else:
         # A tip that is stated has to be there, whatever else is measured.
         names = () if setup.tip is None else ("",)
-    return load_chains(
-        robot, base=setup.base, tip=setup.tip, stated=setup.chains, names=names
+    chains = load_chains(
+        robot,
+        base=setup.base,
+        tip=setup.tip,
+        stated=setup.chains,
+        names=names,
+        package_dirs=package_dirs or (),
     )
+    tell_remarks(chains.robot)
+    return chains
+
+
+def tell_remarks(robot: Robot) -> None:
+    """Tell what is other than in the file of a robot."""
+    for remark in robot.remarks:
+        notice(f"{robot.file}: {remark}")
 
 
 def tell_limits(chains: Chains) -> None:

@@ -33,6 +33,7 @@ def identify(
             help="CSV files; without them identifiability is structural.",
         ),
     ] = None,
+    package_dir: options.PackageDirs = None,
     setup: options.SetupFile = None,
     model: options.Model = None,
     base: options.Base = None,
@@ -70,7 +71,7 @@ def identify(
         with progress_bar() as bar:
             chains, rows = open_measurements(
                 measurements,
-                open_chains(robot, stated),
+                open_chains(robot, stated, package_dirs=package_dir),
                 stated,
                 station_per_file=station_per_file,
                 bar=bar,
@@ -91,7 +92,7 @@ def identify(
         faults = result.findings
     else:
         keys = stated_blocks(stated)
-        chains = open_chains(robot, stated, keys)
+        chains = open_chains(robot, stated, keys, package_dir)
         found = structural(chains, keys, stated, seed=seed)
         verdict, reason, faults = "good", "", ()
     tell_limits(chains)

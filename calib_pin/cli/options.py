@@ -85,15 +85,23 @@ RobotName = Annotated[
     str,
     typer.Argument(
         metavar="ROBOT",
-        help="URDF file, name of a bundled robot, or example:NAME if "
-        "example-robot-data is installed.",
+        help="URDF or xacro file (with its arguments, name:=value), name of a bundled "
+        "robot, or example:NAME if example-robot-data is installed.",
     ),
 ]
 RobotOrCalibration = Annotated[
     str,
     typer.Argument(
         metavar="ROBOT|calibration.json",
-        help="URDF file, bundled robot, example:NAME, or a calibration.",
+        help="URDF or xacro file (with its arguments, name:=value), bundled robot, "
+        "example:NAME, or a calibration.",
+    ),
+]
+PackageDirs = Annotated[
+    list[Path] | None,
+    robot(
+        "--package-dir DIR",
+        "Folder of the ROS packages that the robot names; may be repeated.",
     ),
 ]
 SetupFile = Annotated[

@@ -18,7 +18,6 @@ from calib_pin.cli.files import (
     open_measurements,
     open_setup,
     require_distinct,
-    require_folders,
     stated_blocks,
     tell_limits,
 )
@@ -123,13 +122,6 @@ def plan(
             "SRDF file of the pairs of links that need no collision check.",
         ),
     ] = None,
-    package_dir: Annotated[
-        list[Path] | None,
-        workspace_option(
-            "--package-dir DIR",
-            "Folder of the packages of collision meshes; may be repeated.",
-        ),
-    ] = None,
     clearance: Annotated[
         float | None,
         workspace_option(
@@ -141,6 +133,7 @@ def plan(
     ignore_collisions: Annotated[
         bool, workspace_option("--ignore-collisions", "Check no collisions.")
     ] = False,
+    package_dir: options.PackageDirs = None,
     setup: options.SetupFile = None,
     base: options.Base = None,
     tip: options.Tip = None,
@@ -182,20 +175,17 @@ def plan(
     require_known("method", method, METHODS)
     wanted = _count(count, add, to)
     require_distinct(to or [])
-    require_folders(package_dir or [])
     pictures = figure_files(figures, figure_format, "plan")
     inputs = (robot, setup, srdf, tests, *(to or []))
     check_outputs([output, *pictures], inputs, force)
-    if ignore_collisions and (srdf is not None or package_dir or clearance is not None):
-        raise OptionError(
-            "--ignore-collisions contradicts --srdf, --package-dir and --clearance"
-        )
+    if ignore_collisions and (srdf is not None or clearance is not None):
+        raise OptionError("--ignore-collisions contradicts --srdf and --clearance")
     rows = None
     if to:
         with progress_bar(quiet=quiet) as bar:
             chains, rows = open_measurements(
                 to,
-                open_chains(robot, stated, chain),
+                open_chains(robot, stated, chain, package_dir),
                 stated,
                 chain=chain,
                 quiet=quiet,
@@ -205,7 +195,7 @@ def plan(
         keys = rows.keys
     else:
         keys = stated_blocks(stated, *filter(None, [chain]))
-        chains = open_chains(robot, stated, keys)
+        chains = open_chains(robot, stated, keys, package_dir)
     if not quiet:
         tell_limits(chains)
     narrower = options.parse_limits(limits or [], chains)

@@ -106,6 +106,7 @@ def simulate(
         Path | None,
         options.output("--truth URDF", "Write the robot with its true errors."),
     ] = None,
+    package_dir: options.PackageDirs = None,
     setup: options.SetupFile = None,
     base: options.Base = None,
     tip: options.Tip = None,
@@ -144,7 +145,7 @@ def simulate(
     if configurations is not None:
         named = read_names(configurations, "chain", stated.columns).distinct
         keys = stated_blocks(stated, *named)
-    chains = open_chains(robot, stated, keys)
+    chains = open_chains(robot, stated, keys, package_dir)
     problem = nominal_problem(chains, keys, stated)
     rng = np.random.default_rng(seed)
     if errors is None:

@@ -18,6 +18,7 @@ from calib_pin.cli.files import (
     require_distinct,
     require_file,
     require_folders,
+    tell_remarks,
 )
 from calib_pin.cli.printing import Bar, notice, progress_bar, stage, tell_notices
 from calib_pin.errors import OptionError, require_known
@@ -52,12 +53,7 @@ def view(
     once: Annotated[
         bool, window_option("--once", "Stop when the last window is closed.")
     ] = False,
-    package_dir: Annotated[
-        list[Path] | None,
-        window_option(
-            "--package-dir DIR", "Folder of the packages of meshes; may be repeated."
-        ),
-    ] = None,
+    package_dir: options.PackageDirs = None,
     setup: options.SetupFile = None,
     model: options.Model = None,
     base: options.Base = None,
@@ -137,8 +133,12 @@ def _open(
         if chain is not None:
             require_known("chain", chain, model.measured_chains)
     elif reading is not None or plan is not None or setup.base or setup.tip or chain:
-        chains = open_chains(name, setup, chain)
-    robot = load_robot(name) if chains is None else chains.robot
+        chains = open_chains(name, setup, chain, package_dirs)
+    if chains is None:
+        robot = load_robot(name, package_dirs)
+        tell_remarks(robot)
+    else:
+        robot = chains.robot
     with progress_bar() as bar:
         if chains is not None and reading is not None:
             chains, rows = _rows(model, chains, reading, setup, bar)

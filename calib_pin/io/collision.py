@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError, RobotError
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.meshes import MeshReader
-from calib_pin.io.urdf import locate_mesh, locate_robot
+from calib_pin.io.packages import locate_mesh
+from calib_pin.io.urdf import locate_robot
 from calib_pin.io.urdf_bytes import parse_document
 from calib_pin.io.urdf_tree import captured_stderr
 from calib_pin.kinematics.chain import Chain, Robot

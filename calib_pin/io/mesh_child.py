@@ -12,17 +12,12 @@ import json
 import os
 import re
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
-MEMORY = 3 << 29
-"""Address space of the process [bytes], of which its libraries take a tenth."""
-
-SECONDS = 600
-"""Time of a processor that it takes in all, should nobody be left to stop it [s]."""
+from calib_pin.io.limits import limit
 
 PLY_TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -34,21 +29,6 @@ PLY_TYPES = {
     **dict.fromkeys(("float", "float32"), "f4"),
     **dict.fromkeys(("double", "float64"), "f8"),
 }
-
-
-def limit() -> None:
-    """Give up what this process does not need, where the system can hold it to that."""
-    try:
-        import resource
-    except ImportError:  # On Windows.
-        return
-    for kind, most in (
-        (resource.RLIMIT_AS, MEMORY),
-        (resource.RLIMIT_CPU, SECONDS),
-        (resource.RLIMIT_CORE, 0),
-    ):
-        with suppress(OSError, ValueError):  # It has less, or the system refuses.
-            resource.setrlimit(kind, (most, resource.getrlimit(kind)[1]))
 
 
 def check_ply(data: bytes) -> None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
-import sys
 from contextlib import suppress
 from pathlib import Path
 from threading import Timer
@@ -16,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from calib_pin.errors import InputError
+from calib_pin.io.children import started
 from calib_pin.io.files import read_bytes
 from calib_pin.io.journal import sha256
 from calib_pin.io.urdf_tree import FARTHEST
@@ -120,7 +119,7 @@ class MeshReader:
         """The surface that the process of the library answers."""
         try:
             if self._child is None:
-                self._child = _started()
+                self._child = started("mesh_child.py")
                 _answer(self._child, START)
             assert self._child.stdin is not None
             with suppress(OSError):  # It is gone, as its answer will tell.
@@ -136,20 +135,6 @@ class MeshReader:
 
 class _Lost(Exception):
     """The process does not answer any more."""
-
-
-def _started() -> subprocess.Popen[bytes]:
-    # Where this process has its packages from, and no thread that needs memory.
-    paths = os.pathsep.join(filter(None, sys.path))
-    environment = {**os.environ, "PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1"}
-    script = Path(__file__).with_name("mesh_child.py")
-    return subprocess.Popen(
-        [sys.executable, "-P", str(script)],  # Without the folder of the script.
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env=environment,
-    )
 
 
 def _answer(child: subprocess.Popen[bytes], seconds: float) -> Mesh:

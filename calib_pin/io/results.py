@@ -47,6 +47,7 @@ from calib_pin.io.result_folder import (
 from calib_pin.io.setup import setup_of
 from calib_pin.io.urdf import corrected_urdf, locate_robot
 from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.io.xacro_files import is_xacro
 from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.residual_models import LearnedCorrection, restore
@@ -347,6 +348,8 @@ def _find_robot(document: Json, path: Path, read: Read) -> Robot:
         name, content = document["robot"]["file"], document["robot"]["sha256"]
         stated = locate_robot(name)
         places = [stated, path.parent / stated, path.parent / stated.name, copy]
+        if is_xacro(stated):  # It was expanded, and what came of it is in the copy.
+            places = [copy]
     except RobotError as error:  # The package it came from is not installed here.
         missing, stated, places = error, copy, [copy]
     except (KeyError, TypeError, AttributeError) as error:
@@ -359,8 +362,9 @@ def _find_robot(document: Json, path: Path, read: Read) -> Robot:
         except InputError:
             continue
         if sha256(data) == content:
-            kept = place == stated and missing is None
-            return parse_robot(data, name if kept else str(place))
+            kept = stated if is_xacro(stated) and stated.is_file() else place
+            own = kept == stated and missing is None
+            return parse_robot(data, name if own else str(place))
         found = found or place
     if missing is not None:
         raise missing

@@ -3,51 +3,23 @@
 from __future__ import annotations
 
 import importlib.metadata
-import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pinocchio as pin
 
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError, nearest
 from calib_pin.io.files import TEXT, read_bytes
-from calib_pin.io.urdf_bytes import edit_origins
+from calib_pin.io.mjcf_files import urdf_of
+from calib_pin.io.straightening import straightened
+from calib_pin.io.urdf_origins import edit_origins
 from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.io.xacro_files import expand_xacro, is_xacro, split_arguments
 from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.setup import ChainSetup
-
-
-def locate_mesh(
-    written: str, urdf: Path, package_dirs: Sequence[str | Path] = ()
-) -> Path | None:
-    """The file of a mesh, or None if there is none.
-
-    Args:
-        written: The name in the URDF: a path from its own folder, or `package://`.
-        urdf: Path of the URDF.
-        package_dirs: Folders that hold the packages of `package://` meshes; then come
-            those of ROS and the folders above the URDF.
-    """
-    scheme, _, rest = written.rpartition("://")
-    folders: Iterable[Path] = (urdf.parent,)
-    if scheme in ("package", "model"):
-        folders = (*_package_folders(package_dirs), *urdf.parents)
-        rest = rest.lstrip("/")  # Some write a third slash.
-    files = (folder / rest for folder in folders)
-    return next((file.absolute() for file in files if file.is_file()), None)
-
-
-def _package_folders(package_dirs: Sequence[str | Path]) -> Iterator[Path]:
-    """Folders that hold packages; a package may also be named by itself."""
-    of_ros = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-    for folder in (*package_dirs, *filter(None, of_ros)):
-        yield from (Path(folder), Path(folder).absolute().parent)
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        if prefix:
-            yield Path(prefix, "share")
-
 
 _EXAMPLE = "example:"
 
@@ -144,6 +116,7 @@ def load_chains(
     tip: str | None = None,
     stated: Mapping[str, ChainSetup] | None = None,
     names: Sequence[str] = ("",),
+    package_dirs: Sequence[str | Path] = (),
 ) -> Chains:
     """Load a robot and take several chains of its tree.
 
@@ -155,6 +128,7 @@ def load_chains(
         tip: Link at which the default chain ends; default the only leaf.
         stated: Base and tip of chains by name, as in a setup.
         names: Names of the chains, see `Chains`.
+        package_dirs: As for `load_robot`.
 
     Raises:
         RobotError: If the robot, a chain or a link cannot be used.
@@ -165,20 +139,29 @@ def load_chains(
         >>> len(chains.joints), len(chains["arm_left_7_link"].joints)
         (16, 9)
     """
-    return Chains(load_robot(name_or_path), base, tip, stated or {}, names)
+    robot = load_robot(name_or_path, package_dirs)
+    return Chains(robot, base, tip, stated or {}, names)
 
 
-def load_robot(name_or_path: str | Path) -> Robot:
+def load_robot(
+    name_or_path: str | Path, package_dirs: Sequence[str | Path] = ()
+) -> Robot:
     """Load a robot.
 
     Args:
-        name_or_path: Path of a URDF, else the name of a bundled robot, else
-            `example:` and the file name of a robot of example-robot-data.
+        name_or_path: Path of a URDF, a xacro file or one of MuJoCo, else the name of a
+            bundled robot, else `example:` and the file name of a robot of
+            example-robot-data. Behind the path of a xacro file may stand its arguments,
+            `arm.xacro size:=10`.
+        package_dirs: Folders of the packages that a xacro file names; then come those
+            of ROS and the folders above the file.
 
     Returns:
-        The robot, checked.
+        The robot, checked, and straightened where it needs that, see
+        `io.straightening`; then its `remarks` say so.
 
     Raises:
+        OptionError: If the extra for xacro is missing, or another file has arguments.
         RobotError: If there is no such robot, or its URDF cannot be used.
 
     Example:
@@ -187,6 +170,10 @@ def load_robot(name_or_path: str | Path) -> Robot:
     """
     name = str(name_or_path)
     path = locate_robot(name)
+    file, arguments = split_arguments(name)
+    if arguments and not is_xacro(path):
+        reason = f"{next(iter(arguments))}:= is an argument for a xacro file"
+        raise OptionError(reason, file=file, allowed="a file that ends in .xacro")
     try:
         source = read_bytes(path, TEXT)
     except InputError as error:
@@ -194,9 +181,12 @@ def load_robot(name_or_path: str | Path) -> Robot:
         if reason == "no such file":
             reason += nearest(name, bundled)
         names = f" ({', '.join(bundled)})" if bundled else ""
-        allowed = f"a URDF file, a bundled robot{names}, or {_EXAMPLE}NAME"
+        allowed = f"a URDF or xacro file, a bundled robot{names}, or {_EXAMPLE}NAME"
         raise RobotError(reason, file=name or ".", allowed=allowed) from error
-    return parse_robot(source, name)
+    if is_xacro(path):
+        source = expand_xacro(path, arguments, package_dirs)
+    source, remarks = urdf_of(source, path, name)
+    return straightened(replace(parse_robot(source, name), remarks=remarks))
 
 
 def corrected_urdf(
@@ -248,6 +238,7 @@ def locate_robot(name: str) -> Path:
         >>> locate_robot("pa10").name, locate_robot("my/arm.urdf").name
         ('robot.urdf', 'arm.urdf')
     """
+    name, _ = split_arguments(name)
     path = Path(name)
     bundled = bundled_robots()
     if name in bundled and not path.is_file():

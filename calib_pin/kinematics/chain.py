@@ -47,6 +47,7 @@ class Robot:
         fixed_parents: For each link that hangs on a fixed joint, that joint's name.
         refused: Joints that a chain cannot contain, each with the reason.
         mimics: The other mimic joints, each with the driven joint that it follows.
+        remarks: Sentences about the robot being other than its file.
     """
 
     name: str
@@ -59,6 +60,7 @@ class Robot:
     fixed_parents: Mapping[str, str] = field(default_factory=dict)
     refused: Mapping[str, str] = field(default_factory=dict)
     mimics: Mapping[str, Mimic] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
 
 
 class Chain:

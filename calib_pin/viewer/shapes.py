@@ -16,7 +16,8 @@ from scipy.sparse.csgraph import connected_components
 
 from calib_pin.errors import InputError
 from calib_pin.io.meshes import MeshReader
-from calib_pin.io.urdf import locate_mesh, locate_robot
+from calib_pin.io.packages import locate_mesh
+from calib_pin.io.urdf import locate_robot
 from calib_pin.io.urdf_bytes import parse_document
 from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.spatial import Floats
@@ -161,7 +162,7 @@ def robot_shapes(
 
     Args:
         robot: The robot.
-        package_dirs: Folders of packages, see `io.urdf.locate_mesh`.
+        package_dirs: Folders of packages, see `io.packages.locate_mesh`.
         progress: Told the part that is done, 0 to 1.
     """
     root = fromstring(parse_document(robot.source).plain)

@@ -213,7 +213,7 @@ def test_a_process_that_does_not_answer(
 ) -> None:
     before = "import os, sys, time; print('{}', flush=True); sys.stdin.readline(); "
 
-    def started() -> subprocess.Popen[bytes]:
+    def started(_: str) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
             [sys.executable, "-c", before + program], stdin=-1, stdout=-1
         )
@@ -221,7 +221,7 @@ def test_a_process_that_does_not_answer(
     path = stored(tmp_path, "a.obj", obj())
     with monkeypatch.context() as patch:
         patch.setattr(meshes, "SECONDS", 1.0)
-        patch.setattr(meshes, "_started", started)
+        patch.setattr(meshes, "started", started)
         with refused(InputError, file=str(path), reason=reason):
             reader.read(path)
     other = stored(tmp_path, "b.obj", obj())

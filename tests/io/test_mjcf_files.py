@@ -1,0 +1,149 @@
+"""Robots in MuJoCo's files: what Pinocchio understands of them, as a URDF."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib_pin.errors import RobotError
+from calib_pin.io.urdf import load_chain, load_robot
+from tests.cli.conftest import ARM
+
+HEAD = """<mujoco model="arm">
+  <compiler angle="degree" autolimits="true"/>
+  <default>
+    <joint axis="0 1 0" range="-100 100"/>
+    <default class="tilt"><joint axis="1 0 0" range="-10 10"/></default>
+  </default>
+"""
+
+BODIES = """<body name="one" pos="0 0 0.3" euler="0 0 30">
+  <joint name="j1" axis="0 0 1" ref="20"/>
+  <inertial pos="0 0 0.1" mass="2" diaginertia="0.1 0.2 0.15"/>
+  <body name="two" pos="0.5 0 0.1" quat="0.8 0.6 0 0">
+    <joint name="j2" pos="0 0.1 0.05"/>
+    <joint name="j3" class="tilt" pos="0.02 0 0"/>
+    <geom type="capsule" size="0.05 0.2"/>
+    <body pos="0.4 0 0">
+      <joint name="slide" type="slide" axis="1 1 0" range="0 0.3"/>
+      <geom type="box" size=".1 .1 .1"/>
+      <site name="tip" pos="0 0 0.1"/>
+      <body name="tool" pos="0.1 0 0"/>
+    </body>
+  </body>
+</body>"""
+
+BASE = f'<body name="base"><geom type="box" size=".1 .1 .1"/>{BODIES}</body>'
+
+
+def written(folder: Path, bodies: str, head: str = HEAD) -> Path:
+    file = folder / "arm.xml"
+    file.write_text(f"{head}<worldbody>{bodies}</worldbody></mujoco>")
+    return file
+
+
+def test_what_pinocchio_reads(tmp_path: Path) -> None:
+    file = written(tmp_path, BASE)
+    model = pin.buildModelFromMJCF(str(file))
+    state = model.createData()
+    for tip in ("two", "tip", "tool"):
+        chain = load_chain(file, base="base", tip=tip)
+        names = ["j1", "j2", "j3", "slide"][: 3 if tip == "two" else 4]
+        assert list(chain.joints) == names
+        q = chain.random_configurations(20, np.random.default_rng(1))
+        for values, pose in zip(q, chain.poses(q), strict=True):
+            full = np.zeros(model.nq)
+            full[: len(values)] = values
+            pin.framesForwardKinematics(model, state, full)
+            frame = state.oMf[model.getFrameId(tip)].homogeneous
+            assert np.abs(frame - pose).max() < 1e-12
+    # Degrees, but those of a slide are meters.
+    limits = np.deg2rad([100.0, 100.0, 10.0])
+    assert np.allclose(chain.upper, [*limits, 0.3]) and chain.lower[3] == 0.0
+    robot = chain.robot
+    assert (
+        robot.links[0] == robot.root == "base" and "shapes are not" in robot.remarks[0]
+    )
+    assert robot.model.inertias[1] == model.inertias[1]
+    assert robot.source.startswith(b'<robot name="arm">')
+
+
+def test_a_body_that_moves_in_the_world(tmp_path: Path) -> None:
+    chain = load_chain(written(tmp_path, BODIES), tip="tool")
+    assert chain.base == "world" and len(chain.joints) == 4
+
+
+def test_a_free_body_is_carried_but_no_chain_contains_it(
+    tmp_path: Path, refused: Callable[..., Any]
+) -> None:
+    free = f'<body name="torso" pos="0 0 1"><freejoint name="fly"/>{BODIES}</body>'
+    file = written(tmp_path, free)
+    assert len(load_chain(file, base="torso", tip="tool").joints) == 4
+    with refused(RobotError, "a floating joint, which a chain cannot contain"):
+        load_chain(file, tip="tool")
+
+
+def test_files_that_are_included(tmp_path: Path) -> None:
+    """A part among the bodies, and one with settings and bodies of its own."""
+    (tmp_path / "parts").mkdir()
+    part, defaults = (tmp_path / "parts" / name for name in ("a.xml", "b.xml"))
+    part.write_text(f"<mujocoinclude>{BODIES}</mujocoinclude>")
+    worldbody = '<worldbody><geom type="plane" size="1 1 1"/></worldbody>'
+    defaults.write_text(f"{HEAD}{worldbody}</mujoco>")
+    bodies = '<body name="base"><include file="parts/a.xml"/></body>'
+    head = '<mujoco model="arm"><include file="parts/b.xml"/>'
+    found = load_chain(written(tmp_path, bodies, head), tip="tip")
+    expected = load_chain(written(tmp_path, BASE), tip="tip")
+    q = expected.random_configurations(5, np.random.default_rng(0))
+    assert found.joints == ("j1", "j2", "j3", "slide")
+    assert np.array_equal(found.poses(q), expected.poses(q))
+    assert np.array_equal(found.upper, expected.upper)
+
+
+def test_what_pinocchio_leaves_out_is_told(tmp_path: Path) -> None:
+    other = '<body name="table"><joint name="j9"/><geom type="sphere" size="1"/></body>'
+    (remark,) = load_robot(written(tmp_path, BASE + other)).remarks
+    assert "body 'table', joint 'j9'" in remark
+
+
+def test_names_that_are_not_given(tmp_path: Path) -> None:
+    nameless = BODIES.replace('name="j2"', "").replace('name="j3"', "")
+    robot = load_robot(written(tmp_path, nameless))
+    assert len({*robot.model.names}) == 5 and len(robot.links) == 8
+
+
+WRONG = {
+    '<body name="a"><joint type="ball" name="b"/><geom size="1"/></body>': [
+        "joint 'b' is a ball joint"
+    ],
+    '<body name="a"/>': ["finds no joints"],
+    '<body name="a"><joint type="screw"/><geom size="1"/></body>': ["cannot be used"],
+    '<include file="nowhere.xml"/>': ["nowhere.xml cannot be read: No such file"],
+    '<include file="arm.xml"/>': ["include one another without end"],
+    '<include file="."/>': ["cannot be read"],
+    "": ["Pinocchio cannot read it"],
+}
+
+
+@pytest.mark.parametrize("bodies", WRONG)
+def test_wrong_files(tmp_path: Path, refused: Callable[..., Any], bodies: str) -> None:
+    file = written(tmp_path, bodies)
+    with refused(RobotError, WRONG[bodies], file=str(file)):
+        load_chain(file)
+
+
+def test_other_xml_files(tmp_path: Path, refused: Callable[..., Any]) -> None:
+    file = tmp_path / "arm.xml"
+    file.write_text(ARM)
+    assert load_robot(file).name == "arm" and load_robot(file).remarks == ()
+    file.write_text(f"<!DOCTYPE a [<!ENTITY b 'c'>]>{HEAD}</mujoco>")
+    with refused(RobotError, "DOCTYPE", file=str(file)):
+        load_robot(file)
+    file.write_text("<sdf version='1.9'/>")
+    with refused(RobotError, "is SDF", file=str(file)):
+        load_robot(file)

@@ -1,0 +1,172 @@
+"""Offsets along parallel axes that cancel: the same robot, in frames that fit it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib_pin.calibration import calibrate
+from calib_pin.errors import RobotError
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.io import straightening
+from calib_pin.io.exchange import FORMATS, Exported
+from calib_pin.io.exchange.base import origin_of, placed
+from calib_pin.io.straightening import straightened
+from calib_pin.io.urdf import load_chain, load_robot
+from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.setup import Setup
+from calib_pin.simulation import draw_errors, simulate
+from calib_pin.validation.calibrated_model import CalibratedModel
+from tests.io.exchange.test_export import UR10, kinematics, vendor
+
+NAMES = [*UR10]
+SLIDES = {"upper_arm": 300.0, "forearm": -98.7}
+"""How far a factory has moved frames along their axes [m]."""
+
+
+def origins(slides: Mapping[str, float], errors: float = 3e-4) -> list[pin.SE3]:
+    """Origins of an arm with small errors, its frames moved along their axes."""
+    rng = np.random.default_rng(3)
+    plain = UR10 | {"forearm": (-0.612, 0, 0, 0, 0, 0)}
+    plain |= {"wrist_1": (-0.5723, 0, 0.163941, 0, 0, 0)}
+    moved, carried = [], pin.SE3.Identity()
+    for name in NAMES:
+        error = pin.exp6(pin.Motion(rng.normal(0.0, errors, 6)))
+        z = np.array([0.0, 0.0, slides.get(name, 0.0)])
+        slide = pin.SE3(np.eye(3), z)
+        moved.append(carried.inverse() * placed(plain[name]) * error * slide)
+        carried = slide
+    return moved
+
+
+def urdf(places: list[pin.SE3], inside: Mapping[int, str] | None = None) -> bytes:
+    """An arm whose joints turn about z, with a camera on the forearm."""
+    lines = ['<robot name="arm"><link name="link0"/>']
+    for k, place in enumerate(places, start=1):
+        numbers = list(map(repr, origin_of(place)))
+        lines.append(
+            f'<link name="link{k}">{(inside or {}).get(k, "")}</link>'
+            f'<joint name="joint{k}" type="revolute">'
+            f'<origin xyz="{" ".join(numbers[:3])}" rpy="{" ".join(numbers[3:])}"/>'
+            f'<parent link="link{k - 1}"/><child link="link{k}"/><axis xyz="0 0 1"/>'
+            '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
+        )
+    lines.append(
+        '<link name="camera"/><joint name="mount" type="fixed">'
+        '<parent link="link3"/><child link="camera"/></joint></robot>'
+    )
+    return "\n".join(lines).encode()
+
+
+def arm(slides: Mapping[str, float], **about: Mapping[int, str]) -> Robot:
+    return parse_robot(urdf(origins(slides), **about), "arm.urdf")
+
+
+def lengths(robot: Robot) -> list[float]:
+    return [float(np.linalg.norm(m.translation)) for m in robot.model.jointPlacements]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_it_is_the_same_robot(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    slides = dict(zip(("upper_arm", "forearm"), rng.normal(0.0, 200.0, 2), strict=True))
+    wild = arm(slides)
+    found = straightened(wild)
+    q = Chain(wild, tip="link6").random_configurations(20, rng)
+    for tip in ("link1", "link4", "link6", "camera"):
+        old, new = (Chain(robot, tip=tip) for robot in (wild, found))
+        own = q[:, : len(old.joints)]
+        assert np.abs(old.poses(own) - new.poses(own)).max() < 1e-11
+    assert max(lengths(wild)) > 10.0 and max(lengths(found)) < 0.7
+    # Feet of perpendiculars: as the description of the vendor has its frames.
+    plain = [np.linalg.norm(UR10[name][:3]) for name in NAMES]
+    plain[2:4] = 0.612, np.hypot(0.5723, 0.163941)
+    assert np.allclose(lengths(found)[1:], plain, rtol=0, atol=3e-3)
+    assert straightened(found) is found
+    (remark,) = found.remarks
+    assert "'joint2', 'joint3'" in remark and "cancel" in remark
+
+
+def test_shapes_and_masses_stay_with_their_link() -> None:
+    """Where their origin was meant for the frame, and where it made up for it."""
+    shape = (
+        '<visual><origin xyz="{}"/><geometry><box size="1 1 1"/></geometry></visual>'
+    )
+    mass = '<inertial><mass value="1"/>{}<inertia ixx="1" iyy="1" izz="1"/></inertial>'
+    inside = {
+        2: shape.format("0 0 0.2") + shape.format("0.1 0 -299.8") + mass.format(""),
+        3: mass.format('<origin xyz="0.3 0 0.1"/>'),
+    }
+    found = straightened(arm(SLIDES, inside=inside))
+    root = found.source.decode()
+    assert 'xyz="0 0 0.2"' in root and "-299.8" not in root
+    numbers = root.split('<origin xyz="0.1 0')[1].split('"')[0]
+    assert abs(float(numbers) - 0.2) < 0.01
+    assert np.allclose(found.model.inertias[3].lever, [0.3, 0.0, 0.1])
+    assert np.allclose(found.model.inertias[2].lever, 0.0)
+
+
+@pytest.mark.parametrize(
+    "robot", ["space7", "example:ur10_robot", "example:talos_reduced", "example:xarm7"]
+)
+def test_other_robots_stay_as_they_are(robot: str) -> None:
+    assert load_robot(robot).remarks == ()
+
+
+def test_what_does_not_cancel_stays() -> None:
+    """A tall column, long shelves: large, but so is the robot."""
+    far = origins({})
+    far[1] = far[1] * pin.SE3(np.eye(3), np.array([0.0, 0.0, 20.0]))
+    robot = parse_robot(urdf(far), "arm.urdf")
+    assert straightened(robot) is robot
+    small = arm({"upper_arm": 0.7, "forearm": -0.2})
+    assert straightened(small) is small
+
+
+def test_a_difference_is_no_secret(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(straightening, "EXACT", 1e-20)
+    with pytest.raises(RobotError, match="differ by"):
+        straightened(arm(SLIDES))
+
+
+def test_it_calibrates_as_the_straight_robot(tmp_path: Path) -> None:
+    """Measured to 0.1 mm, from a factory's file to the file of the same vendor."""
+    own = dict(zip(NAMES, map(origin_of, origins(SLIDES)), strict=True))
+    template = tmp_path / "own.yaml"
+    template.write_text(kinematics(own, hash="calib_77"))
+    vendor(template, NAMES, np.pi)  # Writes own.xacro.
+    word = f"{tmp_path / 'own.xacro'} file:={template}"
+    found = load_chain(word, base="base_link", tip="link_5")
+    assert "straightened" in found.robot.remarks[0]
+    straight = tmp_path / "straight.yaml"
+    plain = dict(zip(NAMES, map(origin_of, origins({})), strict=True))
+    straight.write_text(kinematics(plain))
+    truth = nominal_problem(found, "position", Setup())
+    theta = draw_errors(truth.parameters, np.random.default_rng(4))
+    data = simulate(truth, theta, np.random.default_rng(5), count=60, noise=1e-4)
+    q = found.random_configurations(200, np.random.default_rng(6))
+    true = CalibratedModel.create(truth, theta).of().poses(q)[:, :3, 3]
+    results, errors = [], []
+    for chain in (found, vendor(straight, NAMES, np.pi)):
+        result = calibrate(chain, data, Setup())
+        assert result.verdict == "good", result.reason
+        away = result.model.of().poses(q)[:, :3, 3] - true
+        results.append(result)
+        errors.append(float(np.sqrt(np.mean(np.sum(away**2, axis=1)))))
+        moves = result.model.urdf_corrections().values()
+        assert max(np.linalg.norm(move.translation) for move in moves) < 5e-3
+    # 24 identifiable parameters of 180 numbers, each with 0.1 mm of noise.
+    assert max(errors) < 1e-4
+    assert np.isclose(*errors, rtol=0.05)
+    wild = results[0]
+    of = Exported(wild, Path("out"))
+    encoded = FORMATS["ur-kinematics"].encode(of, template)
+    file = tmp_path / "new.yaml"
+    file.write_bytes(encoded.data)
+    read = vendor(file, NAMES, np.pi).poses(of.configurations)
+    assert np.abs(read - of.chain.poses(of.configurations)).max() < 1e-9

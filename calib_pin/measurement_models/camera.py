@@ -261,7 +261,8 @@ class CameraModel(DeclaredModel):
     ) -> tuple[CameraModel, pin.SE3, pin.SE3]:
         """Frames from all images in closed form, see `camera_start`.
 
-        References of intrinsics and points stay.
+        So are focal lengths that are estimated, if those that are stated are farther
+        from what the images show; other references stay.
 
         Raises:
             InputError: If points are not given, measurements are too few for a start,
@@ -270,11 +271,22 @@ class CameraModel(DeclaredModel):
         if self.missing:
             raise InputError(f"the model 'camera' needs known points: {self.missing}")
         index = self._index(data.target, data)
-        if base is None or tool is None:
-            base, tool = self._start(F, data, index, base, tool)
-        T = base.homogeneous @ F @ tool.homogeneous
+        starts = [self._start(self.camera, F, data, index, base, tool)]
+        if self.camera.estimate:
+            starts += [
+                self._start(camera, F, data, index, base, tool)
+                for camera in self._zoomed(F, data, index)
+            ]
+        _, camera, outer, inner = min(starts, key=lambda start: start[0])
+        if outer is None or inner is None:
+            raise InputError(
+                "the camera cannot be located from the measurements of the model "
+                f"'camera' ({len(data)}); give 'frames' in a setup file (--setup)"
+            )
+        T = outer.homogeneous @ F @ inner.homogeneous
+        found = self if camera is self.camera else replace(self, camera=camera)
         instrument = np.zeros(len(self.parameters))
-        seen = self._look(T, instrument, index).image.points[2] > NEAR
+        seen = found._look(T, instrument, index).image.points[2] > NEAR
         if not seen.all():
             row = int(np.argmin(seen))
             raise data.error(
@@ -283,36 +295,55 @@ class CameraModel(DeclaredModel):
                 "the frames that the fit starts from; give 'frames' in a setup file "
                 "(--setup)",
             )
-        return self, base, tool
+        return found, outer, inner
+
+    def _zoomed(self, F: Floats, data: Measurements, index: Indices) -> list[Camera]:
+        """The camera with focal lengths that the images tell."""
+        focal, found = self.camera.intrinsics[:2], list[Camera]()
+        # With a wrong focal length a distortion is undone in the wrong places.
+        for distorted in (False, True, True):
+            camera = self.camera.with_focal(focal)
+            rays = self._rays(camera if distorted else camera.plain, F, data, index)
+            factors = rays.focal_factors()
+            if factors is None:
+                break
+            focal = focal * factors
+            found.append(self.camera.with_focal(focal))
+        return found
+
+    def _rays(
+        self, camera: Camera, F: Floats, data: Measurements, index: Indices
+    ) -> Rays:
+        """The rays of a camera; on the hand the chain runs from the tip to the base."""
+        rays = camera.rays(data.values)
+        seen = np.isfinite(rays[:, 0])
+        sites = np.array([point.xyz for point in self.points])
+        chain = F if camera.mount == "world" else invert(F)
+        return Rays(chain[seen], sites, index[seen], rays[seen], data.groups()[seen])
 
     def _start(
         self,
+        camera: Camera,
         F: Floats,
         data: Measurements,
         index: Indices,
         base: pin.SE3 | None,
         tool: pin.SE3 | None,
-    ) -> tuple[pin.SE3, pin.SE3]:
-        """The base and the tool frame, one of them given or none."""
-        rays = self.camera.rays(data.values)
-        seen = np.isfinite(rays[:, 0])
-        sites = np.array([point.xyz for point in self.points])
-        found = Rays(F[seen], sites, index[seen], rays[seen], data.groups()[seen])
-        if self.camera.mount == "world":
-            ends = found.ends(_matrix(base), _matrix(tool), (False, True))
+    ) -> tuple[float, Camera, pin.SE3 | None, pin.SE3 | None]:
+        """Error [px] with a camera, the base and the tool frame; None if not found."""
+        rays = self._rays(camera, F, data, index)
+        if camera.mount == "world":
+            outer, inner, guess = base, tool, (False, True)
         else:
-            # On the hand the chain runs from the tip to the base.
-            found = replace(found, F=invert(found.F))
-            outer = _matrix(tool and tool.inverse())
-            inner = _matrix(base and base.inverse())
-            ends = found.ends(outer, inner, (True, False))
-            ends = ends and (invert(ends[1]), invert(ends[0]))
+            outer, inner = tool and tool.inverse(), base and base.inverse()
+            guess = True, False
+        ends = rays.ends(_matrix(outer), _matrix(inner), guess)
         if ends is None:
-            raise InputError(
-                "the camera cannot be located from the measurements of the model "
-                f"'camera' ({len(data)}); give 'frames' in a setup file (--setup)"
-            )
-        return base or pin.SE3(ends[0]), tool or pin.SE3(ends[1])
+            return np.inf, camera, None, None
+        error = rays.error(ends) * float(camera.intrinsics[:2].mean())
+        if camera.mount == "hand":
+            ends = invert(ends[1]), invert(ends[0])
+        return error, camera, base or pin.SE3(ends[0]), tool or pin.SE3(ends[1])
 
     @property
     def _columns(self) -> Indices:

@@ -44,6 +44,9 @@ FLAT = 0.1
 THIN = 1e-3
 """Part of the extent of a set of points that tells nothing of this direction."""
 
+FARTHEST_FOCAL = 10.0
+"""Largest factor between a stated focal length and the one that images tell."""
+
 DEGENERATE = 1e-9
 """Part of the largest singular value that is rounding, and extent that is [m]."""
 
@@ -79,13 +82,15 @@ class Rays:
         Returns:
             O and I, shape (4, 4) each, or None where the rows are too few.
         """
+        if outer is not None and inner is not None:
+            return outer, inner
         if len(self.F) == 0:
             return None
         found = list(self._candidates(outer, inner))
         if not found and outer is None and inner is None:
             known = [np.eye(4) if taken else None for taken in guess]
             found = list(self._resection(*known))
-        return min(found, key=self._error, default=None)
+        return min(found, key=self.error, default=None)
 
     def _candidates(
         self, outer: Floats | None, inner: Floats | None
@@ -98,18 +103,54 @@ class Rays:
             yield register_poses(F, poses, base=outer, tool=inner)
         yield from resected
 
-    def _images(self) -> tuple[Floats, Floats]:
-        """Chain and pose of the points of single images, shape (K, 4, 4) each."""
+    def focal_factors(self) -> Floats | None:
+        """Factors of the focal lengths with which images of a plane can be such.
+
+        The first two columns of a homography are those of a rotation: at right angles
+        and of one length (Zhang, "A flexible new technique for camera calibration",
+        PAMI 2000, equations 3 and 4). That is linear in the squares of the factors of
+        the rays.
+
+        Returns:
+            Shape (2,), or None where fewer than three images tell them.
+        """
+        rows = list[Floats]()
+        for k in self._views():
+            points = self.points[self.index[k]]
+            center, axes, extent = _extent(points)
+            if extent[1] <= THIN * extent[0] or extent[2] > THIN * extent[0]:
+                continue
+            local = (points - center) @ axes.T
+            P = _projection(
+                self.rays[k], np.column_stack([local[:, :2], np.ones(len(local))])
+            )
+            if P is not None:
+                a, b = P[:, :2].T / np.linalg.norm(P[:, :2])
+                rows += [a * b, a**2 - b**2]
+        if len(rows) < 2 * FEW:
+            return None
+        M = np.array(rows)
+        squares = np.linalg.lstsq(M[:, :2], -M[:, 2], rcond=None)[0]
+        if not (squares > 1.0 / FARTHEST_FOCAL**2).all():
+            return None
+        return np.asarray(1.0 / np.sqrt(squares))
+
+    def _views(self) -> list[Indices]:
+        """Rows of single images, those with the most points."""
         order = np.argsort(self.image, kind="stable")
         cuts = np.flatnonzero(np.diff(self.image[order])) + 1
         rows = [part for part in np.split(order, cuts) if len(part) >= 4]
         if len(rows) > IMAGES:
-            # Those with the most points; of equal ones some from all over.
+            # Of equal ones some from all over.
             least = sorted(map(len, rows))[-IMAGES]
             rows = [part for part in rows if len(part) >= least]
             rows = [rows[k] for k in np.linspace(0, len(rows) - 1, IMAGES).astype(int)]
+        return rows
+
+    def _images(self) -> tuple[Floats, Floats]:
+        """Chain and pose of the points of single images, shape (K, 4, 4) each."""
         chain, poses = [], []
-        for k in rows:
+        for k in self._views():
             points = self.points[self.index[k]]
             pose = _pose_of_image(points.tobytes(), self.rays[k].tobytes())
             if pose is not None:
@@ -147,7 +188,7 @@ class Rays:
         points = self.points[self.index]
         return np.asarray((T[:, :3, :3] @ points[:, :, None])[:, :, 0] + T[:, :3, 3])
 
-    def _error(self, ends: tuple[Floats, Floats]) -> float:
+    def error(self, ends: tuple[Floats, Floats]) -> float:
         """Median error of the rays; a point behind the camera has an infinite one."""
         X = self._moved(*ends)
         front = X[:, 2] > NEAR

@@ -111,6 +111,15 @@ class Camera(ReferenceObject):
         """With other intrinsics."""
         return replace(self, intrinsics=self.intrinsics + values)
 
+    @property
+    def plain(self) -> Camera:
+        """The same without a distortion."""
+        return replace(self, intrinsics=np.append(self.intrinsics[:4], np.zeros(5)))
+
+    def with_focal(self, focal: Floats) -> Camera:
+        """With other focal lengths, shape (2,) [px]."""
+        return replace(self, intrinsics=np.append(focal, self.intrinsics[2:]))
+
     def stated(self) -> CameraSetup:
         """Its intrinsics."""
         f_x, f_y, c_x, c_y, k_1, k_2, p_1, p_2, k_3 = map(float, self.intrinsics)

@@ -427,6 +427,26 @@ def test_registration(mount: str, points: str, known: str) -> None:
 
 
 @pytest.mark.parametrize("mount", MOUNTS)
+@pytest.mark.parametrize("factor", [0.3, 0.7, 1.0, 1.3, 4.0])
+@pytest.mark.parametrize("known", ["neither", "both"])
+def test_focal_lengths_that_are_estimated_start_from_the_images(
+    mount: str, factor: float, known: str
+) -> None:
+    model = model_of(mount, GRID + np.array([0.02, 0.01, 0.1]))
+    F, data = images(model, 8)
+    stated = model.camera.with_focal(factor * model.camera.intrinsics[:2])
+    B, X = (BASES[mount], TOOL) if known == "both" else (None, None)
+    kept = replace(model, camera=stated)
+    assert kept.register(F, data, BASES[mount], TOOL)[0].camera is stated
+    free = replace(model, camera=replace(stated, estimate=True))
+    found, base, tool = free.register(F, data, B, X)
+    # As close as three rounds come.
+    part = found.camera.intrinsics[:2] / model.camera.intrinsics[:2]
+    assert np.abs(part - 1.0).max() < 0.05
+    assert np.abs(base.translation - BASES[mount].translation).max() < 0.03
+
+
+@pytest.mark.parametrize("mount", MOUNTS)
 @pytest.mark.parametrize("known", ["neither", "base", "tool"])
 @pytest.mark.parametrize("without", ["_images", "_resection"])
 def test_either_way_to_a_start_is_exact(

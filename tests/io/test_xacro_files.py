@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from calib_pin.errors import InputError, OptionError, RobotError
 from calib_pin.io import children, xacro_files
+from calib_pin.io.meshes import STL
 from calib_pin.io.packages import locate_mesh
 from calib_pin.io.urdf import load_chain, load_robot
+from calib_pin.viewer.shapes import robot_shapes
 
 HEAD = '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">'
 
@@ -71,7 +75,10 @@ def package(tmp_path: Path) -> Path:
     folder = tmp_path / "ws" / "ROS2_Description"
     (folder / "urdf").mkdir(parents=True)
     (folder / "meshes").mkdir()
-    (folder / "meshes" / "1.stl").write_text("solid a\nendsolid a\n")
+    triangle = np.zeros(1, STL)
+    triangle["corners"] = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+    data = bytes(80) + struct.pack("<I", 1) + triangle.tobytes()
+    (folder / "meshes" / "1.stl").write_bytes(data)
     (folder / "package.xml").write_text(
         "<package><name>arm_description</name></package>"
     )
@@ -101,6 +108,7 @@ def test_a_package_as_ros_has_it(package: Path) -> None:
     assert robot.model.jointPlacements[2].translation[0] == 1.25
     mesh = locate_mesh("package://arm_description/meshes/1.stl", file)
     assert mesh == package / "meshes" / "1.stl"
+    assert robot_shapes(robot).missing == ("package://arm_description/meshes/2.stl",)
     # The same robot from elsewhere is the same, byte for byte.
     assert load_robot(str(file)).source == chain.robot.source
 

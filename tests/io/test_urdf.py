@@ -775,9 +775,7 @@ ALLOWED_TYPES = "revolute, continuous, prismatic, fixed, floating, planar"
         (
             '"1 2 3"',
             '"$(arg x) 2 3"',
-            dict(
-                line=7, value="$(arg x) 2 3", reason="is a xacro file; let its name"
-            ),
+            dict(line=7, value="$(arg x) 2 3", reason="is a xacro file; let its name"),
         ),
         (
             '"0.1 0.2 0.3"',

@@ -193,6 +193,7 @@ WRONG_FILES = {
     f'{HEAD}<xacro:macro name="m"/><xacro:m b="1"/></robot>': ["Invalid parameter"],
     f'{HEAD}<xacro:insert_block name="b"/></robot>': ["Undefined block"],
     f'{HEAD}<xacro:if value="perhaps">{LINK}</xacro:if></robot>': ["perhaps"],
+    f'{HEAD}{LINK}<joint name="j" type="round"/></robot>': ["unknown type 'round'"],
     f"{HEAD}${{xacro.fatal('not', 'like this')}}</robot>": ["not like this"],
     "<sdf/>": ["outermost element is <sdf>"],
 }
@@ -202,7 +203,7 @@ WRONG_FILES = {
 def test_wrong_files(tmp_path: Path, refused: Callable[..., Any], text: str) -> None:
     file = tmp_path / "arm.xacro"
     file.write_text(text)
-    with refused(RobotError, WRONG_FILES[text], file=str(file)):
+    with refused(RobotError, WRONG_FILES[text], file=str(file), line=None):
         load_robot(str(file))
 
 

@@ -22,9 +22,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import enumerated
 from calib_pin.io.limits import limit
-from calib_pin.io.mjcf_text import Refused, Stated
-
-WORLD = "world"
+from calib_pin.io.mjcf_text import WORLD, Refused, Stated
 
 CONFIGURATIONS = 10
 
@@ -36,6 +34,10 @@ KINDS = (
     (re.compile(r"JointModelP(X|Y|Z|rismaticUnaligned)"), "prismatic", slice(0, 3)),
 )
 """Joints that a URDF has, and where their axes are in what they span."""
+
+
+BODIES = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
+"""Frames of bodies and sites."""
 
 
 class Writer:
@@ -52,30 +54,39 @@ class Writer:
         self.root = ElementTree.Element("robot", name=model.name or "robot")
         self.bodies: dict[int, list[pin.Frame]] = {}
         for frame in model.frames:
-            if frame.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME):
+            if frame.type in BODIES:
                 self.bodies.setdefault(frame.parentJoint, []).append(frame)
         self.links: dict[str, None] = {}
+        self.carriers: dict[int, str] = {}
         self.joints: dict[str, int] = {}
         """Place of each joint's position in those of the model; -1 without one."""
 
     def write(self) -> bytes:
         """The bytes of the URDF."""
         model = self.model
-        carriers = [self._carrier(0) or WORLD]
-        self._link(carriers[0], model.inertias[0])
+        self._link(WORLD, model.inertias[0])
         for j in range(1, model.njoints):
+            at = model.getFrameId(model.names[j], pin.FrameType.JOINT)
+            parent = self._above(at)
             name = self._carrier(j) or self._free(f"{model.names[j]}_link")
-            self._joints(j, carriers[model.parents[j]], name)
+            place = parent.placement.actInv(model.jointPlacements[j])
+            self._joints(j, parent.name, name, place)
             self._link(name, model.inertias[j])
-            carriers.append(name)
-        for j, frames in self.bodies.items():
-            for frame in frames:
-                if frame.name in carriers:
-                    continue
-                name = self._free_joint(f"{frame.name}_fixed")
-                joint = self._joint(name, "fixed", carriers[j])
-                self._end(joint, frame.name, frame.placement)
-                self._link(frame.name)
+            self.carriers[j] = name
+        for k, frame in enumerate(model.frames):
+            if frame.type not in BODIES or frame.name in self.links:
+                continue
+            parent = self._above(k)
+            own = parent.parentJoint == frame.parentJoint
+            before = parent.name if own else self.carriers[frame.parentJoint]
+            place = frame.placement
+            if own:
+                place = parent.placement.actInv(place)
+            joint = self._joint(
+                self._free_joint(f"{frame.name}_fixed"), "fixed", before
+            )
+            self._end(joint, frame.name, place)
+            self._link(frame.name)
         ElementTree.indent(self.root)
         return ElementTree.tostring(self.root) + b"\n"
 
@@ -84,6 +95,13 @@ class Writer:
         frames = self.bodies.get(joint, [])
         bodies = (f for f in frames if f.type == pin.FrameType.BODY)
         return next((f.name for f in bodies if f.placement.isIdentity(0.0)), "")
+
+    def _above(self, index: int) -> pin.Frame:
+        """The body that a frame is in."""
+        frame = self.model.frames[self.model.frames[index].parentFrame]
+        while frame.type != pin.FrameType.BODY:
+            frame = self.model.frames[frame.parentFrame]
+        return frame
 
     def _free(self, name: str) -> str:
         taken = {*self.links, *(f.name for fs in self.bodies.values() for f in fs)}
@@ -126,10 +144,9 @@ class Writer:
             joint, "origin", xyz=_words(place.translation), rpy=_words(rpy)
         )
 
-    def _joints(self, j: int, parent: str, child: str) -> None:
+    def _joints(self, j: int, parent: str, child: str, place: pin.SE3) -> None:
         """The joints of one body: several are one joint to Pinocchio."""
-        whole, place = self.model.joints[j], self.model.jointPlacements[j]
-        name = self.model.names[j]
+        whole, name = self.model.joints[j], self.model.names[j]
         if whole.shortname() == "JointModelFreeFlyer":
             self._end(self._joint(name, "floating", parent), child, place)
             return
@@ -220,7 +237,7 @@ def require_same(model: pin.Model, data: bytes, writer: Writer) -> None:
         pin.framesForwardKinematics(model, states[0], q)
         pin.framesForwardKinematics(other, states[1], own)
         for k, frame in enumerate(model.frames):
-            if frame.type not in (pin.FrameType.BODY, pin.FrameType.OP_FRAME):
+            if frame.type not in BODIES:
                 continue
             found = states[1].oMf[other.getFrameId(frame.name, pin.FrameType.BODY)]
             away = np.abs(found.homogeneous - states[0].oMf[k].homogeneous).max()

@@ -15,6 +15,12 @@ from xml.etree import ElementTree
 DEEPEST = 20
 """Most files that include one another."""
 
+KEPT = ("asset", "compiler", "worldbody")
+"""Sections that kinematics needs; others may name what Pinocchio does not know."""
+
+WORLD = "world"
+"""Name of the world, which is no body's."""
+
 MAIN = "main"
 """Name of the defaults that all others begin with."""
 
@@ -76,6 +82,14 @@ class Stated:
         if "default" in sections:
             self.root.remove(defaults)
         _state(self.root, classes, MAIN)
+        for section in list(self.root):
+            if section.tag not in KEPT:
+                self.root.remove(section)
+        for section in self.root.findall("worldbody"):
+            # Of several bodies Pinocchio takes the first, and forgets where it is.
+            body = ElementTree.Element("body", name=WORLD)
+            body.extend(section)
+            section[:] = [body]
         self.elements = list(self.root.iter())
         self.joints = {j.attrib["name"]: self._joint(j, k) for j, k in self._joints()}
         fixed = self._setting("eulerseq").lower() != self._setting("eulerseq")

@@ -67,7 +67,7 @@ def test_what_pinocchio_reads(tmp_path: Path) -> None:
     assert np.allclose(chain.upper, [*limits, 0.3]) and chain.lower[3] == 0.0
     robot = chain.robot
     assert (
-        robot.links[0] == robot.root == "base" and "shapes are not" in robot.remarks[0]
+        robot.links[0] == robot.root == "world" and "shapes are not" in robot.remarks[0]
     )
     assert robot.model.inertias[1] == model.inertias[1]
     assert robot.source.startswith(b'<robot name="arm">')
@@ -105,10 +105,23 @@ def test_files_that_are_included(tmp_path: Path) -> None:
     assert np.array_equal(found.upper, expected.upper)
 
 
+def test_all_bodies_of_the_world_are_where_they_are(tmp_path: Path) -> None:
+    other = '<body name="table" pos="1 2 3"><joint name="j9"/><geom size="1"/></body>'
+    moved = BASE.replace('name="base"', 'name="base" pos="0 0 0.5"')
+    chain = load_chain(written(tmp_path, moved + other), tip="table")
+    assert chain.base == "world" and chain.joints == ("j9",)
+    assert chain.poses(np.zeros((1, 1)))[0, :3, 3].tolist() == [1.0, 2.0, 3.0]
+    one = load_chain(tmp_path / "arm.xml", tip="one")
+    assert np.allclose(one.poses(np.zeros((1, 1)))[0, :3, 3], [0.0, 0.0, 0.8])
+
+
 def test_what_pinocchio_leaves_out_is_told(tmp_path: Path) -> None:
-    other = '<body name="table"><joint name="j9"/><geom type="sphere" size="1"/></body>'
-    (remark,) = load_robot(written(tmp_path, BASE + other)).remarks
-    assert "body 'table', joint 'j9'" in remark
+    inner = '<body name="hidden"><joint name="j9"/><geom size="1"/></body>'
+    part = f'<frame pos="0 0 1">{inner}</frame><site name="tip"'
+    (remark,) = load_robot(
+        written(tmp_path, BASE.replace('<site name="tip"', part))
+    ).remarks
+    assert "body 'hidden', joint 'j9'" in remark
 
 
 def test_names_that_are_not_given(tmp_path: Path) -> None:
@@ -126,7 +139,13 @@ WRONG = {
     '<include file="nowhere.xml"/>': ["nowhere.xml cannot be read: No such file"],
     '<include file="arm.xml"/>': ["include one another without end"],
     '<include file="."/>': ["cannot be read"],
-    "": ["Pinocchio cannot read it"],
+    "": ["finds no joints"],
+    '<body name="a"><joint name="j" class="no"/><geom size="1"/></body>': [
+        "the class 'no' is not among its defaults"
+    ],
+    '<body name="a"><joint name="j" range="a b"/><geom size="1"/></body>': [
+        "'a' is not a number"
+    ],
 }
 
 

@@ -77,15 +77,11 @@ class Writer:
             if frame.type not in BODIES or frame.name in self.links:
                 continue
             parent = self._above(k)
-            own = parent.parentJoint == frame.parentJoint
-            before = parent.name if own else self.carriers[frame.parentJoint]
-            place = frame.placement
-            if own:
-                place = parent.placement.actInv(place)
-            joint = self._joint(
-                self._free_joint(f"{frame.name}_fixed"), "fixed", before
-            )
-            self._end(joint, frame.name, place)
+            before, place = parent.name, parent.placement.actInv(frame.placement)
+            if parent.parentJoint != frame.parentJoint:  # It is not where its joint is.
+                before, place = self.carriers[frame.parentJoint], frame.placement
+            name = self._free_joint(f"{frame.name}_fixed")
+            self._end(self._joint(name, "fixed", before), frame.name, place)
             self._link(frame.name)
         ElementTree.indent(self.root)
         return ElementTree.tostring(self.root) + b"\n"

@@ -166,3 +166,54 @@ def test_other_xml_files(tmp_path: Path, refused: Callable[..., Any]) -> None:
     file.write_text("<sdf version='1.9'/>")
     with refused(RobotError, "is SDF", file=str(file)):
         load_robot(file)
+
+
+MUJOCO = """<mujoco model="c">
+  <compiler angle="degree" autolimits="true"/>
+  <default>
+    <joint pos="0.1 0 0" ref="5"/><geom size=".1"/>
+    <default class="k">
+      <joint axis="0 0 1" range="-10 10"/>
+      <default class="kk"><joint axis="0 1 0" type="slide" ref="0.1"/></default>
+    </default>
+    <default class="z"><joint axis="1 1 0" pos="0 0 0.2"/></default>
+  </default>
+  <worldbody>
+    <body name="base" pos="1 2 3" childclass="k"><geom/>
+      <body name="b1" pos="0 0 .1"><joint name="a"/><geom/>
+        <body name="b2" pos=".3 0 .1" zaxis="0 1 1">
+          <joint name="b" class="kk" range="0 .4"/><geom/>
+          <body name="b3" pos=".3 .1 .1" euler="10 20 30" childclass="z">
+            <joint name="c"/><geom/>
+            <body name="b4" pos=".3 .1 .1" quat="1 .2 .3 .4"><geom/>
+              <joint name="d" ref="-30"/>
+              <joint name="e" type="slide" axis="1 2 3" ref="0.2"/>
+              <joint name="f" axis="0 1 2"/>
+              <body name="b5" pos=".3 .1 .1"><geom/></body>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_it_is_where_mujoco_has_it(tmp_path: Path, refused: Callable[..., Any]) -> None:
+    """Defaults inside defaults, references, joints of one body; by MuJoCo 4.0."""
+    file = tmp_path / "arm.xml"
+    file.write_text(MUJOCO)
+    chain = load_chain(file, tip="b5")
+    assert chain.joints == ("a", "b", "c", "d", "e", "f")
+    pose = chain.poses(np.array([[0.3, -0.2, 0.5, -0.7, 0.1, 0.9]]))[0]
+    position = [1.5746067377071231, 2.4257249226293807, 3.2715511288058803]
+    axis = [-0.6535591676853123, 0.7222057334706128, -0.22644931635281385]
+    assert np.abs(pose[:3, 3] - position).max() < 1e-14
+    assert np.abs(pose[:3, 0] - axis).max() < 1e-14
+    ranges = [np.deg2rad([-10.0, 10.0]), [0.0, 0.4]]
+    found = np.stack([chain.lower, chain.upper], axis=1)
+    assert np.allclose(found[:2], ranges)
+    file.write_text(MUJOCO.replace("autolimits", 'eulerseq="XYZ" autolimits'))
+    with refused(RobotError, "eulerseq"):
+        load_chain(file)

@@ -51,7 +51,7 @@ def answer(script: str, request: Mapping[str, object], file: str) -> Json:
     try:
         said, _ = child.communicate(json.dumps(request).encode(), SECONDS)
     except subprocess.TimeoutExpired:
-        reason = f"cannot be expanded: it takes more than {SECONDS:.0f} s"
+        reason = f"cannot be read: it takes more than {SECONDS:.0f} s"
         raise RobotError(reason, file=file) from None
     finally:
         child.kill()
@@ -59,7 +59,7 @@ def answer(script: str, request: Mapping[str, object], file: str) -> Json:
     try:
         found: Json = json.loads(said)
     except ValueError:
-        reason = "cannot be expanded: what reads it crashes, or needs too much memory"
+        reason = "cannot be read: what reads it crashes, or needs too much memory"
         raise RobotError(reason, file=file) from None
     if "reason" in found:
         raise RobotError(

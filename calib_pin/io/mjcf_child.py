@@ -22,13 +22,9 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import enumerated
 from calib_pin.io.limits import limit
-
-WORLD = "world"
+from calib_pin.io.mjcf_text import WORLD, Refused, Stated
 
 CONFIGURATIONS = 10
-
-DEEPEST = 20
-"""Most files that include one another."""
 
 EXACT = 1e-9
 """Largest difference of forward kinematics that is rounding [m, rad]."""
@@ -39,13 +35,9 @@ KINDS = (
 )
 """Joints that a URDF has, and where their axes are in what they span."""
 
-SLIDE = """<mujoco><worldbody><body name="a"><joint name="j" type="slide" range="0 1"
-limited="true"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
-</mujoco>"""
 
-
-class Refused(Exception):
-    """A description that cannot be a URDF, with the reason."""
+BODIES = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
+"""Frames of bodies and sites."""
 
 
 class Writer:
@@ -54,39 +46,43 @@ class Writer:
     Args:
         model: The model.
         stated: What the file itself says.
-        slide: Limits of slides in those that the model has.
     """
 
-    def __init__(self, model: pin.Model, stated: Stated, slide: float) -> None:
+    def __init__(self, model: pin.Model, stated: Stated) -> None:
         """Nothing is written yet."""
-        self.model, self.stated, self.slide = model, stated, slide
+        self.model, self.stated = model, stated
         self.root = ElementTree.Element("robot", name=model.name or "robot")
         self.bodies: dict[int, list[pin.Frame]] = {}
         for frame in model.frames:
-            if frame.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME):
+            if frame.type in BODIES:
                 self.bodies.setdefault(frame.parentJoint, []).append(frame)
         self.links: dict[str, None] = {}
+        self.carriers: dict[int, str] = {}
         self.joints: dict[str, int] = {}
         """Place of each joint's position in those of the model; -1 without one."""
 
     def write(self) -> bytes:
         """The bytes of the URDF."""
         model = self.model
-        carriers = [self._carrier(0) or WORLD]
-        self._link(carriers[0], model.inertias[0])
+        self._link(WORLD, model.inertias[0])
         for j in range(1, model.njoints):
+            at = model.getFrameId(model.names[j], pin.FrameType.JOINT)
+            parent = self._above(at)
             name = self._carrier(j) or self._free(f"{model.names[j]}_link")
-            self._joints(j, carriers[model.parents[j]], name)
+            place = parent.placement.actInv(model.jointPlacements[j])
+            self._joints(j, parent.name, name, place)
             self._link(name, model.inertias[j])
-            carriers.append(name)
-        for j, frames in self.bodies.items():
-            for frame in frames:
-                if frame.name in carriers:
-                    continue
-                name = self._free_joint(f"{frame.name}_fixed")
-                joint = self._joint(name, "fixed", carriers[j])
-                self._end(joint, frame.name, frame.placement)
-                self._link(frame.name)
+            self.carriers[j] = name
+        for k, frame in enumerate(model.frames):
+            if frame.type not in BODIES or frame.name in self.links:
+                continue
+            parent = self._above(k)
+            before, place = parent.name, parent.placement.actInv(frame.placement)
+            if parent.parentJoint != frame.parentJoint:  # It is not where its joint is.
+                before, place = self.carriers[frame.parentJoint], frame.placement
+            name = self._free_joint(f"{frame.name}_fixed")
+            self._end(self._joint(name, "fixed", before), frame.name, place)
+            self._link(frame.name)
         ElementTree.indent(self.root)
         return ElementTree.tostring(self.root) + b"\n"
 
@@ -95,6 +91,13 @@ class Writer:
         frames = self.bodies.get(joint, [])
         bodies = (f for f in frames if f.type == pin.FrameType.BODY)
         return next((f.name for f in bodies if f.placement.isIdentity(0.0)), "")
+
+    def _above(self, index: int) -> pin.Frame:
+        """The body that a frame is in."""
+        frame = self.model.frames[self.model.frames[index].parentFrame]
+        while frame.type != pin.FrameType.BODY:
+            frame = self.model.frames[frame.parentFrame]
+        return frame
 
     def _free(self, name: str) -> str:
         taken = {*self.links, *(f.name for fs in self.bodies.values() for f in fs)}
@@ -137,10 +140,9 @@ class Writer:
             joint, "origin", xyz=_words(place.translation), rpy=_words(rpy)
         )
 
-    def _joints(self, j: int, parent: str, child: str) -> None:
+    def _joints(self, j: int, parent: str, child: str, place: pin.SE3) -> None:
         """The joints of one body: several are one joint to Pinocchio."""
-        whole, place = self.model.joints[j], self.model.jointPlacements[j]
-        name = self.model.names[j]
+        whole, name = self.model.joints[j], self.model.names[j]
         if whole.shortname() == "JointModelFreeFlyer":
             self._end(self._joint(name, "floating", parent), child, place)
             return
@@ -150,7 +152,8 @@ class Writer:
             parts = list(several.joints)
             first, *others = several.jointPlacements
             places = [place * first, *others]
-            names = self.stated.names_of(name.removeprefix("Composite_"), len(parts))
+            first = self.stated.joints.get(name.removeprefix("Composite_"))
+            names = [name] if first is None else [*first.together]
         for k, (part, at, own) in enumerate(zip(parts, places, names, strict=True)):
             last = k == len(parts) - 1
             link = child if last else self._free(f"{own}_link")
@@ -171,92 +174,18 @@ class Writer:
             raise Refused(f"joint '{name}' is a {word} joint, which no URDF can hold")
         data, q = part.createData(), np.zeros(self.model.nq)
         part.calc(data, q)
-        ends = [
-            float(bounds[part.idx_q])
-            for bounds in (
-                self.model.lowerPositionLimit,
-                self.model.upperPositionLimit,
-            )
-        ]
-        if kind == "prismatic":
-            ends = [end * self.slide for end in ends]
-        limited = bool(np.isfinite(ends).all())
-        free = kind == "revolute" and not limited
+        axis = np.ravel(data.S)[rows]
+        stated = self.stated.joints[name]
+        # At its reference position the body is where it is drawn.
+        back = np.zeros(6)
+        back[rows] = -stated.ref * axis
+        free = kind == "revolute" and stated.limits is None
         joint = self._joint(name, "continuous" if free else kind, parent)
         self.joints[name] = part.idx_q
-        self._end(joint, child, place)
-        ElementTree.SubElement(joint, "axis", xyz=_words(np.ravel(data.S)[rows]))
-        stated = dict(zip(("lower", "upper"), map(repr, ends), strict=True))
-        ElementTree.SubElement(
-            joint, "limit", stated if limited else {}, effort="0", velocity="0"
-        )
-
-
-class Stated:
-    """A description as it is written, with its includes in their places.
-
-    Pinocchio does not know includes, and does not keep all names.
-
-    Args:
-        path: The file.
-    """
-
-    def __init__(self, path: Path) -> None:
-        """Read it, and what it includes."""
-        self.root = _complete(path, path.parent, 0)
-        sections: dict[str, ElementTree.Element] = {}
-        for section in list(self.root):
-            first = sections.setdefault(section.tag, section)
-            if first is not section:
-                first.attrib |= section.attrib
-                first.extend(section)
-                self.root.remove(section)
-        self.elements = list(self.root.iter())
-
-    def names_of(self, first: str, count: int) -> list[str]:
-        """Names of the joints of a body, by that of the first one."""
-        for element in self.elements:
-            joints = element.findall("joint") if element.tag == "body" else []
-            if len(joints) == count and joints[0].get("name", first) == first:
-                named = first == joints[0].get("name") or first.startswith(
-                    f"{element.get('name')}Joint"
-                )
-                if named:
-                    return [
-                        joint.get("name", first if k == 0 else f"{first}_{k}")
-                        for k, joint in enumerate(joints)
-                    ]
-        return [first, *(f"{first}_{k}" for k in range(1, count))]
-
-    @property
-    def degrees(self) -> bool:
-        """Whether angles are in degrees."""
-        words = [e.get("angle") for e in self.elements if e.tag == "compiler"]
-        return "radian" not in words
-
-    def names(self, tag: str) -> set[str]:
-        """Names of the bodies or joints."""
-        found = (e for e in self.elements if e.tag == tag)
-        return {e.attrib["name"] for e in found if "name" in e.attrib}
-
-
-def _complete(path: Path, folder: Path, depth: int) -> ElementTree.Element:
-    """The tree of a file, with the content of others where it includes them."""
-    if depth > DEEPEST:
-        raise Refused("files include one another without end")
-    try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
-        raise Refused(f"{path} is not well-formed XML: {error}") from None
-    except OSError as error:
-        raise Refused(f"{path} cannot be read: {error.strerror}") from None
-    for parent in list(root.iter()):
-        for place in range(len(parent) - 1, -1, -1):
-            if parent[place].tag == "include":
-                # From the folder of the first file, whichever includes it.
-                file = folder / parent[place].get("file", "")
-                parent[place : place + 1] = list(_complete(file, folder, depth + 1))
-    return root
+        self._end(joint, child, place * pin.exp6(pin.Motion(back)))
+        ElementTree.SubElement(joint, "axis", xyz=_words(axis))
+        ends = zip(("lower", "upper"), map(repr, stated.limits or ()), strict=False)
+        ElementTree.SubElement(joint, "limit", dict(ends), effort="0", velocity="0")
 
 
 def _words(numbers: Iterable[float] | NDArray[np.float64]) -> str:
@@ -273,40 +202,38 @@ def read(root: ElementTree.Element) -> pin.Model:
             return pin.buildModelFromMJCF(str(file))
         except Exception as failure:  # Whatever C++ throws.
             words = " ".join(str(failure).rpartition("message:")[2].split())
+            if "::at" in words:
+                words = "it names a class, mesh or other thing that is not there"
             raise Refused(f"Pinocchio cannot read it: {words}") from None
 
 
-def slide_limits(stated: Stated) -> float:
-    """Factor of the limits of slides: Pinocchio may take them for angles."""
-    if not stated.degrees:
-        return 1.0
-    known = read(ElementTree.fromstring(SLIDE))
-    return 1.0 / float(known.upperPositionLimit[0])
-
-
-def require_same(model: pin.Model, data: bytes, joints: dict[str, int]) -> None:
+def require_same(model: pin.Model, data: bytes, writer: Writer) -> None:
     """Compare the URDF with the model at random positions.
 
     Raises:
         Refused: If a body or site is elsewhere.
     """
-    other = pin.buildModelFromXML(data.decode())
+    try:
+        other = pin.buildModelFromXML(data.decode())
+    except Exception:  # Whoever asked will find out what is wrong with it.
+        return
     rng = np.random.default_rng(0)
     states = model.createData(), other.createData()
     for _ in range(CONFIGURATIONS):
         q, own = pin.neutral(model), pin.neutral(other)
-        for name, place in joints.items():
+        for name, place in writer.joints.items():
             if place < 0:
                 continue
-            q[place] = rng.uniform(-3.0, 3.0)
+            at = rng.uniform(-3.0, 3.0)
+            q[place] = at - writer.stated.joints[name].ref
             j = other.getJointId(name)
             start, two = other.idx_qs[j], other.nqs[j] == 2
-            value = [np.cos(q[place]), np.sin(q[place])] if two else [q[place]]
+            value = [np.cos(at), np.sin(at)] if two else [at]
             own[start : start + len(value)] = value
         pin.framesForwardKinematics(model, states[0], q)
         pin.framesForwardKinematics(other, states[1], own)
         for k, frame in enumerate(model.frames):
-            if frame.type not in (pin.FrameType.BODY, pin.FrameType.OP_FRAME):
+            if frame.type not in BODIES:
                 continue
             found = states[1].oMf[other.getFrameId(frame.name, pin.FrameType.BODY)]
             away = np.abs(found.homogeneous - states[0].oMf[k].homogeneous).max()
@@ -324,9 +251,9 @@ def converted(path: Path) -> dict[str, str]:
     """
     stated = Stated(path)
     model = read(stated.root)
-    writer = Writer(model, stated, slide_limits(stated))
+    writer = Writer(model, stated)
     data = writer.write()
-    require_same(model, data, writer.joints)
+    require_same(model, data, writer)
     lost = [
         *(f"body '{n}'" for n in sorted(stated.names("body") - {*writer.links})),
         *(f"joint '{n}'" for n in sorted(stated.names("joint") - {*writer.joints})),

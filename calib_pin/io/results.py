@@ -45,6 +45,7 @@ from calib_pin.io.result_folder import (
     text,
 )
 from calib_pin.io.setup import setup_of
+from calib_pin.io.straightening import straight_source
 from calib_pin.io.urdf import corrected_urdf, locate_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.io.xacro_files import is_xacro
@@ -361,6 +362,8 @@ def _find_robot(document: Json, path: Path, read: Read) -> Robot:
             data = read(place)
         except InputError:
             continue
+        if sha256(data) != content and place != copy:
+            data = straight_source(data)
         if sha256(data) == content:
             kept = stated if is_xacro(stated) and stated.is_file() else place
             own = kept == stated and missing is None

@@ -82,6 +82,14 @@ def straightened(robot: Robot) -> Robot:
     return result
 
 
+def straight_source(source: bytes) -> bytes:
+    """The bytes of a URDF after straightening, as far as it can be read."""
+    try:
+        return straightened(parse_robot(source, "")).source
+    except RobotError:
+        return source
+
+
 def _moves(element: Element) -> bool:
     return element.tag == "joint"
 

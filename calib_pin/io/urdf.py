@@ -183,10 +183,16 @@ def load_robot(
         names = f" ({', '.join(bundled)})" if bundled else ""
         allowed = f"a URDF or xacro file, a bundled robot{names}, or {_EXAMPLE}NAME"
         raise RobotError(reason, file=name or ".", allowed=allowed) from error
+    urdf, remarks = urdf_of(source, path, name)
     if is_xacro(path):
-        source = expand_xacro(path, arguments, package_dirs)
-    source, remarks = urdf_of(source, path, name)
-    return straightened(replace(parse_robot(source, name), remarks=remarks))
+        urdf = expand_xacro(path, arguments, package_dirs)
+    try:
+        robot = parse_robot(urdf, name)
+    except RobotError as error:
+        if urdf is source:
+            raise
+        raise error.within(name) from error  # Its lines are in no file.
+    return straightened(replace(robot, remarks=remarks))
 
 
 def corrected_urdf(

@@ -228,7 +228,7 @@ def _scan(data: bytes, file: str | None) -> Element:
         texts = attributes.values() if in_joint else ()
         macros = [text for text in texts if "${" in text or "$(" in text]
         if tag.startswith("xacro:") or macros:
-            reason = "is a xacro file; expand it first: xacro FILE > robot.urdf"
+            reason = "is a xacro file; let its name end in .xacro, or expand it first"
             value = macros[0] if macros else f"<{tag}>"
             raise RobotError(reason, file=file, line=line, value=value)
         if len(path) <= _DEEPEST:

@@ -172,7 +172,7 @@ class Reader:
         except expat.ExpatError as error:
             kind = expat.ErrorString(error.code)
             raise Refused(
-                f"is not well-formed XML: {kind}, line {error.lineno}"
+                f"it is not well-formed XML: {kind}, line {error.lineno}"
             ) from None
         return minidom.parseString(data)
 

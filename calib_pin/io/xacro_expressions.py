@@ -2,8 +2,8 @@
 
 What xacro does instead can be led out of: a generator has frames, and frames have the
 builtin functions. Here the syntax tree is walked; what is not named here does not
-exist. Values are numbers, strings, and lists and mappings of them, never functions;
-names with a leading underscore mean nothing.
+exist. Values are numbers, strings, and lists and mappings of them, never functions.
+A dot leads into mappings alone; names with two leading underscores mean nothing.
 """
 
 from __future__ import annotations
@@ -334,8 +334,8 @@ class _Walk:
 
 def _public(name: str) -> str:
     """A name that may be used."""
-    if name.startswith("_"):
-        raise Refused(f"'{name}' begins with an underscore")
+    if name.startswith("__"):
+        raise Refused(f"'{name}' begins with two underscores")
     return name
 
 

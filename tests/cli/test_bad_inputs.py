@@ -261,7 +261,7 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
     "robot is a folder": (
         "calibrate . rows.csv",
         {},
-        dict(file=".", reason="is a directory", allowed="a URDF file"),
+        dict(file=".", reason="is a directory", allowed="a URDF or xacro file"),
     ),
     "robot is no XML": (
         "calibrate rows.csv rows.csv",

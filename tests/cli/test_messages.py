@@ -64,7 +64,8 @@ MESSAGES: list[tuple[str, Mapping[str, str], str]] = [
         "calibrate ram.urdf rows.csv",
         {},
         "ram.urdf: no such file (did you mean 'arm.urdf'?); allowed: a URDF "
-        "file, a bundled robot (heavy6, pa10, space6, space7), or example:NAME",
+        "or xacro file, a bundled robot (heavy6, pa10, space6, space7), or "
+        "example:NAME",
     ),
     (
         "calibrate rows.csv rows.csv",

@@ -67,7 +67,7 @@ def test_what_pinocchio_reads(tmp_path: Path) -> None:
     assert np.allclose(chain.upper, [*limits, 0.3]) and chain.lower[3] == 0.0
     robot = chain.robot
     assert (
-        robot.links[0] == robot.root == "base" and "shapes are not" in robot.remarks[0]
+        robot.links[0] == robot.root == "world" and "shapes are not" in robot.remarks[0]
     )
     assert robot.model.inertias[1] == model.inertias[1]
     assert robot.source.startswith(b'<robot name="arm">')
@@ -105,10 +105,23 @@ def test_files_that_are_included(tmp_path: Path) -> None:
     assert np.array_equal(found.upper, expected.upper)
 
 
+def test_all_bodies_of_the_world_are_where_they_are(tmp_path: Path) -> None:
+    other = '<body name="table" pos="1 2 3"><joint name="j9"/><geom size="1"/></body>'
+    moved = BASE.replace('name="base"', 'name="base" pos="0 0 0.5"')
+    chain = load_chain(written(tmp_path, moved + other), tip="table")
+    assert chain.base == "world" and chain.joints == ("j9",)
+    assert chain.poses(np.zeros((1, 1)))[0, :3, 3].tolist() == [1.0, 2.0, 3.0]
+    one = load_chain(tmp_path / "arm.xml", tip="one")
+    assert np.allclose(one.poses(np.zeros((1, 1)))[0, :3, 3], [0.0, 0.0, 0.8])
+
+
 def test_what_pinocchio_leaves_out_is_told(tmp_path: Path) -> None:
-    other = '<body name="table"><joint name="j9"/><geom type="sphere" size="1"/></body>'
-    (remark,) = load_robot(written(tmp_path, BASE + other)).remarks
-    assert "body 'table', joint 'j9'" in remark
+    inner = '<body name="hidden"><joint name="j9"/><geom size="1"/></body>'
+    part = f'<frame pos="0 0 1">{inner}</frame><site name="tip"'
+    (remark,) = load_robot(
+        written(tmp_path, BASE.replace('<site name="tip"', part))
+    ).remarks
+    assert "body 'hidden', joint 'j9'" in remark
 
 
 def test_names_that_are_not_given(tmp_path: Path) -> None:
@@ -126,7 +139,13 @@ WRONG = {
     '<include file="nowhere.xml"/>': ["nowhere.xml cannot be read: No such file"],
     '<include file="arm.xml"/>': ["include one another without end"],
     '<include file="."/>': ["cannot be read"],
-    "": ["Pinocchio cannot read it"],
+    "": ["finds no joints"],
+    '<body name="a"><joint name="j" class="no"/><geom size="1"/></body>': [
+        "the class 'no' is not among its defaults"
+    ],
+    '<body name="a"><joint name="j" range="a b"/><geom size="1"/></body>': [
+        "'a' is not a number"
+    ],
 }
 
 
@@ -147,3 +166,54 @@ def test_other_xml_files(tmp_path: Path, refused: Callable[..., Any]) -> None:
     file.write_text("<sdf version='1.9'/>")
     with refused(RobotError, "is SDF", file=str(file)):
         load_robot(file)
+
+
+MUJOCO = """<mujoco model="c">
+  <compiler angle="degree" autolimits="true"/>
+  <default>
+    <joint pos="0.1 0 0" ref="5"/><geom size=".1"/>
+    <default class="k">
+      <joint axis="0 0 1" range="-10 10"/>
+      <default class="kk"><joint axis="0 1 0" type="slide" ref="0.1"/></default>
+    </default>
+    <default class="z"><joint axis="1 1 0" pos="0 0 0.2"/></default>
+  </default>
+  <worldbody>
+    <body name="base" pos="1 2 3" childclass="k"><geom/>
+      <body name="b1" pos="0 0 .1"><joint name="a"/><geom/>
+        <body name="b2" pos=".3 0 .1" zaxis="0 1 1">
+          <joint name="b" class="kk" range="0 .4"/><geom/>
+          <body name="b3" pos=".3 .1 .1" euler="10 20 30" childclass="z">
+            <joint name="c"/><geom/>
+            <body name="b4" pos=".3 .1 .1" quat="1 .2 .3 .4"><geom/>
+              <joint name="d" ref="-30"/>
+              <joint name="e" type="slide" axis="1 2 3" ref="0.2"/>
+              <joint name="f" axis="0 1 2"/>
+              <body name="b5" pos=".3 .1 .1"><geom/></body>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_it_is_where_mujoco_has_it(tmp_path: Path, refused: Callable[..., Any]) -> None:
+    """Defaults inside defaults, references, joints of one body; by MuJoCo 4.0."""
+    file = tmp_path / "arm.xml"
+    file.write_text(MUJOCO)
+    chain = load_chain(file, tip="b5")
+    assert chain.joints == ("a", "b", "c", "d", "e", "f")
+    pose = chain.poses(np.array([[0.3, -0.2, 0.5, -0.7, 0.1, 0.9]]))[0]
+    position = [1.5746067377071231, 2.4257249226293807, 3.2715511288058803]
+    axis = [-0.6535591676853123, 0.7222057334706128, -0.22644931635281385]
+    assert np.abs(pose[:3, 3] - position).max() < 1e-14
+    assert np.abs(pose[:3, 0] - axis).max() < 1e-14
+    ranges = [np.deg2rad([-10.0, 10.0]), [0.0, 0.4]]
+    found = np.stack([chain.lower, chain.upper], axis=1)
+    assert np.allclose(found[:2], ranges)
+    file.write_text(MUJOCO.replace("autolimits", 'eulerseq="XYZ" autolimits'))
+    with refused(RobotError, "eulerseq"):
+        load_chain(file)

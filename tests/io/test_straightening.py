@@ -10,11 +10,13 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.calibration import calibrate
+from calib_pin.cli import main
 from calib_pin.errors import RobotError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io import straightening
 from calib_pin.io.exchange import FORMATS, Exported
 from calib_pin.io.exchange.base import origin_of, placed
+from calib_pin.io.results import read_calibration
 from calib_pin.io.straightening import straightened
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.io.urdf_tree import parse_robot
@@ -164,9 +166,28 @@ def test_it_calibrates_as_the_straight_robot(tmp_path: Path) -> None:
     assert max(errors) < 1e-4
     assert np.isclose(*errors, rtol=0.05)
     wild = results[0]
+    assert wild.model.chains.robot.source == found.robot.source
     of = Exported(wild, Path("out"))
     encoded = FORMATS["ur-kinematics"].encode(of, template)
     file = tmp_path / "new.yaml"
     file.write_bytes(encoded.data)
     read = vendor(file, NAMES, np.pi).poses(of.configurations)
     assert np.abs(read - of.chain.poses(of.configurations)).max() < 1e-9
+
+
+def test_it_is_recognized_where_it_came_from(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By its own file, beside which its meshes are, or by the copy that was kept."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("calib_pin.cli.calibrate.draw_calibration", lambda *_: [])
+    Path("arm.urdf").write_bytes(urdf(origins(SLIDES)))
+    words = "arm.urdf --tip link6 --model pose --count 30 --noise 1e-5 -o rows.csv"
+    assert main(f"simulate {words}".split()) == 0
+    words = "arm.urdf rows.csv --tip link6 -o out --quiet"
+    assert main(f"calibrate {words}".split()) == 0
+    document = Path("out", "calibration.json")
+    for file in ("arm.urdf", str(Path("out", "nominal.urdf"))):
+        robot = read_calibration(document).chains.robot
+        assert robot.file == file and max(lengths(robot)) < 0.7
+        Path("arm.urdf").unlink(missing_ok=True)

@@ -674,7 +674,7 @@ def test_example_robots_not_installed(
             dict(
                 line=2,
                 value="<xacro:include>",
-                reason="is a xacro file; expand it first: xacro FILE > robot.urdf",
+                reason="is a xacro file; let its name end in .xacro",
             ),
         ),
     ],
@@ -770,14 +770,12 @@ ALLOWED_TYPES = "revolute, continuous, prismatic, fixed, floating, planar"
         (
             '"1 2 3"',
             '"${x} 2 3"',
-            dict(line=7, value="${x} 2 3", reason="is a xacro file; expand it first"),
+            dict(line=7, value="${x} 2 3", reason="is a xacro file; let its name"),
         ),
         (
             '"1 2 3"',
             '"$(arg x) 2 3"',
-            dict(
-                line=7, value="$(arg x) 2 3", reason="is a xacro file; expand it first"
-            ),
+            dict(line=7, value="$(arg x) 2 3", reason="is a xacro file; let its name"),
         ),
         (
             '"0.1 0.2 0.3"',

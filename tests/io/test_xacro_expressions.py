@@ -12,6 +12,7 @@ from calib_pin.io.xacro_expressions import Refused, evaluate
 
 SYMBOLS: dict[str, Any] = {
     "x": 3,
+    "_y": 4,
     "name": "left_arm",
     "xyz": [0.1, 0.2, 0.3],
     "limits": xacro.YamlDictWrapper(
@@ -66,6 +67,11 @@ None is None
 True and not False
 any(value > 0.2 for value in xyz)
 1e-3 * 2.5
+1./12 * (3 * x**2 + _y**2)
+'elbow' in limits and 'list' in limits.elbow
+'0 1 2'.split(' ')[1]
+'' if x else name + '_'
+pi/2.0 if 'l' in name else 0
 'abc' * 2
 """
 
@@ -167,14 +173,16 @@ math.sqrt(-1)
 exp(1000)
 int('abc')
 ''' + 1
-_hidden
+__hidden
+limits.__len__
+limits.__missing
 """
 
 
 @pytest.mark.parametrize("text", [line for line in HOSTILE.splitlines() if line])
 def test_what_is_refused(text: str) -> None:
     with pytest.raises(Refused):
-        evaluate(text, {**SYMBOLS, "_hidden": 1}, {"xacro.load_yaml": open})
+        evaluate(text, {**SYMBOLS, "__hidden": 1}, {"xacro.load_yaml": open})
 
 
 def test_without_end() -> None:

@@ -239,6 +239,9 @@ def compensate(
 ) -> Compensation:
     """Commands that bring the real robot to targets.
 
+    Without a start, revolute joints take the turns that make the way from target to
+    target the shortest.
+
     Args:
         model: The calibrated chain.
         targets: Poses to reach, shape (N, 4, 4).
@@ -264,16 +267,31 @@ def compensate(
     real = kinematics(model, frame=frame, point=point)
     joints = Joints.of(model.chain)
 
+    def finished(T: Floats, found: Solutions) -> Compensation:
+        nominal = reach(imagined, T, found.q, joints, orientation=orientation)
+        before = np.where(nominal.reached[:, None], nominal.q, np.nan)
+        return _compensation(model, real, T, found, before, orientation)
+
     def part(rows: slice) -> Compensation:
         T, near = targets[rows], None if start is None else start[rows]
         found = commands(
             model, T, near, frame=frame, point=point, orientation=orientation
         )
-        nominal = reach(imagined, T, found.q, joints, orientation=orientation)
-        before = np.where(nominal.reached[:, None], nominal.q, np.nan)
-        return _compensation(model, real, T, found, before, orientation)
+        return finished(T, found)
 
-    return _in_parts(part, len(targets), progress)
+    found = _in_parts(part, len(targets), progress)
+    if start is not None:
+        return found
+    (kept,) = np.nonzero(found.reached)
+    driven = joints.driven(found.q[kept])
+    unwound = joints.unwound(driven)
+    (turned,) = np.nonzero((unwound != driven).any(axis=1))
+    rows, near = kept[turned], joints.positions(unwound[turned])
+    # Corrections need not be periodic: another turn is another descent.
+    T = targets[rows]
+    others = reach(real, T, near, joints, orientation=orientation)
+    there = others.reached
+    return found.replaced(rows[there], finished(T[there], others.rows(there)))
 
 
 @serial_blas

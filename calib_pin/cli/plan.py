@@ -12,13 +12,19 @@ from typing import Annotated
 import typer
 
 import calib_pin.cli.options as options
+from calib_pin.cli.collisions import (
+    Clearance,
+    PackageDir,
+    Srdf,
+    check_options,
+    open_collisions,
+)
 from calib_pin.cli.files import (
     check_outputs,
     open_chains,
     open_measurements,
     open_setup,
     require_distinct,
-    require_folders,
     stated_blocks,
     tell_limits,
 )
@@ -40,9 +46,7 @@ from calib_pin.cli.results import (
 )
 from calib_pin.errors import OptionError, require_known
 
-plan_option, workspace_option = (
-    partial(options.option, heading) for heading in ("Plan", "Constraints")
-)
+plan_option = partial(options.option, "Plan")
 
 COUNT = options.number(int, "--count", "1 to 1000", 1, 1000)
 
@@ -101,7 +105,7 @@ def plan(
     seed: Annotated[int, options.seed("Plan")] = 0,
     limits: Annotated[
         list[str] | None,
-        workspace_option(
+        options.constraints(
             "--limits JOINT=A:B",
             "Narrower joint limits, such as 'joint_*=-2:2' or "
             "'elbow=-120:120 [deg]'; may be repeated.",
@@ -109,37 +113,18 @@ def plan(
     ] = None,
     distance: Annotated[
         float,
-        workspace_option(
+        options.constraints(
             "--distance D",
             "Least distance between configurations, as the largest movement of "
             "a joint [rad, m].",
             options.number(float, "--distance", "0 to 10", 0.0, 10.0),
         ),
     ] = 0.0,
-    srdf: Annotated[
-        Path | None,
-        workspace_option(
-            "--srdf FILE",
-            "SRDF file of the pairs of links that need no collision check.",
-        ),
-    ] = None,
-    package_dir: Annotated[
-        list[Path] | None,
-        workspace_option(
-            "--package-dir DIR",
-            "Folder of the packages of collision meshes; may be repeated.",
-        ),
-    ] = None,
-    clearance: Annotated[
-        float | None,
-        workspace_option(
-            "--clearance S",
-            "Least distance from obstacles and between links [m]; default 0.01.",
-            options.number(float, "--clearance", "0 to 1 m", 0.0, 1.0),
-        ),
-    ] = None,
+    srdf: Srdf = None,
+    package_dir: PackageDir = None,
+    clearance: Clearance = None,
     ignore_collisions: Annotated[
-        bool, workspace_option("--ignore-collisions", "Check no collisions.")
+        bool, options.constraints("--ignore-collisions", "Check no collisions.")
     ] = False,
     setup: options.SetupFile = None,
     base: options.Base = None,
@@ -182,14 +167,16 @@ def plan(
     require_known("method", method, METHODS)
     wanted = _count(count, add, to)
     require_distinct(to or [])
-    require_folders(package_dir or [])
     pictures = figure_files(figures, figure_format, "plan")
     inputs = (robot, setup, srdf, tests, *(to or []))
     check_outputs([output, *pictures], inputs, force)
-    if ignore_collisions and (srdf is not None or package_dir or clearance is not None):
-        raise OptionError(
-            "--ignore-collisions contradicts --srdf, --package-dir and --clearance"
-        )
+    check_options(
+        not ignore_collisions,
+        srdf,
+        package_dir,
+        clearance,
+        "--ignore-collisions contradicts",
+    )
     rows = None
     if to:
         with progress_bar(quiet=quiet) as bar:
@@ -216,16 +203,14 @@ def plan(
     encode_configurations(chains, still, names, joints=stated.joints)
     collisions = None
     if not ignore_collisions:
-        from calib_pin.io.collision import CLEARANCE, load_collisions
-
-        collisions = load_collisions(
+        collisions = open_collisions(
             chains,
             stated.obstacles,
-            srdf=srdf,
-            package_dirs=package_dir or [],
-            clearance=CLEARANCE if clearance is None else clearance,
-            notice=None if quiet else notice,
+            srdf,
+            package_dir,
+            clearance,
             file=stated.file,
+            quiet=quiet,
         )
     poses = (
         None

@@ -148,7 +148,8 @@ def encode_commands(
     Args:
         targets: The requested targets or motion.
         q: Joint commands for K of the targets, shape (K, n) [rad, m].
-        rows: Indices of these targets, shape (K,).
+        rows: Indices of these targets, shape (K,); negative for a command that only
+            leads around something from the one before, whose cell of `row` is empty.
         degrees: Whether angles are in degrees, where the target file has no joints.
         comments: Lines for the head of the file.
 
@@ -166,7 +167,9 @@ def encode_commands(
         >>> encode_commands(targets, np.zeros((1, 6)), np.array([0])).splitlines()[1]
         b'0.0,0.0,0.0,0.0,0.0,0.0,2'
     """
-    found = command_columns(targets, q, rows, degrees)
+    via = rows < 0
+    latest = np.maximum.accumulate(np.where(via, 0, np.arange(len(rows))))
+    found = command_columns(targets, q, rows[latest], degrees)
     if targets.T is None:
         all_columns = targets.table.columns
         others = targets.table.with_points(
@@ -181,7 +184,8 @@ def encode_commands(
             raise OutputError(
                 f"a joint column is called '{ROW}', which is the line of a target"
             )
-        columns = {**dict(found.values()), ROW: targets.lines[rows].tolist()}
+        lines = np.where(via, "", targets.lines[rows].astype(str))
+        columns = {**dict(found.values()), ROW: lines.tolist()}
     return encode_table(columns, comments)
 
 

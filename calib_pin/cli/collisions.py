@@ -91,16 +91,28 @@ def ways_of(chain: Chain, collisions: Collisions | None) -> Ways:
     from calib_pin.kinematics.chains import Chains
     from calib_pin.planning.ways import Ways
 
-    if collisions is None:
-        raise OptionError(
-            "--avoid-collisions needs the solids of the robot, and the URDF has none",
-            file=chain.robot.file,
-            allowed="<collision> in its links",
-        )
     chains = Chains.of(chain)
     if len(chains.joints) > len(chain.joints):
         raise OptionError(
             "--avoid-collisions needs the joints that others mimic in the chain",
             value=chains.joints[-1],
         )
-    return Ways(chains, collisions, chain.lower, chain.upper)
+    solid = require_solids("--avoid-collisions", chains, collisions)
+    return Ways(chains, solid, chain.lower, chain.upper)
+
+
+def require_solids(
+    option: str, chains: Chains, collisions: Collisions | None
+) -> Collisions:
+    """The collisions of a robot.
+
+    Raises:
+        OptionError: If its URDF describes no solids, which an option needs.
+    """
+    if collisions is None:
+        raise OptionError(
+            f"{option} needs the solids of the robot, and the URDF has none",
+            file=chains.robot.file,
+            allowed="<collision> in its links",
+        )
+    return collisions

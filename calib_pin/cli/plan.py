@@ -18,6 +18,7 @@ from calib_pin.cli.collisions import (
     Srdf,
     check_options,
     open_collisions,
+    require_solids,
 )
 from calib_pin.cli.files import (
     check_outputs,
@@ -34,6 +35,7 @@ from calib_pin.cli.printing import (
     say,
     say_written,
     show,
+    stage,
     told_command,
 )
 from calib_pin.cli.results import (
@@ -126,6 +128,14 @@ def plan(
     ignore_collisions: Annotated[
         bool, options.constraints("--ignore-collisions", "Check no collisions.")
     ] = False,
+    motion: Annotated[
+        Path | None,
+        options.output(
+            "--motion CSV",
+            "File of the whole motion to write: the configurations, with via "
+            "configurations where the straight way collides.",
+        ),
+    ] = None,
     setup: options.SetupFile = None,
     base: options.Base = None,
     tip: options.Tip = None,
@@ -142,7 +152,8 @@ def plan(
 
     They keep the joint limits, collide with nothing, lie in the region of the setup
     file, and are ordered for short travel. A table shows the accuracy that more or
-    fewer of them would give. Ctrl-C ends the search with the best plan so far.
+    fewer of them would give. Ctrl-C ends the search with the best plan so far. Exit
+    status 2: no free way was found for --motion, which is not written.
     """
     from dataclasses import replace
 
@@ -155,10 +166,14 @@ def plan(
         encode_configurations,
         read_configurations,
     )
+    from calib_pin.io.targets import ROW
     from calib_pin.observations import fitted_and_held_out
     from calib_pin.planning.plan import CRITERION_NAMES
     from calib_pin.planning.plan import plan as run
     from calib_pin.planning.search import METHODS
+    from calib_pin.planning.ways import VIA, Ways
+    from calib_pin.planning.workspace import joint_limits
+    from calib_pin.report.compensation_text import line_list
     from calib_pin.report.plan_text import plan_report
     from calib_pin.solvers import Status
 
@@ -169,7 +184,9 @@ def plan(
     require_distinct(to or [])
     pictures = figure_files(figures, figure_format, "plan")
     inputs = (robot, setup, srdf, tests, *(to or []))
-    check_outputs([output, *pictures], inputs, force)
+    check_outputs([output, *filter(None, [motion]), *pictures], inputs, force)
+    if motion is not None and ignore_collisions:
+        raise OptionError("--ignore-collisions contradicts --motion")
     check_options(
         not ignore_collisions,
         srdf,
@@ -212,6 +229,8 @@ def plan(
             file=stated.file,
             quiet=quiet,
         )
+    if motion is not None:
+        require_solids("--motion", chains, collisions)
     poses = (
         None
         if tests is None
@@ -244,17 +263,42 @@ def plan(
         degrees=degrees,
         comments=[f"planned by: {told_command(context)}"],
     )
-    with write_files({output: table, **contents}, force=force):
+    contents = {output: table, **contents}
+    shut: list[int] = []
+    if motion is not None and collisions is not None:
+        with progress_bar(quiet=quiet) as bar:
+            ways = Ways(chains, collisions, *joint_limits(found.problem))
+            rng = np.random.default_rng(seed)
+            passage = ways.through(found.q, rng, stage(bar, "ways"))
+        # A configuration is named by its line in the other file.
+        first = table.count(b"\n") - len(found.q) + 1
+        shut = [first + k for k in passage.blocked]
+        lines = ["" if k == VIA else str(first + k) for k in passage.row]
+        whole = encode_configurations(
+            chains,
+            passage.q,
+            places={ROW: lines},
+            joints=stated.joints,
+            degrees=degrees,
+            comments=[f"motion of: {told_command(context)}"],
+        )
+        contents |= {} if shut else {motion: whole}
+    with write_files(contents, force=force):
         if json:
             say(encode(plan_document(found)).decode())
         elif not quiet:
             show(plan_report(found))
     pictured = told_figures(contents, pictures)
     if not (json or quiet):
-        say_written([f"wrote {len(found.q)} configurations to {output}", *pictured])
+        written = [f"wrote {len(found.q)} configurations to {output}"]
+        if motion in contents:
+            written.append(f"wrote {passage.vias} more on the way to {motion}")
+        say_written([*written, *pictured])
+    if shut:
+        notice(f"no motion: no free way was found to {output}, {line_list(shut)}")
     if found.status is Status.STOPPED:
         notice("interrupted: this is the best plan found so far")
-    return 0
+    return 2 if shut else 0
 
 
 def _count(count: int | None, add: str | None, to: list[Path] | None) -> int:

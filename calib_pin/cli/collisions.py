@@ -82,7 +82,7 @@ def open_collisions(
     )
 
 
-def ways_of(chain: Chain, collisions: Collisions | None) -> Ways:
+def ways_of(option: str, chain: Chain, collisions: Collisions | None) -> Ways:
     """The ways of a chain on which nothing is touched.
 
     Raises:
@@ -94,10 +94,10 @@ def ways_of(chain: Chain, collisions: Collisions | None) -> Ways:
     chains = Chains.of(chain)
     if len(chains.joints) > len(chain.joints):
         raise OptionError(
-            "--avoid-collisions needs the joints that others mimic in the chain",
+            f"{option} needs the joints that others mimic in the chain",
             value=chains.joints[-1],
         )
-    solid = require_solids("--avoid-collisions", chains, collisions)
+    solid = require_solids(option, chains, collisions)
     return Ways(chains, solid, chain.lower, chain.upper)
 
 

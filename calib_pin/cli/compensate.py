@@ -242,7 +242,7 @@ def compensate(
             file=stated.file or str(calibration),
             quiet=True,
         )
-        ways = ways_of(model.chain, collisions)
+        ways = ways_of("--avoid-collisions", model.chain, collisions)
     with progress_bar(quiet=quiet) as bar:
         told = stage(bar, "compensate")
         found = _run(model, asked, *ends, position, ways, told)

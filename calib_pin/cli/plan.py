@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 import calib_pin.cli.options as options
+from calib_pin.cli.acceptance_plan import CYCLES, plan_acceptance, refuse_others
 from calib_pin.cli.collisions import (
     Clearance,
     PackageDir,
@@ -72,6 +73,21 @@ def plan(
     to: Annotated[
         list[Path] | None,
         plan_option("--to CSV", "Measurements that exist already; may be repeated."),
+    ] = None,
+    accept: Annotated[
+        bool,
+        plan_option(
+            "--accept",
+            "Plan an acceptance test instead: five poses of a cube, and its schedule.",
+        ),
+    ] = False,
+    cycles: Annotated[
+        int | None,
+        plan_option(
+            "--cycles N",
+            "Visits of each pose of an acceptance test; default 30.",
+            options.number(int, "--cycles", "3 to 1000", 3, 1000),
+        ),
     ] = None,
     criterion: Annotated[
         str,
@@ -148,7 +164,7 @@ def plan(
     quiet: options.Quiet = False,
     json: options.Json = False,
 ) -> int:
-    """Choose optimal calibration configurations.
+    """Choose optimal calibration configurations, or plan an acceptance test.
 
     They keep the joint limits, collide with nothing, lie in the region of the setup
     file, and are ordered for short travel. A table shows the accuracy that more or
@@ -180,7 +196,12 @@ def plan(
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
     require_known("criterion", criterion, CRITERION_NAMES)
     require_known("method", method, METHODS)
-    wanted = _count(count, add, to)
+    if accept:
+        refuse_others(context)
+        stated = replace(stated, model="position")
+    elif cycles is not None:
+        raise OptionError("--cycles belongs to --accept")
+    wanted = 0 if accept else _count(count, add, to)
     require_distinct(to or [])
     pictures = figure_files(figures, figure_format, "plan")
     inputs = (robot, setup, srdf, tests, *(to or []))
@@ -227,6 +248,22 @@ def plan(
             package_dir,
             clearance,
             file=stated.file,
+            quiet=quiet,
+        )
+    if accept:
+        typed = [robot, str(output)]
+        for option, value in (("--setup", setup), ("--base", base), ("--tip", tip)):
+            typed += [] if value is None else [option, str(value)]
+        return plan_acceptance(
+            chains,
+            stated,
+            collisions,
+            CYCLES if cycles is None else cycles,
+            typed,
+            output,
+            told_command(context),
+            degrees=degrees,
+            force=force,
             quiet=quiet,
         )
     if motion is not None:

@@ -131,7 +131,8 @@ def compensate(
         float | None,
         options.output(
             "--speed PART",
-            "Part of the URDF's joint speeds at which a program moves; default 0.25.",
+            "Part of the URDF's joint speeds at which commands follow one another: of "
+            "programs (default 0.25, or the file's own times), in CSV a column 'time'.",
             options.number(float, "--speed", "0.001 to 1", 1e-3, 1.0),
         ),
     ] = None,
@@ -154,25 +155,34 @@ def compensate(
 
     from calib_pin.control.compensation import ends_estimated, with_payload
     from calib_pin.io.documents import compensation_document
-    from calib_pin.io.exchange.motions import PROGRAMS
+    from calib_pin.io.exchange.motions import (
+        PROGRAMS,
+        moving_times,
+        paced,
+        speed_limits,
+    )
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.result_folder import written_before
     from calib_pin.io.results import read_accuracy, read_calibration
-    from calib_pin.io.targets import command_columns, encode_commands, read_target_file
+    from calib_pin.io.targets import (
+        command_columns,
+        encode_commands,
+        read_target_file,
+        read_times,
+    )
     from calib_pin.measurement_models import declared
     from calib_pin.planning.ways import Passage
     from calib_pin.report.accuracy import judged
     from calib_pin.report.compensation_text import (
         accuracy_lines,
         compensation_report,
+        hasty_lines,
         line_list,
         ways_report,
     )
 
     require_known("format", form, ("csv", *PROGRAMS))
-    if form == "csv" and speed is not None:
-        raise OptionError("--speed is for programs", allowed=", ".join(PROGRAMS))
     if form != "csv" and degrees:
         raise OptionError("--degrees is for --format csv")
     require_known("frame", frame or FRAMES[0], FRAMES)
@@ -219,9 +229,17 @@ def compensate(
     # A file that cannot be written must not turn up after the work.
     if asked.q is not None:
         command_columns(asked, asked.q, np.arange(len(asked.q)))
-    if form != "csv":
-        PROGRAMS[form](model.chain, np.zeros((1, len(model.chain.joints))), 1.0, ())
     motion = asked.T is None
+    stated_times = None if form == "csv" and not motion else read_times(asked)
+    if stated_times is not None and speed is not None and form == "csv":
+        raise OptionError("--speed: the motion has times of its own", file=targets)
+    timed = None if speed is not None else stated_times
+    if form != "csv":
+        still = np.zeros((1, len(model.chain.joints)))
+        first = None if timed is None else timed[:1]
+        PROGRAMS[form](model.chain, still, 1.0, (), first)
+    elif speed is not None:
+        speed_limits(model.chain, speed)
     of_base, of_tip = motion or frame == "base", motion or point == "tip"
     if ends_estimated(model, base=of_base, tip=of_tip) and not quiet:
         notice(
@@ -253,20 +271,32 @@ def compensate(
             find = ways.checked if motion else ways.through
             passage = find(found.q[rows], np.random.default_rng(0), told)
     shut = asked.lines[rows[list(passage.blocked)]].tolist()
+    times, hasty = None, list[int]()
+    if timed is not None and len(rows):
+        times, fast = paced(model.chain, passage.q, passage.of(rows), timed)
+        hasty = asked.lines[fast].tolist()
     torn = motion and bool(found.jumps.any())
-    good = not doubts and found.complete and not torn and not shut
-    written = bool(len(rows)) and not doubts and (good or not motion) and not shut
+    bad = bool(shut or hasty)
+    good = not doubts and found.complete and not torn and not bad
+    written = bool(len(rows)) and not doubts and (good or not motion) and not bad
     contents = {}
     if written:
         comment = f"commands of: {told_command(context)}"
+        part = SPEED if speed is None else speed
         if form == "csv":
+            if speed is not None:
+                times = moving_times(passage.q, speed_limits(model.chain, part))
             contents[output] = encode_commands(
-                asked, passage.q, passage.of(rows), degrees=degrees, comments=[comment]
+                asked,
+                passage.q,
+                passage.of(rows),
+                degrees=degrees,
+                times=None if motion and speed is None else times,
+                comments=[comment],
             )
         else:
-            part = SPEED if speed is None else speed
-            program = PROGRAMS[form](model.chain, passage.q, part, [comment])
-            contents[output] = program
+            program = PROGRAMS[form]
+            contents[output] = program(model.chain, passage.q, part, [comment], times)
     with write_files(contents, force=force):
         if json:
             made = output if written else None
@@ -278,6 +308,7 @@ def compensate(
                 made,
                 accuracy,
                 None if ways is None else (passage.vias, shut),
+                hasty,
             )
             say(encode(document).decode())
         elif not quiet:
@@ -289,7 +320,7 @@ def compensate(
                 found, model.chain, motion=motion, file=str(targets), lines=lines
             )
             moved = [] if ways is None else ways_report(found, passage, lines, shut)
-            show([*said, *moved, *accuracy_lines(accuracy)])
+            show([*said, *moved, *hasty_lines(hasty), *accuracy_lines(accuracy)])
     if json:
         return 0 if good else 2
     if not quiet:
@@ -301,6 +332,7 @@ def compensate(
             ("out of reach", asked.lines[~found.reached]),
             ("in collision", asked.lines[found.collides]),
             ("no free way to", shut),
+            ("faster than the URDF allows", hasty),
             (
                 "discontinuity in joint space",
                 asked.lines[found.jumps & (torn and found.complete)],

@@ -263,6 +263,7 @@ def compensation_document(
     output: Path | None,
     accuracy: Mapping[str, Mapping[str, object]],
     ways: tuple[int, Sequence[int]] | None = None,
+    hasty: Sequence[int] = (),
 ) -> Json:
     """The summary of a compensation.
 
@@ -275,6 +276,7 @@ def compensation_document(
         accuracy: Accuracy of the calibration, see `io.results.read_accuracy`.
         ways: Number of via configurations, and lines to which no way is free; None
             where collisions are not looked at.
+        hasty: Lines to which a joint would move faster than it can.
     """
     lines, reached = asked.lines, found.reached
     units = {"position": "m", "orientation": "rad"}
@@ -293,6 +295,7 @@ def compensation_document(
         "kind": "motion" if asked.T is None else "targets",
         "rows": len(found),
         "reached": int(reached.sum()),
+        "too_fast": list(hasty),
         "collisions": None
         if ways is None
         else {

@@ -18,6 +18,7 @@ from calib_pin.io.joint_columns import (
     shown_columns,
     spare_columns,
 )
+from calib_pin.io.logs import TIME, TIMES
 from calib_pin.io.measured_columns import (
     ORIENTED,
     POSITION,
@@ -131,12 +132,31 @@ def read_target_file(
     return Targets(table, sources, q, T, oriented)
 
 
+def read_times(targets: Targets) -> Floats | None:
+    """The times of a motion or of targets, shape (N,) [s]; None where there are none.
+
+    Raises:
+        InputError: If a time is none, or not after the one before.
+    """
+    if TIMES[0] not in targets.table:
+        return None
+    time = targets.table.numbers(TIMES[0], TIME)
+    (back,) = np.nonzero(np.diff(time) <= 0.0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise targets.table.cell_error(
+            "the time does not go on", TIMES[0], row, f"more than {time[row - 1]:.6g} s"
+        )
+    return time
+
+
 def encode_commands(
     targets: Targets,
     q: Floats,
     rows: NDArray[np.int64],
     *,
     degrees: bool = False,
+    times: Floats | None = None,
     comments: Sequence[str] = (),
 ) -> bytes:
     r"""Joint commands as a CSV file.
@@ -151,6 +171,7 @@ def encode_commands(
         rows: Indices of these targets, shape (K,); negative for a command that only
             leads around something from the one before, whose cell of `row` is empty.
         degrees: Whether angles are in degrees, where the target file has no joints.
+        times: When each is reached, shape (K,) [s], as a column `time`.
         comments: Lines for the head of the file.
 
     Raises:
@@ -186,6 +207,8 @@ def encode_commands(
             )
         lines = np.where(via, "", targets.lines[rows].astype(str))
         columns = {**dict(found.values()), ROW: lines.tolist()}
+    if times is not None:
+        columns[TIMES[0]] = times.tolist()
     return encode_table(columns, comments)
 
 

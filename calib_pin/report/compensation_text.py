@@ -89,6 +89,16 @@ def ways_report(
         yield Line("Nothing touches at the commands and on straight ways between them.")
 
 
+def hasty_lines(lines: Sequence[int]) -> Iterator[Line]:
+    """Lines to which a joint would move faster than it can."""
+    if lines:
+        yield Line(
+            "By the times of the file a joint moves faster than the URDF allows to "
+            f"{line_list(lines)}.",
+            "bad",
+        )
+
+
 def accuracy_lines(errors: Mapping[str, Mapping[str, Any]]) -> Iterator[Line]:
     """The error of the model itself on validation measurements, by quantity."""
     for name, error in errors.items():

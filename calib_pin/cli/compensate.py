@@ -258,7 +258,7 @@ def compensate(
             package_dir,
             clearance,
             file=stated.file or str(calibration),
-            quiet=True,
+            quiet=quiet,
         )
         ways = ways_of("--avoid-collisions", model.chain, collisions)
     with progress_bar(quiet=quiet) as bar:

@@ -10,6 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import calib_pin.cli.options as options
+from calib_pin.cli.collisions import (
+    Clearance,
+    Srdf,
+    check_options,
+    open_collisions,
+    ways_of,
+)
 from calib_pin.cli.files import (
     check_outputs,
     open_setup,
@@ -31,6 +38,7 @@ if TYPE_CHECKING:
     from calib_pin.control.compensation import Compensation
     from calib_pin.io.targets import Targets
     from calib_pin.observations import BlockKey
+    from calib_pin.planning.ways import Ways
     from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 
 targets_option = partial(options.option, "Targets")
@@ -98,6 +106,17 @@ def compensate(
         bool,
         targets_option("--position", "Reach positions only, with any orientation."),
     ] = False,
+    avoid_collisions: Annotated[
+        bool,
+        options.constraints(
+            "--avoid-collisions",
+            "Touch neither the robot itself nor the obstacles of the setup, at targets "
+            "and between them: via configurations are added.",
+        ),
+    ] = False,
+    srdf: Srdf = None,
+    package_dir: options.PackageDirs = None,
+    clearance: Clearance = None,
     degrees: options.Degrees = False,
     form: Annotated[
         str,
@@ -111,7 +130,8 @@ def compensate(
         float | None,
         options.output(
             "--speed PART",
-            "Part of the URDF's joint speeds at which a program moves; default 0.25.",
+            "Part of the URDF's joint speeds at which commands follow one another: of "
+            "programs (default 0.25, or the file's own times), in CSV a column 'time'.",
             options.number(float, "--speed", "0.001 to 1", 1e-3, 1.0),
         ),
     ] = None,
@@ -122,42 +142,57 @@ def compensate(
 ) -> int:
     """Find the joint commands that bring the real robot to targets.
 
-    Commands for targets have a column 'row', the line of the target. A motion keeps its
-    other columns; its commands bring the tip link to where that of the nominal robot
-    would be in the base link (with fewer than six joints: its position), as exactly as
-    base and tool are known. Exit status 2: a target cannot be reached (only the others
-    are written, of a motion none), or the calibration must not be trusted (no command
-    is written).
+    Commands for targets have a column 'row', the line of the target, empty where a
+    command only leads around something. A motion keeps its other columns; its commands
+    bring the tip link to where that of the nominal robot would be in the base link
+    (with fewer than six joints: its position), as exactly as base and tool are known.
+    Exit status 2: a target cannot be reached (only the others are written, of a motion
+    none), no way to it is free or the calibration must not be trusted (no command is
+    written).
     """
     import numpy as np
 
     from calib_pin.control.compensation import ends_estimated, with_payload
     from calib_pin.io.documents import compensation_document
-    from calib_pin.io.exchange.motions import PROGRAMS
+    from calib_pin.io.exchange.motions import (
+        PROGRAMS,
+        moving_times,
+        paced,
+        speed_limits,
+    )
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.result_folder import written_before
     from calib_pin.io.results import read_accuracy, read_calibration
-    from calib_pin.io.targets import command_columns, encode_commands, read_target_file
+    from calib_pin.io.targets import (
+        command_columns,
+        encode_commands,
+        read_target_file,
+        read_times,
+    )
     from calib_pin.measurement_models import declared
+    from calib_pin.planning.ways import Passage
     from calib_pin.report.accuracy import judged
     from calib_pin.report.compensation_text import (
         accuracy_lines,
         compensation_report,
+        hasty_lines,
         line_list,
+        ways_report,
     )
 
     require_known("format", form, ("csv", *PROGRAMS))
-    if form == "csv" and speed is not None:
-        raise OptionError("--speed is for programs", allowed=", ".join(PROGRAMS))
     if form != "csv" and degrees:
         raise OptionError("--degrees is for --format csv")
     require_known("frame", frame or FRAMES[0], FRAMES)
     require_known("point", point or POINTS[0], POINTS)
     stated = open_setup(setup)
-    require_joints_only(setup, stated)
+    check_options(
+        avoid_collisions, srdf, package_dir, clearance, "--avoid-collisions belongs to"
+    )
+    require_joints_only(setup, stated, *["obstacles"] * avoid_collisions)
     require_file(calibration)
-    check_outputs((output,), (calibration, targets, setup), force)
+    check_outputs((output,), (calibration, targets, setup, srdf), force)
     doubts: list[str] = []
     calibrated = read_calibration(calibration, notice=doubts.append)
     accuracy = read_accuracy(calibration)
@@ -193,9 +228,17 @@ def compensate(
     # A file that cannot be written must not turn up after the work.
     if asked.q is not None:
         command_columns(asked, asked.q, np.arange(len(asked.q)))
-    if form != "csv":
-        PROGRAMS[form](model.chain, np.zeros((1, len(model.chain.joints))), 1.0, ())
     motion = asked.T is None
+    stated_times = None if form == "csv" and not motion else read_times(asked)
+    if stated_times is not None and speed is not None and form == "csv":
+        raise OptionError("--speed: the motion has times of its own", file=targets)
+    timed = None if speed is not None else stated_times
+    if form != "csv":
+        still = np.zeros((1, len(model.chain.joints)))
+        first = None if timed is None else timed[:1]
+        PROGRAMS[form](model.chain, still, 1.0, (), first)
+    elif speed is not None:
+        speed_limits(model.chain, speed)
     of_base, of_tip = motion or frame == "base", motion or point == "tip"
     if ends_estimated(model, base=of_base, tip=of_tip) and not quiet:
         notice(
@@ -204,28 +247,67 @@ def compensate(
             "the setup file, or give targets of the tool in the measurement frame"
         )
     ends = frame or FRAMES[0], point or POINTS[0]
+    ways = None
+    if avoid_collisions:
+        obstacles = stated.obstacles or model.setup.obstacles
+        collisions = open_collisions(
+            model.chain,
+            obstacles,
+            srdf,
+            package_dir,
+            clearance,
+            file=stated.file or str(calibration),
+            quiet=quiet,
+        )
+        ways = ways_of("--avoid-collisions", model.chain, collisions)
     with progress_bar(quiet=quiet) as bar:
-        found = _run(model, asked, *ends, position, stage(bar, "compensate"))
-    (rows,) = np.nonzero(found.reached)
+        told = stage(bar, "compensate")
+        found = _run(model, asked, *ends, position, ways, told)
+        (rows,) = np.nonzero(found.good)
+        passage = Passage.straight(found.q[rows])
+        if ways is not None:
+            told = stage(bar, "ways")
+            find = ways.checked if motion else ways.through
+            passage = find(found.q[rows], np.random.default_rng(0), told)
+    shut = asked.lines[rows[list(passage.blocked)]].tolist()
+    times, hasty = None, list[int]()
+    if timed is not None and len(rows):
+        times, fast = paced(model.chain, passage.q, passage.of(rows), timed)
+        hasty = asked.lines[fast].tolist()
     torn = motion and bool(found.jumps.any())
-    good = not doubts and found.complete and not torn
-    written = bool(len(rows)) and not doubts and (good or not motion)
+    bad = bool(shut or hasty)
+    good = not doubts and found.complete and not torn and not bad
+    written = bool(len(rows)) and not doubts and (good or not motion) and not bad
     contents = {}
     if written:
         comment = f"commands of: {told_command(context)}"
+        part = SPEED if speed is None else speed
         if form == "csv":
+            if speed is not None:
+                times = moving_times(passage.q, speed_limits(model.chain, part))
             contents[output] = encode_commands(
-                asked, found.q[rows], rows, degrees=degrees, comments=[comment]
+                asked,
+                passage.q,
+                passage.of(rows),
+                degrees=degrees,
+                times=None if motion and speed is None else times,
+                comments=[comment],
             )
         else:
-            part = SPEED if speed is None else speed
-            program = PROGRAMS[form](model.chain, found.q[rows], part, [comment])
-            contents[output] = program
+            program = PROGRAMS[form]
+            contents[output] = program(model.chain, passage.q, part, [comment], times)
     with write_files(contents, force=force):
         if json:
             made = output if written else None
             document = compensation_document(
-                found, model.chain, asked, doubts, made, accuracy
+                found,
+                model.chain,
+                asked,
+                doubts,
+                made,
+                accuracy,
+                None if ways is None else (passage.vias, shut),
+                hasty,
             )
             say(encode(document).decode())
         elif not quiet:
@@ -236,7 +318,8 @@ def compensate(
             said = compensation_report(
                 found, model.chain, motion=motion, file=str(targets), lines=lines
             )
-            show([*said, *accuracy_lines(accuracy)])
+            moved = [] if ways is None else ways_report(found, passage, lines, shut)
+            show([*said, *moved, *hasty_lines(hasty), *accuracy_lines(accuracy)])
     if json:
         return 0 if good else 2
     if not quiet:
@@ -244,9 +327,18 @@ def compensate(
     elif doubts:
         notice(f"untrusted: {doubts[0]}")
     elif not good:
-        missed = asked.lines[found.jumps if found.complete else ~found.reached]
-        cause = "discontinuity in joint space" if found.complete else "out of reach"
-        notice(f"{cause}: {targets}, {line_list(missed)}")
+        for cause, missed in (
+            ("out of reach", asked.lines[~found.reached]),
+            ("in collision", asked.lines[found.collides]),
+            ("no free way to", shut),
+            ("faster than the URDF allows", hasty),
+            (
+                "discontinuity in joint space",
+                asked.lines[found.jumps & (torn and found.complete)],
+            ),
+        ):
+            if len(missed):
+                notice(f"{cause}: {targets}, {line_list(missed)}")
     return 0 if good else 2
 
 
@@ -278,6 +370,7 @@ def _run(
     frame: str,
     point: str,
     position: bool,
+    ways: Ways | None,
     progress: Callable[[float], None] | None,
 ) -> Compensation:
     from typing import cast
@@ -286,10 +379,13 @@ def _run(
     from calib_pin.control.compensation import compensate as run
     from calib_pin.control.compensation import follow
 
+    free = None if ways is None else ways.collisions.free
     if asked.T is None:
         assert asked.q is not None
         oriented = not position and len(model.chain.joints) >= 6
-        return follow(model, asked.q, orientation=oriented, progress=progress)
+        return follow(
+            model, asked.q, orientation=oriented, free=free, progress=progress
+        )
     return run(
         model,
         asked.T,
@@ -297,5 +393,6 @@ def _run(
         frame=cast(Frame, frame),
         point=cast(Point, point),
         orientation=asked.oriented and not position,
+        free=free,
         progress=progress,
     )

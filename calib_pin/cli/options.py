@@ -65,8 +65,8 @@ def option(
     )
 
 
-robot, fit, output = (
-    partial(option, heading) for heading in ("Robot", "Fit", "Output")
+robot, fit, constraints, output = (
+    partial(option, heading) for heading in ("Robot", "Fit", "Constraints", "Output")
 )
 
 

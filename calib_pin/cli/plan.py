@@ -12,6 +12,14 @@ from typing import Annotated
 import typer
 
 import calib_pin.cli.options as options
+from calib_pin.cli.acceptance_plan import CYCLES, plan_acceptance, refuse_others
+from calib_pin.cli.collisions import (
+    Clearance,
+    Srdf,
+    check_options,
+    open_collisions,
+    require_solids,
+)
 from calib_pin.cli.files import (
     check_outputs,
     open_chains,
@@ -27,6 +35,7 @@ from calib_pin.cli.printing import (
     say,
     say_written,
     show,
+    stage,
     told_command,
 )
 from calib_pin.cli.results import (
@@ -39,9 +48,7 @@ from calib_pin.cli.results import (
 )
 from calib_pin.errors import OptionError, require_known
 
-plan_option, workspace_option = (
-    partial(options.option, heading) for heading in ("Plan", "Constraints")
-)
+plan_option = partial(options.option, "Plan")
 
 COUNT = options.number(int, "--count", "1 to 1000", 1, 1000)
 
@@ -65,6 +72,21 @@ def plan(
     to: Annotated[
         list[Path] | None,
         plan_option("--to CSV", "Measurements that exist already; may be repeated."),
+    ] = None,
+    accept: Annotated[
+        bool,
+        plan_option(
+            "--accept",
+            "Plan an acceptance test instead: five poses of a cube, and its schedule.",
+        ),
+    ] = False,
+    cycles: Annotated[
+        int | None,
+        plan_option(
+            "--cycles N",
+            "Visits of each pose of an acceptance test; default 30.",
+            options.number(int, "--cycles", "3 to 1000", 3, 1000),
+        ),
     ] = None,
     criterion: Annotated[
         str,
@@ -100,7 +122,7 @@ def plan(
     seed: Annotated[int, options.seed("Plan")] = 0,
     limits: Annotated[
         list[str] | None,
-        workspace_option(
+        options.constraints(
             "--limits JOINT=A:B",
             "Narrower joint limits, such as 'joint_*=-2:2' or "
             "'elbow=-120:120 [deg]'; may be repeated.",
@@ -108,31 +130,26 @@ def plan(
     ] = None,
     distance: Annotated[
         float,
-        workspace_option(
+        options.constraints(
             "--distance D",
             "Least distance between configurations, as the largest movement of "
             "a joint [rad, m].",
             options.number(float, "--distance", "0 to 10", 0.0, 10.0),
         ),
     ] = 0.0,
-    srdf: Annotated[
-        Path | None,
-        workspace_option(
-            "--srdf FILE",
-            "SRDF file of the pairs of links that need no collision check.",
-        ),
-    ] = None,
-    clearance: Annotated[
-        float | None,
-        workspace_option(
-            "--clearance S",
-            "Least distance from obstacles and between links [m]; default 0.01.",
-            options.number(float, "--clearance", "0 to 1 m", 0.0, 1.0),
-        ),
-    ] = None,
+    srdf: Srdf = None,
+    clearance: Clearance = None,
     ignore_collisions: Annotated[
-        bool, workspace_option("--ignore-collisions", "Check no collisions.")
+        bool, options.constraints("--ignore-collisions", "Check no collisions.")
     ] = False,
+    motion: Annotated[
+        Path | None,
+        options.output(
+            "--motion CSV",
+            "File of the whole motion to write: the configurations, with via "
+            "configurations where the straight way collides.",
+        ),
+    ] = None,
     package_dir: options.PackageDirs = None,
     setup: options.SetupFile = None,
     base: options.Base = None,
@@ -146,11 +163,12 @@ def plan(
     quiet: options.Quiet = False,
     json: options.Json = False,
 ) -> int:
-    """Choose optimal calibration configurations.
+    """Choose optimal calibration configurations, or plan an acceptance test.
 
     They keep the joint limits, collide with nothing, lie in the region of the setup
     file, and are ordered for short travel. A table shows the accuracy that more or
-    fewer of them would give. Ctrl-C ends the search with the best plan so far.
+    fewer of them would give. Ctrl-C ends the search with the best plan so far. Exit
+    status 2: no free way was found for --motion, which is not written.
     """
     from dataclasses import replace
 
@@ -163,23 +181,39 @@ def plan(
         encode_configurations,
         read_configurations,
     )
+    from calib_pin.io.targets import ROW
     from calib_pin.observations import fitted_and_held_out
     from calib_pin.planning.plan import CRITERION_NAMES
     from calib_pin.planning.plan import plan as run
     from calib_pin.planning.search import METHODS
+    from calib_pin.planning.ways import VIA, Ways
+    from calib_pin.planning.workspace import joint_limits
+    from calib_pin.report.compensation_text import line_list
     from calib_pin.report.plan_text import plan_report
     from calib_pin.solvers import Status
 
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
     require_known("criterion", criterion, CRITERION_NAMES)
     require_known("method", method, METHODS)
-    wanted = _count(count, add, to)
+    if accept:
+        refuse_others(context)
+        stated = replace(stated, model="position")
+    elif cycles is not None:
+        raise OptionError("--cycles belongs to --accept")
+    wanted = 0 if accept else _count(count, add, to)
     require_distinct(to or [])
     pictures = figure_files(figures, figure_format, "plan")
     inputs = (robot, setup, srdf, tests, *(to or []))
-    check_outputs([output, *pictures], inputs, force)
-    if ignore_collisions and (srdf is not None or clearance is not None):
-        raise OptionError("--ignore-collisions contradicts --srdf and --clearance")
+    check_outputs([output, *filter(None, [motion]), *pictures], inputs, force)
+    if motion is not None and ignore_collisions:
+        raise OptionError("--ignore-collisions contradicts --motion")
+    check_options(
+        not ignore_collisions,
+        srdf,
+        None,
+        clearance,
+        "--ignore-collisions contradicts",
+    )
     rows = None
     if to:
         with progress_bar(quiet=quiet) as bar:
@@ -206,17 +240,33 @@ def plan(
     encode_configurations(chains, still, names, joints=stated.joints)
     collisions = None
     if not ignore_collisions:
-        from calib_pin.io.collision import CLEARANCE, load_collisions
-
-        collisions = load_collisions(
+        collisions = open_collisions(
             chains,
             stated.obstacles,
-            srdf=srdf,
-            package_dirs=package_dir or [],
-            clearance=CLEARANCE if clearance is None else clearance,
-            notice=None if quiet else notice,
+            srdf,
+            package_dir,
+            clearance,
             file=stated.file,
+            quiet=quiet,
         )
+    if accept:
+        typed = [robot, str(output)]
+        for option, value in (("--setup", setup), ("--base", base), ("--tip", tip)):
+            typed += [] if value is None else [option, str(value)]
+        return plan_acceptance(
+            chains,
+            stated,
+            collisions,
+            CYCLES if cycles is None else cycles,
+            typed,
+            output,
+            told_command(context),
+            degrees=degrees,
+            force=force,
+            quiet=quiet,
+        )
+    if motion is not None:
+        require_solids("--motion", chains, collisions)
     poses = (
         None
         if tests is None
@@ -249,17 +299,42 @@ def plan(
         degrees=degrees,
         comments=[f"planned by: {told_command(context)}"],
     )
-    with write_files({output: table, **contents}, force=force):
+    contents = {output: table, **contents}
+    shut: list[int] = []
+    if motion is not None and collisions is not None:
+        with progress_bar(quiet=quiet) as bar:
+            ways = Ways(chains, collisions, *joint_limits(found.problem))
+            rng = np.random.default_rng(seed)
+            passage = ways.through(found.q, rng, stage(bar, "ways"))
+        # A configuration is named by its line in the other file.
+        first = table.count(b"\n") - len(found.q) + 1
+        shut = [first + k for k in passage.blocked]
+        lines = ["" if k == VIA else str(first + k) for k in passage.row]
+        whole = encode_configurations(
+            chains,
+            passage.q,
+            places={ROW: lines},
+            joints=stated.joints,
+            degrees=degrees,
+            comments=[f"motion of: {told_command(context)}"],
+        )
+        contents |= {} if shut else {motion: whole}
+    with write_files(contents, force=force):
         if json:
             say(encode(plan_document(found)).decode())
         elif not quiet:
             show(plan_report(found))
     pictured = told_figures(contents, pictures)
     if not (json or quiet):
-        say_written([f"wrote {len(found.q)} configurations to {output}", *pictured])
+        written = [f"wrote {len(found.q)} configurations to {output}"]
+        if motion in contents:
+            written.append(f"wrote {passage.vias} more on the way to {motion}")
+        say_written([*written, *pictured])
+    if shut:
+        notice(f"no motion: no free way was found to {output}, {line_list(shut)}")
     if found.status is Status.STOPPED:
         notice("interrupted: this is the best plan found so far")
-    return 0
+    return 2 if shut else 0
 
 
 def _count(count: int | None, add: str | None, to: list[Path] | None) -> int:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.control.joints import Joints, Kinematics, Solutions, Stacked
+from calib_pin.control.avoiding import Free, free_solutions
+from calib_pin.control.joints import Indices, Joints, Kinematics, Solutions, Stacked
 from calib_pin.control.reaching import reach, search
 from calib_pin.errors import OptionError, require_known
 from calib_pin.kinematics.spatial import (
@@ -54,6 +55,8 @@ class Compensation(Stacked):
         at_limit: Whether a joint stands at its limit, shape (N,).
         outside: Whether the command is outside the region in which the learned
             correction was trained, shape (N,); False where nothing was learned.
+        collides: Whether something touches at the command, shape (N,); False where
+            that is not looked at.
         oriented: Whether orientations count.
     """
 
@@ -66,6 +69,7 @@ class Compensation(Stacked):
     orientation_before: Floats
     at_limit: NDArray[np.bool_]
     outside: NDArray[np.bool_]
+    collides: NDArray[np.bool_]
     oriented: bool
 
     def __len__(self) -> int:
@@ -79,9 +83,14 @@ class Compensation(Stacked):
         return np.asarray(found[np.isfinite(found).all(axis=1)])
 
     @property
+    def good(self) -> NDArray[np.bool_]:
+        """Whether the target is reached, and nothing touches there, shape (N,)."""
+        return np.asarray(self.reached & ~self.collides)
+
+    @property
     def complete(self) -> bool:
-        """Whether all targets are reached."""
-        return bool(self.reached.all())
+        """Whether all targets are."""
+        return bool(self.good.all())
 
     @property
     def jumps(self) -> NDArray[np.bool_]:
@@ -235,9 +244,13 @@ def compensate(
     frame: Frame = "measuring",
     point: Point = "tool",
     orientation: bool = True,
+    free: Free | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
     """Commands that bring the real robot to targets.
+
+    Without a start, revolute joints take the turns that make the way from target to
+    target the shortest.
 
     Args:
         model: The calibrated chain.
@@ -246,6 +259,7 @@ def compensate(
         frame: Frame of the targets, see `kinematics`.
         point: The point that shall reach them.
         orientation: Whether orientations count; else only positions do.
+        free: Where nothing touches; where something does, other solutions are sought.
         progress: Told the part that is done, 0 to 1.
 
     Example:
@@ -264,16 +278,42 @@ def compensate(
     real = kinematics(model, frame=frame, point=point)
     joints = Joints.of(model.chain)
 
+    def finished(T: Floats, found: Solutions) -> Compensation:
+        nominal = reach(imagined, T, found.q, joints, orientation=orientation)
+        before = np.where(nominal.reached[:, None], nominal.q, np.nan)
+        return _compensation(model, real, T, found, before, orientation)
+
     def part(rows: slice) -> Compensation:
         T, near = targets[rows], None if start is None else start[rows]
         found = commands(
             model, T, near, frame=frame, point=point, orientation=orientation
         )
-        nominal = reach(imagined, T, found.q, joints, orientation=orientation)
-        before = np.where(nominal.reached[:, None], nominal.q, np.nan)
-        return _compensation(model, real, T, found, before, orientation)
+        return finished(T, found)
 
-    return _in_parts(part, len(targets), progress)
+    def replaced(found: Compensation, rows: Indices, others: Solutions) -> Compensation:
+        there = others.reached
+        return found.replaced(
+            rows[there], finished(targets[rows[there]], others.rows(there))
+        )
+
+    found = _in_parts(part, len(targets), progress)
+    if free is not None:
+        solved = Solutions(found.q, found.reached, found.position, found.orientation)
+        others = free_solutions(
+            real, targets, solved, joints, free, start=start, orientation=orientation
+        )
+        found = replaced(found, np.arange(len(targets)), others)
+        found = replace(found, collides=found.reached & ~others.reached)
+    if start is not None:
+        return found
+    (kept,) = np.nonzero(found.good)
+    driven = joints.driven(found.q[kept])
+    unwound = joints.unwound(driven)
+    (turned,) = np.nonzero((unwound != driven).any(axis=1))
+    rows, near = kept[turned], joints.positions(unwound[turned])
+    # Corrections need not be periodic: another turn is another descent.
+    others = reach(real, targets[rows], near, joints, orientation=orientation)
+    return replaced(found, rows, others)
 
 
 @serial_blas
@@ -282,6 +322,7 @@ def follow(
     q: Floats,
     *,
     orientation: bool = True,
+    free: Free | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
     """Commands at which the real tip is where the nominal robot's would be.
@@ -293,6 +334,7 @@ def follow(
         model: The calibrated chain.
         q: Commands meant for the nominal robot, shape (N, n) [rad, m].
         orientation: Whether orientations count; else only positions do.
+        free: Where nothing touches; the commands are only told of it.
         progress: Told the part that is done, 0 to 1.
     """
     targets = model.chain.poses(q)
@@ -304,7 +346,8 @@ def follow(
         found = reach(real, T, q[rows], joints, orientation=orientation)
         return _compensation(model, real, T, found, q[rows], orientation)
 
-    return _in_parts(part, len(q), progress)
+    found = _in_parts(part, len(q), progress)
+    return found if free is None else replace(found, collides=~free(found.q))
 
 
 def _in_parts(
@@ -343,5 +386,6 @@ def _compensation(
         orientation_before=angles if orientation else 0.0 * angles,
         at_limit=np.asarray(joints.at_limit(joints.driven(found.q)).any(axis=1)),
         outside=model.outside(found.q),
+        collides=np.zeros(len(targets), bool),
         oriented=orientation,
     )

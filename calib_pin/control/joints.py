@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import JointSpace
 from calib_pin.kinematics.spatial import Floats, so3_log, times
+from calib_pin.kinematics.turns import shortest_turns
 
 Kinematics: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 """Joint positions (N, n) to tool poses (N, 4, 4) and the tool's body twists by joint
@@ -38,6 +39,13 @@ class Stacked:
             for name in parts[0]._arrays()
         }
         return replace(parts[0], **columns)
+
+    def replaced(self, rows: Indices, others: Self) -> Self:
+        """These rows, but for some, shape (K,), others."""
+        columns = {name: array.copy() for name, array in self._arrays().items()}
+        for name, column in columns.items():
+            column[rows] = getattr(others, name)
+        return replace(self, **columns)
 
     def _arrays(self) -> dict[str, Any]:
         return {k: v for k, v in vars(self).items() if isinstance(v, np.ndarray)}
@@ -154,6 +162,10 @@ class Joints:
         parts = 0.5 + np.outer(np.arange(count), ratio ** -np.arange(1.0, n + 1.0))
         return np.asarray(lower + parts % 1.0 * (upper - lower))
 
+    def unwound(self, q: Floats) -> Floats:
+        """Positions in the turns of the shortest way from row to row, shape (N, n)."""
+        return shortest_turns(q, self.lower, self.upper, self.revolute)
+
     def turned(self, q: Floats, start: Floats) -> Floats:
         """The same positions in the turns nearest to a start, shape (N, n)."""
         turns = np.where(self.revolute, np.round((q - start) / (2.0 * np.pi)), 0.0)
@@ -193,13 +205,6 @@ class Solutions(Stacked):
     def score(self) -> Floats:
         """Zero where reached, else the error with a radian as a meter, shape (N,)."""
         return np.where(self.reached, 0.0, self.position + self.orientation)
-
-    def replaced(self, rows: Indices, others: Solutions) -> Solutions:
-        """These solutions, but for some rows, shape (K,), others."""
-        columns = {name: array.copy() for name, array in self._arrays().items()}
-        for name, column in columns.items():
-            column[rows] = getattr(others, name)
-        return replace(self, **columns)
 
 
 @dataclass(frozen=True)

@@ -249,7 +249,7 @@ def _link_error(
         document.root,
     )
     owner = f"link '{link}'" if link else "the robot"
-    allowed = f"{hint}, or --ignore-collisions"
+    allowed = f"{hint}, or no check of collisions (plan --ignore-collisions)"
     return document.error(element, f"{owner}: {reason}", allowed=allowed)
 
 

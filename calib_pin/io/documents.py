@@ -262,6 +262,8 @@ def compensation_document(
     doubts: Sequence[str],
     output: Path | None,
     accuracy: Mapping[str, Mapping[str, object]],
+    ways: tuple[int, Sequence[int]] | None = None,
+    hasty: Sequence[int] = (),
 ) -> Json:
     """The summary of a compensation.
 
@@ -272,6 +274,9 @@ def compensation_document(
         doubts: Why the calibration must not be trusted; empty where it may.
         output: File that the commands were written to; None for none.
         accuracy: Accuracy of the calibration, see `io.results.read_accuracy`.
+        ways: Number of via configurations, and lines to which no way is free; None
+            where collisions are not looked at.
+        hasty: Lines to which a joint would move faster than it can.
     """
     lines, reached = asked.lines, found.reached
     units = {"position": "m", "orientation": "rad"}
@@ -290,6 +295,14 @@ def compensation_document(
         "kind": "motion" if asked.T is None else "targets",
         "rows": len(found),
         "reached": int(reached.sum()),
+        "too_fast": list(hasty),
+        "collisions": None
+        if ways is None
+        else {
+            "vias": ways[0],
+            "colliding": lines[found.collides].tolist(),
+            "blocked": [int(line) for line in ways[1]],
+        },
         "unreachable": [
             {"line": int(lines[k]), **{p: float(sizes[p][1][k]) for p in parts}}
             for k in np.flatnonzero(~reached)

@@ -18,6 +18,7 @@ from calib_pin.io.joint_columns import (
     shown_columns,
     spare_columns,
 )
+from calib_pin.io.logs import TIME, TIMES
 from calib_pin.io.measured_columns import (
     ORIENTED,
     POSITION,
@@ -131,12 +132,31 @@ def read_target_file(
     return Targets(table, sources, q, T, oriented)
 
 
+def read_times(targets: Targets) -> Floats | None:
+    """The times of a motion or of targets, shape (N,) [s]; None where there are none.
+
+    Raises:
+        InputError: If a time is none, or not after the one before.
+    """
+    if TIMES[0] not in targets.table:
+        return None
+    time = targets.table.numbers(TIMES[0], TIME)
+    (back,) = np.nonzero(np.diff(time) <= 0.0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise targets.table.cell_error(
+            "the time does not go on", TIMES[0], row, f"more than {time[row - 1]:.6g} s"
+        )
+    return time
+
+
 def encode_commands(
     targets: Targets,
     q: Floats,
     rows: NDArray[np.int64],
     *,
     degrees: bool = False,
+    times: Floats | None = None,
     comments: Sequence[str] = (),
 ) -> bytes:
     r"""Joint commands as a CSV file.
@@ -148,8 +168,10 @@ def encode_commands(
     Args:
         targets: The requested targets or motion.
         q: Joint commands for K of the targets, shape (K, n) [rad, m].
-        rows: Indices of these targets, shape (K,).
+        rows: Indices of these targets, shape (K,); negative for a command that only
+            leads around something from the one before, whose cell of `row` is empty.
         degrees: Whether angles are in degrees, where the target file has no joints.
+        times: When each is reached, shape (K,) [s], as a column `time`.
         comments: Lines for the head of the file.
 
     Raises:
@@ -166,7 +188,9 @@ def encode_commands(
         >>> encode_commands(targets, np.zeros((1, 6)), np.array([0])).splitlines()[1]
         b'0.0,0.0,0.0,0.0,0.0,0.0,2'
     """
-    found = command_columns(targets, q, rows, degrees)
+    via = rows < 0
+    latest = np.maximum.accumulate(np.where(via, 0, np.arange(len(rows))))
+    found = command_columns(targets, q, rows[latest], degrees)
     if targets.T is None:
         all_columns = targets.table.columns
         others = targets.table.with_points(
@@ -181,7 +205,10 @@ def encode_commands(
             raise OutputError(
                 f"a joint column is called '{ROW}', which is the line of a target"
             )
-        columns = {**dict(found.values()), ROW: targets.lines[rows].tolist()}
+        lines = np.where(via, "", targets.lines[rows].astype(str))
+        columns = {**dict(found.values()), ROW: lines.tolist()}
+    if times is not None:
+        columns[TIMES[0]] = times.tolist()
     return encode_table(columns, comments)
 
 

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.joint_space import FREE_TRAVEL, WIDEST
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.kinematics.tree import Configurations
+from calib_pin.kinematics.tree import Configurations, turns
 
 ROUNDING = 1e-5
 """Distance kept beyond the clearance [m]: at the very edge of a collision, where a
@@ -133,6 +134,40 @@ class Collisions:
         geometry = _with_pairs(self._meshes.copy(), chosen)
         distances = self.clearances if clearances is None else clearances
         return Collisions(self._chain, geometry, distances[places])
+
+    @property
+    def reach(self) -> Floats:
+        """How far points of the robot move at most by each joint, shape (n,).
+
+        A bound by the lengths of all links beyond [m/rad, 1 for prismatic joints].
+        """
+        return np.array([self._reach(joint) for joint in self._chain.joints])
+
+    def _reach(self, name: str) -> float:
+        model, joint = self._model, self._model.getJointId(name)
+        if not turns(model, name):
+            return 1.0
+        longest = 0.0
+        for solid in self._meshes.geometryObjects:
+            above = [*model.supports[solid.parentJoint]]
+            if joint not in above:
+                continue
+            length = 0.0
+            for beyond in above[above.index(joint) + 1 :]:
+                length += float(
+                    np.linalg.norm(model.jointPlacements[beyond].translation)
+                )
+                if not turns(model, model.names[beyond]):
+                    index = model.idx_qs[beyond]
+                    ends = model.lowerPositionLimit, model.upperPositionLimit
+                    travel = max(abs(float(end[index])) for end in ends)
+                    length += travel if travel < WIDEST else FREE_TRAVEL
+            shape = solid.geometry
+            shape.computeLocalAABB()
+            center = solid.placement.act(np.array(shape.aabb_center))
+            length += float(np.linalg.norm(center)) + float(shape.aabb_radius)
+            longest = max(longest, length)
+        return longest
 
     def _is_free(self, full: Floats) -> bool:
         if not pin.computeCollisions(self._model, self._data, self._boxes, full, True):

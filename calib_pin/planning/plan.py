@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, require_known
@@ -21,7 +19,6 @@ from calib_pin.observations import BlockKey, Indices, Measurements, Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.planning.aims import Aim, Aims, require_plannable
 from calib_pin.planning.criteria import CRITERIA, Prediction
-from calib_pin.planning.ordering import shortest_order
 from calib_pin.planning.planned_problem import (
     STRUCTURE,
     Predicted,
@@ -34,6 +31,7 @@ from calib_pin.planning.planned_problem import (
 )
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.search import METHODS, Found, Progress, Search
+from calib_pin.planning.travel import visits
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status
@@ -54,9 +52,6 @@ RANDOM_SETS = 25
 
 DIGITS = 6
 """Decimals of planned joint positions, where nothing speaks against rounding."""
-
-MOTION = 0.05
-"""Step along a move between configurations that is checked for collisions [rad, m]."""
 
 
 @dataclass(frozen=True)
@@ -256,12 +251,8 @@ def _finished(
     assert isinstance(rows, IdentificationRows)
     problem = rows.problem
     start = None if measured is None else measured.q[measured.in_order[-1]]
-    blocked = None
-    if workspace.collisions is not None:
-        blocked = partial(_blocked, workspace.collisions)
-    order, closed = _ordered(best, workspace.aims.each, start, blocked)
-    aim = best.aim[order]
-    q = _rounded(workspace, best.q[order], aim)
+    q, aim, closed = visits(workspace, rows, best.q, best.aim, start)
+    q = _rounded(workspace, q, aim)
 
     assert workspace.allowed(q, aim).all(), "methods only end in allowed sets"
     information = search.information(rows.rows(q, aim))
@@ -293,36 +284,6 @@ def _finished(
         parameters=parameters,
         groups=groups,
     )
-
-
-def _ordered(
-    best: Found,
-    among: Sequence[Aim],
-    start: Floats | None,
-    blocked: Callable[[Floats, Floats], bool] | None,
-) -> tuple[NDArray[np.intp], tuple[int, ...]]:
-    """Short travel, and a tool is mounted and an instrument placed only once.
-
-    Args:
-        best: The configurations.
-        among: What can be measured.
-        start: Where the robot stands before the first, shape (n,).
-        blocked: Whether the straight move between two configurations is blocked.
-
-    Returns:
-        The order, shape (K,), and the places in it to which the move is blocked.
-    """
-    places: dict[tuple[str, ...], list[int]] = {}
-    for k, aim in enumerate(best.aim):
-        places.setdefault(among[aim].key[1:], []).append(k)
-    order, closed = np.empty(0, np.intp), list[int]()
-    for members in places.values():
-        rows = np.array(members)
-        found, shut = shortest_order(best.q[rows], start, blocked)
-        closed += [len(order) + place for place in shut]
-        order = np.concatenate([order, rows[found]])
-        start = best.q[order[-1]]
-    return order, tuple(closed)
 
 
 def _rounded(workspace: Workspace, q: Floats, aim: Indices) -> Floats:
@@ -366,11 +327,3 @@ def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
         subset.add(subset.best_to_add()[0])
         steps.append(step())
     return tuple(steps)
-
-
-def _blocked(collisions: Collisions, a: Floats, b: Floats) -> bool:
-    """Whether something touches on the straight way between two configurations."""
-    pieces = max(2, int(np.ceil(np.abs(b - a).max() / MOTION)))
-    between = a + np.linspace(0.0, 1.0, pieces + 1)[1:-1, None] * (b - a)
-    # A few places far apart first: most moves that are blocked are so for long.
-    return not all(collisions.free(between[k::7]).all() for k in range(7))

@@ -118,7 +118,7 @@ class Workspace:
                 value=distance,
                 allowed="0 or more",
             )
-        lower, upper = _limits(problem)
+        lower, upper = joint_limits(problem)
         aims = aims or Aims.of(problem, tuple(problem.parts))
         return Workspace(problem, lower, upper, aims, points, collisions, distance)
 
@@ -299,7 +299,7 @@ class Workspace:
         return np.array(kept, np.intp)
 
 
-def _limits(problem: Problem) -> tuple[Floats, Floats]:
+def joint_limits(problem: Problem) -> tuple[Floats, Floats]:
     """Joint limits of the chains, narrowed by the setup."""
     chain, setup = problem.chains, problem.setup
     inverted = [joint for name in chain.names for joint in chain[name].inverted]

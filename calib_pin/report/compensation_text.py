@@ -10,6 +10,7 @@ import numpy as np
 from calib_pin.control.compensation import Compensation
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.planning.ways import Passage
 from calib_pin.report.blocks import Block, Cell, Line, Names, Table, columns
 from calib_pin.report.tables import amount, quantity
 from calib_pin.units import DISPLAY
@@ -60,6 +61,42 @@ def compensation_report(
         )
     if motion and found.reached.all():
         yield from _jumps(found, lines)
+
+
+def ways_report(
+    found: Compensation, passage: Passage, lines: Sequence[int], shut: Sequence[int]
+) -> Iterator[Line]:
+    """Collisions at targets and between them; `shut` are lines without a way."""
+    colliding = np.asarray(lines)[found.collides]
+    if len(colliding):
+        yield Line(
+            "Something touches there, and at all other solutions that were found: "
+            f"{line_list(colliding)}.",
+            "bad",
+        )
+    if len(shut):
+        yield Line(
+            f"No free way from the command before was found to {line_list(shut)}.",
+            "bad",
+        )
+    elif passage.vias:
+        yield Line(
+            f"The straight ways between commands collide, so {passage.vias} via "
+            f"configuration{'s' * (passage.vias > 1)} lead around; by the nominal "
+            "robot, with its clearance."
+        )
+    elif not len(colliding):
+        yield Line("Nothing touches at the commands and on straight ways between them.")
+
+
+def hasty_lines(lines: Sequence[int]) -> Iterator[Line]:
+    """Lines to which a joint would move faster than it can."""
+    if lines:
+        yield Line(
+            "By the times of the file a joint moves faster than the URDF allows to "
+            f"{line_list(lines)}.",
+            "bad",
+        )
 
 
 def accuracy_lines(errors: Mapping[str, Mapping[str, Any]]) -> Iterator[Line]:

@@ -254,7 +254,7 @@ def motion(name: str = "targets.csv", rows: int = 30) -> np.ndarray:
     part = np.linspace(0.0, 1.0, rows)[:, None]
     q = np.degrees(Q[0] + part * (Q[1] - Q[0]))
     cells = [
-        (f"{0.01 * k:.2f}", *at, f'" go, {k}"', "0x1F")
+        (f"{0.05 * k:.2f}", *at, f'" go, {k}"', "0x1F")
         for k, at in enumerate(q.tolist())
     ]
     heads = ",".join(f"{joint} [deg]" for joint in JOINTS)
@@ -635,6 +635,69 @@ def test_a_trajectory_of_ros_keeps_the_speeds(positions, run):
     assert time[0] == 0.0 and np.allclose(speeds.max(axis=1), 0.5, atol=1e-6)
 
 
+def timed_motion(part: float) -> tuple[np.ndarray, np.ndarray]:
+    """A motion whose times need a part of the URDF's speed, which is 1 rad/s."""
+    q = motion()
+    way = np.abs(np.diff(q, axis=0)).max(axis=1)
+    time = 5.0 + np.concatenate([[0.0], np.cumsum(way / part)])
+    write("targets.csv", ",".join([*JOINTS, "time"]), np.column_stack([q, time]))
+    return q, time
+
+
+def test_a_motion_keeps_its_times(here, run):
+    _, time = timed_motion(0.9)
+    assert run(RUN).status == 0
+    header, rows, _ = table("commands.csv")
+    assert header == [*JOINTS, "time"]
+    np.testing.assert_array_equal([float(row[4]) for row in rows], time)
+    words = f"{DONE} targets.csv -o t.yaml --format joint-trajectory"
+    assert run(words).status == 0
+    points = yaml.safe_load(Path("t.yaml").read_text())["points"]
+    stamps = [p["time_from_start"] for p in points]
+    seconds = [stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps]
+    np.testing.assert_allclose(seconds, time - 5.0, atol=2e-9)
+    # A part of the speeds, if that is what is asked for.
+    assert run(f"{words} --speed 0.1 --force").status == 0
+    last = yaml.safe_load(Path("t.yaml").read_text())["points"][-1]
+    assert last["time_from_start"]["sec"] > 8.0 * (time[-1] - 5.0)
+
+
+@pytest.mark.parametrize("form", ["csv", "joint-trajectory"])
+def test_a_motion_that_is_too_fast_is_not_written(here, run, listing, form):
+    timed_motion(1.2)
+    before = listing(here)
+    result = run(f"{RUN} --format {form}")
+    assert result.status == 2
+    words = " ".join(result.out.split())
+    assert "faster than the URDF allows to lines 4, 5," in words
+    assert result.out.endswith("wrote nothing\n")
+    assert "faster than the URDF allows" in run(f"{RUN} --quiet").err
+    document = json.loads(run(f"{RUN} --json").out)
+    assert document["too_fast"][:2] == [4, 5] and document["written"] is None
+    assert listing(here) == before
+
+
+def test_times_of_commands(positions, run):
+    assert run(f"{RUN} --speed 0.5").status == 0
+    header, _, _ = table("commands.csv")
+    assert header == [*JOINTS, "row", "time"]
+    found = numbers("commands.csv")
+    steps = np.abs(np.diff(found[:, :4], axis=0)).max(axis=1)
+    np.testing.assert_allclose(np.diff(found[:, 5]), steps / 0.5, rtol=1e-9)
+
+
+def test_times_that_do_not_go_on(here, refuses):
+    q, time = timed_motion(0.9)
+    time[7] = time[6]
+    write("targets.csv", ",".join([*JOINTS, "time"]), np.column_stack([q, time]))
+    refuses(RUN, reason="the time does not go on", line=10, column="time")
+
+
+def test_times_and_speeds_contradict(here, run):
+    timed_motion(0.9)
+    assert "the motion has times of its own" in run(f"{RUN} --speed 0.5").err
+
+
 def test_a_program_for_another_robot_is_refused(positions, refuses):
     words = f"{DONE} targets.csv -o p.script --format urscript"
     refuses(words, reason="six revolute joints", value=4)
@@ -644,7 +707,6 @@ def test_a_program_for_another_robot_is_refused(positions, refuses):
     ("words", "said"),
     [
         ("--format g-code", "g-code"),
-        ("--speed 0.5", "--speed is for programs"),
         ("--format joint-trajectory --degrees", "--degrees is for --format csv"),
         ("--format joint-trajectory --speed 2", "--speed cannot be '2'"),
     ],

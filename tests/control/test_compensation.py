@@ -189,3 +189,26 @@ def test_the_real_robot_is_as_accurate_as_the_model(
     reached = real.only.error.poses(found.q, truth)[:, :3, 3]
     errors = np.linalg.norm(reached - targets[:, :3, 3], axis=1)[found.reached]
     assert errors.mean() < 1.2 * expected.mean
+
+
+def test_successive_targets_are_reached_without_whole_turns():
+    """Also where gears are not exact, so that another turn is another solution."""
+    setup = Setup(parameters=("joint-offset", "transmission"))
+    chain = load_chain("example:ur10_robot", tip="tool0")
+    problem = nominal_problem(chain, "pose", setup)
+    names = list(problem.parameters.names)
+    theta = np.zeros(len(names))
+    theta[names.index("wrist_3_joint.transmission.gain")] = 3e-3
+    theta[names.index("wrist_3_joint.transmission.sin1")] = 1e-3
+    geared = CalibratedModel.create(problem, theta).of()
+    q = np.tile([0.2, -1.2, 1.5, -0.8, 1.2, 0.0], (9, 1))
+    q[:, 5] = np.linspace(2.0, 5.0, 9)
+    found = compensate(geared, geared.poses(q))
+    assert found.reached.all()
+    np.testing.assert_allclose(geared.poses(found.q), geared.poses(q), atol=2e-9)
+    joints = Joints.of(chain)
+    np.testing.assert_array_equal(joints.within(found.q), found.q)
+    # The wrist may flip, which is half a turn; no joint makes a whole one.
+    assert np.abs(np.diff(found.q[:, 5])).max() < np.pi + 0.1
+    # The wrist passes half a turn: without the turns it would come back.
+    assert found.q[:, 5].max() > np.pi or found.q[:, 5].min() < -np.pi

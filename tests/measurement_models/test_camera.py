@@ -439,7 +439,7 @@ def test_focal_lengths_that_are_estimated_start_from_the_images(
     kept = replace(model, camera=stated)
     assert kept.register(F, data, BASES[mount], TOOL)[0].camera is stated
     free = replace(model, camera=replace(stated, estimate=True))
-    found, base, tool = free.register(F, data, B, X)
+    found, base, _ = free.register(F, data, B, X)
     # As close as three rounds come.
     part = found.camera.intrinsics[:2] / model.camera.intrinsics[:2]
     assert np.abs(part - 1.0).max() < 0.05

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
 import yaml
@@ -10,12 +11,17 @@ import yaml
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Indices
 
 FASTEST = 100.0
 """Speed from which a limit is none [rad/s, m/s]."""
 
 ACCELERATION = 1.2
 """Acceleration of moves in URScript [rad/s^2], of which Universal Robots make 1.4."""
+
+
+ROUNDING = 1e-9
+"""Part by which a speed may be above its limit."""
 
 
 def speed_limits(chain: Chain, part: float) -> Floats:
@@ -53,7 +59,43 @@ def moving_times(q: Floats, limits: Floats) -> Floats:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def urscript(chain: Chain, q: Floats, part: float, comments: Sequence[str]) -> bytes:
+def paced(
+    chain: Chain, q: Floats, row: Indices, time: Floats
+) -> tuple[Floats, Indices]:
+    """When commands are reached in a motion that has times of its own.
+
+    Args:
+        chain: The chain.
+        q: Joint commands, shape (N, n) [rad, m].
+        row: The row of the motion that each is of, negative for one between two rows.
+        time: Times of the rows, shape (M,) [s].
+
+    Returns:
+        Times of the commands, shape (N,), and the rows to which a joint would move
+        faster than the URDF allows; none if it states no speeds.
+    """
+    try:
+        limits = speed_limits(chain, 1.0)
+    except OptionError:
+        limits = np.full(len(chain.joints), np.inf)
+    known = row >= 0
+    # Between two rows the robot moves as evenly as it can.
+    way = moving_times(q, np.where(np.isinf(limits), 1.0, limits))
+    times = np.interp(way, way[known], time[row[known]])
+    times[known] = time[row[known]]
+    least = np.max(np.abs(np.diff(q, axis=0)) / limits, axis=1, initial=0.0)
+    (late,) = np.nonzero(least > np.diff(times) * (1.0 + ROUNDING))
+    ahead = [row[k + 1 :][known[k + 1 :]][0] for k in late]
+    return times, np.unique(np.array(ahead, np.int64))
+
+
+def urscript(
+    chain: Chain,
+    q: Floats,
+    part: float,
+    comments: Sequence[str],
+    times: Floats | None = None,
+) -> bytes:
     """A program of moves from command to command.
 
     Args:
@@ -61,6 +103,7 @@ def urscript(chain: Chain, q: Floats, part: float, comments: Sequence[str]) -> b
         q: Joint commands, shape (N, n) [rad].
         part: Part of the allowed speeds.
         comments: Lines for its head.
+        times: When each is reached, shape (N,) [s]; default by the speeds.
 
     Raises:
         OptionError: If the robot is not one of six revolute joints, or its URDF states
@@ -72,14 +115,21 @@ def urscript(chain: Chain, q: Floats, part: float, comments: Sequence[str]) -> b
         )
     v = float(speed_limits(chain, part).min())
     lines = [f"# {line}" for line in comments] + ["def commands():"]
-    for row in q:
+    for k, row in enumerate(q):
         numbers = ", ".join(repr(float(angle)) for angle in row)
-        lines.append(f"  movej([{numbers}], a={ACCELERATION}, v={v:.6g})")
+        pace = f"a={ACCELERATION}, v={v:.6g}"
+        if times is not None and k:
+            pace = f"t={float(times[k] - times[k - 1]):.6g}"
+        lines.append(f"  movej([{numbers}], {pace})")
     return "\n".join([*lines, "end", "commands()", ""]).encode()
 
 
 def joint_trajectory(
-    chain: Chain, q: Floats, part: float, comments: Sequence[str]
+    chain: Chain,
+    q: Floats,
+    part: float,
+    comments: Sequence[str],
+    times: Floats | None = None,
 ) -> bytes:
     """A message `trajectory_msgs/JointTrajectory`; the robot begins at the first point.
 
@@ -88,11 +138,14 @@ def joint_trajectory(
         q: Joint commands, shape (N, n) [rad, m].
         part: Part of the allowed speeds.
         comments: Lines for its head.
+        times: When each is reached, shape (N,) [s]; default by the speeds.
 
     Raises:
-        OptionError: If the URDF states no speeds.
+        OptionError: If the URDF states no speeds, and there are no times.
     """
-    times = moving_times(q, speed_limits(chain, part))
+    if times is None:
+        times = moving_times(q, speed_limits(chain, part))
+    times = times - times[:1]
     points = [
         {
             "positions": row.tolist(),
@@ -105,7 +158,11 @@ def joint_trajectory(
     return "\n".join([*(f"# {line}" for line in comments), text]).encode()
 
 
-PROGRAMS: Mapping[str, Callable[[Chain, Floats, float, Sequence[str]], bytes]] = {
+Program: TypeAlias = Callable[
+    [Chain, Floats, float, Sequence[str], Floats | None], bytes
+]
+
+PROGRAMS: Mapping[str, Program] = {
     "urscript": urscript,
     "joint-trajectory": joint_trajectory,
 }

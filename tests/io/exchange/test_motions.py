@@ -9,7 +9,12 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import OptionError
-from calib_pin.io.exchange.motions import joint_trajectory, speed_limits, urscript
+from calib_pin.io.exchange.motions import (
+    joint_trajectory,
+    paced,
+    speed_limits,
+    urscript,
+)
 
 
 def test_a_program_of_moves():
@@ -33,3 +38,27 @@ def test_joints_without_a_speed():
         speed_limits(still, 1.0)
     with pytest.raises(OptionError, match="no speed"):
         joint_trajectory(still, np.zeros((1, 6)), 1.0, [])
+
+
+def test_moves_take_the_times_that_a_motion_has():
+    chain = calib_pin.load_chain("example:ur10_robot", tip="tool0")
+    q = np.array([[0.0] * 6, [0.1] * 6, [0.3] * 6])
+    times, fast = paced(chain, q, np.array([0, -1, 1]), np.array([5.0, 8.0]))
+    np.testing.assert_allclose(times, [5.0, 6.0, 8.0])
+    assert fast.tolist() == []
+    moves = urscript(chain, q, 0.25, [], times).decode().splitlines()[1:4]
+    assert [line.rpartition("], ")[2] for line in moves[1:]] == ["t=1)", "t=2)"]
+    assert "a=1.2, v=" in moves[0]
+    # Named is the row behind a command between two rows.
+    _, fast = paced(chain, q, np.array([0, -1, 1]), np.array([5.0, 5.01]))
+    assert fast.tolist() == [1]
+
+
+def test_a_motion_of_a_robot_without_speeds_is_not_judged():
+    still = calib_pin.load_chain("example:ur10_robot", tip="tool0")
+    model = still.robot.model.copy()
+    model.velocityLimit = np.zeros(6)
+    object.__setattr__(still.robot, "model", model)
+    q = np.array([[0.0] * 6, [1.0] * 6])
+    times, fast = paced(still, q, np.array([0, 1]), np.array([0.0, 1e-6]))
+    assert fast.tolist() == [] and times.tolist() == [0.0, 1e-6]

@@ -1,0 +1,125 @@
+"""`calib-pin plan --accept`: the poses and the schedule of an acceptance test."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from calib_pin.cli.collisions import ways_of
+from calib_pin.cli.printing import say, say_written
+from calib_pin.errors import OptionError
+
+if TYPE_CHECKING:
+    from calib_pin.kinematics.chains import Chains
+    from calib_pin.kinematics.collision import Collisions
+    from calib_pin.setup import Setup
+
+CYCLES = 30
+"""Cycles of an acceptance test."""
+
+
+OTHERS = (
+    *("model", "count", "add", "to", "criterion", "method", "candidates", "tests"),
+    *("seed", "distance", "motion", "parameters", "figures", "figure_format", "json"),
+)
+"""Options of plans that an acceptance test has no use for."""
+
+
+def refuse_others(context: typer.Context) -> None:
+    """Refuse options that mean nothing to an acceptance test.
+
+    Raises:
+        OptionError: If one is given.
+    """
+    for name in OTHERS:
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE":
+            option = name.replace("_", "-")
+            raise OptionError(f"--accept plans an acceptance test, without --{option}")
+
+
+def plan_acceptance(
+    chains: Chains,
+    setup: Setup,
+    collisions: Collisions | None,
+    cycles: int,
+    accept: list[str],
+    output: Path,
+    command: str,
+    *,
+    degrees: bool,
+    force: bool,
+    quiet: bool,
+) -> int:
+    """Find the poses of an acceptance test, write its visits, print its schedule.
+
+    Args:
+        chains: The robot, of a single chain.
+        setup: The setup, with limits, region and tool.
+        collisions: Collisions to avoid.
+        cycles: Number of cycles.
+        accept: Words of the command line that evaluates the test.
+        output: File to write.
+        command: The command line that asks for it.
+        degrees: Whether angles are in degrees.
+        force: Whether an existing file is replaced.
+        quiet: Whether nothing is printed.
+
+    Raises:
+        OptionError: If there are several chains, or no cube is found.
+    """
+    import numpy as np
+
+    from calib_pin.control.acceptance_poses import acceptance_poses
+    from calib_pin.errors import CalibPinError
+    from calib_pin.estimation.formulation import nominal_problem
+    from calib_pin.io.exchange.motions import speed_limits
+    from calib_pin.io.files import write_files
+    from calib_pin.io.visits import encode_visits
+    from calib_pin.planning.workspace import joint_limits
+    from calib_pin.report.acceptance_plan_text import acceptance_schedule
+
+    if len(chains.names) > 1:
+        raise OptionError(
+            "an acceptance test is of one chain; say which one with --chain",
+            allowed=", ".join(chains.names),
+        )
+    chain = chains[chains.names[0]]
+    problem = nominal_problem(chain, "position", setup)
+    lower, upper = joint_limits(problem)
+    count = len(chain.joints)
+    ways = None if collisions is None else ways_of("--accept", chain, collisions)
+    (part,) = problem.parts.values()
+    found = acceptance_poses(
+        chain,
+        part.error.tool.homogeneous,
+        limits=(lower[:count], upper[:count]),
+        region=setup.region,
+        free=None if ways is None else ways.collisions.free,
+        moves=None if ways is None else ways.is_free,
+    )
+    speeds: np.ndarray | None
+    try:
+        speeds = speed_limits(chain, 1.0)
+    except CalibPinError:
+        speeds = None
+    typed = shlex.join(["calib-pin", "accept", *accept])
+    robot = chains.robot.name
+    schedule = list(acceptance_schedule(found, robot, cycles, speeds, [typed]))
+    text = encode_visits(
+        chain,
+        found,
+        cycles,
+        joints=setup.joints,
+        degrees=degrees,
+        comments=[f"planned by: {command}", "", *schedule],
+    )
+    with write_files({output: text}, force=force):
+        if not quiet:
+            say("".join(f"{line}\n" for line in schedule))
+    if not quiet:
+        say_written([f"wrote {len(found.q) * cycles} visits to {output}"])
+    return 0

@@ -1,0 +1,127 @@
+"""The visit of planned configurations: their order, and the turns of the joints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.collision import Collisions
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.turns import TURN, shortest_turns
+from calib_pin.observations import Indices
+from calib_pin.planning.aims import Aim
+from calib_pin.planning.ordering import shortest_order
+from calib_pin.planning.rows import Rows
+from calib_pin.planning.workspace import Workspace
+
+MOTION = 0.05
+"""Step along a move between configurations that is checked for collisions [rad, m]."""
+
+SAME = 1e-9
+"""Relative change of the information of a configuration up to which it is the same."""
+
+
+def visits(
+    workspace: Workspace, rows: Rows, q: Floats, aim: Indices, start: Floats | None
+) -> tuple[Floats, Indices, tuple[int, ...]]:
+    """Configurations in the order and in the turns of short travel.
+
+    A joint stands in another turn only where nothing that is estimated depends on it:
+    a gear's gain does.
+
+    Args:
+        workspace: The configurations that may be measured.
+        rows: What is measured at a configuration.
+        q: The configurations, shape (K, n) [rad, m].
+        aim: What is measured at each, shape (K,).
+        start: Where the robot stands before the first, shape (n,).
+
+    Returns:
+        Configurations and aims in the order of visits, and the places in it to which
+        the straight move is blocked.
+    """
+    blocked = None
+    if workspace.collisions is not None:
+        blocked = partial(_blocked, workspace.collisions)
+    lower, upper = workspace.lower, workspace.upper
+    free = _free_to_turn(workspace.problem.chains)
+
+    def allowed(turned: Floats, q: Floats, aim: Indices) -> bool:
+        same = np.array_equal(turned, q) or _same(rows, turned, q, aim)
+        return same and bool(workspace.allowed(turned, aim).all())
+
+    middle = 0.5 * (lower + upper)
+    turned = q - np.where(free, np.round((q - middle) / TURN), 0.0) * TURN
+    q = turned if allowed(turned, q, aim) else q
+    order, closed = _ordered(q, aim, workspace.aims.each, start, blocked)
+    q, aim = q[order], aim[order]
+    turned = shortest_turns(q, lower, upper, free, start)
+    if not np.array_equal(turned, q) and allowed(turned, q, aim):
+        shut = closed
+        if blocked is not None:
+            way = turned if start is None else np.concatenate([start[None], turned])
+            first = 1 if start is None else 0
+            moves = enumerate(pairwise(way), first)
+            shut = tuple(k for k, (a, b) in moves if blocked(a, b))
+        if len(shut) <= len(closed):
+            q, closed = turned, shut
+    return q, aim, closed
+
+
+def _free_to_turn(chains: Chains) -> NDArray[np.bool_]:
+    """Joints that others do not follow, and that follow none, shape (n,)."""
+    tied = {*chains.mimics, *(mimic.leader for mimic in chains.mimics.values())}
+    return chains.revolute & [name not in tied for name in chains.joints]
+
+
+def _same(rows: Rows, a: Floats, b: Floats, aim: Indices) -> bool:
+    """Whether configurations tell the same, each (K, n)."""
+    first, second = rows.rows(a, aim), rows.rows(b, aim)
+    # Rows of the same information may differ by a rotation.
+    G, H = (np.swapaxes(R, 1, 2) @ R for R in (first, second))
+    return bool(np.abs(G - H).max(initial=0.0) <= SAME * np.abs(G).max(initial=1.0))
+
+
+def _ordered(
+    q: Floats,
+    aims: Indices,
+    among: Sequence[Aim],
+    start: Floats | None,
+    blocked: Callable[[Floats, Floats], bool] | None,
+) -> tuple[NDArray[np.intp], tuple[int, ...]]:
+    """Short travel, and a tool is mounted and an instrument placed only once.
+
+    Args:
+        q: The configurations, shape (K, n) [rad, m].
+        aims: What is measured at each, shape (K,).
+        among: What can be measured.
+        start: Where the robot stands before the first, shape (n,).
+        blocked: Whether the straight move between two configurations is blocked.
+
+    Returns:
+        The order, shape (K,), and the places in it to which the move is blocked.
+    """
+    places: dict[tuple[str, ...], list[int]] = {}
+    for k, aim in enumerate(aims):
+        places.setdefault(among[aim].key[1:], []).append(k)
+    order, closed = np.empty(0, np.intp), list[int]()
+    for members in places.values():
+        rows = np.array(members)
+        found, shut = shortest_order(q[rows], start, blocked)
+        closed += [len(order) + place for place in shut]
+        order = np.concatenate([order, rows[found]])
+        start = q[order[-1]]
+    return order, tuple(closed)
+
+
+def _blocked(collisions: Collisions, a: Floats, b: Floats) -> bool:
+    """Whether something touches on the straight way between two configurations."""
+    pieces = max(2, int(np.ceil(np.abs(b - a).max() / MOTION)))
+    between = a + np.linspace(0.0, 1.0, pieces + 1)[1:-1, None] * (b - a)
+    # A few places far apart first: most moves that are blocked are so for long.
+    return not all(collisions.free(between[k::7]).all() for k in range(7))

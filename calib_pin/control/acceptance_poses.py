@@ -88,7 +88,8 @@ def acceptance_poses(
     Args:
         chain: The nominal chain.
         tool: The measured point in the tip, shape (4, 4).
-        limits: Narrower joint limits, each of shape (n,) [rad, m].
+        limits: Narrower joint limits, each of shape (n,) [rad, m]; those of mimic
+            joints and of what they follow are left as they are.
         region: Where the cube may be, in the base link.
         free: Where nothing touches.
         moves: On which moves nothing touches.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+import pinocchio as pin
 from scipy import stats
 
 from calib_pin.control.acceptance_poses import ORDER, AcceptancePoses
@@ -39,10 +40,13 @@ def acceptance_schedule(
     yield f"Cube of {1e3 * found.edge:.0f} mm, edges along the base frame, center"
     yield f"({x:.0f}, {y:.0f}, {z:.0f}) mm in the base link. Poses in a diagonal plane:"
     for k, T in enumerate(found.T, 1):
-        x, y, z = 1e3 * T[:3, 3]
+        x, y, z = np.round(1e3 * T[:3, 3], 1) + 0.0  # No negative zeros.
         yield f"  P{k}  x {x:8.1f}  y {y:8.1f}  z {z:8.1f} mm"
     if found.oriented:
-        yield "All have one orientation of the tool."
+        turns = np.degrees(pin.rpy.matrixToRpy(found.T[0, :3, :3]))
+        roll, pitch, yaw = np.round(turns, 1) + 0.0
+        yield "The tool has one orientation at all of them:"
+        yield f"  roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} deg"
     else:
         yield "A robot of fewer than six joints: positions only, orientations follow."
     yield f"Order: from P1 (not measured), then {cycles} cycles of {order}."

@@ -96,3 +96,19 @@ def test_what_cannot_be_planned(here, run, listing, words, said):
     assert (result.status, result.out) == (1, "")
     assert said in result.err and result.err.count("\n") == 1
     assert listing(here) == before
+
+
+def test_a_robot_of_six_joints_keeps_its_orientation(here, run):
+    result = run("plan space6 --accept -o visits.csv --ignore-collisions --cycles 3")
+    assert result.status == 0
+    assert "roll " in result.out and "positions only" not in result.out
+    assert "- 0.0" not in result.out and " -0.0 " not in result.out
+    assert "wrote 15 visits" in result.out
+
+
+def test_an_acceptance_test_is_of_one_chain(here, run):
+    Path("two.yaml").write_text("chains: {a: {tip: link3}, b: {tip: tool}}\n")
+    words = PLAN.replace("--tip tool", "--setup two.yaml")
+    assert "say which one with --chain" in run(words).err
+    result = run(f"{words} --chain b --cycles 3")
+    assert (result.status, result.err) == (0, "")

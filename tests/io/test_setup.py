@@ -676,11 +676,11 @@ def test_halves_of_characters(tmp_path, refused):
         ),
         (
             "board: {type: circles, columns: 2.5, rows: 3, square: 0.03}",
-            dict(line=1, value="2.5", reason="board.columns", allowed="from 2 to 100"),
+            dict(line=1, value="2.5", reason="board.columns", allowed="from 1 to 100"),
         ),
         (
             "board: {type: charuco, columns: 3, rows: 1, square: 0.03}",
-            dict(line=1, value="1", reason="board.rows", allowed="from 2 to 100"),
+            dict(line=1, value="1", reason="board.rows", allowed="from 1 to 100"),
         ),
         (
             "board: {type: charuco, columns: 3, rows: 3, square: 0}",

@@ -29,6 +29,8 @@ BLURRED = 3.0
 """Standard deviation of an image's corners, in that of all images, above which it is
 named as blurred."""
 
+MOUNTS = ("hand", "world")
+
 SHEET = 200
 """Pixels of a square or tag on a sheet."""
 
@@ -74,7 +76,7 @@ def detect(
         options.option(
             "Images",
             "--mount WHERE",
-            "Where the camera is: hand (default), or world (the board is on the robot).",
+            "Where the camera is: hand (default) or world (board on the robot).",
         ),
     ] = "hand",
     setup_output: Annotated[
@@ -108,7 +110,7 @@ def detect(
     from calib_pin.io.setup import setup_document, yaml_text
     from calib_pin.setup import Setup
 
-    require_known("mount", mount, ("hand", "world"))
+    require_known("mount", mount, MOUNTS)
     stated = open_setup(setup)
     if board is not None and stated.board is not None:
         raise OptionError("give either --board or 'board' in the setup file")
@@ -119,7 +121,7 @@ def detect(
     check_outputs((output, setup_output, draw), (*images, setup, joints), force)
     detector = Detector(wanted)
     rows = _configurations(joints, images)
-    seen = list[tuple[int, Found]]()
+    seen: list[tuple[int, Found]] = []
     size, first = (0, 0), images[0]
     with progress_bar(quiet=quiet) as bar:
         tell = stage(bar, "images")
@@ -156,7 +158,12 @@ def detect(
         columns |= {name: pixels[:, k].round(4), f"sigma_{name}": sigma[:, k].round(4)}
     comment = f"found by: {told_command(context)}"
     contents = {output: encode_table(columns, [comment])}
-    camera, rms = start_camera(mount, detector, size, [found for _, found in seen])
+    camera, rms = start_camera(
+        "world" if mount == "world" else "hand",
+        detector,
+        size,
+        [found for _, found in seen],
+    )
     if setup_output is not None:
         document = setup_document(Setup(model="camera", board=wanted, camera=camera))
         lines = {key: document[key] for key in ("model", "board", "camera")}

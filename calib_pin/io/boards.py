@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +12,12 @@ from calib_pin.errors import OptionError
 from calib_pin.io.images import Gray, vision
 from calib_pin.observations.corners import corner_sigmas, noise_of
 from calib_pin.setup import BoardSetup, CameraSetup
+from calib_pin.setup.references import TAGS
 
 Floats = NDArray[np.float64]
 
 FORM = (
-    "TYPE:COLUMNSxROWS:SQUARE[:MARKER or GAP][:DICTIONARY], such as "
+    "TYPE:COLUMNSxROWS:SQUARE[:MARKER or GAP][:DICTIONARY][:legacy], such as "
     "charuco:7x5:0.03:0.022:DICT_4X4_50"
 )
 
@@ -25,6 +26,9 @@ WINDOWS = (2, 7)
 
 STEPS = 60, 1e-4
 """Most steps of a refinement, and the one after which it ends [px]."""
+
+ROUNDED = 0.1
+"""Error of the corner of a tag by blur, on rendered images [px]."""
 
 VIEWS = 3
 """Images from which intrinsics are estimated."""
@@ -68,6 +72,8 @@ def board_of(word: str) -> BoardSetup:
         for part in rest[2:]:
             if part.startswith("DICT_"):
                 stated["dictionary"] = part
+            elif part == "legacy":
+                stated["legacy"] = True
             else:
                 stated["marker" if kind == "charuco" else "gap"] = float(part)
         board = setup_of({"board": stated}).board
@@ -91,7 +97,7 @@ class Detector:
         """
         self.board, self._cv2 = board, vision()
         self.points = {n: p.xyz or (0.0, 0.0, 0.0) for n, p in board.points.items()}
-        if board.type in ("charuco", "apriltag", "marker"):
+        if board.type in ("charuco", *TAGS):
             self._search = self._tags_search()
 
     def find(self, image: Gray) -> Found | None:
@@ -99,7 +105,7 @@ class Detector:
         kind = self.board.type
         if kind == "charuco":
             found = self._charuco(image)
-        elif kind in ("apriltag", "marker"):
+        elif kind in TAGS:
             found = self._tags(image)
         else:
             found = self._grid(image)
@@ -114,9 +120,14 @@ class Detector:
         rough = np.ascontiguousarray(pixels, np.float32).reshape(-1, 1, 2)
         cv2 = self._cv2
         criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, *STEPS)
-        fine = cv2.cornerSubPix(image, rough, (half, half), (-1, -1), criteria)
+        tags = kind in TAGS
+        # Blur rounds the tip of a tag, which would draw its corner inwards.
+        tip = (1, 1) if tags else (-1, -1)
+        fine = cv2.cornerSubPix(image, rough, (half, half), tip, criteria)
         fine = np.asarray(fine, float).reshape(-1, 2)
         sigma = corner_sigmas(levels, fine, half, noise_of(levels))
+        if tags:
+            sigma = np.hypot(sigma, ROUNDED)
         # A corner that ran away was none; one at the edge of the image has no window.
         edge = np.array(image.shape[::-1]) - 1.0 - half
         kept = np.hypot(*(fine - pixels).T) < half
@@ -133,7 +144,7 @@ class Detector:
             OptionError: If OpenCV draws no such board.
         """
         board = self.board
-        if board.type not in ("charuco", "apriltag", "marker"):
+        if board.type not in ("charuco", *TAGS):
             raise OptionError("--draw draws boards with markers only", value=board.type)
         size = self._extent * (pixels / board.square)
         width, height = np.round(size).astype(int).tolist()
@@ -234,7 +245,7 @@ class Detector:
         if self.board.type == "charuco":
             # To the corner of the marker in the square, along each axis.
             free = 0.9 * 0.5 * (self.board.square - (self.board.marker or 0.0))
-        elif self.board.type in ("apriltag", "marker"):
+        elif self.board.type in TAGS:
             free = 0.9 * self.board.square / self._cells
         return int(np.clip(scale * free, *WINDOWS))
 
@@ -247,7 +258,10 @@ def ambiguous(board: BoardSetup) -> bool:
 
 
 def start_camera(
-    mount: str, board: Detector, size: tuple[int, int], images: list[Found]
+    mount: Literal["hand", "world"],
+    board: Detector,
+    size: tuple[int, int],
+    images: list[Found],
 ) -> tuple[CameraSetup, float | None]:
     """Intrinsics to start from, and their rms [px]; None where they are assumed.
 

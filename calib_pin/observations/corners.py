@@ -37,9 +37,8 @@ def noise_of(image: Floats) -> float:
     spread = np.abs(total[inside] if inside.any() else total)
     # 1.4826 times the median is the deviation of a normal distribution. Rounding to
     # whole levels alone is 0.3.
-    return max(
-        1.4826 * float(np.median(spread)) / float(np.sum(NEIGHBORS**2)) ** 0.5, 0.3
-    )
+    gain = float(np.linalg.norm(NEIGHBORS))
+    return max(1.4826 * float(np.median(spread)) / gain, 0.3)
 
 
 def corner_sigmas(image: Floats, corners: Floats, half: int, noise: float) -> Floats:

@@ -355,7 +355,7 @@ class BoardSetup(Section):
         """
         fewer = BOARDS[self.type]
         cells = product(range(self.rows - fewer), range(self.columns - fewer))
-        places = {}
+        places: dict[str, tuple[float, float]] = {}
         if self.type in TAGS:
             pitch, edge = self.square + (self.gap or 0.0), self.square
             for k, (row, column) in enumerate(cells, self.first):

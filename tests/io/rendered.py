@@ -12,8 +12,8 @@ from calib_pin.setup import BoardSetup
 
 Floats = NDArray[np.float64]
 
-SIZE = (800, 600)
-INTRINSICS = np.array([900.0, 905.0, 404.3, 296.1, -0.12, 0.05, 4e-4, -3e-4, 0.0])
+SIZE = (640, 480)
+INTRINSICS = np.array([700.0, 704.0, 322.3, 236.1, -0.12, 0.05, 4e-4, -3e-4, 0.0])
 SCALE = 96
 """Pixels of a square or tag on the sheet."""
 
@@ -28,13 +28,13 @@ def pixels(board: BoardSetup, T: Floats) -> dict[str, Floats]:
 def rendered(
     board: BoardSetup, T: Floats, rng: np.random.Generator, noise: float, blur: float
 ) -> NDArray[np.uint8]:
-    """The image, each pixel the mean of 4 x 4 rays; pixel centers at whole numbers."""
+    """The image, each pixel the mean of 3 x 3 rays; pixel centers at whole numbers."""
     sheet = sheet_of(board)
     # On the sheet the origin of the board, whose points are at corners of pixels.
     fewer = board.type in ("charuco", "chessboard")
     offset = board.square * fewer + MARGIN * board.square
     total = np.zeros(SIZE[::-1])
-    parts = (np.arange(4) + 0.5) / 4.0 - 0.5
+    parts = (np.arange(3) + 0.5) / 3.0 - 0.5
     v, u = np.mgrid[: SIZE[1], : SIZE[0]].astype(float)
     R, t = T[:3, :3], T[:3, 3]
     for du in parts:
@@ -50,7 +50,7 @@ def rendered(
             total += cv2.remap(
                 sheet, place[..., 0], place[..., 1], cv2.INTER_LINEAR, borderValue=160
             )
-    image = cv2.GaussianBlur(total / 16.0, (0, 0), blur)
+    image = cv2.GaussianBlur(total / 9.0, (0, 0), blur)
     image = 30.0 + 0.75 * image + noise * rng.normal(size=image.shape)
     return np.clip(image.round(), 0, 255).astype(np.uint8)
 

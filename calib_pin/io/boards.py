@@ -101,7 +101,7 @@ class Detector:
             self._search = self._tags_search()
 
     def find(self, image: Gray) -> Found | None:
-        """The board in an image; None where it is not seen."""
+        """The board in an image; None where it is not there."""
         kind = self.board.type
         if kind == "charuco":
             found = self._charuco(image)

@@ -30,7 +30,8 @@ def test_corners_and_their_sigma(word, run, tmp_path, monkeypatch):
     cv2.imwrite("a.png", rendered(board, T, rng, noise=3.0, blur=0.8))
     Path("joints.csv").write_text("image,joint1 [deg],time\nb.png,1,2\na.png,30,7\n")
     result = run(
-        f"detect a.png --board {word} --joints joints.csv -o m.csv --setup-output s.yaml"
+        f"detect a.png --board {word} --joints joints.csv -o m.csv "
+        "--setup-output s.yaml"
     )
     assert result.status == 0
     with Path("m.csv").open() as file:

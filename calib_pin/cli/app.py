@@ -12,6 +12,7 @@ from calib_pin.cli.accept import accept
 from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.compare import compare
 from calib_pin.cli.compensate import compensate
+from calib_pin.cli.detect import detect
 from calib_pin.cli.evaluate import evaluate
 from calib_pin.cli.export import export
 from calib_pin.cli.identify import identify
@@ -30,6 +31,7 @@ COMMANDS: dict[Callable[..., int | None], str] = {
     evaluate: "Print the accuracy of a robot or a calibration on measurements.",
     accept: "Test repeated poses in the terms of ISO 9283.",
     simulate: "Simulate measurements of a robot with known errors.",
+    detect: "Find the corners of boards and tags in images.",
     join: "Join two logs by time to a measurement file.",
     plan: "Choose optimal calibration configurations.",
     compensate: "Find joint commands that reach targets on the real robot.",

@@ -20,6 +20,7 @@ from calib_pin.setup.values import (
     Text,
     Triple,
     Vector,
+    number,
 )
 
 WORLD = "world"
@@ -31,10 +32,30 @@ STEEPEST = 1e6
 WIDEST = 1e5
 """Largest focal length, image, and coefficient of a distortion [px]."""
 
-BOARDS = {"charuco": 1, "chessboard": 1, "circles": 0}
+BOARDS = {"charuco": 1, "chessboard": 1, "circles": 0, "apriltag": 0, "marker": 0}
 """Types of boards, and by how much each row and column has fewer points than cells."""
 
+TAGS = ("apriltag", "marker")
+"""Types of boards whose points are the four corners of every tag."""
+
+DICTIONARIES = (
+    *(f"DICT_{k}X{k}_{n}" for k in (4, 5, 6, 7) for n in (50, 100, 250, 1000)),
+    *("DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_16h5", "DICT_APRILTAG_25h9"),
+    *("DICT_APRILTAG_36h10", "DICT_APRILTAG_36h11"),
+)
+"""Dictionaries of markers, by the names of OpenCV."""
+
+LAST = 999
+"""Largest number of a marker in a dictionary."""
+
 Distortion = tuple[float, float, float, float, float]
+
+
+def _index(value: object) -> int:
+    plain = number(value)
+    if not (0 <= plain <= LAST and plain.is_integer()):
+        raise ValueError(f"a whole number from 0 to {LAST}")
+    return int(plain)
 
 
 def _between(value: object) -> tuple[str, str]:
@@ -274,30 +295,79 @@ class CameraSetup(Section):
 
 @dataclass(frozen=True)
 class BoardSetup(Section):
-    """A flat calibration board.
+    """A flat calibration board, printed as it is seen: x to the right, y down.
 
     Attributes:
-        type: `charuco` or `chessboard`, whose points are the inner corners, or
-            `circles`, whose points are the centers.
-        columns: Squares or circles along x, the direction of a row.
-        rows: Squares or circles along y.
-        square: Edge of a square, or distance of neighboring centers [m].
+        type: `charuco` or `chessboard`, whose points are the inner corners, `circles`,
+            whose points are the centers, or a grid of tags, `apriltag` or `marker`
+            (ArUco), whose points are the corners of all tags.
+        columns: Squares, circles or tags along x, the direction of a row; 1 by 1 for a
+            single tag.
+        rows: Squares, circles or tags along y.
+        square: Edge of a square or tag (of its black border), or distance of
+            neighboring centers [m].
+        marker: Edge of the markers in a charuco board [m], which only `detect` needs.
+        dictionary: Dictionary of markers or tags; None for DICT_4X4_50, of `apriltag`
+            DICT_APRILTAG_36h11.
+        gap: Distance between neighboring tags [m]; only for several of them.
+        first: Number of the first marker or tag in the dictionary.
+        legacy: Whether a charuco board is of OpenCV before 4.6, whose first square is
+            white where the number of rows is even.
     """
 
-    type: Annotated[Literal["charuco", "chessboard", "circles"], OneOf(tuple(BOARDS))]
+    type: Annotated[
+        Literal["charuco", "chessboard", "circles", "apriltag", "marker"],
+        OneOf(tuple(BOARDS)),
+    ]
     columns: Count
     rows: Count
     square: Length
+    marker: Length | None = None
+    dictionary: Annotated[str | None, OneOf(DICTIONARIES)] = None
+    gap: Length | None = None
+    first: Annotated[
+        int, Checked(_index, {"type": "integer", "minimum": 0, "maximum": LAST})
+    ] = 0
+    legacy: Flag = False
+
+    def _check(self) -> None:
+        tags, several = self.type in TAGS, self.columns * self.rows > 1
+        if not tags and min(self.columns, self.rows) < 2:
+            raise ValueError("2 or more columns and rows, but for apriltag and marker")
+        if (self.gap is not None) != (tags and several):
+            raise ValueError("gap for several tags (apriltag, marker), and only there")
+        if self.marker is not None and self.type != "charuco":
+            raise ValueError("marker only for charuco; the edge of a tag is its square")
+        if self.marker is not None and self.marker >= self.square:
+            raise ValueError("a marker that is smaller than the square")
+        if self.legacy and self.type != "charuco":
+            raise ValueError("legacy only for charuco")
+        if self.dictionary is not None and self.type in ("chessboard", "circles"):
+            raise ValueError("dictionary only for charuco, apriltag and marker")
 
     @property
     def points(self) -> dict[str, PointSetup]:
-        """Its known points, numbered row by row from 0, which is the origin."""
+        """Its known points.
+
+        Corners and centers are numbered row by row from 0, which is the origin. Those
+        of tag 7 are 7/0 to 7/3, clockwise from the upper left one; tags are numbered
+        row by row, and corner 0 of the first is the origin.
+        """
         fewer = BOARDS[self.type]
         cells = product(range(self.rows - fewer), range(self.columns - fewer))
-        return {
-            str(k): PointSetup((self.square * x, self.square * y, 0.0), False)
-            for k, (y, x) in enumerate(cells)
-        }
+        places: dict[str, tuple[float, float]] = {}
+        if self.type in TAGS:
+            pitch, edge = self.square + (self.gap or 0.0), self.square
+            for k, (row, column) in enumerate(cells, self.first):
+                x, y = pitch * column, pitch * row
+                around = ((x, y), (x + edge, y), (x + edge, y + edge), (x, y + edge))
+                places |= {f"{k}/{n}": corner for n, corner in enumerate(around)}
+        else:
+            places = {
+                str(k): (self.square * x, self.square * y)
+                for k, (y, x) in enumerate(cells)
+            }
+        return {n: PointSetup((x, y, 0.0), False) for n, (x, y) in places.items()}
 
 
 @dataclass(frozen=True)

@@ -234,8 +234,8 @@ MOST = 100
 
 def _count(value: object) -> int:
     plain = number(value)
-    if not (2 <= plain <= MOST and plain.is_integer()):
-        raise ValueError(f"a whole number from 2 to {MOST}")
+    if not (1 <= plain <= MOST and plain.is_integer()):
+        raise ValueError(f"a whole number from 1 to {MOST}")
     return int(plain)
 
 
@@ -270,7 +270,7 @@ Angles = Annotated[
     ),
 ]
 Count = Annotated[
-    int, Checked(_count, {"type": "integer", "minimum": 2, "maximum": MOST})
+    int, Checked(_count, {"type": "integer", "minimum": 1, "maximum": MOST})
 ]
 Text = Annotated[str, Checked(_text, {"type": "string", "minLength": 1})]
 Flag = Annotated[bool, Checked(_flag, {"type": "boolean"})]

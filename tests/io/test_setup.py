@@ -672,15 +672,19 @@ def test_halves_of_characters(tmp_path, refused):
         ),
         (
             "board: {type: aruco, columns: 3, rows: 3, square: 0.03}",
-            dict(line=1, value="aruco", allowed="charuco, chessboard, circles"),
+            dict(
+                line=1,
+                value="aruco",
+                allowed="charuco, chessboard, circles, apriltag, marker",
+            ),
         ),
         (
             "board: {type: circles, columns: 2.5, rows: 3, square: 0.03}",
-            dict(line=1, value="2.5", reason="board.columns", allowed="from 2 to 100"),
+            dict(line=1, value="2.5", reason="board.columns", allowed="from 1 to 100"),
         ),
         (
-            "board: {type: charuco, columns: 3, rows: 1, square: 0.03}",
-            dict(line=1, value="1", reason="board.rows", allowed="from 2 to 100"),
+            "board: {type: charuco, columns: 3, rows: 0, square: 0.03}",
+            dict(line=1, value="0", reason="board.rows", allowed="from 1 to 100"),
         ),
         (
             "board: {type: charuco, columns: 3, rows: 3, square: 0}",

@@ -1,0 +1,251 @@
+"""`calib-pin detect`: a measurement file of images of a board."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+import calib_pin.cli.options as options
+from calib_pin.cli.files import check_outputs, open_setup, require_distinct
+from calib_pin.cli.printing import (
+    notice,
+    progress_bar,
+    say,
+    say_written,
+    stage,
+    told_command,
+)
+from calib_pin.errors import InputError, OptionError, enumerated, require_known
+
+if TYPE_CHECKING:
+    from calib_pin.io.boards import Found
+
+OURS = ("image", "u", "v", "target", "sigma_u", "sigma_v")
+"""Columns of the measurement file, beside those of the joints."""
+
+BLURRED = 3.0
+"""Standard deviation of an image's corners, in that of all images, above which it is
+named as blurred."""
+
+MOUNTS = ("hand", "world")
+
+SHEET = 200
+"""Pixels of a square or tag on a sheet."""
+
+
+def detect(
+    context: typer.Context,
+    images: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="IMAGES...", help="Images of one camera: PNG, JPEG, TIFF, BMP, PGM."
+        ),
+    ],
+    output: Annotated[
+        Path, options.output("-o --output CSV", "Measurement file to write.")
+    ],
+    board: Annotated[
+        str | None,
+        options.option(
+            "Images",
+            "--board SPEC",
+            "The board, lengths in m: charuco:7x5:SQUARE:MARKER:DICT_4X4_50, "
+            "chessboard:9x6:SQUARE, circles:9x6:DISTANCE, apriltag:6x6:EDGE:GAP, "
+            "marker:1x1:EDGE:DICT_4X4_50; columns x rows of squares, circles or tags. "
+            "Default is 'board' of the setup file.",
+        ),
+    ] = None,
+    setup: Annotated[
+        Path | None,
+        options.option("Images", "--setup FILE", "Setup file with the 'board'."),
+    ] = None,
+    joints: Annotated[
+        Path | None,
+        options.option(
+            "Images",
+            "--joints CSV",
+            "Configurations: those of a column 'image' (file name), or in the order of "
+            "the images. All its columns are passed on, as 'time'. Without it the "
+            "output has no joints; its column 'image' tells which to add.",
+        ),
+    ] = None,
+    mount: Annotated[
+        str,
+        options.option(
+            "Images",
+            "--mount WHERE",
+            "Where the camera is: hand (default) or world (board on the robot).",
+        ),
+    ] = "hand",
+    setup_output: Annotated[
+        Path | None,
+        options.output(
+            "--setup-output FILE",
+            "Write a setup file for calibrate: the board, and the camera with "
+            "intrinsics to start from.",
+        ),
+    ] = None,
+    draw: Annotated[
+        Path | None,
+        options.output("--draw PNG", "Write the board to print (charuco and tags)."),
+    ] = None,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+) -> int:
+    """Find the corners of a board in images, as measurements of the model 'camera'.
+
+    Corners are numbered row by row from 0, those of tag 7 are 7/0 to 7/3, clockwise.
+    Pixel centers are whole numbers, the first is (0, 0). Standard deviations follow
+    from the noise of the image and the edges at each corner. Needs OpenCV: pip install
+    'calib-pin[vision]'.
+    """
+    import numpy as np
+
+    from calib_pin.io.boards import Detector, ambiguous, board_of, start_camera
+    from calib_pin.io.files import write_files
+    from calib_pin.io.images import encode_png, read_image
+    from calib_pin.io.measurements import encode_table
+    from calib_pin.io.setup import setup_document, yaml_text
+    from calib_pin.setup import Setup
+
+    require_known("mount", mount, MOUNTS)
+    stated = open_setup(setup)
+    if board is not None and stated.board is not None:
+        raise OptionError("give either --board or 'board' in the setup file")
+    wanted = stated.board if board is None else board_of(board)
+    if wanted is None:
+        raise OptionError("give --board, or a setup file with 'board' (--setup)")
+    require_distinct(images)
+    check_outputs((output, setup_output, draw), (*images, setup, joints), force)
+    detector = Detector(wanted)
+    rows = _configurations(joints, images)
+    seen: list[tuple[int, Found]] = []
+    size, first = (0, 0), images[0]
+    with progress_bar(quiet=quiet) as bar:
+        tell = stage(bar, "images")
+        for k, path in enumerate(images):
+            image = read_image(path)
+            height, width = image.shape
+            if k == 0:
+                size = (width, height)
+            if (width, height) != size:
+                raise InputError(
+                    f"is not of the size of {first}: one camera has one",
+                    file=path,
+                    value=f"{width} x {height}",
+                    allowed=f"{size[0]} x {size[1]}",
+                )
+            found = detector.find(image)
+            if found is not None:
+                seen.append((k, found))
+            if tell is not None:
+                tell((k + 1) / len(images))
+    if not seen:
+        raise InputError(
+            f"no image shows the board ({wanted.type}, {wanted.columns} x "
+            f"{wanted.rows}); are its type, numbers and dictionary right?",
+            file=images[0] if len(images) == 1 else None,
+        )
+    image_of = [k for k, found in seen for _ in found.names]
+    pixels = np.concatenate([found.pixels for _, found in seen])
+    sigma = np.concatenate([found.sigma for _, found in seen])
+    columns: dict[str, Any] = {"image": [images[k].name for k in image_of]}
+    columns |= {name: [cells[k] for k in image_of] for name, cells in rows.items()}
+    columns |= {"target": [name for _, found in seen for name in found.names]}
+    for k, name in enumerate("uv"):
+        columns |= {name: pixels[:, k].round(4), f"sigma_{name}": sigma[:, k].round(4)}
+    comment = f"found by: {told_command(context)}"
+    contents = {output: encode_table(columns, [comment])}
+    camera, rms = start_camera(
+        "world" if mount == "world" else "hand",
+        detector,
+        size,
+        [found for _, found in seen],
+    )
+    if setup_output is not None:
+        document = setup_document(Setup(model="camera", board=wanted, camera=camera))
+        lines = {key: document[key] for key in ("model", "board", "camera")}
+        contents[setup_output] = f"# {comment}\n{yaml_text(lines)}\n".encode()
+    if draw is not None:
+        contents[draw] = encode_png(detector.drawn(SHEET))
+    if not quiet:
+        _remarks(images, seen)
+        if ambiguous(wanted):
+            notice(
+                "the board looks the same when it is turned: corner 0 is the one "
+                "nearest to the upper left of each image, so the camera must not roll"
+            )
+    with write_files(contents, force=force):
+        pass
+    if not quiet:
+        focal, center = (
+            f"({a:.1f}, {b:.1f})" for a, b in (camera.focal, camera.center)
+        )
+        start = f"rms {rms:.3f} px" if rms is not None else "too few views: assumed"
+        say(
+            f"{len(seen)} of {len(images)} images show the board, {size[0]} x "
+            f"{size[1]} px\n"
+            f"{len(pixels)} of {len(seen) * len(detector.points)} corners in them, "
+            f"sigma {np.median(sigma):.3f} px (median)\n"
+            f"start of the camera: focal {focal}, center {center} px\n"
+            f"  ({start})\n"
+        )
+        say_written([f"wrote {path}" for path in contents])
+    return 0
+
+
+def _configurations(file: Path | None, images: list[Path]) -> dict[str, list[str]]:
+    """Cells of the columns of a file of joints, one for each image.
+
+    Raises:
+        InputError: If it has not one row for each image, or columns of ours.
+    """
+    from calib_pin.io.table import read_table
+
+    if file is None:
+        return {}
+    table = read_table(file)
+    for name in OURS[1:]:
+        if name in table:
+            raise table.error("is a column that detect writes itself", name)
+    names = [name for name in table.columns if name != "image"]
+    order = list(range(len(table.lines)))
+    if "image" in table:
+        stated = [Path(cell).name for cell in table.texts(["image"])["image"]]
+        for row, name in enumerate(stated):
+            if name in stated[:row]:
+                raise table.cell_error("this image has a row already", "image", row)
+        for path in images:
+            if path.name not in stated:
+                raise InputError(f"has no row for the image {path.name}", file=file)
+        order = [stated.index(path.name) for path in images]
+    elif len(order) != len(images):
+        raise InputError(
+            f"has {len(order)} rows for {len(images)} images; a column 'image' "
+            "tells which belong together",
+            file=file,
+        )
+    cells = {name: list(labels) for name, labels in table.with_points(names).items()}
+    return {
+        table.columns[name].header: [cells[name][row] for row in order]
+        for name in names
+    }
+
+
+def _remarks(images: list[Path], seen: list[tuple[int, Found]]) -> None:
+    """Name the images without a board, and the blurred ones."""
+    import numpy as np
+
+    shown = {k for k, _ in seen}
+    without = [path.name for k, path in enumerate(images) if k not in shown]
+    if without:
+        notice(f"no board in {len(without)} images: {enumerated(without)}")
+    medians = np.array([np.median(found.sigma) for _, found in seen])
+    blurred = medians > BLURRED * np.median(medians)
+    if blurred.any():
+        names = [
+            images[k].name for (k, _), bad in zip(seen, blurred, strict=True) if bad
+        ]
+        notice(f"blurred or noisy: {enumerated(names)}")

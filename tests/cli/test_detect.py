@@ -1,0 +1,69 @@
+"""`detect`: corners in rendered images, and images that cannot be used."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from calib_pin.io.setup import read_setup
+from calib_pin.setup import BoardSetup
+from tests.io.rendered import pixels, pose, rendered
+
+BOARDS = {
+    "charuco:7x5:0.03:0.022": (BoardSetup("charuco", 7, 5, 0.03, 0.022), 0.1),
+    "chessboard:8x5:0.03": (BoardSetup("chessboard", 8, 5, 0.03), 0.1),
+    # Blur rounds the corners of tags.
+    "apriltag:4x3:0.03:0.015": (BoardSetup("apriltag", 4, 3, 0.03, gap=0.015), 0.2),
+}
+
+
+@pytest.mark.parametrize("word", BOARDS)
+def test_corners_and_their_sigma(word, run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    board, largest = BOARDS[word]
+    rng = np.random.default_rng(3)
+    T = pose(rng, board, 0.4)
+    cv2.imwrite("a.png", rendered(board, T, rng, noise=3.0, blur=0.8))
+    Path("joints.csv").write_text("image,joint1 [deg],time\nb.png,1,2\na.png,30,7\n")
+    result = run(
+        f"detect a.png --board {word} --joints joints.csv -o m.csv "
+        "--setup-output s.yaml"
+    )
+    assert result.status == 0
+    with Path("m.csv").open() as file:
+        rows = list(csv.DictReader(line for line in file if line[0] != "#"))
+    assert len(rows) > 0.9 * len(board.points)
+    assert {(r["joint1 [deg]"], r["time"]) for r in rows} == {("30", "7")}
+    true = pixels(board, T)
+    error = [
+        [float(r[c]) - true[r["target"]][k] for k, c in enumerate("uv")] for r in rows
+    ]
+    sigma = [[float(r[f"sigma_{c}"]) for c in "uv"] for r in rows]
+    assert np.sqrt(np.mean(np.square(error))) < largest
+    ratio = np.sqrt(np.mean(np.square(np.array(error) / np.array(sigma))))
+    assert 1 / 1.5 < ratio < 1.5
+    assert read_setup("s.yaml").board == board
+    assert "too few views" in result.out
+
+
+def test_what_cannot_be_used(refuses, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    gray = rng.integers(0, 255, (120, 160)).astype(np.uint8)
+    cv2.imwrite("empty.png", gray)
+    cv2.imwrite("other.png", gray[:100])
+    Path("text.png").write_text("no image")
+    Path("cut.png").write_bytes(Path("empty.png").read_bytes()[:40])
+    Path("joints.csv").write_text("joint1\n1\n2\n")
+    board = "--board charuco:7x5:0.03:0.022 -o m.csv"
+    refuses(f"detect empty.png {board}", reason="no image shows the board")
+    refuses(f"detect text.png {board}", file="text.png", reason="is no image")
+    refuses(f"detect cut.png {board}", file="cut.png", reason="cannot be read")
+    refuses(f"detect empty.png other.png {board}", file="other.png")
+    refuses(f"detect empty.png {board} --joints joints.csv", reason="2 rows for 1")
+    refuses("detect empty.png -o m.csv", reason="--board")
+    refuses("detect empty.png -o m.csv --board charuco:7", reason="no board")

@@ -41,7 +41,8 @@ WEBCAM = {
     "model": "camera",
     "parameters": ["joint-offset"],
     "frames": {
-        "base": {"xyz": [-0.15, 0.05, 0], "rpy": [0, 0, 0], "estimate": False},
+        # The board lies face up, and its z points away from who looks at it.
+        "base": {"xyz": [-0.15, 0.05, 0], "rpy": [3.14159, 0, 0], "estimate": False},
         "tool": {"xyz": [0, 0.05, 0.02], "rpy": [3.14159, 0, 0]},
     },
     "board": {"type": "charuco", "columns": 7, "rows": 5, "square": 0.02},

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
 from calib_pin.io.images import Gray, vision
-from calib_pin.observations.corners import corner_sigmas, noise_of
+from calib_pin.observations.corners import corner_sigmas, marker_corners, noise_of
 from calib_pin.setup import BoardSetup, CameraSetup
 from calib_pin.setup.references import TAGS
 
@@ -26,9 +26,6 @@ WINDOWS = (2, 7)
 
 STEPS = 60, 1e-4
 """Most steps of a refinement, and the one after which it ends [px]."""
-
-ROUNDED = 0.1
-"""Error of the corner of a tag by blur, on rendered images [px]."""
 
 VIEWS = 3
 """Images from which intrinsics are estimated."""
@@ -117,17 +114,19 @@ class Detector:
         if kind == "circles":
             # Centers are means of an edge all around: better than corners.
             return Found(names, pixels, np.full(pixels.shape, 0.1))
-        rough = np.ascontiguousarray(pixels, np.float32).reshape(-1, 1, 2)
-        cv2 = self._cv2
-        criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, *STEPS)
-        tags = kind in TAGS
-        # Blur rounds the tip of a tag, which would draw its corner inwards.
-        tip = (1, 1) if tags else (-1, -1)
-        fine = cv2.cornerSubPix(image, rough, (half, half), tip, criteria)
-        fine = np.asarray(fine, float).reshape(-1, 2)
-        sigma = corner_sigmas(levels, fine, half, noise_of(levels))
-        if tags:
-            sigma = np.hypot(sigma, ROUNDED)
+        if kind in TAGS:
+            met = [
+                marker_corners(levels, four, self._cells)
+                for four in np.split(pixels, len(pixels) // 4)
+            ]
+            fine, sigma = (np.concatenate(part) for part in zip(*met, strict=True))
+        else:
+            rough = np.ascontiguousarray(pixels, np.float32).reshape(-1, 1, 2)
+            cv2 = self._cv2
+            criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, *STEPS)
+            fine = cv2.cornerSubPix(image, rough, (half, half), (-1, -1), criteria)
+            fine = np.asarray(fine, float).reshape(-1, 2)
+            sigma = corner_sigmas(levels, fine, half, noise_of(levels))
         # A corner that ran away was none; one at the edge of the image has no window.
         edge = np.array(image.shape[::-1]) - 1.0 - half
         kept = np.hypot(*(fine - pixels).T) < half
@@ -187,7 +186,7 @@ class Detector:
             )
             self._board.setLegacyPattern(board.legacy)
             return aruco.CharucoDetector(self._board, detectorParams=settings)
-        settings.cornerRefinementMethod = aruco.CORNER_REFINE_CONTOUR
+        settings.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
         gap = board.gap or board.square
         self._board = aruco.GridBoard(size, board.square, gap, dictionary, ids)
         return aruco.ArucoDetector(dictionary, settings)

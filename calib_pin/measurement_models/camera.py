@@ -51,6 +51,9 @@ from calib_pin.measurement_models.references import (
 from calib_pin.observations import Booleans, Indices, Measurements, Targets
 from calib_pin.setup import PointSetup, Setup
 
+OBLIQUE = 0.25
+"""Cosine of the angle to the normal of a board from which corners are not found."""
+
 
 @dataclass(frozen=True)
 class CameraModel(DeclaredModel):
@@ -61,11 +64,13 @@ class CameraModel(DeclaredModel):
         points: The points that it looks at: of a camera on the hand in the
             measurement frame, of a camera in the world in the tool frame.
         spare: Other points of a known place, which measurements to come may name.
+        printed: Whether they are of a board, which is seen from before its plane.
     """
 
     camera: Camera
     points: tuple[Point, ...]
     spare: tuple[Point, ...] = ()
+    printed: bool = False
 
     declaration = Declaration(
         name="camera",
@@ -98,14 +103,15 @@ class CameraModel(DeclaredModel):
             Marker(name, xyz=xyz_or_none(point.xyz), estimate=bool(point.estimate))
             for name, point in stated.items()
         ]
-        named = set(targets)
+        named, printed = set(targets), setup.board is not None
         # All of them count without measurements, or where one names what is not stated.
         if not named or not named <= set(stated):
-            return cls(camera, tuple(points))
+            return cls(camera, tuple(points), printed=printed)
         return cls(
             camera,
             points=tuple(p for p in points if p.name in named),
             spare=tuple(p for p in points if p.located and p.name not in named),
+            printed=printed,
         )
 
     @property
@@ -152,14 +158,20 @@ class CameraModel(DeclaredModel):
 
         Beyond the radius at which the distortion folds back there is no image. An
         image without a size reaches as far behind its principal point as before it.
+        Of a board neither the back is seen nor what is too oblique.
         """
-        image = self._look(T, instrument, self._index(target)).image
+        view = self._look(T, instrument, self._index(target))
+        image = view.image
         radius = turning_radius(image.intrinsics[4:])
         seen = (image.points[2] > NEAR) & (np.hypot(image.x, image.y) < radius)
         size = self.camera.size
         edge = 2.0 * image.intrinsics[2:4] if size is None else np.array(size)
         pixels = image.pixels
         seen &= ((pixels >= 0.0) & (pixels <= edge)).all(axis=1)
+        if self.printed:
+            away = view.R[2] if self.camera.mount == "hand" else view.R[:, 2]
+            along = np.einsum("in,in->n", away, image.points)
+            seen &= along > OBLIQUE * np.linalg.norm(image.points, axis=0)
         return np.asarray(seen)
 
     def linearize(

@@ -7,6 +7,28 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+ENDS = 0.12
+"""Part of an edge of a marker at its ends that its corners may have rounded."""
+
+ACROSS = 0.6
+"""How far an edge is looked for on both sides, in cells of the marker."""
+
+NARROWEST, ACROSS_STEP = 2.0, 0.25
+"""The least of that, and the step across [px]."""
+
+FEWEST = 8
+"""Least number of places along an edge."""
+
+FLOOR = 0.2
+"""Part of the steepest slope below which a slope is noise."""
+
+FAR = 3.0
+"""Median distances from a line from which a place is not of it."""
+
+ALIKE = 2.0
+"""Places along an edge, a pixel apart, for one that is independent: a bilinear sample
+has two pixels along, and blur makes them more."""
+
 ROUNDING = 0.02
 """Error of a corner that is no noise: cells of the sensor, interpolation [px]."""
 
@@ -84,6 +106,70 @@ def corner_sigmas(image: Floats, corners: Floats, half: int, noise: float) -> Fl
     inverse = np.linalg.pinv(A)
     variance = noise**2 * np.einsum("nij,njk,nik->ni", inverse, spread, inverse)
     return np.asarray(np.clip(np.sqrt(variance + ROUNDING**2), None, LARGEST))
+
+
+def marker_corners(image: Floats, corners: Floats, cells: int) -> tuple[Floats, Floats]:
+    """Corners of a marker, where straight lines through its four edges meet.
+
+    Blur rounds a corner and draws it inwards; it leaves edges where they are. Where an
+    edge is the steepest is found across it, from end to end, and a line goes through
+    these places.
+
+    Args:
+        image: Gray levels, shape (height, width).
+        corners: About where the corners are, in their order around, shape (4, 2) [px].
+        cells: Cells along an edge, border included.
+
+    Returns:
+        Corners and their standard deviations, shape (4, 2) each [px].
+    """
+    normals, offsets, variances = [], [], []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        length = float(np.hypot(*(b - a)))
+        along = (b - a) / length
+        normal = np.array([-along[1], along[0]])
+        x = np.linspace(ENDS, 1.0 - ENDS, max(FEWEST, int(length))) * length
+        reach = max(NARROWEST, ACROSS * length / cells)
+        y = np.arange(-reach, reach + ACROSS_STEP, ACROSS_STEP)
+        at = a + x[:, None, None] * along + y[:, None] * normal
+        slope = np.abs(np.diff(_sampled(image, at[..., 0], at[..., 1]), axis=1))
+        # Noise far from the edge would draw its place to the middle.
+        slope = np.maximum(slope - FLOOR * slope.max(axis=1, keepdims=True), 0.0)
+        place = (slope @ (0.5 * (y[1:] + y[:-1]))) / np.maximum(slope.sum(axis=1), 1e-9)
+        line, spread = _line(x, place)
+        normals.append(normal - line[0] * along)
+        offsets.append(normals[-1] @ (a + line[1] * normal))
+        variances.append([_variance_at(end, x, spread) for end in (0.0, length)])
+    found, sigma = np.empty((4, 2)), np.empty((4, 2))
+    for k in range(4):
+        # The end of the edge before, and the start of its own.
+        N = np.array([normals[k - 1], normals[k]])
+        inverse = np.linalg.pinv(N)
+        found[k] = inverse @ [offsets[k - 1], offsets[k]]
+        both = np.array([variances[k - 1][1], variances[k][0]])
+        sigma[k] = np.sqrt((inverse**2) @ both + ROUNDING**2)
+    return found, np.clip(sigma, None, LARGEST)
+
+
+def _line(x: Floats, y: Floats) -> tuple[Floats, float]:
+    """Slope and intercept of a line, without what is far off, and the scatter about it.
+
+    Neighbors see the same pixels: their scatter is that of fewer places.
+    """
+    kept = np.ones(len(x), bool)
+    for _ in range(3):
+        line = np.polyfit(x[kept], y[kept], 1)
+        left = np.abs(np.polyval(line, x) - y)
+        kept = left <= max(FAR * float(np.median(left)), 1e-3)
+    r = y[kept] - np.polyval(line, x[kept])
+    scatter = float(r @ r) / max(int(kept.sum()) - 2, 1)
+    return line, scatter * ALIKE
+
+
+def _variance_at(end: float, x: Floats, scatter: float) -> float:
+    """Variance of a line at a place, from the scatter about it."""
+    away = x - x.mean()
+    return scatter * float(1.0 / len(x) + (end - x.mean()) ** 2 / (away @ away))
 
 
 def _sampled(image: Floats, u: Floats, v: Floats) -> Floats:

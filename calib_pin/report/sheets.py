@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cache
+from functools import cache, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -215,6 +215,7 @@ def can_write_pdf() -> bool:
     return find_spec("fpdf") is not None
 
 
+@lru_cache(1 << 16)
 def width_of(text: str, size: float, face: Face = "") -> float:
     """Width of letters on one line [pt]."""
     document = _measure()

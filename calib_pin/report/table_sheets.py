@@ -1,8 +1,9 @@
-"""Tables on sheets: as wide as they are, smaller, or broken, but never cut."""
+"""Tables on sheets: as wide as they are, smaller, broken or halved, but never cut."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from calib_pin.errors import printable
 from calib_pin.report.blocks import Cell, Column, Table
@@ -50,7 +51,13 @@ def set_table(
         size: Size of the font, if the table is not too wide [pt].
         titled: Whether its title stands above.
     """
-    size, widths = _widths(table, size)
+    fitted = _widths(table, size)
+    if fitted is None:
+        for part in _halves(table):
+            set_table(sheets, part, size, titled=titled)
+            sheets.y += 8.0
+        return
+    size, widths = fitted
     gap = GAP
     if len(widths) > 1:
         free = RIGHT - LEFT - sum(widths)
@@ -111,8 +118,22 @@ def set_table(
     sheets.y += SPACE
 
 
-def _widths(table: Table, size: float) -> tuple[float, list[float]]:
-    """The font and the widths of the columns with which a table fits."""
+def _halves(table: Table) -> Iterator[Table]:
+    """The columns of a table that is too wide, each half behind the first one."""
+    middle = (len(table.columns) + 1) // 2
+    for kept in (slice(1, middle), slice(middle, None)):
+        yield replace(
+            table,
+            columns=[table.columns[0], *table.columns[kept]],
+            rows=[[row[0], *row[kept]] for row in table.rows],
+        )
+
+
+def _widths(table: Table, size: float) -> tuple[float, list[float]] | None:
+    """The font and the widths of the columns with which a table fits.
+
+    None where it does not without breaking numbers, but its halves may.
+    """
     across = RIGHT - LEFT
     while True:
         most = [_natural(table, k, size) for k in range(len(table.columns))]
@@ -130,6 +151,8 @@ def _widths(table: Table, size: float) -> tuple[float, list[float]]:
                 low + spare * (high - low) / lacking
                 for low, high in zip(least, most, strict=True)
             ]
+        if size <= SMALLEST and len(most) > 2:
+            return None
         if size <= SMALLEST:
             return size, [room * low / sum(least) for low in least]
         size -= STEP

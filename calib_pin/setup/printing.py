@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from calendar import monthrange
 from dataclasses import dataclass
-from datetime import date
 from typing import Annotated
 
 from calib_pin.setup.constraints import Checked, Section
@@ -14,6 +15,8 @@ LONGEST = 80
 
 COLDEST, HOTTEST = -100.0, 200.0
 """Temperatures at which a robot can be measured [degC]."""
+
+DATE = re.compile(r"([12][0-9]{3})-([0-9]{2})-([0-9]{2})")
 
 
 def _entry(value: object) -> str:
@@ -27,10 +30,12 @@ def _entry(value: object) -> str:
 
 
 def _date(value: object) -> str:
-    try:
-        return date.fromisoformat(value if isinstance(value, str) else "").isoformat()
-    except ValueError:
-        raise ValueError("a date, such as 2026-11-23") from None
+    found = DATE.fullmatch(value) if isinstance(value, str) else None
+    if found is not None:
+        year, month, day = map(int, found.groups())
+        if 1 <= month <= 12 and 1 <= day <= monthrange(year, month)[1]:
+            return found[0]
+    raise ValueError("a date, such as 2026-11-23")
 
 
 Entry = Annotated[str, Checked(_entry, {"type": "string", "maxLength": LONGEST})]

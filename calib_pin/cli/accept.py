@@ -10,6 +10,7 @@ import typer
 import calib_pin.cli.options as options
 from calib_pin.cli.files import (
     check_outputs,
+    exists,
     open_calibration,
     open_chains,
     open_measurements,
@@ -124,7 +125,7 @@ def accept(
         notice(doubt)
     blocks = [*acceptance_report(found.tests, limit, found.about, path=path)]
     contents = {}
-    if files:
+    if output is not None:
         cover = acceptance_cover(
             found.tests,
             limit,
@@ -142,7 +143,9 @@ def accept(
         }
         contents = {file: made[file.suffix[1:]]() for file in files}
         if not can_write_pdf():
-            notice(f"no acceptance.pdf is written: {MISSING}")
+            old = output / "acceptance.pdf"
+            stays = f"; {old} is not from this test" if exists(old) else ""
+            notice(f"no acceptance.pdf is written: {MISSING}{stays}")
     with write_files(contents, force=force):
         if not quiet:
             show(blocks)

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 
 from calib_pin.estimation.evidence import TRUSTED
@@ -14,7 +15,7 @@ from calib_pin.report.acceptance_text import PATH, TONES, ends, limit_lines
 from calib_pin.report.accuracy import verdict
 from calib_pin.report.blocks import Cell, Column, Line, Table, Tone, columns
 from calib_pin.report.figures import Drawn
-from calib_pin.report.tables import amount, number, quantity
+from calib_pin.report.tables import amount, quantity
 from calib_pin.report.tiles import tiles
 from calib_pin.setup import LimitSetup, ReportSetup
 from calib_pin.units import DISPLAY
@@ -44,6 +45,8 @@ QUANTITIES = {
     "AD": "distance accuracy AD, worst pair",
     "orientation": "orientation accuracy, worst axis",
 }
+
+ROBOTS = {"nominal": "before", "calibrated": "after"}
 
 
 @dataclass(frozen=True)
@@ -170,7 +173,7 @@ def _facts(
         ("customer", entries.customer),
         ("operator", entries.operator),
         ("instrument", entries.instrument),
-        ("temperature", "" if degrees is None else f"{number(degrees)} °C"),
+        ("temperature", "" if degrees is None else f"{degrees:g} °C"),
     ]
 
 
@@ -204,15 +207,22 @@ def _tested(found: Mapping[str, Acceptance], limit: LimitSetup, path: bool) -> T
             Cell(status.upper()),
         ]
         rows.append(cells)
-    robots = ("found",) if len(found) == 1 else tuple(found)
-    titles = (*robots, "95 %", "limit", "unit", "status")
+    titles = (
+        *(ROBOTS.get(name, "found") for name in found),
+        "95 %",
+        "limit",
+        "unit",
+        "status",
+    )
     return Table("Results", columns("", titles), rows)
 
 
 def _calibrated(result: CalibrationResult) -> Table:
+    # Predictions are those of a model that has to be right.
+    shown = None if result.verdict in TRUSTED else len(result.errors)
     rows = [
         [Cell(tile.label), tile.before, tile.after, Cell(tile.unit), Cell(tile.remark)]
-        for tile in tiles(result)
+        for tile in islice(tiles(result), shown)
     ]
     titles = ("before", "after", "unit")
     of = (*columns("", titles), Column("", "remark"))

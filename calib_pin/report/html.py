@@ -251,7 +251,7 @@ def provenance_blocks(document: Mapping[str, Any]) -> Iterator[Block]:
         used.append(("residual model", learned["file"], learned["sha256"]))
     versions = {k: v for k, v in about.items() if k not in ("command", "created")}
     yield Facts(
-        "",
+        "Provenance",
         [
             ("command", shlex.join(about["command"])),
             ("created", about["created"]),

@@ -184,7 +184,7 @@ def _signature(sheets: Sheets) -> None:
 
 
 def _running(sheets: Sheets, cover: Cover) -> None:
-    """What stands on every sheet: robot, serial number, date, and its number."""
+    """Robot, serial number, date and number of each sheet."""
     serial = cover.entries.serial_number
     half = 0.42 * (RIGHT - LEFT)
     robot = fitting(cover.robot, half, RUNNING)

@@ -135,11 +135,15 @@ def _widths(table: Table, size: float) -> tuple[float, list[float]] | None:
     None where it does not without breaking numbers, but its halves may.
     """
     across = RIGHT - LEFT
+    heading = across  # Headings are broken before the font shrinks.
     while True:
-        most = [_natural(table, k, size) for k in range(len(table.columns))]
+        most = [_natural(table, k, size, heading) for k in range(len(table.columns))]
         room = across - GAP * size / 8.0 * (len(most) - 1)
         if sum(most) <= room:
             return size, most
+        if heading > HEADING:
+            heading = HEADING
+            continue
         least = [
             min(width, NARROWEST) if column.kind in ("name", "remark") else width
             for column, width in zip(table.columns, most, strict=True)
@@ -158,13 +162,13 @@ def _widths(table: Table, size: float) -> tuple[float, list[float]] | None:
         size -= STEP
 
 
-def _natural(table: Table, k: int, size: float) -> float:
-    """Width of a column in which nothing is broken but a long heading."""
+def _natural(table: Table, k: int, size: float, most: float) -> float:
+    """Width of a column in which nothing is broken but a heading that is too long."""
     title = printable(table.columns[k].title)
     words = [width_of(word, size, "B") for word in title.split()]
     heading = width_of(title, size, "B")
-    if words and heading > HEADING:
-        heading = max(*words, HEADING)
+    if words and heading > most:
+        heading = max(*words, most)
     cells = [
         width_of(line, size, "B" if n in table.emphasized else "")
         for n, row in enumerate(table.rows)

@@ -150,7 +150,7 @@ def test_a_calibration_has_limits_and_entries_of_its_own(visits, run):
     result = run("accept c/calibration.json visits.csv -o out")
     assert "the limit is 0.5000 mm" in result.out
     first = pages("out/acceptance.pdf")[0]
-    assert "KR 7" in first and "nominal" in first and "calibrated" in first
+    assert "KR 7" in first and "before" in first and "after" in first
     assert "1999" not in first and "31.5" not in first
     Path("own.yaml").write_text("limit: {position: 7.0e-3}\nreport: {operator: me}\n")
     result = run("accept c/calibration.json visits.csv --setup own.yaml -o own")
@@ -175,6 +175,8 @@ def test_without_the_extra_the_rest_is_written(visits, run, without_fpdf):
     assert "pip install 'calib-pin[pdf]'" in result.err
     names = sorted(path.name for path in Path("out").iterdir())
     assert names == ["acceptance.csv", "acceptance.html", "acceptance.json"]
+    Path("out/acceptance.pdf").write_bytes(b"an older one")
+    assert "is not from this test" in run(f"{ACCEPT} -o out --force").err
 
 
 def test_a_calibration_is_printed(visits, run, drawn):

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
     from calib_pin.validation.calibrated_model import CalibratedModel
 
+PDF = "acceptance.pdf"
+
 
 def accept(
     robot: options.RobotOrCalibration,
@@ -110,8 +112,10 @@ def accept(
     require_distinct(measurements)
     files = []
     if output is not None:
-        kinds = ["json", "csv", "html", *(["pdf"] if can_write_pdf() else [])]
-        files = [output / f"acceptance.{kind}" for kind in kinds]
+        names = ["acceptance.json", "acceptance.csv", "acceptance.html"]
+        files = [
+            output / name for name in (*names, *([PDF] if can_write_pdf() else []))
+        ]
     check_outputs(files, [robot, setup, *measurements], force)
     with progress_bar(quiet=quiet) as bar:
         measured, rows = open_measurements(
@@ -126,6 +130,7 @@ def accept(
     blocks = [*acceptance_report(found.tests, limit, found.about, path=path)]
     contents = {}
     if output is not None:
+        figure = next(acceptance_figures(Judged(found.tests, limit)))
         cover = acceptance_cover(
             found.tests,
             limit,
@@ -133,19 +138,20 @@ def accept(
             dated(entries),
             doubts=doubts,
             path=path,
-            figure=next(acceptance_figures(Judged(found.tests, limit))),
+            figure=figure,
         )
-        made = {
-            "json": lambda: encode(acceptance_document(found.tests, limit)),
-            "csv": lambda: encode_table(found.table(), [found.about]),
-            "html": lambda: acceptance_page(cover, blocks),
-            "pdf": lambda: pdf_report(cover, blocks),
+        contents = {
+            output / "acceptance.json": encode(acceptance_document(found.tests, limit)),
+            output / "acceptance.csv": encode_table(found.table(), [found.about]),
+            output / "acceptance.html": acceptance_page(cover, blocks),
         }
-        contents = {file: made[file.suffix[1:]]() for file in files}
-        if not can_write_pdf():
-            old = output / "acceptance.pdf"
-            stays = f"; {old} is not from this test" if exists(old) else ""
-            notice(f"no acceptance.pdf is written: {MISSING}{stays}")
+        if can_write_pdf():
+            contents[output / PDF] = pdf_report(cover, blocks)
+        else:
+            stays = (
+                f"; {old} is not from this test" if exists(old := output / PDF) else ""
+            )
+            notice(f"no {PDF} is written: {MISSING}{stays}")
     with write_files(contents, force=force):
         if not quiet:
             show(blocks)

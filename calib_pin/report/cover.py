@@ -125,7 +125,7 @@ def acceptance_cover(
         tone=TONES.get(status, "strong"),
         said=said,
         robot=robot.name,
-        facts=_facts(robot, entries, limit),
+        facts=_facts(robot, entries, limit, PATH if path else {}),
         numbers=_tested(found, limit, path),
         remark=CERTIFIED,
         figure=figure,
@@ -160,15 +160,22 @@ def calibration_cover(
 
 
 def _facts(
-    robot: Robot, entries: ReportSetup, limit: LimitSetup
+    robot: Robot,
+    entries: ReportSetup,
+    limit: LimitSetup,
+    renamed: Mapping[str, str] | None = None,
 ) -> list[tuple[str, str]]:
+    """The facts; quantities of limits may have other names."""
     degrees = entries.temperature
+    limits = [
+        f"{(renamed or {}).get(name, name)} {size}" for name, size in _limits(limit)
+    ]
     return [
         ("robot", robot.name),
         ("serial number", entries.serial_number),
         ("file", Path(robot.file).name or robot.file),
         ("SHA-256", f"{hashlib.sha256(robot.source).hexdigest()[:16]}…"),
-        ("limit", ", ".join(_limits(limit)) or NO_LIMIT),
+        ("limit", ", ".join(limits) or NO_LIMIT),
         ("date", entries.date or ""),
         ("customer", entries.customer),
         ("operator", entries.operator),
@@ -177,7 +184,7 @@ def _facts(
     ]
 
 
-def _limits(limit: LimitSetup) -> Iterator[str]:
+def _limits(limit: LimitSetup) -> Iterator[tuple[str, str]]:
     for name, allowed, unit in (
         ("AP", limit.position, "m"),
         ("RP", limit.repeatability, "m"),
@@ -185,7 +192,7 @@ def _limits(limit: LimitSetup) -> Iterator[str]:
         ("orientation", limit.orientation, "rad"),
     ):
         if allowed is not None:
-            yield f"{name} {amount(allowed, unit)}"
+            yield name, amount(allowed, unit)
 
 
 def _tested(found: Mapping[str, Acceptance], limit: LimitSetup, path: bool) -> Table:

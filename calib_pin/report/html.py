@@ -125,7 +125,9 @@ def acceptance_page(cover: Cover, blocks: Sequence[Block]) -> bytes:
         cover: What it begins with.
         blocks: The report of the test.
     """
-    return rendered("acceptance.html", cover=cover, blocks=blocks)
+    # It is one page: the verdict stands on it once.
+    rest = [block for block in blocks if block not in cover.said]
+    return rendered("acceptance.html", cover=cover, blocks=rest)
 
 
 def report(

@@ -92,6 +92,7 @@ def test_what_is_no_test_is_told(visits, run, listing, words, text):
 def test_a_path_is_its_worst_point(visits, run):
     result = run(f"{ACCEPT} --path -o out")
     assert result.out.startswith("FAIL: AT ") and "\nPASS: RT " in result.out
+    assert "AT 0.5000 mm, RT 0.2000 mm" in pages("out/acceptance.pdf")[0]
     document = json.loads(Path("out/acceptance.json").read_text())
     poses = document["tests"]["robot"]["poses"]
     row = next(line for line in result.out.splitlines() if line.startswith("robot "))
@@ -119,6 +120,7 @@ def test_it_is_written_for_a_customer(visits, run):
     page = Path("out/acceptance.html").read_text()
     for words in ("FAIL", "KR 7", "ACME", "2026-11-23", "AP 0.5000 mm, RP 0.2000 mm"):
         assert words in first and words in page
+    assert page.count("FAIL: AP") == 1
     assert "needs the standard itself" in first and "signature" in first
     for title in ("Poses", "Distances between poses"):
         assert any(title in text for text in annex) and f"<caption>{title}" in page

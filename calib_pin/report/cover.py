@@ -106,7 +106,7 @@ def acceptance_cover(
         limit: What must be reached.
         robot: The robot.
         entries: What the user stated, with a date.
-        doubts: Why the calibration must not be trusted.
+        doubts: Sentences on why the calibration must not be trusted.
         path: Whether the poses are points of a path.
         figure: The picture.
     """
@@ -115,7 +115,7 @@ def acceptance_cover(
     status = next((s for s in ("fail", "undecided", "pass") if s in statuses), "")
     if doubts and status == "pass":
         status = "undecided"
-    said = [Line(f"The calibration must not be trusted: {d}", "bad") for d in doubts]
+    said = [Line(f"{doubt.rstrip('.')}.", "bad") for doubt in doubts]
     if not doubts or status == "fail":
         said.append(Line(SAID[status]))
     said += limit_lines(last, limit, path=path)

@@ -275,7 +275,7 @@ def _pieces(word: str, width: float, size: float, face: Face) -> list[str]:
 
 def fitting(text: str, width: float, size: float, face: Face = "") -> str:
     """Letters that are cut to a width, with an ellipsis where some are missing."""
-    text = printable(text)
+    text = " ".join(printable(text).split("\n"))
     if width_of(text, size, face) <= width:
         return text
     return _pieces(text, width - width_of("…", size, face), size, face)[0] + "…"

@@ -217,3 +217,19 @@ def test_an_untrusted_calibration_is_said_to_be(visits, run):
     assert "UNDECIDED" in first and "must not be trusted" in first
     assert run("report c --pdf c.pdf").status == 2
     assert "This calibration must not be trusted." in pages("c.pdf")[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1280, 400])
+def test_nothing_sticks_out_of_the_page(visits, run, browser, width):
+    long = "left_arm_shoulder_lift_joint_with_a_name_of_sixty_characters"
+    robot = Path("arm.urdf").read_text().replace('name="arm"', f'name="{long}"')
+    Path("arm.urdf").write_text(robot)
+    with Path("limits.yaml").open("a") as file:
+        file.write(f"report: {{serial_number: {long}}}\n")
+    run(f"{ACCEPT} -o out --quiet")
+    page = browser.new_page(viewport={"width": width, "height": 900})
+    page.goto(Path("out/acceptance.html").resolve().as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.locator("#figure-poses-tested svg").bounding_box()["width"] > 300
+    page.close()

@@ -196,8 +196,9 @@ def test_the_same_report_is_the_same_bytes():
 
 def test_what_a_font_lacks_is_no_remark(capfd):
     """Nor does a name steer anything."""
-    name = "机器人\x1b[2J\u202e"
-    data = pdf_report(cover_of(robot=name), [Line(name)])
+    name = "机器人\x1b[2J\u202e\n\udcff"
+    empty = [Line(""), Table("", columns("a", ("b",)), []), Facts("", [])]
+    data = pdf_report(cover_of(robot=name), [Line(name), *empty])
     assert capfd.readouterr() == ("", "")
     text = pypdf.PdfReader(io.BytesIO(data)).pages[1].extract_text()
     assert "\\x1b[2J\\u202e" in text

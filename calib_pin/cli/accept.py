@@ -10,6 +10,7 @@ import typer
 import calib_pin.cli.options as options
 from calib_pin.cli.files import (
     check_outputs,
+    exists,
     open_calibration,
     open_chains,
     open_measurements,
@@ -17,12 +18,15 @@ from calib_pin.cli.files import (
     require_distinct,
     require_file,
 )
+from calib_pin.cli.options import dated
 from calib_pin.cli.printing import notice, progress_bar, say_written, show
 from calib_pin.errors import stated_in
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
     from calib_pin.validation.calibrated_model import CalibratedModel
+
+PDF = "acceptance.pdf"
 
 
 def accept(
@@ -38,8 +42,8 @@ def accept(
         Path | None,
         options.output(
             "-o --output DIR",
-            "Folder for acceptance.json and acceptance.csv; without it the test is "
-            "only printed.",
+            "Folder for acceptance.json, .csv, .html and .pdf; without it the test "
+            "is only printed.",
         ),
     ] = None,
     package_dir: options.PackageDirs = None,
@@ -68,32 +72,51 @@ def accept(
     Measurements of the same configuration are visits of one pose. The commanded pose is
     that of the robot's model: of a URDF with base and tool registered on these
     measurements; of a calibration that of the calibrated robot, beside the nominal one.
-    'limit' in the setup says what must be reached. A certified test needs the standard
-    itself. Exit status 2: a limit is not reached, or the test does not decide.
+    'limit' in the setup says what must be reached, 'report' what stands on the printed
+    report; without it both are those of the calibration. A certified test needs the
+    standard itself. Exit status 2: a limit is not reached, or the test does not decide.
     """
+    from dataclasses import replace
+
     from calib_pin.io.documents import acceptance_document
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import encode_table
     from calib_pin.report.acceptance_text import acceptance_report
+    from calib_pin.report.cover import acceptance_cover
+    from calib_pin.report.figures import Judged, acceptance_figures
+    from calib_pin.report.html import acceptance_page
+    from calib_pin.report.pdf import pdf_report
+    from calib_pin.report.sheets import MISSING, can_write_pdf
+    from calib_pin.setup import LimitSetup, ReportSetup
     from calib_pin.validation.acceptance import judged
     from calib_pin.validation.pose_tests import tested
 
     stated = open_setup(setup, base=base, tip=tip, model=model)
-    limit = stated.limit
+    limit, entries = stated.limit, stated.report
     subject: Chains | CalibratedModel
     doubts: list[str] = []
     require_file(robot, ", or a robot")
     if robot.endswith(".json"):
-        subject, used = open_calibration(robot, setup, stated, doubts.append, "limit")
+        subject, used = open_calibration(
+            robot, setup, stated, doubts.append, "limit", "report"
+        )
         chains = subject.chains
+        if limit == LimitSetup():
+            limit = used.limit
+        if entries == ReportSetup():
+            # The day and the temperature of the calibration are not those of the test.
+            entries = replace(used.report, date=None, temperature=None)
     else:
         used = stated
         chains = open_chains(robot, stated, package_dirs=package_dir)
     require_distinct(measurements)
     files = []
     if output is not None:
-        files = [output / "acceptance.json", output / "acceptance.csv"]
+        names = ["acceptance.json", "acceptance.csv", "acceptance.html"]
+        files = [
+            output / name for name in (*names, *([PDF] if can_write_pdf() else []))
+        ]
     check_outputs(files, [robot, setup, *measurements], force)
     with progress_bar(quiet=quiet) as bar:
         measured, rows = open_measurements(
@@ -105,13 +128,34 @@ def accept(
             found = tested(subject, rows, used, registration=register)
     for doubt in doubts:
         notice(doubt)
+    blocks = [*acceptance_report(found.tests, limit, found.about, path=path)]
     contents = {}
-    if files:
-        contents[files[0]] = encode(acceptance_document(found.tests, limit))
-        contents[files[1]] = encode_table(found.table(), [found.about])
+    if output is not None:
+        figure = next(acceptance_figures(Judged(found.tests, limit)))
+        cover = acceptance_cover(
+            found.tests,
+            limit,
+            chains.robot,
+            dated(entries),
+            doubts=doubts,
+            path=path,
+            figure=figure,
+        )
+        contents = {
+            output / "acceptance.json": encode(acceptance_document(found.tests, limit)),
+            output / "acceptance.csv": encode_table(found.table(), [found.about]),
+            output / "acceptance.html": acceptance_page(cover, blocks),
+        }
+        if can_write_pdf():
+            contents[output / PDF] = pdf_report(cover, blocks)
+        else:
+            stays = (
+                f"; {old} is not from this test" if exists(old := output / PDF) else ""
+            )
+            notice(f"no {PDF} is written: {MISSING}{stays}")
     with write_files(contents, force=force):
         if not quiet:
-            show(acceptance_report(found.tests, limit, found.about, path=path))
+            show(blocks)
     if files and not quiet:
         say_written([f"wrote {file}" for file in files])
     *_, last = found.tests.values()

@@ -15,6 +15,7 @@ from calib_pin.units import as_number
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
+    from calib_pin.setup import ReportSetup
 
 _Number = TypeVar("_Number", int, float)
 
@@ -214,3 +215,11 @@ def parse_limits(
                 )
         limits[joint] = (lower, upper)
     return limits
+
+
+def dated(entries: ReportSetup) -> ReportSetup:
+    """The entries of a report with their date, by default today."""
+    from dataclasses import replace
+    from datetime import date
+
+    return replace(entries, date=entries.date or date.today().isoformat())

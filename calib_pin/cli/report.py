@@ -9,6 +9,7 @@ import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs
+from calib_pin.cli.options import dated
 from calib_pin.cli.printing import notice, progress_bar, say_written, show
 from calib_pin.cli.results import (
     FigureFormat,
@@ -34,6 +35,10 @@ def report(
             "The page; default report.html of the folder, which is replaced.",
         ),
     ] = None,
+    pdf: Annotated[
+        Path | None,
+        options.output("--pdf FILE", "Write a PDF for a customer as well."),
+    ] = None,
     figures: Figures = None,
     figure_format: FigureFormat = "png",
     force: options.Force = False,
@@ -43,14 +48,22 @@ def report(
 
     calibration.json, measurements.csv and the robot are all that it takes. Of a
     calibration without measurements.csv, as older versions wrote it, there are no
-    figures of single measurements. Exit status 2: the calibration must not be trusted.
+    figures of single measurements. '--pdf' writes a report to be printed and signed;
+    'report' in the setup of the calibration says whose robot it is. Exit status 2: the
+    calibration must not be trusted.
     """
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.files import write_files
     from calib_pin.io.result_file import document_file, read_suggestions, read_written
     from calib_pin.io.result_folder import MEASUREMENTS, REPORT
-    from calib_pin.report.html import html_report
+    from calib_pin.report.cover import calibration_cover
+    from calib_pin.report.html import html_report, provenance_blocks
+    from calib_pin.report.pdf import pdf_report
+    from calib_pin.report.sheets import require_pdf
     from calib_pin.report.text import report as blocks
+
+    if pdf is not None:
+        require_pdf()
 
     file = document_file(calibration)
     result, document = read_written(file)
@@ -59,7 +72,8 @@ def report(
     pictures = figure_files(figures, figure_format, "calibration")
     inputs: list[str | Path | None] = [file, file.parent / MEASUREMENTS]
     inputs.append(result.model.chains.robot.file)
-    check_outputs([page, *pictures], inputs, force or own)
+    check_outputs([page, pdf, *pictures], inputs, force or own)
+    check_outputs([pdf], inputs, force)
     if MEASUREMENTS not in document.get("files", {}):
         notice(f"{file} has no {MEASUREMENTS}: nothing is known of single measurements")
     suggestions = read_suggestions(document)
@@ -67,12 +81,24 @@ def report(
         drawn = draw_calibration(result, bar)
         contents = figure_contents(drawn, pictures)
         text = html_report(result, document, figures=drawn, suggestions=suggestions)
+        if pdf is not None:
+            # It has one picture, of the errors before and after.
+            names = {figure.name: figure for figure in drawn}
+            cover = calibration_cover(
+                result,
+                dated(result.model.setup.report),
+                names.get("errors-per-measurement"),
+            )
+            contents[pdf] = pdf_report(
+                cover, [*blocks(result, suggestions), *provenance_blocks(document)]
+            )
     with write_files({page: text, **contents}, force=force or own):
         if not quiet:
             show(blocks(result, suggestions))
-    told = told_figures(contents, pictures)
+    made = [page] if pdf is None else [page, pdf]
+    told = told_figures([path for path in pictures if path in contents], pictures)
     if not quiet:
-        say_written([f"wrote {page}", *told])
+        say_written([*(f"wrote {file}" for file in made), *told])
     elif result.verdict not in TRUSTED:
         notice(f"{result.verdict}: {result.reason}")
     return 0 if result.verdict in TRUSTED else 2

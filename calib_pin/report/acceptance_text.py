@@ -35,10 +35,7 @@ def acceptance_report(
         path: Whether the poses are points of a path: AT and RT are their worst.
     """
     *_, (_, last) = found.items()
-    for name, status, interval, allowed, unit in judged(last, limit):
-        tone, name = TONES[status], PATH.get(name, name) if path else name
-        shown = f"{status.upper()}: {name} {_shown(interval, unit)}, the limit is "
-        yield Line(f"{shown}{amount(allowed, unit)}.", tone)
+    yield from limit_lines(last, limit, path=path)
     yield Line(about)
     if path:
         yield Table("Path", ROBOTS, [*_paths(found)])
@@ -68,6 +65,16 @@ def acceptance_report(
             "From the first to the last third of the visits AP changes by at most "
             f"{accuracy}, RP by {repeatability}."
         )
+
+
+def limit_lines(
+    test: Acceptance, limit: LimitSetup, *, path: bool = False
+) -> Iterator[Line]:
+    """Whether each limit is met, by how much, in a sentence each."""
+    for name, status, interval, allowed, unit in judged(test, limit):
+        tone, name = TONES[status], PATH.get(name, name) if path else name
+        shown = f"{status.upper()}: {name} {_shown(interval, unit)}, the limit is "
+        yield Line(f"{shown}{amount(allowed, unit)}.", tone)
 
 
 POSES = columns("pose", ("visits", "AP", "95 %", "RP", "95 %", "vAP", "unit"))
@@ -129,13 +136,14 @@ def _distances(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
 
 
 def _cells(interval: Interval, unit: str) -> tuple[Cell, Cell]:
-    return quantity(interval.value, unit), Cell(_ends(interval, unit))
+    return quantity(interval.value, unit), Cell(ends(interval, unit))
 
 
 def _shown(interval: Interval, unit: str) -> str:
-    return f"{amount(interval.value, unit)} ({_ends(interval, unit)})"
+    return f"{amount(interval.value, unit)} ({ends(interval, unit)})"
 
 
-def _ends(interval: Interval, unit: str) -> str:
+def ends(interval: Interval, unit: str) -> str:
+    """Both ends of an interval, in the unit in which people read it."""
     low, high = (quantity(end, unit).text for end in (interval.low, interval.high))
     return f"{low} ... {high}"

@@ -1,7 +1,7 @@
 """The parts of a report, wherever it is shown: lines, facts, tables, lists of names.
 
-They are built once from a result; `terminal` and `html` only lay them out, so a number
-is the same wherever it is read.
+They are built once from a result; `terminal`, `html` and `pdf` only lay them out, so a
+number is the same wherever it is read.
 """
 
 from __future__ import annotations

@@ -9,13 +9,8 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
-
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 
 from calib_pin.io.calibration_document import calibration_document, provenance
 from calib_pin.io.files import write_atomically
@@ -24,6 +19,7 @@ from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggest
 from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
 from calib_pin.report.breakdown import parts, told
+from calib_pin.report.cover import Cover
 from calib_pin.report.figures import Drawn, calibration_figures
 from calib_pin.report.identification import ranks, remedied, unknown
 from calib_pin.report.places import frame_blocks
@@ -33,16 +29,15 @@ from calib_pin.report.tables import (
     listed,
     outlier_table,
     parameter_overview,
-    quantity,
 )
+from calib_pin.report.templates import rendered
+from calib_pin.report.tiles import tiles
 from calib_pin.report.trust import (
     correlated,
     expected,
     noise,
-    percent,
     statistics,
 )
-from calib_pin.units import DISPLAY
 from calib_pin.validation.result import CalibrationResult
 
 LISTED = 200
@@ -79,17 +74,6 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 
 @dataclass(frozen=True)
-class _Tile:
-    """The accuracy of one quantity in large letters."""
-
-    label: str
-    before: Cell
-    after: Cell
-    unit: str
-    remark: str
-
-
-@dataclass(frozen=True)
 class _Section:
     """A part of the page; the table of parameters can be sorted."""
 
@@ -120,20 +104,30 @@ def html_report(
         """Whether there is the figure that a line leads to."""
         return getattr(block, "figure", "") in drawn
 
-    page = _pages().get_template("report.html")
-    return page.render(
+    return rendered(
+        "report.html",
         title=f"Calibration of {name}",
         subject=subject(result).text,
         before=[block for block in before if shown(block)],
         verdict=verdict,
         behind=[block for block in behind if shown(block)],
-        tiles=list(_tiles(result)),
+        tiles=list(tiles(result)),
         sections=list(_sections(result, document, figures, suggestions)),
-        style=Markup(_file("style.css")),
-        script=Markup(_file("script.js")),
         version=document["provenance"]["calib_pin"],
         run=document.get("run", ""),
-    ).encode("utf-8", "backslashreplace")
+    )
+
+
+def acceptance_page(cover: Cover, blocks: Sequence[Block]) -> bytes:
+    """The page of an acceptance test, as one file without references.
+
+    Args:
+        cover: What it begins with.
+        blocks: The report of the test.
+    """
+    # It is one page: the verdict stands on it once.
+    rest = [block for block in blocks if block not in cover.said]
+    return rendered("acceptance.html", cover=cover, blocks=rest)
 
 
 def report(
@@ -183,53 +177,6 @@ def report(
     write_atomically(Path(file), page, force=force)
 
 
-@cache
-def _pages() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("calib_pin.report", "page"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=StrictUndefined,
-    )
-    environment.filters["kind"] = lambda block: type(block).__name__
-    environment.filters["exact"] = repr
-    return environment
-
-
-def _file(name: str) -> str:
-    return (files("calib_pin.report") / "page" / name).read_text("utf-8")
-
-
-def _tiles(result: CalibrationResult) -> Iterator[_Tile]:
-    for error in result.errors:
-        before, after, which = error.before, error.after, "fitted"
-        if error.validation_before and error.validation_after:
-            before, after = error.validation_before, error.validation_after
-            which = "validation"
-        unit = error.unit
-        yield _Tile(
-            label=f"mean {error.name} error, {which} measurements",
-            before=quantity(before.mean, unit),
-            after=quantity(after.mean, unit),
-            unit=DISPLAY[unit][0],
-            remark=f"95 % below {quantity(after.p95, unit).text}, "
-            f"largest {quantity(after.max, unit).text} {DISPLAY[unit][0]}",
-        )
-    for chain, tool in result.accuracies.items():
-        found = tool.workspace
-        if found is not None and result.verdict != "no-gain":
-            several = len(result.accuracies) > 1
-            of = f" of {chain or 'the robot'}" if several else ""
-            yield _Tile(
-                label=f"expected tool-point error{of} over the workspace, rms",
-                before=quantity(found.nominal[0], "m"),
-                after=quantity(found.calibrated[0], "m"),
-                unit=DISPLAY["m"][0],
-                remark=f"better than nominal: {percent(found.better)}",
-            )
-
-
 def _sections(
     result: CalibrationResult,
     document: Mapping[str, Any],
@@ -248,7 +195,7 @@ def _sections(
         "identifiability": list(_known(result, suggestions)),
         "parameters": list(listed("at a bound", result.solver.at_bounds)),
         "residuals": list(_residuals(result)),
-        "provenance": list(_provenance(document)),
+        "provenance": list(provenance_blocks(document)),
     }
     places = {name: key for key, (_, names) in SECTIONS.items() for name in names}
     for key, (title, _) in SECTIONS.items():
@@ -292,7 +239,7 @@ def _residuals(result: CalibrationResult) -> Iterator[Block]:
     yield from statistics(result)
 
 
-def _provenance(document: Mapping[str, Any]) -> Iterator[Block]:
+def provenance_blocks(document: Mapping[str, Any]) -> Iterator[Block]:
     """Command, files with their hashes, versions and seed, as the document has them."""
     about, solver = document["provenance"], document["solver"]
     robot, measured = document["robot"], document["measurements"]
@@ -306,7 +253,7 @@ def _provenance(document: Mapping[str, Any]) -> Iterator[Block]:
         used.append(("residual model", learned["file"], learned["sha256"]))
     versions = {k: v for k, v in about.items() if k not in ("command", "created")}
     yield Facts(
-        "",
+        "Provenance",
         [
             ("command", shlex.join(about["command"])),
             ("created", about["created"]),

@@ -18,6 +18,7 @@ from calib_pin.setup.constraints import (
     Section,
     listed,
 )
+from calib_pin.setup.printing import ReportSetup
 from calib_pin.setup.reading import (
     AXES,
     HELD,
@@ -80,6 +81,7 @@ __all__ = [
     "RangerSetup",
     "ReadingSetup",
     "Region",
+    "ReportSetup",
     "Section",
     "Setup",
     "SolverSetup",
@@ -277,6 +279,7 @@ class FitSetup(Section):
         solver: Solver of the fit, and its options.
         loss: Loss function, which says how much outliers count.
         limit: Errors that the robot may have.
+        report: Entries of printed reports.
     """
 
     gravity: Annotated[
@@ -300,6 +303,7 @@ class FitSetup(Section):
     solver: SolverSetup = SolverSetup()
     loss: Annotated[str, Registered("loss")] = "auto"
     limit: LimitSetup = field(default_factory=LimitSetup)
+    report: ReportSetup = field(default_factory=ReportSetup)
 
     @property
     def heaviest(self) -> str:

@@ -123,12 +123,12 @@ class Acceptance:
     @property
     def accuracy(self) -> Interval:
         """AP of the worst pose [m]."""
-        return max((p.accuracy for p in self.poses), key=lambda i: i.value)
+        return worst([p.accuracy for p in self.poses])
 
     @property
     def repeatability(self) -> Interval:
         """RP of the worst pose [m]."""
-        return max((p.repeatability for p in self.poses), key=lambda i: i.value)
+        return worst([p.repeatability for p in self.poses])
 
 
 def acceptance(
@@ -319,27 +319,38 @@ def judged(
     The worst pose counts: it passes where all of its interval is below the limit, and
     fails where all of it is above.
     """
-    stated: list[tuple[str, float | None, list[Interval], str]] = [
-        ("AP", limit.position, [p.accuracy for p in test.poses], "m"),
-        ("RP", limit.repeatability, [p.repeatability for p in test.poses], "m"),
-        ("AD", limit.distance, [_away(d.accuracy) for d in test.distances], "m"),
-        (
-            "orientation",
-            limit.orientation,
-            [_away(angle) for p in test.poses for angle in p.angles],
-            "rad",
-        ),
-    ]
-    for name, allowed, intervals, unit in stated:
-        if allowed is None or not intervals:
+    limits = {
+        "AP": limit.position,
+        "RP": limit.repeatability,
+        "AD": limit.distance,
+        "orientation": limit.orientation,
+    }
+    for name, (intervals, unit) in measured(test).items():
+        if (allowed := limits[name]) is None:
             continue
-        worst = max(intervals, key=lambda i: i.value)
         status = "undecided"
         if max(i.high for i in intervals) <= allowed:
             status = "pass"
         elif max(i.low for i in intervals) > allowed:
             status = "fail"
-        yield name, status, worst, allowed, unit
+        yield name, status, worst(intervals), allowed, unit
+
+
+def measured(test: Acceptance) -> dict[str, tuple[list[Interval], str]]:
+    """Intervals of absolute values, and their unit, of each quantity that there is."""
+    angles = [_away(angle) for p in test.poses for angle in p.angles]
+    found = {
+        "AP": ([p.accuracy for p in test.poses], "m"),
+        "RP": ([p.repeatability for p in test.poses], "m"),
+        "AD": ([_away(d.accuracy) for d in test.distances], "m"),
+        "orientation": (angles, "rad"),
+    }
+    return {name: (values, unit) for name, (values, unit) in found.items() if values}
+
+
+def worst(intervals: Sequence[Interval]) -> Interval:
+    """That of the largest value."""
+    return max(intervals, key=lambda i: i.value)
 
 
 def _away(interval: Interval) -> Interval:

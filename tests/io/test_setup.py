@@ -30,6 +30,7 @@ from calib_pin.setup import (
     PointSetup,
     RangerSetup,
     Region,
+    ReportSetup,
     Setup,
     SolverSetup,
     SphereSetup,
@@ -138,6 +139,7 @@ region:
   cone: {apex: [2, 0, 1], axis: [-1, 0, 0], angle: 0.5, range: 3}
 limits: {"joint_*": [-2, 2], rail: [0.1, 1.5]}
 ranger: {range: [0.05, 2], incidence: 1.2}
+report: {serial_number: KR 7, temperature: "20.5", date: 2026-11-23}
 """
 
 
@@ -238,6 +240,7 @@ def test_every_key(write):
         ),
         limits={"joint_*": (-2.0, 2.0), "rail": (0.1, 1.5)},
         ranger=RangerSetup((0.05, 2.0), 1.2),
+        report=ReportSetup("KR 7", temperature=20.5, date="2026-11-23"),
     )
 
 
@@ -1346,6 +1349,25 @@ def test_halves_of_characters(tmp_path, refused):
         (
             "region: {cone: {apex: [0, 0, 0]}}",
             dict(line=1, reason="'region.cone.axis' is missing"),
+        ),
+        *(
+            (f"report: {{{entry}}}", dict(line=1, reason=f"'report.{key}'", **fields))
+            for entry, key, fields in (
+                (
+                    'serial_number: "7\\x1b[2J"',
+                    "serial_number",
+                    dict(allowed="at most 80 printable letters"),
+                ),
+                (
+                    f"serial_number: {'7a' * 100}",
+                    "serial_number",
+                    dict(allowed="at most 80 printable letters"),
+                ),
+                ("serial_number: 17", "serial_number", dict(allowed="in quotes")),
+                ("temperature: 293.15", "temperature", dict(allowed="from -100 to")),
+                ("date: 2026-02-30", "date", dict(allowed="such as 2026-11-23")),
+                ("date: 23.11.2026", "date", dict(allowed="such as 2026-11-23")),
+            )
         ),
         (
             "limits: [1, 2]",

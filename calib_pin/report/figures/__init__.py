@@ -8,6 +8,7 @@ from typing import TypeVar
 from matplotlib.figure import Figure
 
 from calib_pin.planning.plan import Plan
+from calib_pin.report.figures.acceptance import Judged, poses_tested
 from calib_pin.report.figures.by_block import errors_by_block
 from calib_pin.report.figures.canvas import COLORS, Drawn, drawing
 from calib_pin.report.figures.estimates import parameter_intervals
@@ -37,6 +38,8 @@ __all__ = [
     "COLORS",
     "NAMES",
     "Drawn",
+    "Judged",
+    "acceptance_figures",
     "calibration_figures",
     "comparison_figures",
     "figures_of",
@@ -84,6 +87,7 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     ),
     "plan": ("criterion-by-count", "predicted-deviations", "planned-positions"),
     "comparison": ("tip-drift",),
+    "acceptance": ("poses-tested",),
 }
 """Names of all figures, by their subject."""
 
@@ -108,6 +112,11 @@ def plan_figures(plan: Plan) -> Iterator[Drawn]:
 def comparison_figures(drift: TipDrift) -> Iterator[Drawn]:
     """Figures of the difference between two calibrations."""
     yield from _drawn((drift_in_workspace,), drift)
+
+
+def acceptance_figures(found: Judged) -> Iterator[Drawn]:
+    """Figures of an acceptance test."""
+    yield from _drawn((poses_tested,), found)
 
 
 def _drawn(

@@ -232,6 +232,10 @@ class Drawn:
                 title.remove()
                 reading.remove()
 
+    def bare(self, kind: str) -> bytes:
+        """The same without heading and caption, which whoever places it writes."""
+        return self._saved(kind, PAPER)
+
     def _saved(self, kind: str, paper: str, **more: Any) -> bytes:
         metadata, dpi = KINDS[kind]
         stream = io.BytesIO()

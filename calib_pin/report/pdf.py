@@ -1,0 +1,267 @@
+"""Reports as PDF: a first page for the customer, and the tables as an annex.
+
+Like `terminal` and `html` it only lays out the blocks, so the numbers are the same.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+
+from matplotlib.image import imread
+
+from calib_pin.report.blocks import Block, Code, Line, Names, Table, Tone
+from calib_pin.report.cover import Cover
+from calib_pin.report.sheets import (
+    BOTTOM,
+    CARD,
+    GRID,
+    HEIGHT,
+    INK,
+    LEADING,
+    LEFT,
+    MUTED,
+    RIGHT,
+    TOP,
+    Face,
+    Sheets,
+    broken,
+    fitting,
+    width_of,
+)
+from calib_pin.report.table_sheets import set_table
+
+COLORS: dict[Tone, str] = {
+    "plain": INK,
+    "good": "#0b6b4f",
+    "bad": "#a8200d",
+    "strong": "#7a4f00",
+    "note": MUTED,
+}
+
+PAPERS: dict[Tone, str] = {
+    "good": "#e3f4ee",
+    "bad": "#fdeae6",
+    "strong": "#fdf3df",
+}
+"""Colors behind a verdict."""
+
+SIZE, SMALL, RUNNING = 9.0, 8.0, 7.5
+"""Sizes of the font: text, remarks, and what stands on every sheet [pt]."""
+
+INDENT = 12.0
+FACTS = 0.3
+"""Largest part of the width that names of facts take."""
+
+SIGNED = 86.0
+"""Height of the room for a signature [pt]."""
+
+SENTENCES = 6
+"""Lines of the verdict's sentences on the first page; the annex has all of them."""
+
+LEAST = 150.0
+"""Least height that a picture and its words need [pt]."""
+
+
+def pdf_report(cover: Cover, blocks: Iterable[Block]) -> bytes:
+    """The PDF of a report; the same report of the same day is the same bytes.
+
+    Args:
+        cover: The first page.
+        blocks: The report, for the annex.
+
+    Raises:
+        OptionError: If the extra is missing.
+    """
+    return laid_out(cover, blocks).pdf(f"{cover.title}: {cover.robot}", cover.day)
+
+
+def laid_out(cover: Cover, blocks: Iterable[Block]) -> Sheets:
+    """The sheets of a report."""
+    sheets = Sheets()
+    _first(sheets, cover)
+    sheets.turn()
+    sheets.write("Annex: statistics", LEFT, 14.0, "B")
+    sheets.y += 26.0
+    for block in blocks:
+        _set(sheets, block)
+    _running(sheets, cover)
+    return sheets
+
+
+def _first(sheets: Sheets, cover: Cover) -> None:
+    sheets.write(cover.title, LEFT, 22.0, "B")
+    sheets.y += 38.0
+    _verdict(sheets, cover)
+    _entries(sheets, cover)
+    set_table(sheets, cover.numbers, 8.0, titled=False)
+    foot = BOTTOM - SIGNED
+    if cover.remark:
+        lines = broken(cover.remark, RIGHT - LEFT, RUNNING)
+        foot -= LEADING * RUNNING * len(lines) + 6.0
+    _picture(sheets, cover, foot - sheets.y - 12.0)
+    sheets.y = foot
+    if cover.remark:
+        sheets.paragraph(cover.remark, RUNNING, color=MUTED)
+    _signature(sheets)
+
+
+def _verdict(sheets: Sheets, cover: Cover) -> None:
+    """The verdict in large letters, and its sentences, on paper of its color."""
+    inner, top = LEFT + 14.0, sheets.y
+    lines = [
+        (line, text)
+        for line in cover.said
+        for text in broken(line.text, RIGHT - 14.0 - inner, SIZE, _face(line))
+    ]
+    if len(lines) > SENTENCES:
+        lines = lines[:SENTENCES]
+        lines.append((Line("", "note"), "All of it stands in the annex."))
+    height = 46.0 + LEADING * SIZE * len(lines) + (6.0 if lines else 0.0)
+    sheets.area(LEFT, top, RIGHT - LEFT, height, PAPERS.get(cover.tone, CARD))
+    sheets.area(LEFT, top, 4.0, height, COLORS[cover.tone])
+    status = fitting(cover.status, RIGHT - 14.0 - inner, 24.0, "B")
+    sheets.write(status, inner, 24.0, "B", COLORS[cover.tone], down=9.0)
+    sheets.y += 44.0
+    for line, text in lines:
+        sheets.write(text, inner, SIZE, _face(line), COLORS[line.tone])
+        sheets.y += LEADING * SIZE
+    sheets.y = top + height + 16.0
+
+
+def _entries(sheets: Sheets, cover: Cover) -> None:
+    """The facts in two columns; what is not known is a line to write on."""
+    count = (len(cover.facts) + 1) // 2
+    width = (RIGHT - LEFT - 24.0) / 2
+    top, lowest = sheets.y, sheets.y
+    for k, column in enumerate((cover.facts[:count], cover.facts[count:])):
+        sheets.y, left = top, LEFT + k * (width + 24.0)
+        for name, value in column:
+            sheets.write(name, left, SMALL, color=MUTED, down=1.0)
+            start = left + 82.0
+            lines = broken(value, left + width - start, SIZE) if value else []
+            for line in lines:
+                sheets.write(line, start, SIZE)
+                sheets.y += LEADING * SIZE
+            if not lines:
+                sheets.area(start, sheets.y + 11.5, left + width - start, 0.6, MUTED)
+                sheets.y += LEADING * SIZE
+            sheets.y += 4.0
+        lowest = max(lowest, sheets.y)
+    sheets.y = lowest + 10.0
+
+
+def _picture(sheets: Sheets, cover: Cover, height: float) -> None:
+    """The picture and its title, as large as there is room for them."""
+    if cover.figure is None or height < LEAST:
+        return
+    sheets.y += 12.0
+    sheets.write(cover.figure.title, LEFT, SIZE, "B")
+    sheets.y += 16.0
+    png = cover.figure.bare("png")
+    down, across = imread(io.BytesIO(png)).shape[:2]
+    reading = broken(cover.figure.reading, RIGHT - LEFT, RUNNING)
+    below = LEADING * RUNNING * len(reading)
+    scale = min((RIGHT - LEFT) / across, (height - 28.0 - below) / down)
+    width = scale * across
+    sheets.picture((LEFT + RIGHT - width) / 2, width, scale * down, png)
+    sheets.y += scale * down + 4.0
+    for line in reading:
+        sheets.write(line, LEFT, RUNNING, color=MUTED)
+        sheets.y += LEADING * RUNNING
+
+
+def _signature(sheets: Sheets) -> None:
+    """Lines for name, date and signature."""
+    sheets.y = BOTTOM - 26.0
+    for name, left, right in (
+        ("name", LEFT, LEFT + 190.0),
+        ("date", LEFT + 206.0, LEFT + 296.0),
+        ("signature", LEFT + 312.0, RIGHT),
+    ):
+        sheets.area(left, sheets.y, right - left, 0.6, INK)
+        sheets.write(name, left, RUNNING, color=MUTED, down=4.0)
+
+
+def _running(sheets: Sheets, cover: Cover) -> None:
+    """Robot, serial number, date and number of each sheet."""
+    serial = cover.entries.serial_number
+    half = 0.42 * (RIGHT - LEFT)
+    robot = fitting(cover.robot, half, RUNNING)
+    number = fitting(f"serial number {serial or 'not stated'}", half, RUNNING)
+    for k, sheet in enumerate(sheets.sheets):
+        page = Sheets()
+        page.y = 30.0
+        page.write(robot, LEFT, RUNNING, color=MUTED)
+        middle = LEFT + width_of(robot, RUNNING) + 14.0
+        page.write(number, middle, RUNNING, color=MUTED)
+        page.write(cover.day, 0.0, RUNNING, color=MUTED, right=RIGHT)
+        page.area(LEFT, 44.0, RIGHT - LEFT, 0.5, GRID)
+        page.y = HEIGHT - 40.0
+        page.write(f"{cover.title}, made by {cover.made}", LEFT, RUNNING, color=MUTED)
+        told = f"{k + 1} / {len(sheets.sheets)}"
+        page.write(told, 0.0, RUNNING, color=MUTED, right=RIGHT)
+        sheet += page.sheets[0]
+
+
+def _set(sheets: Sheets, block: Block) -> None:
+    """Place a block; a heading is never the last thing on a sheet."""
+    if isinstance(block, Line):
+        size = SMALL if block.tone == "note" else SIZE
+        left = LEFT + (INDENT if block.indent else 0.0)
+        lines = broken(block.text, RIGHT - left, size, _face(block))
+        sheets.need(LEADING * size * min(len(lines), 3))
+        for line in lines:
+            sheets.need(LEADING * size)
+            sheets.write(line, left, size, _face(block), COLORS[block.tone])
+            sheets.y += LEADING * size
+        sheets.y += 3.0
+        return
+    if sheets.y > TOP:
+        sheets.y += 8.0
+    if isinstance(block, Table):
+        set_table(sheets, block, SMALL)
+    else:
+        sheets.need(60.0)
+        if block.title:
+            sheets.paragraph(block.title, SIZE, "B")
+            sheets.y += 2.0
+        if isinstance(block, Code):
+            _code(sheets, block)
+        elif isinstance(block, Names):
+            for entry in block.entries:
+                sheets.paragraph(entry, SMALL, left=LEFT + INDENT)
+        else:
+            _facts(sheets, block.entries)
+    sheets.y += 8.0
+
+
+def _code(sheets: Sheets, block: Code) -> None:
+    for line in broken(
+        block.text, RIGHT - LEFT - 2 * INDENT, SMALL, "M", anywhere=True
+    ):
+        sheets.need(LEADING * SMALL)
+        sheets.area(LEFT, sheets.y, RIGHT - LEFT, LEADING * SMALL, CARD)
+        sheets.write(line, LEFT + INDENT, SMALL, "M")
+        sheets.y += LEADING * SMALL
+
+
+def _facts(sheets: Sheets, entries: Iterable[tuple[str, str]]) -> None:
+    entries = list(entries)
+    widest = max((width_of(name, SMALL) for name, _ in entries), default=0.0)
+    width = min(widest, FACTS * (RIGHT - LEFT)) + 1.0
+    start = LEFT + INDENT + width + INDENT
+    for name, value in entries:
+        names = broken(name, width, SMALL)
+        values = broken(value, RIGHT - start, SMALL)
+        for k in range(max(len(names), len(values))):
+            sheets.need(LEADING * SMALL)
+            if k < len(names):
+                sheets.write(names[k], LEFT + INDENT, SMALL, color=MUTED)
+            if k < len(values):
+                sheets.write(values[k], start, SMALL)
+            sheets.y += LEADING * SMALL
+
+
+def _face(line: Line) -> Face:
+    return "B" if line.tone in ("good", "bad", "strong") else ""

@@ -74,13 +74,16 @@ def test_images_tell_the_camera(shots, tmp_path, monkeypatch, factor):
     Path("s.yaml").write_text(yaml.safe_dump(stated))
     words = f"calibrate {ROBOT} m.csv --setup s.yaml --tip tool0 -o out"
     assert main(words.split()) == 0
-    assert main("export out --format camera-info -o camera.yaml".split()) == 0
+    words = "export out --format camera-info -o"
+    assert main([*words.split(), "camera.yaml"]) == 0
     found = yaml.safe_load(Path("camera.yaml").read_text())
     K = np.reshape(found["camera_matrix"]["data"], (3, 3))
     lens = found["distortion_coefficients"]["data"]
     values = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], *lens]
     known = json.loads(Path("out/calibration.json").read_text())["parameters"]
-    sigma = {p["name"].split(".")[-1]: p["sigma"] for p in known if "intrins" in p["name"]}
+    sigma = {
+        p["name"].split(".")[-1]: p["sigma"] for p in known if "intrins" in p["name"]
+    }
     for value, true, (name, deviation) in zip(
         values, INTRINSICS, sigma.items(), strict=True
     ):

@@ -106,13 +106,10 @@ class CameraModel(DeclaredModel):
         named, printed = set(targets), setup.board is not None
         # All of them count without measurements, or where one names what is not stated.
         if not named or not named <= set(stated):
-            return cls(camera, tuple(points), printed=printed)
-        return cls(
-            camera,
-            points=tuple(p for p in points if p.name in named),
-            spare=tuple(p for p in points if p.located and p.name not in named),
-            printed=printed,
-        )
+            return cls(camera, tuple(points), (), printed)
+        seen = tuple(p for p in points if p.name in named)
+        spare = tuple(p for p in points if p.located and p.name not in named)
+        return cls(camera, seen, spare, printed)
 
     @property
     def missing(self) -> str:
@@ -123,8 +120,8 @@ class CameraModel(DeclaredModel):
         first = f" of {lacking[0]}" if len(lacking) == 1 else ""
         if len(lacking) > 1:
             first = f" of {lacking[0]} and {len(lacking) - 1} more"
-        words = f"give the xyz{first} under 'targets', or a 'board',"
-        return f"{words} in a setup file (--setup)"
+        asked = f"give the xyz{first} under 'targets', or a 'board',"
+        return f"{asked} in a setup file (--setup)"
 
     @property
     def targets(self) -> Sequence[str]:
@@ -161,13 +158,11 @@ class CameraModel(DeclaredModel):
         Of a board neither the back is seen nor what is too oblique.
         """
         view = self._look(T, instrument, self._index(target))
-        image = view.image
-        radius = turning_radius(image.intrinsics[4:])
+        radius = turning_radius((image := view.image).intrinsics[4:])
         seen = (image.points[2] > NEAR) & (np.hypot(image.x, image.y) < radius)
         size = self.camera.size
         edge = 2.0 * image.intrinsics[2:4] if size is None else np.array(size)
-        pixels = image.pixels
-        seen &= ((pixels >= 0.0) & (pixels <= edge)).all(axis=1)
+        seen &= ((image.pixels >= 0.0) & (image.pixels <= edge)).all(axis=1)
         if self.printed:
             away = view.R[2] if self.camera.mount == "hand" else view.R[:, 2]
             along = np.einsum("in,in->n", away, image.points)
@@ -285,10 +280,8 @@ class CameraModel(DeclaredModel):
         index = self._index(data.target, data)
         starts = [self._start(self.camera, F, data, index, base, tool)]
         if self.camera.estimate:
-            starts += [
-                self._start(camera, F, data, index, base, tool)
-                for camera in self._zoomed(F, data, index)
-            ]
+            others = self._zoomed(F, data, index)
+            starts += [self._start(c, F, data, index, base, tool) for c in others]
         _, camera, outer, inner = min(starts, key=lambda start: start[0])
         if outer is None or inner is None:
             raise InputError(

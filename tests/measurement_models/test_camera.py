@@ -379,12 +379,15 @@ def test_the_corners_of_a_board_are_known_points() -> None:
 def test_a_robot_is_known_from_images_of_a_board(mount: str) -> None:
     rng = np.random.default_rng(7)
     given = replace(SEEN, mount=mount)
+    over = pin.SE3(pin.rpy.rpyToMatrix(np.pi, 0.0, 0.0), np.zeros(3))
+    # A board on the hand shows its face to the camera there already.
+    base = over * BASES[mount] if mount == "hand" else BASES[mount]
     frames = {
         end: FrameSetup(
             tuple(T.translation.tolist()),
             tuple(pin.rpy.matrixToRpy(T.rotation).tolist()),
         )
-        for end, T in (("base_frame", BASES[mount]), ("tool_frame", TOOL))
+        for end, T in (("base_frame", base), ("tool_frame", TOOL))
     }
     setup = Setup(camera=given, board=BOARD)
     problem = nominal_problem(ARM, "camera", replace(setup, **frames))
@@ -396,6 +399,24 @@ def test_a_robot_is_known_from_images_of_a_board(mount: str) -> None:
     new = simulate(problem, truth, rng, count=50, noise=0.0)
     found = replace(fitted.problem, data=new).errors(fitted.theta)
     assert np.abs(found).max() < 1e-6
+
+
+@pytest.mark.parametrize("mount", MOUNTS)
+def test_a_board_is_seen_from_the_front(mount: str) -> None:
+    setup = Setup(camera=replace(SEEN, mount=mount), board=BOARD)
+    model = CameraModel.from_setup(setup, ())
+    target = ("0",) * 3
+    # The camera looks along the normal, against it, and nearly along the board.
+    turns = np.array([[0.0, 0, 0], [np.pi, 0, 0], [1.4, 0, 0]])
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, :3, :3] = [pin.rpy.rpyToMatrix(*turn) for turn in turns]
+    for pose in T:
+        sight = pose[:3, :3] @ [0.0, 0.0, 1.0]
+        pose[:3, 3] = -sight if mount == "hand" else [0.0, 0.0, 1.0]
+    seen = model.observable(T, np.zeros(9), target)
+    assert seen.tolist() == [True, False, False]
+    free = replace(model, printed=False)
+    assert free.observable(T, np.zeros(9), target).all()
 
 
 # Registration.

@@ -96,6 +96,13 @@ def set_table(
         sheets.y += SPACE
         sheets.area(LEFT, sheets.y, across, 0.9, MUTED)
 
+    def again() -> None:
+        """The headings on a new sheet."""
+        if titled and table.title:
+            sheets.paragraph(f"{table.title}, continued", size, color=MUTED)
+            sheets.y += 2.0
+        head()
+
     head()
     for k, row in enumerate(table.rows):
         face: Face = "B" if k in table.emphasized else ""
@@ -105,12 +112,14 @@ def set_table(
         ]
         count = max(map(len, cells))
         height = LEADING * size * count + 2 * SPACE
-        if height < (BOTTOM - TOP) / 2 and sheets.need(height):
-            head()
+        # The last row would look lost on a sheet of its own.
+        rows = 2 if k == len(table.rows) - 2 else 1
+        if height < (BOTTOM - TOP) / 4 and sheets.need(rows * height):
+            again()
         sheets.y += SPACE
         for line in range(count):
             if sheets.need(LEADING * size):
-                head()
+                again()
                 sheets.y += SPACE
             put(cells, line, face, INK)
         sheets.y += SPACE

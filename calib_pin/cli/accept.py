@@ -23,6 +23,11 @@ from calib_pin.cli.printing import notice, progress_bar, say_written, show
 from calib_pin.errors import stated_in
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import numpy as np
+    from numpy.typing import NDArray
+
     from calib_pin.kinematics.chains import Chains
     from calib_pin.validation.calibrated_model import CalibratedModel
 
@@ -125,7 +130,8 @@ def accept(
         if not robot.endswith(".json"):
             subject = measured
         with stated_in(str(measurements[0])):
-            found = tested(subject, rows, used, registration=register)
+            numbers = _numbers(measurements, used.columns, len(rows))
+            found = tested(subject, rows, used, registration=register, numbers=numbers)
     for doubt in doubts:
         notice(doubt)
     blocks = [*acceptance_report(found.tests, limit, found.about, path=path)]
@@ -161,3 +167,18 @@ def accept(
     *_, last = found.tests.values()
     passed = all(status == "pass" for _, status, *_ in judged(last, limit))
     return 0 if passed and not doubts else 2
+
+
+def _numbers(
+    files: list[Path], columns: Mapping[str, str], count: int
+) -> NDArray[np.int64] | None:
+    """Numbers of the poses in a column `pose`, `P5` or `5`, if all visits have one."""
+    import numpy as np
+
+    from calib_pin.io.measurements import read_names
+
+    names = [name for file in files for name in read_names(file, "pose", columns)]
+    digits = [name.strip().removeprefix("P") for name in names]
+    if len(digits) != count or not all(d.isdecimal() and len(d) < 6 for d in digits):
+        return None
+    return np.array(digits, np.int64)

@@ -41,6 +41,9 @@ from calib_pin.observations import (
 from calib_pin.progress import Progress
 from calib_pin.setup import WORLD, JointMap, OrientationSetup
 
+OURS = {"image", "pose", "cycle"}
+"""Columns that our commands write for people, or for one another."""
+
 POSITIONS = 0.95
 """Part of the time after which joint positions are read."""
 
@@ -114,7 +117,7 @@ def read_blocks(
         )
         parts.append(part)
         used |= columns
-    ignored = table.ignored([name for name in spare if name not in used])
+    ignored = table.ignored([name for name in spare if name not in used | OURS])
     if ignored and notice is not None:
         notice(ignored)
     return parts

@@ -50,8 +50,6 @@ def acceptance_schedule(
     else:
         yield "A robot of fewer than six joints: positions only, orientations follow."
     yield f"Order: from P1 (not measured), then {cycles} cycles of {order}."
-    yield "The command accept numbers poses as they are first visited: what it calls"
-    yield f"P1 is P{ORDER[0]} here, and its P{len(ORDER)} is the center."
     yield ""
     yield "On the day"
     yield "  Robot assembled and adjusted as in use; robot and instrument in the room"

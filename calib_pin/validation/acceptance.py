@@ -65,7 +65,7 @@ class PoseTest:
     """The visits of one pose.
 
     Attributes:
-        pose: Number of the pose, in the order in which they are first visited.
+        pose: Number of the pose.
         visits: Number of its visits.
         accuracy: AP [m].
         components: Mean deviation along x, y and z of the measurement frame [m].
@@ -132,7 +132,11 @@ class Acceptance:
 
 
 def acceptance(
-    attained: Floats, commanded: Floats, group: Indices, angles: Floats | None = None
+    attained: Floats,
+    commanded: Floats,
+    group: Indices,
+    angles: Floats | None = None,
+    numbers: Indices | None = None,
 ) -> Acceptance:
     """Evaluate visits of poses in the order in which they were made.
 
@@ -142,9 +146,11 @@ def acceptance(
         group: Pose of each visit, shape (N,), any numbers.
         angles: Deviations of the orientation about the axes of the tool, shape (N, 3)
             [rad]; None where none was measured.
+        numbers: Number of the pose of each visit, shape (N,); by default in the order
+            of the first visits, from 1.
 
     Raises:
-        InputError: If no pose was visited often enough.
+        InputError: If no pose was visited often enough, or two have one number.
     """
     _, first, pose = np.unique(group, return_index=True, return_inverse=True)
     pose = np.argsort(np.argsort(first))[pose]
@@ -158,10 +164,16 @@ def acceptance(
             "visits of one",
             allowed="repeated poses; 'plan --repeats' asks for them",
         )
+    called = list(range(1, len(first) + 1))
+    if numbers is not None:
+        called = numbers[np.sort(first)].tolist()
+        if len(set(called)) < len(called):
+            raise InputError("two configurations have one number in the column 'pose'")
+        kept.sort(key=called.__getitem__)
     rng = np.random.default_rng(0)
     poses = tuple(
         _pose(
-            k + 1,
+            called[k],
             attained[visits[k]] - commanded[visits[k]],
             None if angles is None else angles[visits[k]],
             before[visits[k]],
@@ -170,7 +182,9 @@ def acceptance(
         for k in kept
     )
     distances = tuple(
-        _distance((a + 1, b + 1), attained, commanded, visits[a], visits[b])
+        _distance(
+            (int(called[a]), int(called[b])), attained, commanded, visits[a], visits[b]
+        )
         for a, b in combinations(kept, 2)
         if min(len(visits[a]), len(visits[b])) >= LEAST
     )

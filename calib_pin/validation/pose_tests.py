@@ -11,7 +11,7 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.problem import error_table
 from calib_pin.kinematics.chains import Chains
-from calib_pin.observations import Observations
+from calib_pin.observations import Indices, Observations
 from calib_pin.setup import Setup
 from calib_pin.validation.acceptance import Acceptance, acceptance
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -64,6 +64,7 @@ def tested(
     setup: Setup,
     *,
     registration: bool = False,
+    numbers: Indices | None = None,
 ) -> Tested:
     """Test a robot on repeated visits of poses.
 
@@ -73,6 +74,7 @@ def tested(
         rows: The visits, of positions or poses, in their order.
         setup: Known quantities of frames and instrument, for a robot.
         registration: Register a calibrated robot on these measurements.
+        numbers: Number of the pose of each visit, see `acceptance`.
 
     Raises:
         InputError: If they are of something else, or no pose was visited often enough.
@@ -102,6 +104,7 @@ def tested(
             attained + residual[:, :3],
             rows.groups(),
             -residual[:, 3:6] if block.model == "pose" else None,
+            numbers,
         )
     last = tests[name]
     visits = sum(pose.visits for pose in last.poses)

@@ -138,3 +138,14 @@ def test_visits_without_scatter():
     test = acceptance(np.ones((3, 3)), np.zeros((3, 3)), np.zeros(3, int))
     assert test.poses[0].repeatability == Interval(0.0, 0.0, 0.0)
     assert test.poses[0].accuracy.low == pytest.approx(np.sqrt(3.0))
+
+
+def test_poses_have_the_numbers_of_the_file() -> None:
+    x = np.repeat([0.0, 1.0, 3.0], 3)[:, None] * np.array([1.0, 0.0, 0.0])
+    group, numbers = np.repeat([0, 1, 2], 3), np.repeat([5, 2, 1], 3)
+    test = acceptance(x, np.zeros((9, 3)), group, numbers=numbers)
+    assert [pose.pose for pose in test.poses] == [1, 2, 5]
+    assert [pose.accuracy.value for pose in test.poses] == [3.0, 1.0, 0.0]
+    assert {pair.poses for pair in test.distances} == {(1, 2), (1, 5), (2, 5)}
+    with pytest.raises(InputError, match="have one number in the column 'pose'"):
+        acceptance(x, np.zeros((9, 3)), group, numbers=np.ones(9, int))

@@ -137,12 +137,13 @@ def accept(
     blocks = [*acceptance_report(found.tests, limit, found.about, path=path)]
     contents = {}
     if output is not None:
-        figure = next(acceptance_figures(Judged(found.tests, limit)))
+        figure = next(acceptance_figures(Judged(found.tests, limit, path)))
         cover = acceptance_cover(
             found.tests,
             limit,
             chains.robot,
             dated(entries),
+            found.about,
             doubts=doubts,
             path=path,
             figure=figure,

@@ -38,14 +38,14 @@ SHEET = 200
 def detect(
     context: typer.Context,
     images: Annotated[
-        list[Path],
+        list[Path] | None,
         typer.Argument(
             metavar="IMAGES...", help="Images of one camera: PNG, JPEG, TIFF, BMP, PGM."
         ),
-    ],
+    ] = None,
     output: Annotated[
-        Path, options.output("-o --output CSV", "Measurement file to write.")
-    ],
+        Path | None, options.output("-o --output CSV", "Measurement file to write.")
+    ] = None,
     board: Annotated[
         str | None,
         options.option(
@@ -89,7 +89,10 @@ def detect(
     ] = None,
     draw: Annotated[
         Path | None,
-        options.output("--draw PNG", "Write the board to print (charuco and tags)."),
+        options.output(
+            "--draw PNG",
+            "Write the board to print (charuco and tags) at its size; no images then.",
+        ),
     ] = None,
     force: options.Force = False,
     quiet: options.Quiet = False,
@@ -117,9 +120,23 @@ def detect(
     wanted = stated.board if board is None else board_of(board)
     if wanted is None:
         raise OptionError("give --board, or a setup file with 'board' (--setup)")
-    require_distinct(images)
-    check_outputs((output, setup_output, draw), (*images, setup, joints), force)
     detector = Detector(wanted)
+    if draw is not None:
+        if images or output or joints or setup_output:
+            raise OptionError("--draw takes --board or --setup, and nothing else")
+        check_outputs([draw], [setup], force)
+        picture = encode_png(detector.drawn(SHEET), SHEET / wanted.square)
+        with write_files({draw: picture}, force=force):
+            pass
+        if not quiet:
+            width, height = 1e3 * detector.extent
+            say(f"print it at 100 %: {width:g} x {height:g} mm\n")
+            say_written([f"wrote {draw}"])
+        return 0
+    if not images or output is None:
+        raise OptionError("give the images, and -o, the measurement file to write")
+    require_distinct(images)
+    check_outputs((output, setup_output), (*images, setup, joints), force)
     rows = _configurations(joints, images)
     seen: list[tuple[int, Found]] = []
     size, first = (0, 0), images[0]
@@ -168,8 +185,6 @@ def detect(
         document = setup_document(Setup(model="camera", board=wanted, camera=camera))
         lines = {key: document[key] for key in ("model", "board", "camera")}
         contents[setup_output] = f"# {comment}\n{yaml_text(lines)}\n".encode()
-    if draw is not None:
-        contents[draw] = encode_png(detector.drawn(SHEET))
     if not quiet:
         _remarks(images, seen)
         if ambiguous(wanted):

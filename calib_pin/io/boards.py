@@ -145,12 +145,12 @@ class Detector:
         board = self.board
         if board.type not in ("charuco", *TAGS):
             raise OptionError("--draw draws boards with markers only", value=board.type)
-        size = self._extent * (pixels / board.square)
+        size = self.extent * (pixels / board.square)
         width, height = np.round(size).astype(int).tolist()
         return np.asarray(self._board.generateImage((width, height)), np.uint8)
 
     @property
-    def _extent(self) -> Floats:
+    def extent(self) -> Floats:
         """Width and height of the printed board [m]."""
         counts = np.array([self.board.columns, self.board.rows], float)
         gap = self.board.gap or 0.0
@@ -294,8 +294,10 @@ def start_camera(
         guess = ASSUMED * max(size)
         camera = CameraSetup(mount, (guess, guess), center, size=size, estimate=True)
         return camera, None
-    k_1, k_2, p_1, p_2, k_3 = map(float, lens)
-    center = (float(K[0, 2]), float(K[1, 2]))
+    # A start needs no more digits.
+    k_1, k_2, p_1, p_2, k_3 = (round(float(number), 6) for number in lens)
+    focal = (round(focal[0], 3), round(focal[1], 3))
+    center = (round(float(K[0, 2]), 3), round(float(K[1, 2]), 3))
     lens_of = (k_1, k_2, p_1, p_2, k_3)
     return CameraSetup(mount, focal, center, lens_of, size, True), float(rms)
 

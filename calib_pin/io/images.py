@@ -6,6 +6,7 @@ promise more than a large sensor has are refused before anything is decoded.
 
 from __future__ import annotations
 
+import io
 import os
 from importlib.util import find_spec
 from pathlib import Path
@@ -91,6 +92,15 @@ def read_image(path: Path) -> Gray:
     return np.asarray(image, np.uint8)
 
 
-def encode_png(image: Gray) -> bytes:
-    """A PNG file of gray levels."""
-    return bytes(vision().imencode(".png", image)[1])
+def encode_png(image: Gray, density: float) -> bytes:
+    """A PNG file of gray levels that prints at its size.
+
+    Args:
+        image: Gray levels, shape (height, width).
+        density: Pixels per meter.
+    """
+    from PIL import Image
+
+    data, per_inch = io.BytesIO(), 0.0254 * density
+    Image.fromarray(image).save(data, "PNG", dpi=(per_inch, per_inch))
+    return data.getvalue()

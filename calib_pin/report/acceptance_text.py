@@ -51,8 +51,8 @@ def acceptance_report(
     yield Line(
         "AP: distance of the mean of the visits from the commanded position; RP: mean "
         "distance from that mean and three standard deviations; vAP: distance between "
-        "means of approaches from different poses. In brackets: 95 % intervals for "
-        "more and more visits.",
+        "means of approaches from different poses. The 95 % intervals hold for many "
+        "visits.",
         "note",
     )
     if last.poses[0].angles:

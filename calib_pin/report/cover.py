@@ -94,6 +94,7 @@ def acceptance_cover(
     limit: LimitSetup,
     robot: Robot,
     entries: ReportSetup,
+    about: str,
     *,
     doubts: Sequence[str] = (),
     path: bool = False,
@@ -106,6 +107,7 @@ def acceptance_cover(
         limit: What must be reached.
         robot: The robot.
         entries: What the user stated, with a date.
+        about: The robot, the poses and the frame, in a sentence.
         doubts: Sentences on why the calibration must not be trusted.
         path: Whether the poses are points of a path.
         figure: The picture.
@@ -127,7 +129,7 @@ def acceptance_cover(
         robot=robot.name,
         facts=_facts(robot, entries, limit, PATH if path else {}),
         numbers=_tested(found, limit, path),
-        remark=CERTIFIED,
+        remark=f"{about} {CERTIFIED}",
         figure=figure,
         entries=entries,
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from calib_pin.io.setup import read_setup
 from calib_pin.setup import BoardSetup
@@ -67,3 +68,19 @@ def test_what_cannot_be_used(refuses, tmp_path, monkeypatch):
     refuses(f"detect empty.png {board} --joints joints.csv", reason="2 rows for 1")
     refuses("detect empty.png -o m.csv", reason="--board")
     refuses("detect empty.png -o m.csv --board charuco:7", reason="no board")
+
+
+def test_a_board_to_print_has_its_size(run, refuses, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = run("detect --draw a.png --board charuco:7x5:0.03:0.022")
+    assert result.status == 0 and "210 x 150 mm" in result.out
+    with Image.open("a.png") as image:
+        size = np.array(image.size) / image.info["dpi"] * 0.0254
+    assert np.allclose(size, [0.21, 0.15], rtol=1e-4)
+    sheet = np.pad(cv2.imread("a.png", cv2.IMREAD_GRAYSCALE), 99, constant_values=255)
+    cv2.imwrite("sheet.png", sheet)
+    board = "--board charuco:7x5:0.03:0.022"
+    assert run(f"detect sheet.png {board} -o m.csv").status == 0
+    refuses(f"detect a.png --draw b.png {board}", reason="nothing else")
+    refuses(f"detect {board} -o n.csv", reason="give the images")
+    refuses("detect --draw c.png --board chessboard:7x5:0.03", reason="markers only")

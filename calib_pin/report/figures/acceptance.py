@@ -41,10 +41,12 @@ class Judged:
     Attributes:
         tests: The test by the robot that the commanded poses are of.
         limit: What must be reached.
+        path: Whether the poses are points of a path.
     """
 
     tests: Mapping[str, Acceptance]
     limit: LimitSetup
+    path: bool = False
 
 
 def poses_tested(found: Judged) -> Drawn | None:
@@ -55,20 +57,24 @@ def poses_tested(found: Judged) -> Drawn | None:
     _panel(left, found.tests, lambda pose: pose.accuracy, limit.position)
     _panel(right, found.tests, lambda pose: pose.repeatability, limit.repeatability)
     unit, _ = unit_of("m")
-    left.set_ylabel(f"AP [{unit}]")
-    right.set_ylabel(f"RP [{unit}]")
+    place = "point of the path" if found.path else "pose"
+    for axes, name in ((left, "AP"), (right, "RP")):
+        axes.set_ylabel(f"{name} [{unit}]")
+        axes.set_xlabel(place)
     entries = {_name(name): _sign(name) for name in found.tests}
     if limit.position is not None or limit.repeatability is not None:
         entries["limit"] = LIMIT
     key(figure, entries, 0.75)
     *_, last = found.tests.values()
+    worst = ", AT and RT," if found.path else ""
     return Drawn(
         "poses-tested",
-        "Accuracy and repeatability by pose",
-        f"AP and RP of every pose with 95 % intervals; the worst are "
+        f"Accuracy and repeatability by {place}",
+        f"AP and RP of every {place} with 95 % intervals; the worst{worst} are "
         f"{amount(last.accuracy.value, 'm')} and "
-        f"{amount(last.repeatability.value, 'm')}. A limit is met where all of an "
-        "interval lies below it.",
+        f"{amount(last.repeatability.value, 'm')}."
+        + " A limit is met where all of an interval lies below it."
+        * ("limit" in entries),
         figure,
     )
 
@@ -102,7 +108,6 @@ def _panel(
     axes.set_xlim(numbers[0] - 0.6, numbers[-1] + 0.6)
     if len(numbers) <= FEW:
         axes.set_xticks(numbers, [f"P{number}" for number in numbers], fontsize=8)
-    axes.set_xlabel("pose")
     axes.grid(visible=False, axis="x")
     everything = np.concatenate(shown)
     positive = everything[everything > 0.0]

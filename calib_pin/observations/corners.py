@@ -13,8 +13,11 @@ ENDS = 0.12
 ACROSS = 0.6
 """How far an edge is looked for on both sides, in cells of the marker."""
 
-NARROWEST, ACROSS_STEP = 2.0, 0.25
+NARROWEST, STEP = 2.0, 0.25
 """The least of that, and the step across [px]."""
+
+STRAIGHT = 80.0
+"""Length up to which the bend by a lens is less than the noise of a parabola [px]."""
 
 FEWEST = 8
 """Least number of places along an edge."""
@@ -109,11 +112,11 @@ def corner_sigmas(image: Floats, corners: Floats, half: int, noise: float) -> Fl
 
 
 def marker_corners(image: Floats, corners: Floats, cells: int) -> tuple[Floats, Floats]:
-    """Corners of a marker, where straight lines through its four edges meet.
+    """Corners of a marker, where its four edges meet.
 
     Blur rounds a corner and draws it inwards; it leaves edges where they are. Where an
-    edge is the steepest is found across it, from end to end, and a line goes through
-    these places.
+    edge is the steepest is found across it, from end to end; a line goes through these
+    places, or a parabola through those of a long edge, which a lens bends.
 
     Args:
         image: Gray levels, shape (height, width).
@@ -123,53 +126,66 @@ def marker_corners(image: Floats, corners: Floats, cells: int) -> tuple[Floats, 
     Returns:
         Corners and their standard deviations, shape (4, 2) each [px].
     """
-    normals, offsets, variances = [], [], []
+    ends = []
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         length = float(np.hypot(*(b - a)))
         along = (b - a) / length
         normal = np.array([-along[1], along[0]])
-        x = np.linspace(ENDS, 1.0 - ENDS, max(FEWEST, int(length))) * length
-        reach = max(NARROWEST, ACROSS * length / cells)
-        y = np.arange(-reach, reach + ACROSS_STEP, ACROSS_STEP)
-        at = a + x[:, None, None] * along + y[:, None] * normal
-        slope = np.abs(np.diff(_sampled(image, at[..., 0], at[..., 1]), axis=1))
-        # Noise far from the edge would draw its place to the middle.
-        slope = np.maximum(slope - FLOOR * slope.max(axis=1, keepdims=True), 0.0)
-        place = (slope @ (0.5 * (y[1:] + y[:-1]))) / np.maximum(slope.sum(axis=1), 1e-9)
-        line, spread = _line(x, place)
-        normals.append(normal - line[0] * along)
-        offsets.append(normals[-1] @ (a + line[1] * normal))
-        variances.append([_variance_at(end, x, spread) for end in (0.0, length)])
+        x = np.linspace(ENDS, 1.0 - ENDS, max(FEWEST, int(length)))
+        # A lens bends the long ones.
+        degree = 1 if length < STRAIGHT else 2
+        edge = np.zeros(1)
+        for reach in (max(NARROWEST, ACROSS * length / cells), NARROWEST):
+            y = np.polyval(edge, x)[:, None] + np.arange(-reach, reach + STEP, STEP)
+            at = a + length * x[:, None, None] * along + y[..., None] * normal
+            edge, scatter = _curve(x, _steepest(image, at, y), degree)
+        slope = np.polyval(np.polyder(edge), [0.0, 1.0]) / length
+        for k in range(2):
+            place = a + k * length * along + np.polyval(edge, k) * normal
+            across = normal - slope[k] * along
+            variance = scatter * _leverage(float(k), x, degree)
+            ends.append((across, across @ place, variance))
     found, sigma = np.empty((4, 2)), np.empty((4, 2))
     for k in range(4):
         # The end of the edge before, and the start of its own.
-        N = np.array([normals[k - 1], normals[k]])
-        inverse = np.linalg.pinv(N)
-        found[k] = inverse @ [offsets[k - 1], offsets[k]]
-        both = np.array([variances[k - 1][1], variances[k][0]])
-        sigma[k] = np.sqrt((inverse**2) @ both + ROUNDING**2)
+        two = ends[2 * k - 1], ends[2 * k]
+        inverse = np.linalg.pinv(np.array([across for across, _, _ in two]))
+        found[k] = inverse @ [offset for _, offset, _ in two]
+        both = inverse**2 @ [variance for _, _, variance in two]
+        sigma[k] = np.sqrt(both + ROUNDING**2)
     return found, np.clip(sigma, None, LARGEST)
 
 
-def _line(x: Floats, y: Floats) -> tuple[Floats, float]:
-    """Slope and intercept of a line, without what is far off, and the scatter about it.
+def _steepest(image: Floats, at: Floats, y: Floats) -> Floats:
+    """Where across an edge it is the steepest, shape (K,), of places (K, M, 2)."""
+    slope = np.abs(np.diff(_sampled(image, at[..., 0], at[..., 1]), axis=1))
+    # Noise far from the edge would draw its place to the middle.
+    slope = np.maximum(slope - FLOOR * slope.max(axis=1, keepdims=True), 0.0)
+    middle = 0.5 * (y[:, 1:] + y[:, :-1])
+    return np.asarray(
+        (slope * middle).sum(axis=1) / np.maximum(slope.sum(axis=1), 1e-9)
+    )
+
+
+def _curve(x: Floats, y: Floats, degree: int) -> tuple[Floats, float]:
+    """A polynomial without what is far off, and the variance about it.
 
     Neighbors see the same pixels: their scatter is that of fewer places.
     """
     kept = np.ones(len(x), bool)
     for _ in range(3):
-        line = np.polyfit(x[kept], y[kept], 1)
-        left = np.abs(np.polyval(line, x) - y)
+        curve = np.polyfit(x[kept], y[kept], degree)
+        left = np.abs(np.polyval(curve, x) - y)
         kept = left <= max(FAR * float(np.median(left)), 1e-3)
-    r = y[kept] - np.polyval(line, x[kept])
-    scatter = float(r @ r) / max(int(kept.sum()) - 2, 1)
-    return line, scatter * ALIKE
+    r = y[kept] - np.polyval(curve, x[kept])
+    return curve, ALIKE * float(r @ r) / max(int(kept.sum()) - degree - 1, 1)
 
 
-def _variance_at(end: float, x: Floats, scatter: float) -> float:
-    """Variance of a line at a place, from the scatter about it."""
-    away = x - x.mean()
-    return scatter * float(1.0 / len(x) + (end - x.mean()) ** 2 / (away @ away))
+def _leverage(place: float, x: Floats, degree: int) -> float:
+    """Variance of a fitted polynomial at a place, in that of its values."""
+    X = np.vander(x, degree + 1)
+    at = np.vander([place], degree + 1)[0]
+    return float(at @ np.linalg.solve(X.T @ X, at))
 
 
 def _sampled(image: Floats, u: Floats, v: Floats) -> Floats:

@@ -80,10 +80,11 @@ def ways_report(
             "bad",
         )
     elif passage.vias:
+        several = passage.vias > 1
         yield Line(
-            f"The straight ways between commands collide, so {passage.vias} via "
-            f"configuration{'s' * (passage.vias > 1)} lead around; by the nominal "
-            "robot, with its clearance."
+            f"Straight ways between commands collide; {passage.vias} via "
+            f"configuration{'s' * several} lead{'s' * (not several)} around what is "
+            "in the way, as the nominal robot and the clearance have it."
         )
     elif not len(colliding):
         yield Line("Nothing touches at the commands and on straight ways between them.")

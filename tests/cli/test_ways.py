@@ -71,7 +71,7 @@ def test_via_configurations_lead_around(solid, run):
     chain = solid.chain
     assert ((q >= chain.lower) & (q <= chain.upper)).all()
     words = " ".join(result.out.split())
-    assert f"so {rows.count('')} via configuration" in words
+    assert f"; {rows.count('')} via configuration" in words
     before = Path("commands.csv").read_bytes()
     assert run(f"{AVOID} --force").status == 0
     assert Path("commands.csv").read_bytes() == before

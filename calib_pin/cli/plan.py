@@ -289,7 +289,7 @@ def plan(
             progress=progress,
         )
         drawn = draw_plan(found, bar) if pictures else []
-        contents = figure_contents(drawn, pictures)
+        figured = figure_contents(drawn, pictures)
     table = encode_configurations(
         chains,
         found.q,
@@ -299,7 +299,7 @@ def plan(
         degrees=degrees,
         comments=[f"planned by: {told_command(context)}"],
     )
-    contents = {output: table, **contents}
+    contents = {output: table, **figured}
     shut: list[int] = []
     if motion is not None and collisions is not None:
         with progress_bar(quiet=quiet) as bar:
@@ -324,7 +324,7 @@ def plan(
             say(encode(plan_document(found)).decode())
         elif not quiet:
             show(plan_report(found))
-    pictured = told_figures(contents, pictures)
+    pictured = told_figures(figured, pictures)
     if not (json or quiet):
         written = [f"wrote {len(found.q)} configurations to {output}"]
         if motion in contents:

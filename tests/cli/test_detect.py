@@ -18,6 +18,7 @@ BOARDS = {
     "charuco:7x5:0.03:0.022": (BoardSetup("charuco", 7, 5, 0.03, 0.022), 0.1),
     "chessboard:8x5:0.03": (BoardSetup("chessboard", 8, 5, 0.03), 0.1),
     "apriltag:4x3:0.03:0.015": (BoardSetup("apriltag", 4, 3, 0.03, gap=0.015), 0.1),
+    "circles:7x5:0.03": (BoardSetup("circles", 7, 5, 0.03), 0.1),
     "marker:1x1:0.06": (BoardSetup("marker", 1, 1, 0.06), 0.1),
 }
 

@@ -32,7 +32,8 @@ def rendered(
     sheet = sheet_of(board)
     # On the sheet the origin of the board, whose points are at corners of pixels.
     fewer = board.type in ("charuco", "chessboard")
-    offset = board.square * fewer + MARGIN * board.square
+    first = 1.0 if fewer else 0.5 if board.type == "circles" else 0.0
+    offset = (first + MARGIN) * board.square
     total = np.zeros(SIZE[::-1])
     parts = (np.arange(3) + 0.5) / 3.0 - 0.5
     v, u = np.mgrid[: SIZE[1], : SIZE[0]].astype(float)
@@ -64,6 +65,11 @@ def sheet_of(board: BoardSetup) -> NDArray[np.uint8]:
         i, j = np.mgrid[: board.rows, : board.columns]
         cells = np.where((i + j) % 2 == 0, 0, 255).astype(np.uint8)
         drawn = np.kron(cells, np.ones((SCALE, SCALE), np.uint8))
+    elif board.type == "circles":
+        y, x = (np.arange(SCALE * n) % SCALE for n in (board.rows, board.columns))
+        middle = 0.5 * (SCALE - 1)
+        inside = np.hypot(y[:, None] - middle, x - middle) < SCALE / 4
+        drawn = np.where(inside, 0, 255).astype(np.uint8)
     else:
         drawn = Detector(board).drawn(SCALE)
     return np.pad(drawn, SCALE * MARGIN, constant_values=255)

@@ -17,6 +17,7 @@ ROOMS = (
         "plugins",
         "units",
         "progress",
+        "workers",
         "setup",
         "kinematics",
         "compiled",
@@ -40,10 +41,11 @@ LINES = 400
 MEMBERS = 20
 """Public members of a class; none has more."""
 
-NUMERIC = set(ROOMS[: ROOMS.index("io")]) - {"plugins"}
+NUMERIC = set(ROOMS[: ROOMS.index("io")]) - {"plugins", "workers"}
 """Rooms that take files, clocks and generators from their callers.
 
-What loads entry points is none of them: it is how other packages come in.
+What loads entry points is none of them: it is how other packages come in. Nor is what
+starts processes: it is how work goes out.
 """
 
 FORBIDDEN_MODULES = {

@@ -41,6 +41,7 @@ from calib_pin.validation.summaries import (
     Validation,
 )
 from calib_pin.validation.verdict import unexplained
+from calib_pin.workers import SERIAL, Workers
 
 
 @serial_blas
@@ -56,6 +57,7 @@ def calibrate(
     seed: int = 0,
     progress: Stages | None = None,
     others: Others = NONE,
+    workers: Workers = SERIAL,
 ) -> CalibrationResult:
     """Calibrate a robot.
 
@@ -74,6 +76,7 @@ def calibrate(
         seed: Seed of random configurations, searches and splits.
         progress: Told the stage and the part that is done, 0 to 1.
         others: Other readings of the files of the measurements.
+        workers: Who fits folds and candidates; the result is the same.
 
     Returns:
         The result. Look at `verdict` before using it.
@@ -111,7 +114,7 @@ def calibrate(
 
     with explained(chains, training, setup, others):
         if ladder:
-            selected = select_model(chains, training, setup, seed, progress)
+            selected = select_model(chains, training, setup, seed, progress, workers)
             model = selected.model
         else:
             tell = portion(named(progress, "fit"), 0.0, share)
@@ -130,6 +133,7 @@ def calibrate(
             validate=validate and not hopeless,
             parts=None if selected is None else selected.parts,
             progress=checking,
+            workers=workers,
         )
     tell = named(progress, "joint readings")
     judgement = judge(chains, model, fitted, held_out, seed, tell, others)
@@ -143,7 +147,7 @@ def calibrate(
         seed,
         files=tuple(filter(None, dict.fromkeys(files))),
         selection=None if selected is None else selected.selection,
-        urdf=_urdf(chains, training, model, held, seed, validate, judgement),
+        urdf=_urdf(chains, training, model, held, seed, validate, judgement, workers),
     )
 
 
@@ -274,6 +278,7 @@ def _urdf(
     seed: int,
     validate: bool,
     judgement: Judgement,
+    workers: Workers,
 ) -> UrdfResult | None:
     """The geometry alone, judged like a calibration of its own.
 
@@ -293,7 +298,14 @@ def _urdf(
     else:
         geometry = fit_model(chains, training, setup, seed)
     held_out = check(
-        chains, training, setup, geometry, seed, validation=held, validate=validate
+        chains,
+        training,
+        setup,
+        geometry,
+        seed,
+        validation=held,
+        validate=validate,
+        workers=workers,
     )
     errors = fitted_errors(geometry, training)
     own = judge(chains, geometry, errors, held_out, seed, seek=False)

@@ -8,28 +8,16 @@ from typing import Annotated
 import typer
 
 import calib_pin.cli.options as options
-from calib_pin.cli.files import (
-    check_outputs,
-    open_chains,
-    open_measurements,
-    open_setup,
-    other_readings,
-    require_distinct,
-)
 from calib_pin.cli.printing import notice, progress_bar, say_written, show
+from calib_pin.cli.requests import Request, calibrated, opened
 from calib_pin.cli.results import (
     FigureFormat,
     Figures,
-    Run,
-    check_results,
-    draw_calibration,
-    figure_contents,
     figure_files,
-    result_contents,
-    result_files,
     told_figures,
     write_results,
 )
+from calib_pin.cli.workforce import ClusterAddress, WorkerCount, asked_workers
 
 
 def calibrate(
@@ -107,6 +95,8 @@ def calibrate(
     figures: Figures = None,
     figure_format: FigureFormat = "png",
     seed: options.Seed = 0,
+    workers: WorkerCount = None,
+    cluster: ClusterAddress = None,
     force: options.Force = False,
     quiet: options.Quiet = False,
 ) -> int:
@@ -120,97 +110,43 @@ def calibrate(
     the result is unchecked or must not be trusted; the reason comes first, and no
     <robot name>.urdf is written.
     """
-    import time
-    from dataclasses import replace
-
-    from calib_pin.calibration import calibrate as run
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.files import write_files
-    from calib_pin.io.measured_columns import place_of
-    from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.report.text import report
 
-    stated = open_setup(
+    request = Request(
+        robot,
+        tuple(measurements),
         setup,
-        base=base,
-        tip=tip,
-        model=model,
-        parameters=parameters,
-        solver=solver,
-        loss=loss,
-        learned=learned,
+        tuple(package_dir or ()),
+        base,
+        tip,
+        model,
+        parameters,
+        solver,
+        loss,
+        learned,
+        model_ladder,
+        station_per_file,
+        validation,
+        holdout,
+        seed,
     )
-    if stated.solver.evolution and stated.solver.name not in ("de", "hybrid"):
-        name = stated.solver.name
-        notice(f"{name} ignores the options of differential evolution in 'solver'")
-    chains = open_chains(robot, stated, package_dirs=package_dir)
-    inputs = [robot, setup, validation, *measurements]
-    files = None if output is None else result_files(output, chains.robot.name)
     pictures = figure_files(figures, figure_format, "calibration")
-    if files is None:
-        check_outputs(pictures, inputs, force)
-    else:
-        check_results(files, pictures, chains.robot, inputs, force)
-    require_distinct([*measurements, *([] if validation is None else [validation])])
     with progress_bar(quiet=quiet) as bar:
-        chains, rows = open_measurements(
-            measurements,
-            chains,
-            stated,
-            station_per_file=station_per_file,
-            quiet=quiet,
-            bar=bar,
-        )
-    unseen = None
-    if validation is not None:
-        same = replace(stated, model="+".join(rows.models))
-        sockets = map(place_of, rows.target.distinct)
-        _, unseen = open_measurements(
-            [validation],
-            chains,
-            same,
-            station_per_file=station_per_file,
-            quiet=True,
-            sockets=sockets,
-        )
-    if rows.validate.any() and (unseen is not None or holdout is not None):
-        option = "--holdout" if unseen is None else "--validation"
-        notice(
-            f"the measurements that 'set' marks for validation are not used with "
-            f"{option}"
-        )
-
-    start = time.perf_counter()
-    with progress_bar(quiet=quiet) as bar:
-        result = run(
-            chains,
-            rows,
-            stated,
-            validation=unseen,
-            holdout=holdout,
-            ladder=model_ladder,
-            seed=seed,
-            progress=bar,
-            others=other_readings(
-                measurements, chains, stated, station_per_file=station_per_file
-            ),
-        )
-        fitted = Run(("calib-pin", *context.obj), time.perf_counter() - start)
-        stood = calibrated_setup(result.model)
-        better = suggestions(chains, rows.keys, stood, result, seed=seed)
-        shown = files is not None or figures is not None
-        drawn = draw_calibration(result, bar) if shown else []
-        contents = drawings = figure_contents(drawn, pictures)
-        if files is not None:
-            contents = result_contents(result, files, fitted, drawn, drawings, better)
+        given = opened(request, output, pictures, force=force, quiet=quiet, bar=bar)
+    with progress_bar(quiet=quiet) as bar, asked_workers(workers, cluster) as several:
+        words = ("calib-pin", *context.obj)
+        found = calibrated(given, words, pictures, bar=bar, workers=several)
+    result, files, contents = found.result, given.files, found.contents
     with (
         write_files(contents, force=force)
         if files is None
         else write_results(result, files, contents, force=force)
     ):
         if not quiet:
-            show(report(result, better))
-    pictured = told_figures(drawings, pictures)
+            show(report(result, found.suggestions))
+    pictured = told_figures(found.pictures, pictures)
     if not quiet:
         written = [path for path in files or () if path in contents]
         say_written([*(f"wrote {path}" for path in written), *pictured])

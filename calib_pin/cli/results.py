@@ -84,14 +84,14 @@ def result_contents(
     result: CalibrationResult,
     files: ResultFiles,
     run: Run,
-    figures: Sequence[Drawn],
+    figures: Sequence[Drawn] | None,
     pictures: Mapping[Path, bytes],
     suggestions: Sequence[Suggestion],
 ) -> dict[Path, bytes]:
     """All files of a result, of which the last one knows the hashes of the others.
 
     The corrected URDF is there if it can be trusted, and is the nominal one where
-    there is no gain.
+    there is no gain; the page is there if figures for it are given, however few.
     """
     from calib_pin.io.calibration_document import calibration_document, provenance
     from calib_pin.io.journal import inside, listed, sha256
@@ -113,9 +113,12 @@ def result_contents(
     if learned is not None:
         document["residual_model"] = reference(learned)
         contents[files.residual_model] = learned
-    page = html_report(result, document, figures=figures, suggestions=suggestions)
     contents[files.measurements] = encode_errors(result, document["run"])
-    contents |= {files.report: page, **pictures}
+    if figures is not None:
+        contents[files.report] = html_report(
+            result, document, figures=figures, suggestions=suggestions
+        )
+    contents |= pictures
     document["files"] = {
         name: None if path == files.report else sha256(data)
         for path, data in contents.items()
@@ -150,7 +153,7 @@ def write_results(
         yield
     for path in old:
         notice(f"removed {path} of an earlier run")
-    for path in (files.urdf, files.residual_model):
+    for path in (files.urdf, files.residual_model, files.report):
         if path not in contents and exists(path):
             notice(f"{path} is not from this run, which has no such file")
     if (geometry := result.geometry) is None:

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding, Gain
 from calib_pin.estimation.fit import FittedModel, fit_model
@@ -22,13 +24,14 @@ from calib_pin.estimation.registration import extended
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations, grouped
-from calib_pin.progress import Stages, named, portion
+from calib_pin.progress import Stages
 from calib_pin.setup import Setup
 from calib_pin.solvers.status import Status
 from calib_pin.validation.findings.moved_instrument import FEWEST, registered_if_moved
 from calib_pin.validation.gains import PRESS, gains, press_check
 from calib_pin.validation.model_errors import ModelErrors, model_errors, registered
 from calib_pin.validation.splits import Grouping, folds
+from calib_pin.workers import SERIAL, Workers
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,7 @@ def check(
     validate: bool = True,
     parts: Sequence[ModelErrors] | None = None,
     progress: Stages | None = None,
+    workers: Workers = SERIAL,
 ) -> HeldOut:
     """Check a model on validation measurements, or by cross-validation without any.
 
@@ -85,6 +89,7 @@ def check(
         validate: Whether to validate; if not, only the hat matrix is used.
         parts: Errors of a cross-validation with the same folds; None to run it.
         progress: Told the stage and the fraction done.
+        workers: Who fits the folds of a cross-validation.
     """
     fitted = model.fit
     training = model.weighted(training)
@@ -102,7 +107,9 @@ def check(
     masks = folds(grouping, fitted, seed)
     if parts is None:
         parts = tuple(
-            cross_validate(chains, training, setup, masks, seed, fitted, progress)
+            cross_validate(
+                chains, training, setup, masks, seed, fitted, progress, workers
+            )
         )
     # A fit that fails without its fold says nothing about the robot.
     kept = tuple(part for part in parts if not part.reason)
@@ -118,6 +125,16 @@ def check(
     )
 
 
+class _Whole(NamedTuple):
+    """What all folds of a cross-validation share, see `cross_validate`."""
+
+    chains: Chain | Chains
+    measurements: Observations
+    setup: Setup
+    seed: int
+    fit: Fit
+
+
 def cross_validate(
     chains: Chain | Chains,
     measurements: Observations,
@@ -126,6 +143,7 @@ def cross_validate(
     seed: int,
     whole: Fit,
     progress: Stages | None = None,
+    workers: Workers = SERIAL,
 ) -> Iterator[ModelErrors]:
     """Errors of each part of the measurements by a model fitted to the others.
 
@@ -137,33 +155,43 @@ def cross_validate(
         seed: As for `fit_model`.
         whole: The fit of all measurements.
         progress: Told the stage and the fraction done of all parts.
+        workers: Who fits them.
     """
-    for k, mask in enumerate(masks):
-        stage = f"check {k + 1} of {len(masks)}"
-        tell = portion(named(progress, stage), k / len(masks), 1.0 / len(masks))
-        # Measurements that the fit of all has rejected stay rejected.
-        kept = ~mask & (measurements.weight > 0.0)
-        some = measurements.rows(kept)
-        model = fit_model(chains, some, setup, seed, tell, part_of=(whole, kept))
-        reason, status = "", model.fit.result.status
-        if not model.fit.structure.scaled:
-            reason = "the absolute scale is unobservable"
-        elif not status.success:
-            reason = "it did not converge"
-        shown = whole.problem.layout.quantities
-        try:
-            if status is Status.NOT_FINITE:
-                raise InputError("it ended where no measurement can be")
-            if model.problem.layout.quantities != shown:
-                raise InputError("all others of an instrument are set aside")
-            found = model_errors(model, measurements.rows(mask), np.flatnonzero(mask))
-        except InputError as error:
-            # All other measurements of a reference may be rejected.
-            none = np.zeros((0, whole.problem.layout.width))
-            positions = np.zeros(0, np.intp)
-            yield ModelErrors(positions, none, none, none, reason=error.reason)
-        else:
-            yield replace(found, reason=reason)
+    shared = _Whole(chains, measurements, setup, seed, whole)
+    if progress is not None:
+        progress(f"check 1 of {len(masks)}", 0.0)
+    for k, found in enumerate(workers.map(_without, shared, masks), 1):
+        if progress is not None:
+            progress(f"check {min(k + 1, len(masks))} of {len(masks)}", k / len(masks))
+        yield found
+
+
+@serial_blas
+def _without(whole: _Whole, mask: NDArray[np.bool_]) -> ModelErrors:
+    """Errors of a part of the measurements, of shape (N,), by a fit of the others."""
+    chains, measurements, setup, seed, fit = whole
+    # Measurements that the fit of all has rejected stay rejected.
+    kept = ~mask & (measurements.weight > 0.0)
+    some = measurements.rows(kept)
+    model = fit_model(chains, some, setup, seed, part_of=(fit, kept))
+    reason, status = "", model.fit.result.status
+    if not model.fit.structure.scaled:
+        reason = "the absolute scale is unobservable"
+    elif not status.success:
+        reason = "it did not converge"
+    layout = fit.problem.layout
+    try:
+        if status is Status.NOT_FINITE:
+            raise InputError("it ended where no measurement can be")
+        if model.problem.layout.quantities != layout.quantities:
+            raise InputError("all others of an instrument are set aside")
+        found = model_errors(model, measurements.rows(mask), np.flatnonzero(mask))
+    except InputError as error:
+        # All other measurements of a reference may be rejected.
+        none = np.zeros((0, layout.width))
+        positions = np.zeros(0, np.intp)
+        return ModelErrors(positions, none, none, none, reason=error.reason)
+    return replace(found, reason=reason)
 
 
 def _checked_on(

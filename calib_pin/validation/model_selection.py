@@ -34,6 +34,7 @@ from calib_pin.validation.held_out import cross_validate
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.splits import FOLDS, Grouping, folds
 from calib_pin.validation.summaries import Candidate, ModelSelection
+from calib_pin.workers import SERIAL, Workers
 
 OFFSETS = JointOffset.name
 
@@ -76,6 +77,7 @@ def select_model(
     setup: Setup,
     seed: int,
     progress: Stages | None = None,
+    workers: Workers = SERIAL,
 ) -> SelectedModel:
     """Judge every candidate, and choose the simplest of the best.
 
@@ -86,6 +88,7 @@ def select_model(
             candidate.
         seed: Seed of configurations, splits, and starts.
         progress: Told the stage and the part that is done, 0 to 1.
+        workers: Who fits the folds.
 
     Raises:
         OptionError: If a name in the setup belongs to no candidate, or the measurements
@@ -97,7 +100,7 @@ def select_model(
     _require_patterns(chains, measurements, setup, (OFFSETS, *geometric, *beyond))
     learned = tuple(RESIDUAL_MODELS) if setup.learned is None else (setup.learned,)
     work = 3.0 + len(beyond) + LEARNING * len(learned)
-    candidates = _Candidates(chains, measurements, setup, seed, progress, work)
+    candidates = _Candidates(chains, measurements, setup, seed, progress, workers, work)
 
     offset = candidates.add("joint offset", (OFFSETS,))
     if offset.sizes is None:
@@ -133,6 +136,7 @@ class _Candidates:
     setup: Setup
     seed: int
     progress: Stages | None
+    workers: Workers
     all: float
     done: float = 0.0
     judged: list[_Judged] = field(default_factory=list)
@@ -176,8 +180,11 @@ class _Candidates:
             raise OptionError(f"{count} configurations are too few to hold out a fold")
         rest = portion(progress, share, 1.0 - share)
         stages = None if rest is None else (lambda stage, part: rest(part))
+        whole, workers = model.fit, self.workers
         parts = tuple(
-            cross_validate(chains, measurements, setup, masks, seed, model.fit, stages)
+            cross_validate(
+                chains, measurements, setup, masks, seed, whole, stages, workers
+            )
         )
         sizes = _sizes(grouping, model.problem, ModelErrors.joined(parts))
         weight = measurements.weight

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -60,6 +60,8 @@ def read_true_errors(
 
 
 if TYPE_CHECKING:
+    from pydantic import ValidationError
+
     from calib_pin.io.yaml_tree import Tree
 
 ALLOWED: Mapping[str, str] = {
@@ -95,7 +97,7 @@ def read_setup(path: str | Path) -> Setup:
     # Both import slowly, and most commands read no setup file.
     from pydantic import ValidationError
 
-    from calib_pin.io.setup_schema import adapter, context
+    from calib_pin.io.setup_schema import adapter, context, known_keys
     from calib_pin.io.yaml_tree import read_tree
 
     tree = read_tree(path)
@@ -106,9 +108,7 @@ def read_setup(path: str | Path) -> Setup:
     try:
         setup = adapter().validate_python(tree.data, context=context()).setup()
     except ValidationError as error:
-        problems = error.errors(include_url=False)
-        first = min(problems, key=lambda problem: tree.line(problem["loc"]))
-        raise _error(tree, first) from None
+        raise wrong_value(tree, error, known_keys) from None
     _check_joints(tree, setup)
     _check_names(tree, setup)
     _check_tools(tree, setup)
@@ -201,26 +201,42 @@ def _plain(value: Any) -> Any:
     return [_plain(item) for item in value] if isinstance(value, tuple) else value
 
 
-def _error(tree: Tree, problem: Mapping[str, Any]) -> InputError:
-    """The problem that pydantic found, in our words."""
-    from calib_pin.io.setup_schema import known_keys
+def wrong_value(
+    tree: Tree,
+    error: ValidationError,
+    known: Callable[[Sequence[str | int]], Sequence[str]],
+    place: Callable[[Sequence[str | int]], Sequence[str | int]] = lambda path: path,
+) -> InputError:
+    """The first thing that pydantic found wrong, in our words.
 
+    Args:
+        tree: The file.
+        error: What pydantic found.
+        known: The keys that may stand in the place of an unknown one, by its path.
+        place: Path within the file of a path within what was checked.
+    """
+    problems = error.errors(include_url=False)
+    problem = min(problems, key=lambda problem: tree.line(place(problem["loc"])))
     path: Sequence[str | int] = problem["loc"]
+    where = place(path)
     if problem["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        known, key = known_keys(path), str(path[-1])
+        names, key = known(path), str(path[-1])
         return tree.error(
-            f"unknown key '{_dotted(path)}'{nearest(key, known)}",
-            path,
-            allowed=", ".join(known),
+            f"unknown key '{_dotted(path)}'{nearest(key, names)}",
+            where,
+            allowed=", ".join(names),
         )
     if problem["type"] == "missing":
-        return tree.error(f"'{_dotted(path)}' is missing", path)
+        return tree.error(f"'{_dotted(path)}' is missing", where)
     if problem["type"] == "value_error":
         allowed = str(problem["ctx"]["error"])
     else:
         allowed = ALLOWED.get(problem["type"], problem["msg"])
     return tree.error(
-        f"'{_dotted(path)}' cannot have this value", path, tree.written(path), allowed
+        f"'{_dotted(path)}' cannot have this value",
+        where,
+        tree.written(where),
+        allowed,
     )
 
 

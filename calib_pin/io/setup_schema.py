@@ -24,6 +24,7 @@ from calib_pin.setup import (
     Section,
     Setup,
     SolverSetup,
+    StudySetup,
 )
 from calib_pin.setup.constraints import LENIENT, Constraint, Keys, Names, meanings
 from calib_pin.setup.values import Positive
@@ -108,7 +109,9 @@ class FrameKeys(Section):
 
 
 @dataclass(frozen=True)
-class SetupFile(PlanSetup, FitSetup, MeasurementSetup, FrameKeys, RobotSetup):
+class SetupFile(
+    StudySetup, PlanSetup, FitSetup, MeasurementSetup, FrameKeys, RobotSetup
+):
     """A setup file of calib-pin.
 
     The keys of a `Setup`, but for two that a file groups otherwise: it has both frames

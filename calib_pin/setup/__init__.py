@@ -18,6 +18,7 @@ from calib_pin.setup.constraints import (
     Section,
     listed,
 )
+from calib_pin.setup.fleet import JobSetup, MonteCarloSetup
 from calib_pin.setup.printing import ReportSetup
 from calib_pin.setup.reading import (
     AXES,
@@ -71,8 +72,10 @@ __all__ = [
     "DistanceSetup",
     "FrameSetup",
     "Frames",
+    "JobSetup",
     "JointMap",
     "LimitSetup",
+    "MonteCarloSetup",
     "Obstacle",
     "OrientationSetup",
     "Payload",
@@ -86,6 +89,7 @@ __all__ = [
     "Setup",
     "SolverSetup",
     "SphereSetup",
+    "StudySetup",
     "ToolSetup",
     "Triple",
 ]
@@ -344,7 +348,19 @@ class PlanSetup(Section):
 
 
 @dataclass(frozen=True)
-class Setup(PlanSetup, FitSetup, MeasurementSetup, RobotSetup):
+class StudySetup(Section):
+    """Studies by simulation.
+
+    Attributes:
+        monte_carlo: How accurate robots of a type would be, for
+            `fleet --monte-carlo`.
+    """
+
+    monte_carlo: MonteCarloSetup = field(default_factory=MonteCarloSetup)
+
+
+@dataclass(frozen=True)
+class Setup(StudySetup, PlanSetup, FitSetup, MeasurementSetup, RobotSetup):
     """Everything a setup file can state; the defaults are those of an empty file.
 
     Attributes:

@@ -39,6 +39,7 @@ def _date(value: object) -> str:
 
 
 Entry = Annotated[str, Checked(_entry, {"type": "string", "maxLength": LONGEST})]
+Date = Annotated[str, Checked(_date, {"type": "string", "format": "date"})]
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,4 @@ class ReportSetup(Section):
         ]
         | None
     ) = None
-    date: (
-        Annotated[str, Checked(_date, {"type": "string", "format": "date"})] | None
-    ) = None
+    date: Date | None = None

@@ -1,0 +1,216 @@
+"""Tables of jobs: what is to be calibrated in a fleet, as CSV or YAML."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache, partial
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from calib_pin.errors import InputError, nearest
+from calib_pin.io.setup import wrong_value
+from calib_pin.io.setup_schema import context
+from calib_pin.io.table import Table, read_table
+from calib_pin.setup import JobSetup
+
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
+
+    from calib_pin.io.yaml_tree import Keys
+
+KEYS = tuple(field.name for field in fields(JobSetup))
+"""Columns and keys of a job."""
+
+JOBS = "jobs"
+"""Key of the list of jobs in YAML; those beside it hold for all jobs."""
+
+CHAINED = ";"
+"""Between measurement files in a cell."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A calibration that is asked for.
+
+    Attributes:
+        name: Name of its folder, unlike those of all other jobs.
+        line: Line of the table.
+        stated: Everything that is asked for, files from where the table lies.
+        before: Name of the job before it with the same robot; empty for none.
+    """
+
+    name: str
+    line: int
+    stated: JobSetup
+    before: str = ""
+
+
+def read_jobs(
+    path: str | Path, notice: Callable[[str], None] = lambda remark: None
+) -> tuple[Job, ...]:
+    r"""Read a table of jobs.
+
+    Args:
+        path: CSV file with a line for each job, or YAML (`.yaml`, `.yml`) with a list
+            `jobs` and, beside it, what holds for all of them.
+        notice: Told of columns that mean nothing.
+
+    Raises:
+        InputError: If the table cannot be used; names the first such line.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "jobs.csv"
+        ...     _ = file.write_text("robot,measurements,serial_number\npa10,a.csv,A7\n")
+        ...     [job.name for job in read_jobs(file)]
+        ['A7']
+    """
+    folder = Path(path).parent
+    yaml = Path(path).suffix.lower() in (".yaml", ".yml")
+    found = list(_of_yaml(path) if yaml else _of_csv(path, notice))
+    jobs: list[Job] = []
+    places: dict[str, int] = {}
+    for number, (line, stated) in enumerate(found, 1):
+        name = stated.name or _name(stated, number, found)
+        if name.casefold() in places:
+            raise InputError(
+                f"the job has the folder of that in line {places[name.casefold()]}",
+                file=path,
+                line=line,
+                value=name,
+                allowed="a 'name' of its own",
+            )
+        places[name.casefold()] = line
+        jobs.append(Job(name, line, _from(folder, stated)))
+    before = _before(jobs)
+    return tuple(replace(job, before=before.get(job.name, "")) for job in jobs)
+
+
+def _of_yaml(path: str | Path) -> Iterator[tuple[int, JobSetup]]:
+    from pydantic import ValidationError
+
+    from calib_pin.io.yaml_tree import read_tree
+
+    tree = read_tree(path)
+    listed = tree.data.get(JOBS) if isinstance(tree.data, dict) else None
+    if not isinstance(listed, list) or not listed:
+        raise tree.error(
+            f"the file must be a mapping with a list '{JOBS}'",
+            (),
+            allowed=f"{JOBS}: [{{robot: arm.urdf, measurements: [a.csv]}}, ...]",
+        )
+    general = {key: value for key, value in tree.data.items() if key != JOBS}
+    for number, own in enumerate(listed):
+        place = (JOBS, number)
+        if not isinstance(own, dict):
+            raise tree.error("a job is a mapping of keys to values", place)
+        given = _several({**general, **own})
+        try:
+            stated = _adapter().validate_python(given, context=context())
+        except ValidationError as error:
+            where = partial(_place, place, general.keys() - own.keys())
+            raise wrong_value(tree, error, lambda path: KEYS, where) from None
+        yield tree.line(place), stated
+
+
+def _place(
+    job: Keys, general: Collection[str], path: Sequence[str | int]
+) -> Sequence[str | int]:
+    """Where a key of a job stands: with it, or with what holds for all."""
+    return path if path and path[0] in general else (*job, *path)
+
+
+def _of_csv(
+    path: str | Path, notice: Callable[[str], None]
+) -> Iterator[tuple[int, JobSetup]]:
+    from pydantic import ValidationError
+
+    table = read_table(path)
+    foreign = [name for name in table.columns if name not in KEYS]
+    for name in foreign:
+        if hint := nearest(name, KEYS):
+            raise table.error(f"no column of a job{hint}", name, ", ".join(KEYS))
+    if remark := table.ignored(foreign):
+        notice(remark)
+    for name in ("robot", "measurements"):
+        if name not in table:
+            raise table.error(f"the column '{name}' is missing", None, ", ".join(KEYS))
+    texts = table.texts([name for name in KEYS if name in table])
+    for row, line in enumerate(table.lines.tolist()):
+        cells = {name: column[row] for name, column in texts.items() if column[row]}
+        try:
+            stated = _adapter().validate_python(_several(cells), context=context())
+        except ValidationError as error:
+            raise _cell_error(table, row, error.errors(include_url=False)[0]) from None
+        yield line, stated
+
+
+def _several(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The same with a list of measurement files, also where one is written."""
+    result = dict(given)
+    files = result.get("measurements")
+    if isinstance(files, str):
+        result["measurements"] = [f.strip() for f in files.split(CHAINED) if f.strip()]
+    return result
+
+
+def _cell_error(table: Table, row: int, problem: Mapping[str, Any]) -> InputError:
+    name = str(problem["loc"][0])
+    if problem["type"] == "missing" or name not in table:
+        return InputError(
+            f"'{name}' is missing", file=table.file, line=int(table.lines[row])
+        )
+    allowed = str(problem.get("ctx", {}).get("error", problem["msg"]))
+    return table.cell_error("the job cannot have this", name, row, allowed)
+
+
+@cache
+def _adapter() -> TypeAdapter[JobSetup]:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(JobSetup)
+
+
+def _name(stated: JobSetup, number: int, found: Sequence[tuple[int, JobSetup]]) -> str:
+    """The name of a job that states none."""
+    serial = stated.serial_number
+    if not serial:
+        return f"job-{number:0{len(str(len(found)))}d}"
+    alone = sum(other.serial_number == serial for _, other in found) == 1
+    name = serial if alone or stated.date is None else f"{serial}-{stated.date}"
+    return "".join(c if c.isalnum() or c in "._- " else "_" for c in name).lstrip(".")
+
+
+def _from(folder: Path, stated: JobSetup) -> JobSetup:
+    """A job with its files named from here, not from the folder of the table."""
+
+    def placed(file: str | None) -> str | None:
+        return None if file is None else str(folder / file)
+
+    # A robot may be a bundled one, and a xacro file has its arguments behind it.
+    there = (folder / stated.robot.split(" ")[0]).exists()
+    return replace(
+        stated,
+        robot=str(folder / stated.robot) if there else stated.robot,
+        measurements=tuple(str(folder / file) for file in stated.measurements),
+        setup=placed(stated.setup),
+        validation=placed(stated.validation),
+        previous=placed(stated.previous),
+    )
+
+
+def _before(jobs: Sequence[Job]) -> dict[str, str]:
+    """For each job of a robot the job before it, by their names."""
+    by_serial: dict[str, list[Job]] = {}
+    for job in jobs:
+        if job.stated.serial_number:
+            by_serial.setdefault(job.stated.serial_number, []).append(job)
+    found: dict[str, str] = {}
+    for own in by_serial.values():
+        if all(job.stated.date for job in own):
+            own = sorted(own, key=lambda job: str(job.stated.date))
+        found |= {later.name: job.name for job, later in pairwise(own)}
+    return found

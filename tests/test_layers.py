@@ -25,7 +25,7 @@ ROOMS = (
     ),
     *("observations", "parameterizations", "measurement_models", "solvers"),
     *("residual_models", "estimation", "validation", "planning", "control"),
-    *("simulation", "calibration", "io", "report", "viewer", "cli"),
+    *("simulation", "calibration", "monte_carlo", "io", "report", "viewer", "cli"),
 )
 """The modules and folders of the package, each of which imports only those before."""
 

@@ -15,6 +15,7 @@ from calib_pin.cli.compensate import compensate
 from calib_pin.cli.detect import detect
 from calib_pin.cli.evaluate import evaluate
 from calib_pin.cli.export import export
+from calib_pin.cli.fleet import fleet
 from calib_pin.cli.identify import identify
 from calib_pin.cli.join import join
 from calib_pin.cli.plan import plan
@@ -36,6 +37,7 @@ COMMANDS: dict[Callable[..., int | None], str] = {
     plan: "Choose optimal calibration configurations.",
     compensate: "Find joint commands that reach targets on the real robot.",
     export: "Write a calibration as other software loads it.",
+    fleet: "Calibrate many robots, or simulate them before a purchase.",
     compare: "Print the difference between two calibrations of a robot.",
     report: "Write the page and figures of a calibration again.",
     view: "Show a robot, its errors and a plan in the browser.",

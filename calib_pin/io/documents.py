@@ -14,11 +14,14 @@ from calib_pin.io.json_text import Json, plain
 from calib_pin.io.targets import Targets
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.monte_carlo import Outlook, Study
+from calib_pin.monte_carlo.summary import LEVELS
 from calib_pin.planning.plan import Plan
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.setup import LimitSetup
 from calib_pin.validation.acceptance import Acceptance, judged
 from calib_pin.validation.comparison import BOUND, Comparison, Difference, faults
+from calib_pin.validation.fleet import FleetRow
 from calib_pin.validation.result import (
     CalibrationResult,
     Evaluation,
@@ -82,6 +85,24 @@ def acceptance_document(tests: Mapping[str, Acceptance], limit: LimitSetup) -> J
             for name, status, _, allowed, unit in judged(last, limit)
         ],
         "tests": {name: plain(test) for name, test in tests.items()},
+    }
+
+
+def fleet_document(rows: Sequence[FleetRow]) -> Json:
+    """The rows of a fleet, those that need attention first."""
+    return {**stated("fleet"), "jobs": plain(rows)}
+
+
+def outlook_document(study: Study, found: Sequence[Outlook], limit: LimitSetup) -> Json:
+    """What a Monte Carlo study tells, in SI units; quantiles are those of `levels`."""
+    return {
+        **stated("monte-carlo"),
+        "robot": study.chains.robot.name,
+        "model": model_name(study.truth),
+        "seed": study.seed,
+        "limit": plain(limit),
+        "levels": list(LEVELS),
+        "outlooks": plain(found),
     }
 
 

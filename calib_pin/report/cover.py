@@ -86,7 +86,12 @@ class Cover:
     @property
     def made(self) -> str:
         """The program that made it."""
-        return f"calib-pin {version('calib_pin')}"
+        return program()
+
+
+def program() -> str:
+    """The program and its version, as pages name it."""
+    return f"calib-pin {version('calib_pin')}"
 
 
 def acceptance_cover(

@@ -19,7 +19,7 @@ from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggest
 from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
 from calib_pin.report.breakdown import parts, told
-from calib_pin.report.cover import Cover
+from calib_pin.report.cover import Cover, program
 from calib_pin.report.figures import Drawn, calibration_figures
 from calib_pin.report.identification import ranks, remedied, unknown
 from calib_pin.report.places import frame_blocks
@@ -128,6 +128,29 @@ def acceptance_page(cover: Cover, blocks: Sequence[Block]) -> bytes:
     # It is one page: the verdict stands on it once.
     rest = [block for block in blocks if block not in cover.said]
     return rendered("acceptance.html", cover=cover, blocks=rest)
+
+
+def blocks_page(
+    title: str, blocks: Sequence[Block], figures: Sequence[Drawn], numbers: str
+) -> bytes:
+    """The page of many robots, as one file without references.
+
+    Args:
+        title: Its heading.
+        blocks: Its report, the verdict first.
+        figures: Its figures.
+        numbers: Name of the file with the numbers.
+    """
+    verdict, *rest = blocks
+    return rendered(
+        "fleet.html",
+        title=title,
+        verdict=verdict,
+        figures=figures,
+        blocks=rest,
+        made=program(),
+        numbers=numbers,
+    )
 
 
 def report(

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from math import exp, inf, isnan, lgamma, log, log1p, nan
+from math import exp, inf, isnan, lgamma, log, log1p, nan, sqrt
 
 EPSILON = 2.0**-52
 
@@ -14,6 +14,9 @@ STEPS = 60
 
 TERMS = 10_000
 """Most terms of a continued fraction; it takes about the root of the degrees."""
+
+NORMAL = 1.959964
+"""Standard deviations within which 95 % of a normal distribution lie."""
 
 TINY = 1e-300
 """In place of a zero denominator of a continued fraction (Lentz's method)."""
@@ -181,3 +184,22 @@ def student_tail(t: float, dof: int) -> float:
     if x < (a + 1.0) / (a + 2.5):
         return 0.5 * incomplete_beta(a, 0.5, x, y)
     return 0.5 * (1.0 - incomplete_beta(0.5, a, y, x))
+
+
+def share_interval(found: int, count: int) -> tuple[float, float, float]:
+    """A share and its 95 % interval by the score test (Wilson 1927).
+
+    Args:
+        found: Number of successes.
+        count: Number of trials; without any nothing is known (NaN).
+
+    Example:
+        >>> [round(value, 3) for value in share_interval(19, 20)]
+        [0.95, 0.764, 0.991]
+    """
+    if not count:
+        return nan, nan, nan
+    share, square = found / count, NORMAL**2 / count
+    middle = (share + square / 2.0) / (1.0 + square)
+    half = sqrt(square * (share * (1.0 - share) + square / 4.0)) / (1.0 + square)
+    return share, max(middle - half, 0.0), min(middle + half, 1.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TypeVar
 
 from matplotlib.figure import Figure
@@ -12,6 +12,11 @@ from calib_pin.report.figures.acceptance import Judged, poses_tested
 from calib_pin.report.figures.by_block import errors_by_block
 from calib_pin.report.figures.canvas import COLORS, Drawn, drawing
 from calib_pin.report.figures.estimates import parameter_intervals
+from calib_pin.report.figures.fleet import (
+    Foreseen,
+    accuracy_by_configurations,
+    errors_in_fleet,
+)
 from calib_pin.report.figures.identifiability import correlations, singular_values
 from calib_pin.report.figures.measurement_errors import errors_per_measurement
 from calib_pin.report.figures.plans import (
@@ -31,6 +36,7 @@ from calib_pin.report.figures.workspace import (
     tip_by_count,
     tip_in_workspace,
 )
+from calib_pin.validation.fleet import FleetRow
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.tip_drift import TipDrift
 
@@ -38,11 +44,14 @@ __all__ = [
     "COLORS",
     "NAMES",
     "Drawn",
+    "Foreseen",
     "Judged",
     "acceptance_figures",
     "calibration_figures",
     "comparison_figures",
     "figures_of",
+    "fleet_figures",
+    "outlook_figures",
     "plan_figures",
 ]
 
@@ -88,6 +97,8 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "plan": ("criterion-by-count", "predicted-deviations", "planned-positions"),
     "comparison": ("tip-drift",),
     "acceptance": ("poses-tested",),
+    "fleet": ("errors-in-fleet",),
+    "outlook": ("accuracy-by-configurations",),
 }
 """Names of all figures, by their subject."""
 
@@ -117,6 +128,16 @@ def comparison_figures(drift: TipDrift) -> Iterator[Drawn]:
 def acceptance_figures(found: Judged) -> Iterator[Drawn]:
     """Figures of an acceptance test."""
     yield from _drawn((poses_tested,), found)
+
+
+def fleet_figures(rows: Sequence[FleetRow]) -> Iterator[Drawn]:
+    """Figures of a fleet."""
+    yield from _drawn((errors_in_fleet,), rows)
+
+
+def outlook_figures(found: Foreseen) -> Iterator[Drawn]:
+    """Figures of a Monte Carlo study."""
+    yield from _drawn((accuracy_by_configurations,), found)
 
 
 def _drawn(

@@ -1,0 +1,213 @@
+"""`calib-pin fleet`: many calibrations, real or simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import calib_pin.cli.options as options
+from calib_pin.cli.files import check_outputs, exists
+from calib_pin.cli.printing import Bar, notice, progress_bar, say_written, show
+from calib_pin.cli.workforce import ClusterAddress, WorkerCount, asked_workers
+from calib_pin.errors import OptionError
+
+if TYPE_CHECKING:
+    from calib_pin.cli.fleet_jobs import Orders
+    from calib_pin.io.jobs import Job
+    from calib_pin.validation.fleet import FleetRow
+    from calib_pin.workers import Workers
+
+FILES = ("fleet.csv", "fleet.json", "fleet.html")
+"""Files of a fleet beside the folders of its calibrations."""
+
+
+def fleet(
+    output: Annotated[
+        Path, options.output("-o --output DIR", "Folder for all results.")
+    ],
+    jobs: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="JOBS",
+            help="Table of calibrations, CSV or YAML: robot, measurements, setup, "
+            "serial_number, date, ...",
+        ),
+    ] = None,
+    monte_carlo: Annotated[
+        Path | None,
+        options.option(
+            "Study",
+            "--monte-carlo SETUP",
+            "Simulate robots instead, as 'monte_carlo' in this setup file says: how "
+            "accurate will they be, against number of configurations?",
+        ),
+    ] = None,
+    resume: Annotated[
+        bool,
+        options.output(
+            "--resume", "Go on with what a stopped run has left, as far as it is whole."
+        ),
+    ] = False,
+    no_pages: Annotated[
+        bool,
+        options.output(
+            "--no-pages",
+            "No report.html in the folders; 'calib-pin report' writes it later.",
+        ),
+    ] = False,
+    workers: WorkerCount = None,
+    cluster: ClusterAddress = None,
+    seed: Annotated[int, options.seed("Study", "Random seed of the study.")] = 0,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+) -> int:
+    """Calibrate a fleet of robots, or simulate one.
+
+    Every job gets a folder of results as 'calibrate' writes it. fleet.csv and
+    fleet.html list verdicts, accuracy before and after, and the drift since the last
+    calibration of the same serial number, those that need attention first. A job that
+    fails is a row with its reason and stops nothing. Workers of a cluster need to see
+    the same files. Exit status 2: some calibration failed or must not be trusted.
+    """
+    if (jobs is None) == (monte_carlo is None):
+        raise OptionError("give either a table of JOBS, or --monte-carlo SETUP")
+    # A job may end the process that does it.
+    patience = None if monte_carlo is not None else 0.0
+    with (
+        asked_workers(workers, cluster, patience) as several,
+        progress_bar(quiet=quiet) as bar,
+    ):
+        if monte_carlo is not None:
+            from calib_pin.cli.monte_carlo import simulated
+
+            return simulated(
+                monte_carlo,
+                output,
+                several,
+                seed=seed,
+                resume=resume,
+                force=force,
+                quiet=quiet,
+                bar=bar,
+            )
+        assert jobs is not None
+        return _calibrated(
+            jobs,
+            output,
+            several,
+            pages=not no_pages,
+            resume=resume,
+            force=force,
+            quiet=quiet,
+            bar=bar,
+        )
+
+
+def _calibrated(
+    table: Path,
+    output: Path,
+    workers: Workers,
+    *,
+    pages: bool,
+    resume: bool,
+    force: bool,
+    quiet: bool,
+    bar: Bar | None,
+) -> int:
+    """Calibrate the robots of a table; returns the exit status."""
+    from calib_pin.cli.fleet_jobs import Orders, calibrate_job, lost_job
+    from calib_pin.io.documents import fleet_document
+    from calib_pin.io.files import write_files
+    from calib_pin.io.jobs import read_jobs
+    from calib_pin.io.json_text import encode
+    from calib_pin.io.measurements import encode_table
+    from calib_pin.report.figures import fleet_figures
+    from calib_pin.report.fleet_text import MANY, fleet_report
+    from calib_pin.report.html import blocks_page
+    from calib_pin.validation.fleet import by_urgency, fleet_columns
+
+    asked = read_jobs(table, notice)
+    files = [output / name for name in FILES]
+    orders = Orders(Path.cwd(), output, pages, resume)
+    _check(orders, asked, files, table, force or resume)
+    rows: list[FleetRow] = []
+    for row in workers.map(calibrate_job, orders, asked, lost_job):
+        rows.append(row)
+        if bar is not None:
+            bar(f"{len(rows)} of {len(asked)}", len(rows) / len(asked))
+    rows = _compared(orders, asked, rows, workers, bar)
+    ordered = by_urgency(rows)
+    contents = {
+        files[0]: encode_table(fleet_columns(ordered), []),
+        files[1]: encode(fleet_document(ordered)),
+        files[2]: blocks_page(
+            "Calibrations of a fleet",
+            [*fleet_report(ordered, MANY)],
+            [*fleet_figures(ordered)],
+            "fleet.json",
+        ),
+    }
+    with write_files(contents, force=True):
+        if not quiet:
+            show(fleet_report(ordered))
+    if not quiet:
+        folders = sum(row.fitted > 0 for row in ordered)
+        written = [f"wrote {folders} folders to {output}"]
+        say_written([*written, *(f"wrote {file}" for file in files)])
+    return 0 if all(row.trusted for row in ordered) else 2
+
+
+def _check(
+    orders: Orders,
+    jobs: Sequence[Job],
+    files: Sequence[Path],
+    table: Path,
+    force: bool,
+) -> None:
+    """Refuse to replace what is there, and to write into what is read.
+
+    Raises:
+        OptionError: If something is there.
+    """
+    names = {file.name.casefold() for file in files}
+    for job in jobs:
+        if job.name.casefold() in names:
+            raise OptionError(
+                "a job cannot have this name", file=table, line=job.line, value=job.name
+            )
+        if not force and exists(folder := orders.folder(job.name)):
+            raise OptionError(
+                "exists; --resume goes on, --force begins again", file=folder
+            )
+    check_outputs(files, [table], force)
+
+
+def _compared(
+    orders: Orders,
+    jobs: Sequence[Job],
+    rows: Sequence[FleetRow],
+    workers: Workers,
+    bar: Bar | None,
+) -> list[FleetRow]:
+    """The rows with the drift of those robots that were calibrated before."""
+    from calib_pin.cli.fleet_jobs import Successor, compare_job
+
+    by_name = {row.job: row for row in rows}
+    pairs = []
+    for job, row in zip(jobs, rows, strict=True):
+        if not row.fitted:
+            continue
+        if job.stated.previous is not None:
+            pairs.append(
+                Successor(row, (Path(job.stated.previous), job.stated.previous))
+            )
+        elif job.before and by_name[job.before].fitted:
+            pairs.append(Successor(row, (orders.folder(job.before), job.before)))
+    for k, row in enumerate(workers.map(compare_job, orders, pairs), 1):
+        by_name[row.job] = row
+        if bar is not None:
+            bar("drift", k / len(pairs))
+    return [by_name[row.job] for row in rows]

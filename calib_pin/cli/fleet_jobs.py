@@ -1,0 +1,187 @@
+"""The jobs of a fleet, as workers do them: a folder of results, and a row each."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calib_pin.cli.printing import tell_notices
+from calib_pin.cli.requests import Request, calibrated, opened
+from calib_pin.cli.results import write_results
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.errors import CalibPinError, InputError, OptionError, one_line
+from calib_pin.io.result_folder import DOCUMENT, REPORT, read_document
+from calib_pin.validation.fleet import Drift, FleetRow, fleet_row, with_drift
+
+if TYPE_CHECKING:
+    from calib_pin.io.jobs import Job
+    from calib_pin.validation.result import CalibrationResult
+
+
+@dataclass(frozen=True)
+class Orders:
+    """What holds for all jobs of a fleet.
+
+    Attributes:
+        home: Folder from which files are named, that of the command.
+        output: Folder of the fleet.
+        pages: Whether each calibration gets its `report.html`.
+        resume: Whether a finished calibration of the same files stays.
+    """
+
+    home: Path
+    output: Path
+    pages: bool = True
+    resume: bool = False
+
+    def folder(self, name: str) -> Path:
+        """Folder of the results of a job."""
+        return self.output / name
+
+    def enter(self) -> None:
+        """Make the process name files as the command does.
+
+        Raises:
+            OptionError: If the folder of the command is not there, as on a cluster
+                without a common file system.
+        """
+        if Path.cwd() == self.home:
+            return
+        try:
+            os.chdir(self.home)
+        except OSError as error:
+            raise OptionError(
+                "workers do not see this folder; all of a cluster need the same files",
+                file=self.home,
+            ) from error
+
+
+@serial_blas
+def calibrate_job(orders: Orders, job: Job) -> FleetRow:
+    """Calibrate, write the folder of the results, and tell its row."""
+    blank = FleetRow(job.name, job.stated.serial_number, job.stated.date or "")
+    try:
+        orders.enter()
+        result = _finished(orders, job) if orders.resume else None
+        if result is None:
+            result = _calibrated(orders, job)
+    except CalibPinError as error:
+        return replace(blank, reason=str(error))
+    except OSError as error:
+        file = error.filename or job.name
+        return replace(blank, reason=f"{file}: {error.strerror or error}")
+    except Exception as error:  # One broken job stops nothing.
+        return replace(blank, reason=one_line(f"{type(error).__name__}: {error}"))
+    finally:
+        tell_notices(forget=True)
+    return fleet_row(job.name, result, blank.serial_number, blank.date)
+
+
+def lost_job(job: Job) -> FleetRow:
+    """The row of a job over which workers died again and again."""
+    blank = FleetRow(job.name, job.stated.serial_number, job.stated.date or "")
+    return replace(blank, reason="the process that calibrates it dies each time")
+
+
+@dataclass(frozen=True)
+class Successor:
+    """A calibration whose drift is to be told.
+
+    Attributes:
+        row: Its row.
+        previous: Folder or `calibration.json` of the earlier one, and its name.
+    """
+
+    row: FleetRow
+    previous: tuple[Path, str]
+
+
+@serial_blas
+def compare_job(orders: Orders, pair: Successor) -> FleetRow:
+    """The row of a calibration with its drift."""
+    from calib_pin.io.result_file import read_result
+    from calib_pin.validation.comparison import compare
+
+    row, (file, name) = pair.row, pair.previous
+    try:
+        orders.enter()
+        own = read_result(orders.folder(row.job))
+        return with_drift(row, compare(read_result(file), own), name)
+    except CalibPinError as error:
+        said = f"no drift from {name}: {error}"
+        reason = one_line(f"{row.reason}; {said}" if row.reason else said)
+        return replace(row, drift=Drift(name), reason=reason)
+
+
+def _request(job: Job) -> Request:
+    """The calibration that a job asks for.
+
+    Raises:
+        InputError: If no measurement file has a name of those with a *.
+    """
+    stated = job.stated
+    files: list[Path] = []
+    for file in map(Path, stated.measurements):
+        alike = "*" in file.name
+        found = sorted(file.parent.glob(file.name)) if alike else [file]
+        if not found:
+            raise InputError("no file has such a name", file=file)
+        files += found
+    return Request(
+        robot=stated.robot,
+        measurements=tuple(files),
+        setup=None if stated.setup is None else Path(stated.setup),
+        base=stated.base,
+        tip=stated.tip,
+        model=stated.model,
+        parameters=stated.parameters,
+        learned=stated.learned,
+        validation=None if stated.validation is None else Path(stated.validation),
+        holdout=stated.holdout,
+        seed=stated.seed,
+    )
+
+
+def _calibrated(orders: Orders, job: Job) -> CalibrationResult:
+    request, folder = _request(job), orders.folder(job.name)
+    given = opened(request, folder, force=True)
+    found = calibrated(given, request.words(folder), page=orders.pages)
+    assert given.files is not None
+    with write_results(found.result, given.files, found.contents, force=True):
+        return found.result
+
+
+def _finished(orders: Orders, job: Job) -> CalibrationResult | None:
+    """The result that is there already; None where it is another one's, or not whole.
+
+    It is the same if the command and the content of all files are.
+    """
+    from calib_pin.io.files import read_bytes
+    from calib_pin.io.journal import sha256
+    from calib_pin.io.result_file import read_result
+
+    request, folder = _request(job), orders.folder(job.name)
+    try:
+        document = read_document(folder / DOCUMENT)
+        used = [*document["measurements"]["files"], *_stated(document)]
+        there = all(sha256(read_bytes(f["file"])) == f["sha256"] for f in used)
+        words = tuple(document["provenance"]["command"])
+        complete = REPORT in document["files"] or not orders.pages
+        if not there or not complete or words != request.words(folder):
+            return None
+        result = read_result(folder)
+        robot = Path(request.robot)
+        nominal = result.model.chains.robot.source
+        same = not robot.is_file() or read_bytes(robot) == nominal
+        return result if same else None
+    except (CalibPinError, KeyError, TypeError):
+        return None
+
+
+def _stated(document: dict[str, object]) -> Sequence[dict[str, str]]:
+    """The setup file of a calibration, where there is one."""
+    file = document["setup_file"]
+    return [file] if isinstance(file, dict) else []

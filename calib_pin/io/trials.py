@@ -1,0 +1,110 @@
+"""Trials of a Monte Carlo study: a file that grows robot by robot, in their order.
+
+What a killed study leaves is whole but for its last line, and a study goes on behind
+it. The head of the file says of which study it is.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import astuple, fields
+from pathlib import Path
+
+from calib_pin.errors import InputError, OutputError
+from calib_pin.io.files import read_bytes, write_atomically
+from calib_pin.io.json_text import typed
+from calib_pin.monte_carlo import Trial
+
+COLUMNS = tuple(field.name for field in fields(Trial))
+"""Columns of the file."""
+
+
+def encode_trials(trials: Iterable[Trial]) -> bytes:
+    """Lines of trials."""
+    text = io.StringIO(newline="")
+    # The csv module writes floats by repr, which loses nothing.
+    csv.writer(text, lineterminator="\n").writerows(map(astuple, trials))
+    return text.getvalue().encode()
+
+
+def head(study: str) -> bytes:
+    """The first lines of a file.
+
+    Args:
+        study: Everything that the numbers depend on, as a hash.
+    """
+    return f"# calib-pin Monte Carlo, study {study}\n{','.join(COLUMNS)}\n".encode()
+
+
+def read_trials(path: Path, study: str, each: int) -> list[tuple[Trial, ...]]:
+    """The trials of the robots that a file holds, in their order from the first on.
+
+    Args:
+        path: The file.
+        study: The study that they have to be of.
+        each: Number of trials of a robot.
+
+    Raises:
+        InputError: If they are of another study, or are damaged before the end.
+    """
+    data, begin = read_bytes(path), head(study)
+    if not data.startswith(begin):
+        raise InputError("holds trials of another study; use --force", file=path)
+    whole = data[len(begin) : data.rfind(b"\n") + 1].decode("utf-8", "replace")
+    found: list[tuple[Trial, ...]] = []
+    own: list[Trial] = []
+    for line, cells in enumerate(csv.reader(io.StringIO(whole, newline="")), 3):
+        trial = _trial(cells)
+        if trial is None or trial.robot != len(found):
+            raise InputError("damaged; use --force", file=path, line=line)
+        own.append(trial)
+        if len(own) == each:
+            found.append(tuple(own))
+            own = []
+    return found
+
+
+def _trial(cells: Sequence[str]) -> Trial | None:
+    """A trial from its line; None where it is none."""
+    if len(cells) != len(COLUMNS):
+        return None
+    robot, configurations, *numbers, reason = cells
+    try:
+        sizes = [None if text == "nan" else float(text) for text in numbers]
+        values = (int(robot), int(configurations), *sizes, reason)
+        return typed(Trial, dict(zip(COLUMNS, values, strict=True)))
+    except ValueError:
+        return None
+
+
+def kept(
+    path: Path,
+    study: str,
+    known: Sequence[tuple[Trial, ...]],
+    further: Iterable[tuple[Trial, ...]],
+) -> Iterator[tuple[Trial, ...]]:
+    """Trials of one robot after the other, each written before it is told.
+
+    Args:
+        path: The file.
+        study: The study.
+        known: Trials of the first robots.
+        further: Trials of the others.
+
+    Raises:
+        OutputError: If the file cannot be written.
+    """
+    data = encode_trials(trial for own in known for trial in own)
+    write_atomically(path, head(study) + data, force=True)
+    yield from known
+    try:
+        with path.open("ab") as stream:
+            for own in further:
+                stream.write(encode_trials(own))
+                stream.flush()
+                yield own
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OutputError(f"{path}: cannot be written: {reason}") from error

@@ -1,0 +1,217 @@
+"""A fleet in rows: one calibration each, sorted by who needs attention."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, fields, replace
+from typing import NamedTuple
+
+from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.validation.comparison import Comparison, faults
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.summaries import ToolAccuracy
+
+FAILED = "failed"
+"""Verdict of a job that ended in an error."""
+
+ORDER = (FAILED, "untrusted", "unchecked")
+"""Verdicts that need attention, the most urgent first."""
+
+
+class Expected(NamedTuple):
+    """Expected tool error over the workspace, root mean square [m].
+
+    Attributes:
+        nominal: Of the nominal robot.
+        calibrated: Of the calibrated one.
+        bound: Upper bound of that with 95 % confidence.
+    """
+
+    nominal: float = math.nan
+    calibrated: float = math.nan
+    bound: float = math.nan
+
+
+class Drift(NamedTuple):
+    """Difference of the tool points since an earlier calibration of the robot.
+
+    Attributes:
+        previous: Name of that calibration; empty if there is none.
+        size: The difference over the workspace, root mean square [m].
+        explained: The part of it that noise explains [m].
+        beyond: Whether it is more than that.
+    """
+
+    previous: str = ""
+    size: float = math.nan
+    explained: float = math.nan
+    beyond: bool = False
+
+
+class FarJoint(NamedTuple):
+    """The joint that is farthest from those of other robots of the type.
+
+    Attributes:
+        name: Its name; empty if nothing is known of the type.
+        spreads: Its distance from the mean of the type, in spreads of the type.
+    """
+
+    name: str = ""
+    spreads: float = math.nan
+
+
+@dataclass(frozen=True)
+class FleetRow:
+    """A calibration of a fleet; see `fleet_columns` for `fleet.csv`.
+
+    Attributes:
+        job: Name of the job and of its folder.
+        serial_number: Serial number of the robot.
+        date: Day of the measurements.
+        robot: Name of the robot in its URDF.
+        verdict: The verdict; `failed` where the job ended in an error.
+        reason: Why, in one sentence.
+        quantity: The quantity whose errors are told.
+        unit: Its unit.
+        fitted: Number of fitted measurements.
+        held_out: Number of held-out measurements.
+        nominal: Error of the nominal robot on these, on the fitted ones where none is
+            held out, root mean square [unit].
+        calibrated: That of the calibrated robot.
+        expected: Expected tool error.
+        drift: Difference from an earlier calibration.
+        joint: The joint that differs most from others of the type.
+        outliers: Number of measurements that were set aside.
+        findings: Codes of findings, errors and warnings.
+    """
+
+    job: str
+    serial_number: str = ""
+    date: str = ""
+    robot: str = ""
+    verdict: str = FAILED
+    reason: str = ""
+    quantity: str = ""
+    unit: str = ""
+    fitted: int = 0
+    held_out: int = 0
+    nominal: float = math.nan
+    calibrated: float = math.nan
+    expected: Expected = field(default_factory=Expected)
+    drift: Drift = field(default_factory=Drift)
+    joint: FarJoint = field(default_factory=FarJoint)
+    outliers: int = 0
+    findings: tuple[str, ...] = ()
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the calibration may be used."""
+        return self.verdict in TRUSTED
+
+    @property
+    def urgency(self) -> tuple[int, float]:
+        """Small where somebody has to look at it first."""
+        if self.verdict in ORDER:
+            level = ORDER.index(self.verdict)
+        else:
+            level = len(ORDER) + (not self.drift.beyond)
+        # Among equals the robot that is least accurate, and those of which that is
+        # unknown before it.
+        size = self.expected.calibrated
+        return level, -math.inf if math.isnan(size) else -size
+
+
+def fleet_row(
+    job: str, result: CalibrationResult, serial_number: str = "", date: str = ""
+) -> FleetRow:
+    """The row of a calibration.
+
+    Args:
+        job: Name of the job.
+        result: The result.
+        serial_number: Serial number; default that of the setup.
+        date: Day of the measurements; default that of the setup.
+    """
+    error, about = result.errors[0], result.model.setup.report
+    before = error.validation_before or error.before
+    after = error.validation_after or error.after
+    worst = max(
+        result.accuracies.values(), key=_expected_error, default=ToolAccuracy()
+    ).workspace
+    row = FleetRow(
+        job=job,
+        serial_number=serial_number or about.serial_number,
+        date=date or about.date or "",
+        robot=result.model.chains.robot.name,
+        verdict=result.verdict,
+        reason=result.reason,
+        quantity=error.name,
+        unit=error.unit,
+        fitted=len(result.fitted),
+        held_out=result.validation.count,
+        nominal=before.rms,
+        calibrated=after.rms,
+        outliers=len(result.statistics.outliers),
+        findings=tuple(
+            dict.fromkeys(f.code for f in result.findings if f.severity != "info")
+        ),
+    )
+    if worst is None:
+        return row
+    sizes = (worst.nominal, worst.calibrated, worst.bound)
+    return replace(row, expected=Expected(*(size.position for size in sizes)))
+
+
+def _expected_error(accuracy: ToolAccuracy) -> float:
+    found = accuracy.workspace
+    return -math.inf if found is None else found.calibrated.position
+
+
+def with_drift(row: FleetRow, found: Comparison, previous: str) -> FleetRow:
+    """A row with the drift from an earlier calibration.
+
+    Args:
+        row: The row.
+        found: The comparison of the earlier calibration with its own.
+        previous: Name of the earlier one.
+    """
+    explained = (math.nan, math.nan) if found.explained is None else found.explained
+    codes = tuple(fault.code for fault in faults(found))
+    size = found.drift.position.rms
+    return replace(
+        row,
+        drift=Drift(previous, size, explained[0], bool(found.drifted)),
+        findings=tuple(dict.fromkeys((*row.findings, *codes))),
+    )
+
+
+def by_urgency(rows: Iterable[FleetRow]) -> tuple[FleetRow, ...]:
+    """The rows, those that need attention first; among equals in their order."""
+    return tuple(sorted(rows, key=lambda row: row.urgency))
+
+
+def fleet_columns(rows: Iterable[FleetRow]) -> dict[str, list[object]]:
+    """The columns of `fleet.csv`; what is unknown is empty.
+
+    Example:
+        >>> list(fleet_columns([FleetRow("a")]))[-7:-3]
+        ['drift_explained', 'drift_beyond', 'joint_name', 'joint_spreads']
+    """
+    found: dict[str, list[object]] = {}
+    for row in rows:
+        for name, value in _cells(row):
+            unknown = isinstance(value, float) and math.isnan(value)
+            found.setdefault(name, []).append("" if unknown else value)
+    return found
+
+
+def _cells(row: FleetRow) -> Iterator[tuple[str, object]]:
+    for column in fields(row):
+        value = getattr(row, column.name)
+        if hasattr(value, "_asdict"):
+            for name, part in value._asdict().items():
+                yield f"{column.name}_{name}", part
+        else:
+            text = " ".join(value) if isinstance(value, tuple) else value
+            yield column.name, text

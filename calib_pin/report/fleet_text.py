@@ -10,7 +10,16 @@ import numpy as np
 
 from calib_pin.monte_carlo import Outlook, Study
 from calib_pin.monte_carlo.summary import LEVELS
-from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table, columns
+from calib_pin.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Facts,
+    Line,
+    Table,
+    Tone,
+    columns,
+)
 from calib_pin.report.tables import amount, known, quantity
 from calib_pin.setup import LimitSetup
 from calib_pin.units import DISPLAY
@@ -38,18 +47,15 @@ def fleet_report(rows: Sequence[FleetRow], most: int = FEW) -> Iterator[Block]:
         yield Line(
             f"{drifted} {said} from the one before by more than noise explains.", "bad"
         )
-    yield from _accuracy(rows)
     shown = rows[:most]
+    for row in shown:
+        if not row.trusted:
+            tone: Tone = "bad" if row.verdict in ORDER[:2] else "strong"
+            yield Line(f"{row.job}: {row.reason}", tone)
+    yield from _accuracy(rows)
     yield _listed(shown)
     if len(rows) > most:
         yield Line(f"{len(rows) - most} more are in fleet.csv.", "note")
-    for row in shown:
-        if not row.trusted:
-            yield Line(f"{row.job}: {row.reason}", "bad" if _bad(row) else "strong")
-
-
-def _bad(row: FleetRow) -> bool:
-    return row.verdict in ORDER[:2]
 
 
 def _accuracy(rows: Sequence[FleetRow]) -> Iterator[Table]:
@@ -169,7 +175,7 @@ def _decision(found: Sequence[Outlook], limit: LimitSetup) -> Iterator[Line]:
         return
     limits = [(limit.position, "m"), (limit.orientation, "rad")]
     words = " and ".join(amount(size, unit) for size, unit in limits if size)
-    enough = next((one for one in found if one.met[1] >= LEVELS[-1]), None)
+    enough = next((one for one in found if one.met[0] >= LEVELS[-1]), None)
     one = enough or max(found, key=lambda one: one.met[0])
     share, low, high = (f"{100.0 * part:.0f} %" for part in one.met)
     yield Line(

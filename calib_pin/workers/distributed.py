@@ -10,10 +10,11 @@ from __future__ import annotations
 import pickle
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from dataclasses import dataclass, field
+from concurrent.futures import Future
+from dataclasses import dataclass
 from hashlib import sha256
 from itertools import islice
+from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar
 
 from calib_pin.workers.base import WorkerLost
@@ -31,6 +32,9 @@ LARGEST = 10_000
 
 QUEUED = 2
 """Batches of a seat: one is worked on while the next one is sent."""
+
+AHEAD = 8
+"""Batches of results for every seat that may wait for an earlier result."""
 
 ENDGAME = 3
 """Parts for every seat, at least, into which the rest of the items is cut, so that none
@@ -104,11 +108,12 @@ class _Batch:
         ]
 
 
-@dataclass
 class Dispatch:
     """Items on their way over some seats; iterates over results in order.
 
-    Attributes:
+    What it does for a batch takes the same time however many seats there are.
+
+    Args:
         seats: The seats.
         share: The function and the shared value.
         items: The items.
@@ -116,68 +121,66 @@ class Dispatch:
         lost: Result of an item over which workers died again and again.
     """
 
-    seats: Sequence[Seat]
-    share: Share
-    items: Iterator[Any]
-    total: int | None = None
-    lost: Callable[[Any], Any] | None = None
-    _read: int = 0
-    _seconds: float = 0.0
-    _done: int = 0
-    _sent: int = 0
-    _again: deque[_Batch] = field(default_factory=deque)
-    _under_way: dict[Future[Done], tuple[int, _Batch]] = field(default_factory=dict)
-    _ready: dict[int, Any] = field(default_factory=dict)
+    def __init__(
+        self,
+        seats: Sequence[Seat],
+        share: Share,
+        items: Iterator[Any],
+        total: int | None = None,
+        lost: Callable[[Any], Any] | None = None,
+    ) -> None:
+        """Send nothing yet."""
+        self._seats, self._share, self._items = seats, share, items
+        self._total, self._lost = total, lost
+        # Every seat once, then every seat a second time: all begin before any queues.
+        self._vacant = deque([*range(len(seats))] * QUEUED)
+        self._read = self._sent = self._done = 0
+        self._seconds = 0.0
+        self._again: deque[_Batch] = deque()
+        self._under_way: dict[Future[Done], tuple[int, _Batch]] = {}
+        self._back: SimpleQueue[Future[Done]] = SimpleQueue()
+        self._ready: dict[int, Any] = {}
 
     def __iter__(self) -> Iterator[Any]:
         """Results in the order of the items."""
         place = 0
         try:
             while True:
-                self._fill(place)
-                while place in self._ready:
+                self._fill()
+                if place in self._ready:
                     found = self._ready.pop(place)
                     if isinstance(found, _Failed):
                         raise found.error
                     yield found
                     place += 1
-                    self._fill(place)
-                if not self._under_way:
-                    if self._again:
-                        continue
+                elif self._under_way:
+                    self._take(self._back.get())
+                else:
                     return
-                done, _ = wait(self._under_way, return_when=FIRST_COMPLETED)
-                for future in done:
-                    self._take(future)
         finally:
             for future in self._under_way:
                 future.cancel()
 
-    def _fill(self, place: int) -> None:
+    def _fill(self) -> None:
         """Give every seat its batches.
 
         Results that wait for an earlier one take memory, so no seat runs far ahead.
         """
-        queued = [0] * len(self.seats)
-        for seat, _ in self._under_way.values():
-            queued[seat] += 1
-        ahead = self._read - place - sum(len(b) for _, b in self._under_way.values())
-        for level in range(QUEUED):
-            for seat, count in enumerate(queued):
-                if count > level:
-                    continue
-                if not self._again and ahead > 8 * len(self.seats) * self._size():
-                    return
-                batch = self._next()
-                if batch is None:
-                    return
-                self._send(seat, batch)
-                queued[seat] += 1
+        while self._vacant:
+            far = len(self._ready) > AHEAD * len(self._seats) * self._size()
+            batch = None if far and not self._again else self._next()
+            if batch is None:
+                return
+            number = self._vacant.popleft()
+            batch.sent, self._sent = self._sent, self._sent + 1
+            future = self._seats[number].submit(self._share, batch.items)
+            self._under_way[future] = number, batch
+            future.add_done_callback(self._back.put)
 
     def _next(self) -> _Batch | None:
         if self._again:
             return self._again.popleft()
-        items = list(islice(self.items, self._size()))
+        items = list(islice(self._items, self._size()))
         batch = _Batch(self._read, items)
         self._read += len(items)
         return batch if items else None
@@ -187,22 +190,18 @@ class Dispatch:
         if not self._done:
             return 1
         size = SECONDS * self._done / max(self._seconds, 1e-6)
-        if self.total is not None:
-            rest = self.total - self._read
-            size = min(size, rest / (ENDGAME * len(self.seats)))
+        if self._total is not None:
+            rest = self._total - self._read
+            size = min(size, rest / (ENDGAME * len(self._seats)))
         return int(min(max(size, 1), LARGEST))
-
-    def _send(self, seat: int, batch: _Batch) -> None:
-        batch.sent, self._sent = self._sent, self._sent + 1
-        future = self.seats[seat].submit(self.share, batch.items)
-        self._under_way[future] = seat, batch
 
     def _take(self, future: Future[Done]) -> None:
         """Take the results of a batch, or send it again."""
         if future not in self._under_way:
             return  # It was lost with another one of its seat.
         number, batch = self._under_way.pop(future)
-        seat = self.seats[number]
+        self._vacant.append(number)
+        seat = self._seats[number]
         try:
             done = future.result()
         except seat.died:
@@ -218,10 +217,11 @@ class Dispatch:
 
     def _bury(self, number: int, batch: _Batch) -> None:
         """Send what a dead worker had again; the batch it worked on counts a death."""
-        seat, dead = self.seats[number], [batch]
+        seat, dead = self._seats[number], [batch]
         if seat.renew():
             others = [f for f, (k, _) in self._under_way.items() if k == number]
             dead += [self._under_way.pop(future)[1] for future in others]
+            self._vacant.extend([number] * len(others))
         # A worker dies over the first of its batches; the others only waited.
         first, *waiting = sorted(dead, key=lambda one: one.sent)
         first.deaths += 1
@@ -231,7 +231,7 @@ class Dispatch:
             return
         error = WorkerLost(f"workers died over item {first.start + 1}, again and again")
         for k, item in enumerate(first.items):
-            given_up = _Failed(error) if self.lost is None else self.lost(item)
+            given_up = _Failed(error) if self._lost is None else self._lost(item)
             self._ready[first.start + k] = given_up
 
 

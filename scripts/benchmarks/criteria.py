@@ -8,12 +8,12 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from benchmarks.criterion import Criterion
+from calib_pin.cli.workforce import asked_workers
+from calib_pin.compiled.threads import serial_blas
 
 SHARE = 10
 """Part of the jobs without `--full`: every tenth number's worth."""
@@ -41,7 +41,7 @@ def run_criteria(
             numbers = range(options.first, options.first + (options.count or count))
         begin = time.perf_counter()
         found = []
-        for outcome in _run(criterion, numbers, options.processes):
+        for outcome in _run(criterion, numbers, options):
             found.append(outcome)
             if options.job or options.tell:
                 print(outcome, flush=True)
@@ -60,24 +60,19 @@ def run_criteria(
 
 
 def _run(
-    criterion: Criterion[Any], numbers: Sequence[int], processes: int
-) -> Iterable[Any]:
+    criterion: Criterion[Any], numbers: Sequence[int], options: argparse.Namespace
+) -> Iterator[Any]:
     """Outcomes of jobs, in their order."""
-    if processes == 1 or len(numbers) == 1 or criterion.alone:
-        yield from map(criterion.run, numbers)
-        return
-    chunk = max(1, len(numbers) // (8 * processes))
-    with ProcessPoolExecutor(processes) as pool:
-        job = partial(_quietly, criterion.run)
-        yield from pool.map(job, numbers, chunksize=chunk)
+    count = 1 if len(numbers) == 1 or criterion.alone else options.workers
+    cluster = None if criterion.alone else options.cluster
+    with asked_workers(None if cluster else count, cluster) as workers:
+        yield from workers.map(_outcome, criterion.run, numbers)
 
 
-def _quietly(job: Any, number: int) -> Any:
-    """Outcome of a job, by a process of its own."""
-    from calib_pin.compiled.threads import serial_blas
-
-    with serial_blas:
-        return job(number)
+@serial_blas
+def _outcome(run: Callable[[int], Any], number: int) -> Any:
+    """Outcome of a job."""
+    return run(number)
 
 
 def _options(benchmark: str, names: Sequence[str]) -> argparse.Namespace:
@@ -96,7 +91,8 @@ def _options(benchmark: str, names: Sequence[str]) -> argparse.Namespace:
         "--job", type=int, action="append", default=[], help="this job alone"
     )
     parser.add_argument("--tell", action="store_true", help="print every outcome")
-    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--workers", type=int, help="processes, default every core")
+    parser.add_argument("--cluster", help="a dask scheduler instead of processes")
     words = sys.argv[1:]
     options = parser.parse_args([word for word in words if word != benchmark])
     if unknown := [name for name in options.only if name not in names]:

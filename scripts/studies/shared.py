@@ -9,11 +9,9 @@ import platform
 import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from importlib.metadata import version
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -22,10 +20,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
-from numba import config
 
 from calib_pin.io.files import write_atomically
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.workers.local import LocalProcesses
 
 COLORS = {
     "black": "#000000",
@@ -120,13 +118,12 @@ def each(
         what: Name of an item, for the progress on a terminal.
     """
     items = list(items)
-    cores = int(config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
-    count = min(cores, len(items))
-    if count < 2:
-        return list(_told(map(work, items), len(items), what))
-    # Not forked: a copy of a process with threads may hang.
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
-        return list(_told(pool.map(work, items), len(items), what))
+    with LocalProcesses(patience=0.0) as workers:
+        return list(_told(workers.map(_called, work, items), len(items), what))
+
+
+def _called(work: Callable[[_Item], _Result], item: _Item) -> _Result:
+    return work(item)
 
 
 def _told(results: Iterable[_Result], count: int, what: str) -> Iterator[_Result]:

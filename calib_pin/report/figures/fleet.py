@@ -113,9 +113,9 @@ def accuracy_by_configurations(found: Foreseen) -> Drawn | None:
     axes.plot(counts, share, **wide)
     shown = [low, high, share]
     entries = {
-        "rms of the median robot": line,
+        "rms, median": line,
         "5 to 95 % of robots": {**band, "linewidth": 6.0},
-        "within, 95 % of workspace": wide,
+        "95 % of the workspace": wide,
     }
     if limit is not None:
         axes.axhline(factor * limit, **LIMIT)
@@ -124,7 +124,10 @@ def accuracy_by_configurations(found: Foreseen) -> Drawn | None:
     log_axis(axes, "y", log_limits(*shown) or (0.1, 1.0))
     axes.set_ylabel(f"position error [{unit}]")
     axes.set_xlabel("configurations")
-    text = "Position error over the workspace after a calibration."
+    text = (
+        "Position error of a robot after a calibration: rms over the workspace, and "
+        "what the median robot keeps within in 95 % of it."
+    )
     if limited:
         met = 100.0 * np.array([one.met for one in done])
         below, above = met[:, 0] - met[:, 1], met[:, 2] - met[:, 0]

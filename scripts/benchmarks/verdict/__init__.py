@@ -6,7 +6,7 @@
     scripts/benchmark verdict --only trust --job 417 # one job, told in full
 
 Jobs are numbered; the number and a fixed seed make the job, so that each that fails
-can be run again by itself. Two processes share the jobs, one thread each.
+can be run again by itself. Processes share the jobs (`--workers`, `--cluster`).
 """
 
 from benchmarks.verdict.running import main

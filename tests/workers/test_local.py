@@ -1,0 +1,122 @@
+"""Processes of this machine: the same results, and what becomes of dead ones."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib_pin.workers import SERIAL
+from calib_pin.workers.base import WorkerLost
+from calib_pin.workers.local import LocalProcesses
+
+
+def threads(shared: None, item: int) -> tuple[int, str | None, int]:
+    """The process, and how many threads it may use."""
+    from numba import config
+    from threadpoolctl import threadpool_info
+
+    product = np.ones((2, 2)) @ np.ones((2, 2))
+    assert product.any()
+    most = max((pool["num_threads"] for pool in threadpool_info()), default=1)
+    return most, os.environ.get("OMP_NUM_THREADS"), int(config.NUMBA_NUM_THREADS)
+
+
+def drawn(seed: int, item: int) -> bytes:
+    return np.random.default_rng([seed, item]).normal(size=100).tobytes()
+
+
+def slow(shared: None, item: int) -> int:
+    time.sleep(0.05)
+    return os.getpid()
+
+
+def deadly(parent: int, item: int) -> int:
+    if item == 7:
+        assert os.getpid() != parent
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item
+
+
+def test_any_number_of_processes_has_the_same_bytes():
+    expected = list(SERIAL.map(drawn, 3, range(200)))
+    for count in (1, 2, 3):
+        with LocalProcesses(count, patience=0.0) as workers:
+            assert list(workers.map(drawn, 3, range(200))) == expected
+            assert list(workers.map(drawn, 4, iter(range(5)))) != expected[:5]
+
+
+def test_a_worker_has_one_thread():
+    with LocalProcesses(1, patience=0.0) as workers:
+        assert list(workers.map(threads, None, [0])) == [(1, "1", 1)]
+
+
+def test_what_is_done_soon_starts_no_process():
+    with LocalProcesses(2, patience=30.0) as workers:
+        assert set(workers.map(slow, None, range(4))) == {os.getpid()}
+    with LocalProcesses(1) as workers:
+        assert set(workers.map(slow, None, range(3))) == {os.getpid()}
+
+
+def test_what_takes_longer_is_shared():
+    with LocalProcesses(2, patience=0.1) as workers:
+        found = list(workers.map(slow, None, range(60)))
+    assert found[0] == os.getpid() and len(set(found)) == 3
+
+
+def test_an_item_that_kills_its_process_stops_nothing():
+    with LocalProcesses(2, patience=0.0) as workers:
+        found = workers.map(deadly, os.getpid(), range(40), lambda item: -item)
+        assert list(found) == [-7 if k == 7 else k for k in range(40)]
+        with pytest.raises(WorkerLost, match="item 8"):
+            list(workers.map(deadly, os.getpid(), range(40)))
+
+
+SCRIPT = """
+import os, sys, time
+from calib_pin.workers.local import LocalProcesses
+
+def work(shared, item):
+    print(os.getpid(), flush=True)
+    time.sleep(60)
+
+if __name__ == "__main__":
+    with LocalProcesses(2, patience=0.0) as workers:
+        list(workers.map(work, None, range(8)))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_no_worker_outlives_its_parent(tmp_path: Path, number: signal.Signals):
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    process = subprocess.Popen(
+        [sys.executable, script],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert process.stdout is not None
+    children = [int(process.stdout.readline()) for _ in range(2)]
+    process.send_signal(number)
+    process.wait(20)
+    deadline = time.monotonic() + 20
+    while time.monotonic() < deadline and any(map(alive, children)):
+        time.sleep(0.05)
+    assert not any(map(alive, children))
+    process.stdout.close()
+
+
+def alive(process: int) -> bool:
+    """Whether a process runs; one that nobody has buried does not."""
+    try:
+        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"

@@ -58,7 +58,7 @@ planes:
   wall: {normal: [1, 0.2, 0.3], offset: -1.8}
 """
 
-DRAW = "calib_pin.cli.calibrate.draw_calibration"
+DRAW = "calib_pin.cli.requests.draw_calibration"
 """What a command draws the figures of a calibration with."""
 
 SETUP = "tip: tool\nparameters: [joint-offset]\nnoise: {position: 1.0e-4}\n"

@@ -180,7 +180,7 @@ def test_it_is_recognized_where_it_came_from(
 ) -> None:
     """By its own file, beside which its meshes are, or by the copy that was kept."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("calib_pin.cli.calibrate.draw_calibration", lambda *_: [])
+    monkeypatch.setattr("calib_pin.cli.requests.draw_calibration", lambda *_: [])
     Path("arm.urdf").write_bytes(urdf(origins(SLIDES)))
     words = "arm.urdf --tip link6 --model pose --count 30 --noise 1e-5 -o rows.csv"
     assert main(f"simulate {words}".split()) == 0

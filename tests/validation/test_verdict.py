@@ -113,7 +113,7 @@ def test_a_perfect_robot_gets_its_nominal_urdf(
     from calib_pin.cli import main
 
     # The figures of the page take the longest.
-    monkeypatch.setattr("calib_pin.cli.calibrate.draw_calibration", lambda *about: [])
+    monkeypatch.setattr("calib_pin.cli.requests.draw_calibration", lambda *about: [])
     job = tracked(perfect=True)
     nominal = calib_pin.robot_file("space6", "robot.urdf")
     rows, out = tmp_path / "rows.csv", tmp_path / "out"

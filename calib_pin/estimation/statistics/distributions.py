@@ -202,4 +202,5 @@ def share_interval(found: int, count: int) -> tuple[float, float, float]:
     share, square = found / count, NORMAL**2 / count
     middle = (share + square / 2.0) / (1.0 + square)
     half = sqrt(square * (share * (1.0 - share) + square / 4.0)) / (1.0 + square)
-    return share, max(middle - half, 0.0), min(middle + half, 1.0)
+    # At its ends the interval holds the share but for rounding.
+    return share, min(max(middle - half, 0.0), share), max(middle + half, share)

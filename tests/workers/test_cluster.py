@@ -1,0 +1,149 @@
+"""A cluster of dask on the loopback: the same results, whoever dies."""
+
+from __future__ import annotations
+
+import http.server
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from calib_pin.errors import OptionError
+from calib_pin.workers import SERIAL
+from calib_pin.workers.base import WorkerLost
+from calib_pin.workers.cluster import Cluster
+
+pytestmark = pytest.mark.filterwarnings("default")
+
+
+def square(shared: int, item: int) -> int:
+    time.sleep(0.001)
+    return item * item + shared
+
+
+def who(shared: None, item: int) -> int:
+    time.sleep(0.05)
+    return os.getpid()
+
+
+class Dask:
+    """A scheduler and its workers, each a process."""
+
+    def __init__(self, folder: Path, workers: int) -> None:
+        self.file = folder / "scheduler.json"
+        self.log = (folder / "dask.log").open("wb")
+        self.scheduler = self.start("scheduler", "--port", "0", "--host", "127.0.0.1")
+        self.workers = [self.worker() for _ in range(workers)]
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            try:
+                with Cluster(str(self.file)) as cluster:
+                    if cluster.count == workers:
+                        return
+            except OptionError:
+                time.sleep(0.2)
+        raise TimeoutError("no cluster within a minute")
+
+    def start(self, program: str, *words: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", f"distributed.cli.dask_{program}"]
+        options = ["--scheduler-file", str(self.file), "--no-dashboard", *words]
+        return subprocess.Popen([*command, *options], stdout=self.log, stderr=self.log)
+
+    def worker(self) -> subprocess.Popen[bytes]:
+        return self.start("worker", "--nthreads", "1", "--no-nanny")
+
+    def stop(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            process.kill()
+            process.wait()
+        self.log.close()
+
+
+@pytest.fixture
+def dask(tmp_path: Path) -> Iterator[Dask]:
+    cluster = Dask(tmp_path, 2)
+    yield cluster
+    cluster.stop()
+
+
+def test_processes_of_dask_have_the_same_results():
+    with Cluster("local") as cluster:
+        assert cluster.count >= 1
+        items = range(300)
+        assert list(cluster.map(square, 3, items)) == list(SERIAL.map(square, 3, items))
+        assert os.getpid() not in set(cluster.map(who, None, range(4)))
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_is_done_without(dask: Dask):
+    items = range(3000)
+    with Cluster(str(dask.file)) as cluster:
+        assert cluster.count == 2
+        found = cluster.map(square, 1, items)
+        first = [next(found) for _ in range(200)]
+        dask.workers[0].send_signal(signal.SIGKILL)
+        assert [*first, *found] == list(SERIAL.map(square, 1, items))
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_killed_is_one_line(dask: Dask):
+    with Cluster(str(dask.file)) as cluster:
+        found = cluster.map(square, 1, range(100_000))
+        next(found)
+        dask.scheduler.send_signal(signal.SIGKILL)
+        with pytest.raises(WorkerLost, match="no longer answers"):
+            list(found)
+
+
+def silent() -> Iterator[str]:
+    """Address of a server of another kind."""
+    server = http.server.ThreadingHTTPServer(
+        ("127.0.0.1", 0), http.server.BaseHTTPRequestHandler
+    )
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    yield f"tcp://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    server.server_close()
+    thread.join()
+
+
+@pytest.mark.parametrize(
+    "address", ["tcp://127.0.0.1:9", "nonsense", "foo://127.0.0.1:9"]
+)
+def test_where_no_scheduler_is_there_is_one_line_within_ten_seconds(address: str):
+    begin = time.monotonic()
+    with pytest.raises(OptionError, match="no scheduler answers at --cluster"):
+        Cluster(address)
+    assert time.monotonic() - begin < 10.0
+
+
+@pytest.mark.slow
+def test_a_server_of_another_kind_is_no_scheduler():
+    for address in silent():
+        begin = time.monotonic()
+        with pytest.raises(OptionError, match="no scheduler answers"):
+            Cluster(address)
+        assert time.monotonic() - begin < 10.0
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"address": 1', '{"id": 3}'])
+def test_files_that_are_no_scheduler(tmp_path: Path, text: str):
+    file = tmp_path / "scheduler.json"
+    with pytest.raises(OptionError, match="no file of a scheduler: No such file"):
+        Cluster(str(file))
+    file.write_text(text)
+    with pytest.raises(OptionError, match="is no file of a scheduler"):
+        Cluster(str(file))
+
+
+def test_without_dask_one_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(OptionError, match=r"pip install 'calib-pin\[cluster\]'"):
+        Cluster("local")

@@ -1,6 +1,6 @@
 """`scripts/benchmark [NAMES] [OPTIONS]`: run the benchmarks that are named, or all.
 
-Options belong to the benchmark that knows them, `guard`, `verdict` or `findings`.
+Options belong to the benchmark that knows them, such as `verdict`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from benchmarks import (
     evolution,
     findings,
     fit,
+    fleet,
     guard,
     jobs,
     planning,
@@ -35,6 +36,7 @@ BENCHMARKS = {
     "recovery": recovery.main,
     "report": report.main,
     "guard": guard.main,
+    "fleet": fleet.main,
     "verdict": verdict.main,
     "findings": findings.main,
 }

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Orders:
-    """What holds for all jobs of a fleet.
+    """The orders that all jobs of a fleet share.
 
     Attributes:
         home: Folder from which files are named, that of the command.

@@ -94,7 +94,7 @@ def fleet_document(rows: Sequence[FleetRow]) -> Json:
 
 
 def outlook_document(study: Study, found: Sequence[Outlook], limit: LimitSetup) -> Json:
-    """What a Monte Carlo study tells, in SI units; quantiles are those of `levels`."""
+    """Outlooks of a Monte Carlo study, in SI units; quantiles are those of `levels`."""
     return {
         **stated("monte-carlo"),
         "robot": study.chains.robot.name,

@@ -38,7 +38,7 @@ PURPOSES = DRAWN, MEASURED, PREDICTED = range(3)
 
 @dataclass(frozen=True)
 class Study:
-    """What all robots of a study share.
+    """The model, plan and seed that all robots of a study share.
 
     Attributes:
         chains: The nominal chains.

@@ -1,4 +1,4 @@
-"""What simulated robots tell of the next one: accuracy by number of configurations."""
+"""Simulated robots counted: accuracy against number of configurations."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ FEW, MANY = 20, 2000
 
 
 def fleet_report(rows: Sequence[FleetRow], most: int = FEW) -> Iterator[Block]:
-    """What became of a fleet.
+    """The report of a fleet.
 
     Args:
         rows: The rows, the most urgent first.

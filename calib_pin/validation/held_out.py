@@ -126,7 +126,7 @@ def check(
 
 
 class _Whole(NamedTuple):
-    """What all folds of a cross-validation share, see `cross_validate`."""
+    """The input that all folds share, see `cross_validate`."""
 
     chains: Chain | Chains
     measurements: Observations

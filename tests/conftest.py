@@ -13,6 +13,9 @@ import logging
 import os
 import shutil
 import signal
+import subprocess
+import sys
+import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -26,7 +29,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.errors import InputError
+from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.configurations import (
     named_targets,
     observable_configurations,
@@ -52,6 +55,7 @@ from calib_pin.setup import (
     ToolSetup,
 )
 from calib_pin.simulation import draw_errors, exact_problem, simulate
+from calib_pin.workers.cluster import Cluster
 
 
 def example_robots() -> list[Path]:
@@ -519,3 +523,58 @@ def browser() -> Iterator[Any]:
         )
         yield launched
         launched.close()
+
+
+class Dask:
+    """A scheduler and its workers, each a process."""
+
+    def __init__(self, folder: Path, workers: int = 2) -> None:
+        self.file = folder / "scheduler.json"
+        self.log = (folder / "dask.log").open("wb")
+        self.scheduler = self.start("scheduler", "--port", "0", "--host", "127.0.0.1")
+        self.workers = [self.worker() for _ in range(workers)]
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            try:
+                with Cluster(str(self.file)) as cluster:
+                    if cluster.count == workers:
+                        return
+            except OptionError:
+                time.sleep(0.2)
+        raise TimeoutError("no cluster within a minute")
+
+    def start(self, program: str, *words: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", f"distributed.cli.dask_{program}"]
+        options = ["--scheduler-file", str(self.file), "--no-dashboard", *words]
+        return subprocess.Popen([*command, *options], stdout=self.log, stderr=self.log)
+
+    def worker(self) -> subprocess.Popen[bytes]:
+        return self.start("worker", "--nthreads", "1", "--no-nanny")
+
+    def stop(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            process.kill()
+            process.wait()
+        self.log.close()
+
+
+@pytest.fixture
+def start_dask(tmp_path: Path) -> Iterator[Callable[[], Dask]]:
+    """Starts a cluster of two workers on the loopback, again and again."""
+    started: list[Dask] = []
+
+    def start() -> Dask:
+        folder = tmp_path / f"dask{len(started)}"
+        folder.mkdir()
+        started.append(Dask(folder))
+        return started[-1]
+
+    yield start
+    for cluster in started:
+        cluster.stop()
+
+
+@pytest.fixture
+def dask(start_dask: Callable[[], Dask]) -> Dask:
+    """A cluster of two workers on the loopback."""
+    return start_dask()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import http.server
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -32,46 +31,6 @@ def who(shared: None, item: int) -> int:
     return os.getpid()
 
 
-class Dask:
-    """A scheduler and its workers, each a process."""
-
-    def __init__(self, folder: Path, workers: int) -> None:
-        self.file = folder / "scheduler.json"
-        self.log = (folder / "dask.log").open("wb")
-        self.scheduler = self.start("scheduler", "--port", "0", "--host", "127.0.0.1")
-        self.workers = [self.worker() for _ in range(workers)]
-        deadline = time.monotonic() + 60
-        while time.monotonic() < deadline:
-            try:
-                with Cluster(str(self.file)) as cluster:
-                    if cluster.count == workers:
-                        return
-            except OptionError:
-                time.sleep(0.2)
-        raise TimeoutError("no cluster within a minute")
-
-    def start(self, program: str, *words: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", f"distributed.cli.dask_{program}"]
-        options = ["--scheduler-file", str(self.file), "--no-dashboard", *words]
-        return subprocess.Popen([*command, *options], stdout=self.log, stderr=self.log)
-
-    def worker(self) -> subprocess.Popen[bytes]:
-        return self.start("worker", "--nthreads", "1", "--no-nanny")
-
-    def stop(self) -> None:
-        for process in (*self.workers, self.scheduler):
-            process.kill()
-            process.wait()
-        self.log.close()
-
-
-@pytest.fixture
-def dask(tmp_path: Path) -> Iterator[Dask]:
-    cluster = Dask(tmp_path, 2)
-    yield cluster
-    cluster.stop()
-
-
 def test_processes_of_dask_have_the_same_results():
     with Cluster("local") as cluster:
         assert cluster.count >= 1
@@ -81,7 +40,7 @@ def test_processes_of_dask_have_the_same_results():
 
 
 @pytest.mark.slow
-def test_a_worker_that_is_killed_is_done_without(dask: Dask):
+def test_a_worker_that_is_killed_is_done_without(dask):
     items = range(3000)
     with Cluster(str(dask.file)) as cluster:
         assert cluster.count == 2
@@ -92,7 +51,7 @@ def test_a_worker_that_is_killed_is_done_without(dask: Dask):
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_is_killed_is_one_line(dask: Dask):
+def test_a_scheduler_that_is_killed_is_one_line(dask):
     with Cluster(str(dask.file)) as cluster:
         found = cluster.map(square, 1, range(100_000))
         next(found)

@@ -128,7 +128,7 @@ def evaluated(
 
     found: dict[object, list[int]] = {}
     for k, block in enumerate(blocks):
-        plain = block.part.error.geometric and not block.data.start.size
+        plain = block.part.error.learned is None and not block.data.start.size
         found.setdefault(alike(block.part) if plain else k, []).append(k)
     return {
         RowByRow(blocks[positions[0]], sigma)

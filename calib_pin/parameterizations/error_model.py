@@ -32,6 +32,7 @@ from calib_pin.kinematics.spatial import (
     interpolated_twists,
     se3_exp,
 )
+from calib_pin.observations.labels import Labels
 from calib_pin.parameterizations import (
     BasisFunctions,
     Screw,
@@ -187,8 +188,8 @@ class ErrorModel:
             InputError: If there are several payloads, or none of that name.
         """
         values: dict[BasisFunctions, Floats] = {}
-        if self.payload and not any(payload):
-            payload = (self.payload,) * len(q)
+        if self.payload and not any(Labels.of(payload).distinct):
+            payload = Labels.all(self.payload, len(q))
         result = np.empty((len(q), len(self.joint_corrections)))
         for k, position in enumerate(self.joint_corrections):
             function = self.screws[position].basis

@@ -8,12 +8,12 @@ from functools import cached_property
 from typing import Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.estimation.measured import Block
 from calib_pin.estimation.model import ToolPoses, whitened_jacobian
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Linearization
-from calib_pin.observations import Measurements
 
 
 class Evaluator(Protocol):
@@ -81,7 +81,7 @@ class RowByRow:
 
     def residual(self, theta: Floats) -> Floats:
         """Whitened residual, shape (N d,)."""
-        return whitened(self.errors(theta)[0], self._block.data, self._sigma)
+        return whitened(self.errors(theta)[0], self._sigma)
 
     def square(self, theta: Floats) -> float:
         """Sum of squares of the whitened residuals."""
@@ -100,13 +100,14 @@ class RowByRow:
         of_robot, instrument = part.values(theta)
         tool = self._tool.linearize(of_robot)
         linear = part.measurement.linearize(tool.T, instrument, data)
+        aside = np.isinf(self._sigma)
         known = Linearization(
             linear.residual,
-            kept(linear.J_pose, data),
-            kept(linear.J_instrument, data),
+            kept(linear.J_pose, aside),
+            kept(linear.J_instrument, aside),
         )
         J = whitened_jacobian(tool, known, self._sigma)
-        r = whitened(linear.residual, data, self._sigma)
+        r = whitened(linear.residual, self._sigma)
         return [(r, J.reshape(-1, len(part.index)))]
 
 
@@ -138,18 +139,21 @@ def evaluated(
     }
 
 
-def whitened(errors: Floats, data: Measurements, sigma: Floats) -> Floats:
+def whitened(errors: Floats, sigma: Floats) -> Floats:
     """Residuals in standard deviations, (N, d) -> (N d,)."""
-    return np.asarray((kept(errors, data) / sigma).reshape(-1))
+    return np.asarray((kept(errors, np.isinf(sigma)) / sigma).reshape(-1))
 
 
-def kept(values: Floats, data: Measurements) -> Floats:
-    """Values with zeros for measurements that are set aside, shape (N, ...).
+def kept(values: Floats, aside: NDArray[np.bool_]) -> Floats:
+    """Values with zeros for those that are set aside, shape (N, d, ...).
 
     They may be so wrong that they cannot be predicted, and nothing times infinity is
     not nothing.
+
+    Args:
+        values: The values.
+        aside: Components that are set aside, shape (N, d).
     """
-    if data.weight.all():
+    if not aside.any():
         return values
-    aside = (data.weight == 0.0).reshape(-1, *[1] * (values.ndim - 1))
-    return np.where(aside, 0.0, values)
+    return np.where(aside.reshape(*aside.shape, *[1] * (values.ndim - 2)), 0.0, values)

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled import blocks as compiled
 from calib_pin.compiled import kernels, row_kernels
 from calib_pin.compiled.threads import Threads
+from calib_pin.estimation.evaluators import kept
 from calib_pin.estimation.measured import Block
 from calib_pin.estimation.segments import Segments
 from calib_pin.estimation.system import FRAME, Part
@@ -118,6 +119,7 @@ class ManyRows:
         return _Chunk(data, tuple(pieces), np.zeros((0, 0)))
 
     def _weigh(self, sigma: Floats) -> None:
+        self._last: tuple[bytes, Floats] = b"", np.zeros(0)
         tables = [block.table(sigma) for block in self._blocks]
         weights = 1.0 / (tables[0] if len(tables) == 1 else np.concatenate(tables))
         self._chunks = [
@@ -144,13 +146,19 @@ class ManyRows:
 
         def square(chunk: _Chunk) -> float:
             T = moved(chunk).poses(links)
-            r = self._measurement.residual(T, own, chunk.data) * chunk.weights
+            residual = self._measurement.residual(T, own, chunk.data)
+            r = kept(residual, chunk.weights == 0.0) * chunk.weights
             return float(np.vdot(r, r))
 
         return sum(self._threads.map(square, self._chunks), 0.0)
 
     def normal(self, theta: Floats) -> Floats:
-        """Products of the columns of each block, shape (S, p + 1, p + 1)."""
+        """Products of the columns of each block, shape (S, p + 1, p + 1).
+
+        The last ones are remembered: one solve begins where another has ended.
+        """
+        if self._last[0] == theta.tobytes():
+            return self._last[1]
         size = self._padded(len(self._own(theta)))
         total = np.zeros((len(self._blocks), size, size))
         for block, part in self._reduced(row_kernels.normal_equations, theta):
@@ -159,7 +167,10 @@ class ManyRows:
         B = self._to_parameters(theta)
         # Whether a product of what is not finite warns depends on the processor.
         with np.errstate(invalid="ignore"):
-            return np.asarray(np.swapaxes(B, 1, 2) @ symmetric @ B)
+            products = np.asarray(np.swapaxes(B, 1, 2) @ symmetric @ B)
+        products.setflags(write=False)
+        self._last = theta.tobytes(), products
+        return products
 
     def factorize(self, theta: Floats) -> list[tuple[Floats, Floats]]:
         """The residual rows of each block reduced by orthogonal transformations.
@@ -189,11 +200,13 @@ class ManyRows:
             others = np.concatenate(
                 [linear.J_instrument, linear.residual[:, :, None]], axis=2
             )
+            aside = chunk.weights == 0.0
+            J_pose, others = kept(linear.J_pose, aside), kept(others, aside)
             found = []
             for piece in chunk.pieces:
                 result, rows = np.empty((size, size)), piece.rows
                 corrections = row_kernels.Corrections(self._along, piece.factors)
-                of_rows = linear.J_pose[rows], others[rows], chunk.weights[rows]
+                of_rows = J_pose[rows], others[rows], chunk.weights[rows]
                 at = links[0], piece.motion, piece.starts, corrections
                 kernel(*at, *of_rows, result)
                 found.append((piece.block, result))

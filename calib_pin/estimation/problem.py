@@ -345,11 +345,24 @@ def expecting(problem: Problem, expected: Expected) -> Problem:
 
 def in_units(problem: Problem, units: Floats) -> Problem:
     """The problem with other standard deviations of unit weight, shape (K,)."""
-    result = _prepared(replace(problem, units=units), problem)
-    result.__dict__["evaluators"] = {
-        one.weighted(result.sigma): positions
-        for one, positions in problem.evaluators.items()
-    }
+    return _weighted(_prepared(replace(problem, units=units), problem), problem)
+
+
+def reweighted(problem: Problem, weight: Floats) -> Problem:
+    """The problem with other weights of its measurements, shape (N,)."""
+    result = replace(problem, data=problem.data.weighted(weight))
+    for name in ("layout", "given_sigma"):
+        result.__dict__[name] = getattr(problem, name)
+    return _weighted(result, problem)
+
+
+def _weighted(result: Problem, problem: Problem) -> Problem:
+    """The problem with the evaluators of one that whitens in another way, if any."""
+    if "evaluators" in problem.__dict__:
+        result.__dict__["evaluators"] = {
+            one.weighted(result.sigma): positions
+            for one, positions in problem.evaluators.items()
+        }
     return result
 
 

@@ -190,14 +190,15 @@ class ErrorModel:
         values: dict[BasisFunctions, Floats] = {}
         if self.payload and not any(Labels.of(payload).distinct):
             payload = Labels.all(self.payload, len(q))
-        result = np.empty((len(q), len(self.joint_corrections)))
+        # Function by function, as they are computed and as kernels take them.
+        result = np.empty((len(self.joint_corrections), len(q)))
         for k, position in enumerate(self.joint_corrections):
             function = self.screws[position].basis
             assert function is not None
             if function.functions not in values:
                 values[function.functions] = function.functions(q, payload)
-            result[:, k] = values[function.functions][:, function.column]
-        return result
+            result[k] = values[function.functions][:, function.column]
+        return result.T
 
     def joint_positions(self, q: Floats, theta: Floats) -> Floats:
         """Actual joint positions, `q + dq`.

@@ -30,7 +30,14 @@ from numpy.typing import NDArray
 from calib_pin.errors import require_known
 from calib_pin.estimation.evidence import Outlier
 from calib_pin.estimation.fitted import Fit, RobustDecision
-from calib_pin.estimation.problem import EXACT, SAMPLE, Problem, distinct_values
+from calib_pin.estimation.problem import (
+    EXACT,
+    SAMPLE,
+    Problem,
+    distinct_values,
+    in_units,
+    reweighted,
+)
 from calib_pin.estimation.robust.causes import causes
 from calib_pin.estimation.robust.consensus import consensus
 from calib_pin.estimation.robust.studentized import (
@@ -161,8 +168,7 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
 
 def _weighted(problem: Problem, weight: NDArray[np.generic]) -> Problem:
     """The problem with a weight for each configuration, shape (G,)."""
-    rows = weight.astype(float)[problem.data.groups()]
-    return replace(problem, data=problem.data.weighted(rows))
+    return reweighted(problem, weight.astype(float)[problem.data.groups()])
 
 
 def _plain(problem: Problem) -> Problem:
@@ -264,7 +270,7 @@ def _sought(
         theta = theta + _step(few, r, J, rows)
     if few is not every:
         weight = _weights(_unfitted(every, every.residual(theta)), scale, loss)
-    return replace(every, units=scale), theta, weight
+    return in_units(every, scale), theta, weight
 
 
 def _weights(found: Studentized, scale: Floats, loss: str) -> Floats:
@@ -330,7 +336,7 @@ def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.boo
         if np.array_equal(passed, accepted):
             break
         accepted = passed
-        problem = replace(problem, units=problem.units * scale)
+        problem = in_units(problem, problem.units * scale)
     return accepted
 
 

@@ -8,10 +8,14 @@ from functools import cached_property
 from typing import Protocol, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.estimation.measured import Block
-from calib_pin.estimation.model import ToolPoses, whitened_jacobian
+from calib_pin.estimation.model import (
+    ToolPoses,
+    kept,
+    whitened,
+    whitened_jacobian,
+)
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Linearization
 
@@ -24,6 +28,10 @@ class Evaluator(Protocol):
 
     def weighted(self, sigma: Floats) -> Self:
         """The same with other standard deviations of all blocks, shape (M,)."""
+        ...
+
+    def about(self, blocks: Sequence[Block]) -> Self | None:
+        """The same measurements about other references; None where more has changed."""
         ...
 
     def errors(self, theta: Floats) -> Sequence[Floats]:
@@ -68,6 +76,10 @@ class RowByRow:
         result = copy.copy(self)
         result._sigma = self._block.table(sigma)
         return result
+
+    def about(self, blocks: Sequence[Block]) -> RowByRow | None:
+        """Nothing: there is nothing prepared that would be worth keeping."""
+        return None
 
     @cached_property
     def _tool(self) -> ToolPoses:
@@ -137,23 +149,3 @@ def evaluated(
         else ManyRows([blocks[k] for k in positions], sigma): positions
         for kind, positions in found.items()
     }
-
-
-def whitened(errors: Floats, sigma: Floats) -> Floats:
-    """Residuals in standard deviations, (N, d) -> (N d,)."""
-    return np.asarray((kept(errors, np.isinf(sigma)) / sigma).reshape(-1))
-
-
-def kept(values: Floats, aside: NDArray[np.bool_]) -> Floats:
-    """Values with zeros for those that are set aside, shape (N, d, ...).
-
-    They may be so wrong that they cannot be predicted, and nothing times infinity is
-    not nothing.
-
-    Args:
-        values: The values.
-        aside: Components that are set aside, shape (N, d).
-    """
-    if not aside.any():
-        return values
-    return np.where(aside.reshape(*aside.shape, *[1] * (values.ndim - 2)), 0.0, values)

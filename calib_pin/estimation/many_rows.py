@@ -32,8 +32,8 @@ from numpy.typing import NDArray
 from calib_pin.compiled import blocks as compiled
 from calib_pin.compiled import kernels, row_kernels
 from calib_pin.compiled.threads import Threads
-from calib_pin.estimation.evaluators import kept
 from calib_pin.estimation.measured import Block
+from calib_pin.estimation.model import kept
 from calib_pin.estimation.segments import Segments
 from calib_pin.estimation.system import FRAME, Part
 from calib_pin.kinematics.spatial import Floats, adjoint, invert, se3_exp
@@ -71,19 +71,15 @@ class ManyRows:
 
     def __init__(self, blocks: Sequence[Block], sigma: Floats) -> None:
         """Cut the measurements into chunks and compute the joint motions once."""
-        self._blocks, part = blocks, blocks[0].part
-        self._error = replace(
-            part.error, base=pin.SE3.Identity(), screws=part.error.screws[FRAME:]
-        )
-        segments = self._segments = Segments.of(self._error)
+        self._refer(blocks)
+        segments = self._segments
         corrections = self._error.joint_corrections
         joints = [self._error.screws[k].frame - 1 for k in corrections]
         self._joints = np.array(joints, np.int64)
         # The twist along the joint's axis, of what stands before the joint.
         along = np.where(segments.revolute, 5, 2)
         self._along = 6 * self._joints + along[self._joints]
-        self._measurement, self._threads = part.measurement, Threads()
-        self._bases = np.array([block.part.error.base.homogeneous for block in blocks])
+        self._threads = Threads()
         data = blocks[0].data
         if len(blocks) > 1:
             data = Measurements.concatenate(
@@ -93,6 +89,27 @@ class ManyRows:
         starts = range(0, len(data), CHUNK)
         self._chunks = list(self._threads.map(partial(self._chunk, data), starts))
         self._weigh(sigma)
+
+    def _refer(self, blocks: Sequence[Block]) -> None:
+        """Take blocks with their references."""
+        self._blocks, part = blocks, blocks[0].part
+        self._error = replace(
+            part.error, base=pin.SE3.Identity(), screws=part.error.screws[FRAME:]
+        )
+        self._segments = Segments.of(self._error)
+        self._measurement = part.measurement
+        self._bases = np.array([block.part.error.base.homogeneous for block in blocks])
+
+    def about(self, blocks: Sequence[Block]) -> ManyRows | None:
+        """The same measurements about other references; None where more has changed."""
+        before, parts = self._blocks[0].part.error, [block.part for block in blocks]
+        error = replace(parts[0].error, base=before.base, tool=before.tool)
+        if error != before or len(set(map(alike, parts))) > 1:
+            return None
+        result = copy.copy(self)
+        result._refer(blocks)
+        result._last = b"", np.zeros(0)
+        return result
 
     def weighted(self, sigma: Floats) -> ManyRows:
         """The same measurements with other standard deviations, shape (M,)."""

@@ -35,8 +35,6 @@ from calib_pin.estimation.problem import (
     SAMPLE,
     Problem,
     distinct_values,
-    in_units,
-    reweighted,
 )
 from calib_pin.estimation.robust.causes import causes
 from calib_pin.estimation.robust.consensus import consensus
@@ -48,6 +46,7 @@ from calib_pin.estimation.robust.studentized import (
 from calib_pin.estimation.row_blocks import Expected
 from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.unit_weights import balanced
+from calib_pin.estimation.variants import expecting, in_units, reweighted
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 
@@ -126,6 +125,8 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
     """
     loss = problem.setup.loss
     require_known("loss", loss, LOSSES)
+    # Prepared once: references, weights and units may change.
+    _ = problem.evaluators
     squared = balanced(problem, solver)
     if not squared.sigma0 > EXACT:
         # Without redundancy, or without errors, every measurement is met.
@@ -250,9 +251,7 @@ def _sought(
     expected = Expected(
         np.eye(len(parameters))[:, robot], OPTIONS.size, parameters.scales
     )
-    every = replace(
-        consensus(_plain(problem), rng), expected=expected, units=np.zeros(0)
-    )
+    every = in_units(expecting(consensus(_plain(problem), rng), expected), np.zeros(0))
     few = replace(every, data=every.data.sample(SAMPLE)) if every.many else every
     theta, weight = np.zeros(len(parameters)), np.zeros(0)
     # A model of p parameters meets p values exactly, so more than half must count

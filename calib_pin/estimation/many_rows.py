@@ -103,8 +103,10 @@ class ManyRows:
     def about(self, blocks: Sequence[Block]) -> ManyRows | None:
         """The same measurements about other references; None where more has changed."""
         before, parts = self._blocks[0].part.error, [block.part for block in blocks]
-        error = replace(parts[0].error, base=before.base, tool=before.tool)
-        if error != before or len(set(map(alike, parts))) > 1:
+        error = parts[0].error
+        same = error.chain is before.chain and error.screws is before.screws
+        same = same and error.payload == before.payload and error.learned is None
+        if not same or len(set(map(alike, parts))) > 1:
             return None
         result = copy.copy(self)
         result._refer(blocks)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -298,6 +299,19 @@ def test_one_solve_begins_where_another_ended(
     # Nobody may change what others will be given.
     with pytest.raises(ValueError, match="read-only"):
         first[0, 0, 0] = 1.0
+
+
+def test_what_is_prepared_can_go_to_another_process(
+    geared: Measured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = geared(load_chain("space6"), "position")
+    chunked, theta = many(problem), values_of(problem, 1.0)
+    sent = pickle.loads(pickle.dumps(chunked._chunks))
+    assert len(sent) == len(chunked._chunks)
+    threads = pickle.loads(pickle.dumps(chunked._threads))
+    assert threads.count == chunked._threads.count
+    chunked._chunks, chunked._threads = sent, threads
+    np.testing.assert_array_equal(chunked.normal(theta), many(problem).normal(theta))
 
 
 # What kernels do not know.

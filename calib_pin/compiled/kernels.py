@@ -217,6 +217,32 @@ def population_costs(
 
 
 @compiled
+def move(
+    motion: Floats,
+    starts: Indices,
+    revolute: Booleans,
+    joints: Indices,
+    factors: Floats,
+    amounts: Floats,
+    moved: Floats,
+) -> None:
+    """Joint motions of all blocks with corrections of the joint positions.
+
+    Args:
+        motion: Joint motions, shape (blocks, n, 3 BLOCK).
+        starts: First row of every block, shape (blocks + 1,).
+        revolute: True for joints that turn, shape (n,).
+        joints: Joint of each correction, shape (C,).
+        factors: Change of its position by the amount, shape (C, N).
+        amounts: Amounts of the corrections, shape (C,).
+        moved: Filled as motion.
+    """
+    for block in range(len(motion)):
+        own = factors[:, starts[block] : starts[block + 1]]
+        _move(motion[block], revolute, joints, own, amounts, moved[block])
+
+
+@compiled
 def _at_last_joint(link: Floats, points: Floats) -> Floats:
     """Points of the tool behind the last joint."""
     result = np.empty_like(points)

@@ -4,11 +4,15 @@ The columns are those of the chain of `kernels`: the body twists at the ends of 
 links. A row of the Jacobian acts on twists as a wrench does, and is carried as one from
 the tool to the base, block by block; the columns of a block are multiplied or reflected
 while they are in the cache.
+
+A correction of a joint's position is a twist along the joint's own motion, which is one
+component of the wrench at the joint, times a basis function of the row.
 """
 
 from __future__ import annotations
 
 from math import hypot, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,11 +20,25 @@ from calib_pin.compiled.blocks import BLOCK, Indices, compiled
 from calib_pin.kinematics.spatial import Floats
 
 
+class Corrections(NamedTuple):
+    """Corrections of joint positions at N rows.
+
+    Attributes:
+        twists: Column of each among the twists of the links: the motion of its joint,
+            at the end of the link before that, shape (C,).
+        factors: Change of the joint's motion by the correction's amount, shape (C, N).
+    """
+
+    twists: Indices
+    factors: Floats
+
+
 @compiled
 def normal_equations(
     chain: Floats,
     motion: Floats,
     starts: Indices,
+    corrections: Corrections,
     J_pose: Floats,
     others: Floats,
     weights: Floats,
@@ -32,17 +50,22 @@ def normal_equations(
         chain: Links, shape (n + 1, 12).
         motion: Joint motions, shape (blocks, n, 3 BLOCK).
         starts: First row of every block, shape (blocks + 1,).
+        corrections: What moves the joints beside.
         J_pose: Derivatives by the tool's body twist, shape (N, d, 6).
         others: Further columns of the same rows, shape (N, d, K).
         weights: Factors of the rows' components, shape (N, d).
-        result: Filled, lower half, shape (M, M), M >= 6 (n + 1) + K a multiple of 4:
-            the twists at the ends of the links from base to tool, then the others.
+        result: Filled, lower half, shape (M, M), M >= 6 (n + 1) + C + K a multiple of
+            4: the twists at the ends of the links from base to tool, then the
+            corrections, then the others.
     """
     panel = np.zeros((weights.shape[1], len(result), BLOCK))
+    first = 6 * len(chain) + len(corrections.twists)
     result[:] = 0.0
     for block in range(len(motion)):
         rows = slice(starts[block], starts[block + 1])
-        _fill(chain, motion[block], J_pose[rows], others[rows], weights[rows], panel)
+        given = J_pose[rows], others[rows], weights[rows]
+        _fill(chain, motion[block], *given, panel, first)
+        _correct(corrections, starts[block], starts[block + 1], 6 * len(chain), panel)
         _gram(panel, starts[block + 1] - starts[block], result)
 
 
@@ -51,6 +74,7 @@ def triangular_factor(
     chain: Floats,
     motion: Floats,
     starts: Indices,
+    corrections: Corrections,
     J_pose: Floats,
     others: Floats,
     weights: Floats,
@@ -61,10 +85,13 @@ def triangular_factor(
     Takes what `normal_equations` takes; fills the upper half of result, (M, M).
     """
     panel = np.zeros((weights.shape[1], len(result), BLOCK))
+    first = 6 * len(chain) + len(corrections.twists)
     result[:] = 0.0
     for block in range(len(motion)):
         rows = slice(starts[block], starts[block + 1])
-        _fill(chain, motion[block], J_pose[rows], others[rows], weights[rows], panel)
+        given = J_pose[rows], others[rows], weights[rows]
+        _fill(chain, motion[block], *given, panel, first)
+        _correct(corrections, starts[block], starts[block + 1], 6 * len(chain), panel)
         # One column after the other: the loops over them are many and short.
         size = starts[block + 1] - starts[block]
         columns = panel[:, :, :size].transpose(1, 0, 2).copy()
@@ -79,10 +106,14 @@ def _fill(
     others: Floats,
     weights: Floats,
     panel: Floats,
+    first: int,
 ) -> None:
-    """Columns of one block by components, shape (d, M, BLOCK)."""
+    """Columns of one block by components, shape (d, M, BLOCK).
+
+    The others begin at the first; those of the corrections stand before, left out.
+    """
     size, components = weights.shape
-    joints, first = len(motion), 6 * len(chain)
+    joints = len(motion)
     for c in range(components):
         for k in range(size):
             weight = weights[k, c]
@@ -96,6 +127,19 @@ def _fill(
             source = flat[middle : middle + 6 * BLOCK]
             target = flat[middle - 6 * BLOCK : middle]
             _carry_wrench(chain[joint], motion[joint - 1], size, source, target)
+
+
+@compiled
+def _correct(
+    corrections: Corrections, start: int, stop: int, first: int, panel: Floats
+) -> None:
+    """Columns of the corrections, from the first, of a block of rows."""
+    for c in range(len(panel)):
+        for i in range(len(corrections.twists)):
+            factors = corrections.factors[i, start:stop]
+            source, target = panel[c, corrections.twists[i]], panel[c, first + i]
+            for k in range(len(factors)):
+                target[k] = factors[k] * source[k]
 
 
 @compiled

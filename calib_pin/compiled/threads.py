@@ -139,6 +139,10 @@ class Threads:
         # Ends with this object; a module-wide pool would hang in a forked process.
         self._pool = ThreadPoolExecutor(count) if count > 1 else None
 
+    def __reduce__(self) -> tuple[type[Threads], tuple[int]]:
+        """Another process starts as many of its own."""
+        return Threads, (self.count,)
+
     def map(
         self, work: Callable[[_Piece], _Result], pieces: Sequence[_Piece]
     ) -> Iterator[_Result]:

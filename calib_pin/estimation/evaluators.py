@@ -10,10 +10,14 @@ from typing import Protocol, Self
 import numpy as np
 
 from calib_pin.estimation.measured import Block
-from calib_pin.estimation.model import ToolPoses, whitened_jacobian
+from calib_pin.estimation.model import (
+    ToolPoses,
+    kept,
+    whitened,
+    whitened_jacobian,
+)
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Linearization
-from calib_pin.observations import Measurements
 
 
 class Evaluator(Protocol):
@@ -24,6 +28,10 @@ class Evaluator(Protocol):
 
     def weighted(self, sigma: Floats) -> Self:
         """The same with other standard deviations of all blocks, shape (M,)."""
+        ...
+
+    def about(self, blocks: Sequence[Block]) -> Self | None:
+        """The same measurements about other references; None where more has changed."""
         ...
 
     def errors(self, theta: Floats) -> Sequence[Floats]:
@@ -69,6 +77,10 @@ class RowByRow:
         result._sigma = self._block.table(sigma)
         return result
 
+    def about(self, blocks: Sequence[Block]) -> RowByRow | None:
+        """Nothing: there is nothing prepared that would be worth keeping."""
+        return None
+
     @cached_property
     def _tool(self) -> ToolPoses:
         return ToolPoses(self._block.part.error, self._block.data)
@@ -81,7 +93,7 @@ class RowByRow:
 
     def residual(self, theta: Floats) -> Floats:
         """Whitened residual, shape (N d,)."""
-        return whitened(self.errors(theta)[0], self._block.data, self._sigma)
+        return whitened(self.errors(theta)[0], self._sigma)
 
     def square(self, theta: Floats) -> float:
         """Sum of squares of the whitened residuals."""
@@ -100,13 +112,14 @@ class RowByRow:
         of_robot, instrument = part.values(theta)
         tool = self._tool.linearize(of_robot)
         linear = part.measurement.linearize(tool.T, instrument, data)
+        aside = np.isinf(self._sigma)
         known = Linearization(
             linear.residual,
-            kept(linear.J_pose, data),
-            kept(linear.J_instrument, data),
+            kept(linear.J_pose, aside),
+            kept(linear.J_instrument, aside),
         )
         J = whitened_jacobian(tool, known, self._sigma)
-        r = whitened(linear.residual, data, self._sigma)
+        r = whitened(linear.residual, self._sigma)
         return [(r, J.reshape(-1, len(part.index)))]
 
 
@@ -128,7 +141,7 @@ def evaluated(
 
     found: dict[object, list[int]] = {}
     for k, block in enumerate(blocks):
-        plain = block.part.error.geometric and not block.data.start.size
+        plain = block.part.error.learned is None and not block.data.start.size
         found.setdefault(alike(block.part) if plain else k, []).append(k)
     return {
         RowByRow(blocks[positions[0]], sigma)
@@ -136,20 +149,3 @@ def evaluated(
         else ManyRows([blocks[k] for k in positions], sigma): positions
         for kind, positions in found.items()
     }
-
-
-def whitened(errors: Floats, data: Measurements, sigma: Floats) -> Floats:
-    """Residuals in standard deviations, (N, d) -> (N d,)."""
-    return np.asarray((kept(errors, data) / sigma).reshape(-1))
-
-
-def kept(values: Floats, data: Measurements) -> Floats:
-    """Values with zeros for measurements that are set aside, shape (N, ...).
-
-    They may be so wrong that they cannot be predicted, and nothing times infinity is
-    not nothing.
-    """
-    if data.weight.all():
-        return values
-    aside = (data.weight == 0.0).reshape(-1, *[1] * (values.ndim - 1))
-    return np.where(aside, 0.0, values)

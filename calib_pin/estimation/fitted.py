@@ -24,7 +24,7 @@ from calib_pin.estimation.directions import Directions, half_covariance
 from calib_pin.estimation.elimination import own_deviations, with_response
 from calib_pin.estimation.evidence import Outlier, VarianceComponent
 from calib_pin.estimation.identifiability import Structure
-from calib_pin.estimation.problem import Problem, expecting
+from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.shrinkage import Evidence
 from calib_pin.estimation.solve import Solution
 from calib_pin.estimation.statistics.pure_error import repetitions
@@ -35,6 +35,7 @@ from calib_pin.estimation.statistics.variance_components import (
     current_units,
 )
 from calib_pin.estimation.system import Part
+from calib_pin.estimation.variants import expecting
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import LeastSquaresResult
 

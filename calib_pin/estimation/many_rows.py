@@ -7,9 +7,12 @@ fast but loses half the digits: it drives the steps. `factorize` reduces the res
 rows by orthogonal transformations, chunk by chunk, and loses nothing: ranks are decided
 by it.
 
-Both work in the twists at the ends of the chain's segments, whatever the
-parameterization; the parameters enter at the end, by a matrix that does not depend on
-the rows.
+Both work in the twists at the ends of the chain's segments and in the corrections of
+the joints, whatever the parameterization; the parameters enter at the end, by a matrix
+that does not depend on the rows.
+
+What does not change between evaluations is kept: of every row 24 bytes for each joint,
+its motion, and 8 for each joint correction, the value of its basis function.
 
 Blocks that differ in their station alone are one stream of measurements: a station is a
 pose before everything else, and meets no twist but its own.
@@ -30,6 +33,7 @@ from calib_pin.compiled import blocks as compiled
 from calib_pin.compiled import kernels, row_kernels
 from calib_pin.compiled.threads import Threads
 from calib_pin.estimation.measured import Block
+from calib_pin.estimation.model import kept
 from calib_pin.estimation.segments import Segments
 from calib_pin.estimation.system import FRAME, Part
 from calib_pin.kinematics.spatial import Floats, adjoint, invert, se3_exp
@@ -49,6 +53,7 @@ def alike(part: Part) -> tuple[object, ...]:
     return (
         part.key._replace(station=""),
         part.error.tool.homogeneous.tobytes(),
+        part.error.payload,
         part.index[FRAME:].tobytes(),
         type(model),
         *(tuple(map(id, v)) if isinstance(v, tuple) else id(v) for v in values),
@@ -66,24 +71,47 @@ class ManyRows:
 
     def __init__(self, blocks: Sequence[Block], sigma: Floats) -> None:
         """Cut the measurements into chunks and compute the joint motions once."""
-        self._blocks, part = blocks, blocks[0].part
-        self._segments = Segments.of(
-            replace(
-                part.error, base=pin.SE3.Identity(), screws=part.error.screws[FRAME:]
-            )
-        )
-        self._measurement, self._threads = part.measurement, Threads()
-        self._bases = np.array([block.part.error.base.homogeneous for block in blocks])
+        self._refer(blocks)
+        segments = self._segments
+        corrections = self._error.joint_corrections
+        joints = [self._error.screws[k].frame - 1 for k in corrections]
+        self._joints = np.array(joints, np.int64)
+        # The twist along the joint's axis, of what stands before the joint.
+        along = np.where(segments.revolute, 5, 2)
+        self._along = 6 * self._joints + along[self._joints]
+        self._threads = Threads()
         data = blocks[0].data
         if len(blocks) > 1:
             data = Measurements.concatenate(
                 [replace(block.data, station="", sigma=None) for block in blocks]
             )
         self._stops = np.cumsum([len(block.data) for block in blocks])
-        chunk = partial(_Chunk.of, self._segments, data, self._stops)
         starts = range(0, len(data), CHUNK)
-        self._chunks = list(self._threads.map(chunk, starts))
+        self._chunks = list(self._threads.map(partial(self._chunk, data), starts))
         self._weigh(sigma)
+
+    def _refer(self, blocks: Sequence[Block]) -> None:
+        """Take blocks with their references."""
+        self._blocks, part = blocks, blocks[0].part
+        self._error = replace(
+            part.error, base=pin.SE3.Identity(), screws=part.error.screws[FRAME:]
+        )
+        self._segments = Segments.of(self._error)
+        self._measurement = part.measurement
+        self._bases = np.array([block.part.error.base.homogeneous for block in blocks])
+
+    def about(self, blocks: Sequence[Block]) -> ManyRows | None:
+        """The same measurements about other references; None where more has changed."""
+        before, parts = self._blocks[0].part.error, [block.part for block in blocks]
+        error = parts[0].error
+        same = error.chain is before.chain and error.screws is before.screws
+        same = same and error.payload == before.payload and error.learned is None
+        if not same or len(set(map(alike, parts))) > 1:
+            return None
+        result = copy.copy(self)
+        result._refer(blocks)
+        result._last = b"", np.zeros(0)
+        return result
 
     def weighted(self, sigma: Floats) -> ManyRows:
         """The same measurements with other standard deviations, shape (M,)."""
@@ -91,7 +119,26 @@ class ManyRows:
         result._weigh(sigma)
         return result
 
+    def _chunk(self, data: Measurements, start: int) -> _Chunk:
+        """The rows from a start, without weights."""
+        # Views: nothing is copied but the joint motions.
+        data = data.rows(slice(start, start + CHUNK))
+        signs = self._segments.signs
+        q, factors = data.q * signs, self._error.basis(data.q, data.payload)
+        factors *= signs[self._joints]
+        cuts = np.clip(self._stops - start, 0, len(data))
+        pieces, first = [], 0
+        for block, stop in enumerate(cuts.tolist()):
+            if stop > first:
+                rows = slice(first, stop)
+                motion, starts = compiled.motions(q[rows], self._segments.revolute)
+                own = np.ascontiguousarray(factors[rows].T)
+                pieces.append(_Piece(block, rows, motion, starts, own))
+                first = stop
+        return _Chunk(data, tuple(pieces), np.zeros((0, 0)))
+
     def _weigh(self, sigma: Floats) -> None:
+        self._last: tuple[bytes, Floats] = b"", np.zeros(0)
         tables = [block.table(sigma) for block in self._blocks]
         weights = 1.0 / (tables[0] if len(tables) == 1 else np.concatenate(tables))
         self._chunks = [
@@ -103,27 +150,34 @@ class ManyRows:
 
     def errors(self, theta: Floats) -> Sequence[Floats]:
         """Residuals of each block in their units, shape (N, d)."""
-        links, own = self._links(theta), self._own(theta)
+        links, own, moved = self._links(theta), self._own(theta), self._moving(theta)
 
         def errors(chunk: _Chunk) -> Floats:
-            return self._measurement.residual(chunk.poses(links), own, chunk.data)
+            T = moved(chunk).poses(links)
+            return self._measurement.residual(T, own, chunk.data)
 
         found = np.concatenate(list(self._threads.map(errors, self._chunks)))
         return np.split(found, self._stops[:-1])
 
     def square(self, theta: Floats) -> float:
         """Sum of squares of the whitened residuals."""
-        links, own = self._links(theta), self._own(theta)
+        links, own, moved = self._links(theta), self._own(theta), self._moving(theta)
 
         def square(chunk: _Chunk) -> float:
-            T = chunk.poses(links)
-            r = self._measurement.residual(T, own, chunk.data) * chunk.weights
+            T = moved(chunk).poses(links)
+            residual = self._measurement.residual(T, own, chunk.data)
+            r = kept(residual, chunk.weights == 0.0) * chunk.weights
             return float(np.vdot(r, r))
 
         return sum(self._threads.map(square, self._chunks), 0.0)
 
     def normal(self, theta: Floats) -> Floats:
-        """Products of the columns of each block, shape (S, p + 1, p + 1)."""
+        """Products of the columns of each block, shape (S, p + 1, p + 1).
+
+        The last ones are remembered: one solve begins where another has ended.
+        """
+        if self._last[0] == theta.tobytes():
+            return self._last[1]
         size = self._padded(len(self._own(theta)))
         total = np.zeros((len(self._blocks), size, size))
         for block, part in self._reduced(row_kernels.normal_equations, theta):
@@ -132,7 +186,10 @@ class ManyRows:
         B = self._to_parameters(theta)
         # Whether a product of what is not finite warns depends on the processor.
         with np.errstate(invalid="ignore"):
-            return np.asarray(np.swapaxes(B, 1, 2) @ symmetric @ B)
+            products = np.asarray(np.swapaxes(B, 1, 2) @ symmetric @ B)
+        products.setflags(write=False)
+        self._last = theta.tobytes(), products
+        return products
 
     def factorize(self, theta: Floats) -> list[tuple[Floats, Floats]]:
         """The residual rows of each block reduced by orthogonal transformations.
@@ -153,19 +210,24 @@ class ManyRows:
         self, kernel: Callable[..., None], theta: Floats
     ) -> Iterator[tuple[int, Floats]]:
         """The columns of pieces of blocks reduced by a kernel, shape (M, M) each."""
-        links, own = self._links(theta), self._own(theta)
+        links, own, moved = self._links(theta), self._own(theta), self._moving(theta)
         size = self._padded(len(own))
 
         def reduced(chunk: _Chunk) -> list[tuple[int, Floats]]:
+            chunk = moved(chunk)
             linear = self._measurement.linearize(chunk.poses(links), own, chunk.data)
             others = np.concatenate(
                 [linear.J_instrument, linear.residual[:, :, None]], axis=2
             )
+            aside = chunk.weights == 0.0
+            J_pose, others = kept(linear.J_pose, aside), kept(others, aside)
             found = []
             for piece in chunk.pieces:
                 result, rows = np.empty((size, size)), piece.rows
-                of_rows = linear.J_pose[rows], others[rows], chunk.weights[rows]
-                kernel(links[0], piece.motion, piece.starts, *of_rows, result)
+                corrections = row_kernels.Corrections(self._along, piece.factors)
+                of_rows = J_pose[rows], others[rows], chunk.weights[rows]
+                at = links[0], piece.motion, piece.starts, corrections
+                kernel(*at, *of_rows, result)
                 found.append((piece.block, result))
             return found
 
@@ -181,6 +243,21 @@ class ManyRows:
         """Parameters of the chain between the frames of stations and instruments."""
         part = self._blocks[0].part
         return part.values(theta)[0][FRAME:]
+
+    def _moving(self, theta: Floats) -> Callable[[_Chunk], _Chunk]:
+        """A function that gives chunks the joint motions with their corrections."""
+        amounts = self._inner(theta)[self._error.joint_corrections]
+        revolute, joints = self._segments.revolute, self._joints
+
+        def moved(piece: _Piece) -> _Piece:
+            motion = np.empty_like(piece.motion)
+            at = piece.motion, piece.starts, revolute
+            kernels.move(*at, joints, piece.factors, amounts, motion)
+            return replace(piece, motion=motion)
+
+        if not amounts.any():
+            return lambda chunk: chunk
+        return lambda chunk: replace(chunk, pieces=tuple(map(moved, chunk.pieces)))
 
     def _stations(self, theta: Floats) -> tuple[Floats, Floats]:
         """Base frames, (S, 4, 4), and twists of their parameters there, (S, 6, 6)."""
@@ -204,7 +281,7 @@ class ManyRows:
 
     def _padded(self, own: int) -> int:
         """Columns of twists, instrument and residual, rounded up to four."""
-        count = 6 * len(self._segments.constants) + own + 1
+        count = 6 * len(self._segments.constants) + len(self._joints) + own + 1
         return -(-count // 4) * 4
 
     def _to_parameters(self, theta: Floats) -> Floats:
@@ -216,7 +293,10 @@ class ManyRows:
         first = _pose(self._segments.links(inner[None])[0, 0])
         result[:, :6, :FRAME] = adjoint(invert(first)) @ self._stations(theta)[1]
         result[:, :twists, FRAME:count] = columns
-        result[:, twists : twists + own + 1, count:] = np.eye(own + 1)
+        corrections = self._error.joint_corrections
+        others = twists + len(corrections)
+        result[:, np.arange(twists, others), FRAME + corrections] = 1.0
+        result[:, others : others + own + 1, count:] = np.eye(own + 1)
         return result
 
 
@@ -229,12 +309,14 @@ class _Piece:
         rows: Where they stand in the chunk.
         motion: Joint motions, see `compiled.blocks`.
         starts: First row of each block of these, among the rows.
+        factors: Change of a joint's motion by each correction's amount, (C, rows).
     """
 
     block: int
     rows: slice
     motion: Floats
     starts: NDArray[np.int64]
+    factors: Floats
 
 
 @dataclass(frozen=True)
@@ -250,24 +332,6 @@ class _Chunk:
     data: Measurements
     pieces: tuple[_Piece, ...]
     weights: Floats
-
-    @staticmethod
-    def of(
-        segments: Segments, data: Measurements, stops: NDArray[np.int64], start: int
-    ) -> _Chunk:
-        """The rows from a start, without weights; blocks end at the stops."""
-        # Views: nothing is copied but the joint motions.
-        data = data.rows(slice(start, start + CHUNK))
-        q = data.q * segments.signs
-        cuts = np.clip(stops - start, 0, len(data))
-        pieces, first = [], 0
-        for block, stop in enumerate(cuts.tolist()):
-            if stop > first:
-                rows = slice(first, stop)
-                motion, starts = compiled.motions(q[rows], segments.revolute)
-                pieces.append(_Piece(block, rows, motion, starts))
-                first = stop
-        return _Chunk(data, tuple(pieces), np.zeros((0, 0)))
 
     def poses(self, links: Floats) -> Floats:
         """Tool poses by the links from each station, shape (rows, 4, 4)."""

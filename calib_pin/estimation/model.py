@@ -239,6 +239,26 @@ def whitened_jacobian(
     return np.concatenate([J, linear.J_instrument * weight], axis=2)
 
 
+def whitened(errors: Floats, sigma: Floats) -> Floats:
+    """Residuals in standard deviations, (N, d) -> (N d,)."""
+    return np.asarray((kept(errors, np.isinf(sigma)) / sigma).reshape(-1))
+
+
+def kept(values: Floats, aside: NDArray[np.bool_]) -> Floats:
+    """Values with zeros for those that are set aside, shape (N, d, ...).
+
+    They may be so wrong that they cannot be predicted, and nothing times infinity is
+    not nothing.
+
+    Args:
+        values: The values.
+        aside: Components that are set aside, shape (N, d).
+    """
+    if not aside.any():
+        return values
+    return np.where(aside.reshape(*aside.shape, *[1] * (values.ndim - 2)), 0.0, values)
+
+
 def linearized_at(
     chain: Chain,
     measurement: MeasurementModel,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TypeVar
 
@@ -24,6 +24,7 @@ from calib_pin.estimation.elimination import (
 from calib_pin.estimation.evaluators import Evaluator, RowByRow, evaluated
 from calib_pin.estimation.measured import Measured, assumed_sigma
 from calib_pin.estimation.row_blocks import Blocks, Expected, KnownDistances, Priors
+from calib_pin.estimation.system import Part
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameters import ParameterSet
@@ -191,6 +192,18 @@ class Problem(Measured):
             self.linearize(theta)
         return known[theta.tobytes()]
 
+    def with_parts(self, parts: Mapping[BlockKey, Part]) -> Problem:
+        """The same about other references; what was prepared of very many stays."""
+        result = super().with_parts(parts)
+        if "evaluators" in self.__dict__ and list(parts) == list(self.parts):
+            found = {
+                one.about([result.blocks[k] for k in positions]): positions
+                for one, positions in self.evaluators.items()
+            }
+            if None not in found:
+                result.__dict__["evaluators"] = found
+        return result
+
     @cached_property
     def own_of_stations(self) -> Mapping[str, NDArray[np.intp]]:
         """Parameters that are eliminated, by the station that alone has them."""
@@ -335,29 +348,6 @@ def representative(problem: Problem) -> list[BlockKey]:
         for station in alike[:ALIKE]
     }
     return [key for key in keys if problem.parts[key].scope.station in shown]
-
-
-def expecting(problem: Problem, expected: Expected) -> Problem:
-    """The problem with errors of the robot that are expected to be so large."""
-    result = replace(problem, expected=expected)
-    return _prepared(result, problem, "sigma", "evaluators")
-
-
-def in_units(problem: Problem, units: Floats) -> Problem:
-    """The problem with other standard deviations of unit weight, shape (K,)."""
-    result = _prepared(replace(problem, units=units), problem)
-    result.__dict__["evaluators"] = {
-        one.weighted(result.sigma): positions
-        for one, positions in problem.evaluators.items()
-    }
-    return result
-
-
-def _prepared(result: Problem, problem: Problem, *more: str) -> Problem:
-    """The same measurements: very many take time to prepare."""
-    for name in ("layout", "blocks", "given_sigma", *more):
-        result.__dict__[name] = getattr(problem, name)
-    return result
 
 
 def repeated(data: Observations) -> NDArray[np.int64]:

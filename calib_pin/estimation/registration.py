@@ -53,7 +53,7 @@ def registered(problem: Problem, theta: Floats) -> Problem:
     parts = dict(problem.parts)
     for block in _in_turn(few.blocks, found):
         parts[block.part.key] = found.register(block, theta)
-    return replace(problem, parts=found.placed(list(parts.values())))
+    return problem.with_parts(found.placed(list(parts.values())))
 
 
 @dataclass
@@ -149,7 +149,7 @@ def relocated(problem: Problem, theta: Floats, station: str) -> Problem:
     for block in _in_turn(problem.blocks, found):
         few = block._replace(data=block.data.sample(SAMPLE))
         moved.append(found.register(few, theta))
-    return replace(problem, parts={**problem.parts, **found.placed(moved)})
+    return problem.with_parts({**problem.parts, **found.placed(moved)})
 
 
 def _in_turn(blocks: Sequence[Block], found: Located) -> Iterator[Block]:

@@ -237,6 +237,7 @@ def refine(
         tolerance=max(tolerance, ENOUGH) if problem.many else tolerance,
         worthwhile=INVISIBLE / max(problem.count, 1),
         max_iterations=most,
+        spare=problem.many,
         complete=problem.completed,
     )
 

@@ -27,10 +27,11 @@ from calib_pin.estimation.directions import (
 )
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.nominal import analyze_structure
-from calib_pin.estimation.problem import EXACT, Problem, expecting, in_units
+from calib_pin.estimation.problem import EXACT, Problem
 from calib_pin.estimation.row_blocks import Expected
 from calib_pin.estimation.shrinkage import Evidence, expected_errors
 from calib_pin.estimation.solve import Solution, Solver, descend, least_squares, refine
+from calib_pin.estimation.variants import expecting, in_units
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import states_sigmas
 from calib_pin.solvers import LeastSquaresResult, Status

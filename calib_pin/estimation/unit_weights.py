@@ -9,7 +9,7 @@ import numpy as np
 from calib_pin.estimation.directions import half_covariance, rounding
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.nominal import register
-from calib_pin.estimation.problem import EXACT, Problem, in_units
+from calib_pin.estimation.problem import EXACT, Problem
 from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.stages import fit_in_stages, fit_in_units
 from calib_pin.estimation.statistics.variance_components import (
@@ -17,6 +17,7 @@ from calib_pin.estimation.statistics.variance_components import (
     unit_weights,
     variance_components,
 )
+from calib_pin.estimation.variants import in_units
 from calib_pin.solvers import Status
 
 STANDS = 0.01

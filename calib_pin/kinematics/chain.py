@@ -15,11 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import RobotError, nearest
+from calib_pin.kinematics.gravity import Body, body, gravity_torques
 from calib_pin.kinematics.joint_space import JointSpace, Mimic
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.kinematics.tree import (
@@ -258,32 +260,25 @@ class Chain:
         """
         if not self.joints:
             return np.zeros((len(q), 0))
-        self._place(None)
-        model = self._model.copy()
-        (zero,) = self._configurations(np.zeros((1, len(self.joints))))
-        data = model.createData()
-        pin.forwardKinematics(model, data, zero)
-        base = pin.updateFramePlacement(model, data, self._base_id)
-        model.gravity.linear = base.rotation @ np.asarray(gravity, float)
-        if payload is not None:
-            tip = model.frames[self._tip_id]
-            mass = pin.Inertia(payload.mass, np.array(payload.com), np.zeros((3, 3)))
-            model.appendBodyToJoint(tip.parentJoint, mass, tip.placement)
-        data = model.createData()
-        torques = np.empty((len(q), len(self.joints)))
-        for i, configuration in enumerate(self._configurations(q)):
-            holding = pin.computeGeneralizedGravity(model, data, configuration)
-            torques[i] = -holding[self._v_index]
-        return torques
+        bodies, tip = list(self._bodies), self._model.frames[self._tip_id]
+        if payload is not None and tip.parentJoint:
+            one = bodies[tip.parentJoint - 1]
+            center = tip.placement.act(np.array(payload.com))
+            bodies[tip.parentJoint - 1] = one._replace(
+                mass=one.mass + payload.mass,
+                moment=one.moment + payload.mass * center[:, None],
+            )
+        positions = np.empty((len(self.joints), len(q)))
+        order = np.array(self._ids) - 1
+        positions[order] = q.T
+        root = self._base_at_zero.rotation @ np.asarray(gravity, float)
+        torques = gravity_torques(bodies, positions, root)
+        return np.ascontiguousarray(torques[order].T)
 
     def joint_frames(self) -> Floats:
         """Joint frames in the base frame at zero joint positions, shape (n, 4, 4)."""
-        model, data = self._model, self._data
-        self._place(None)
-        (zero,) = self._configurations(np.zeros((1, len(self.joints))))
-        pin.forwardKinematics(model, data, zero)
-        base = pin.updateFramePlacement(model, data, self._base_id)
-        frames = [base.actInv(data.oMi[joint]).homogeneous for joint in self._ids]
+        base, at_zero = self._base_at_zero, self._at_zero
+        frames = [base.actInv(at_zero(joint)).homogeneous for joint in self._ids]
         return np.array(frames).reshape(-1, 4, 4)
 
     def random_configurations(self, count: int, rng: np.random.Generator) -> Floats:
@@ -293,6 +288,35 @@ class Chain:
         """
         q = self._space.random_configurations(count, rng)
         return q[:, : len(self.joints)]
+
+    @cached_property
+    def _bodies(self) -> Sequence[Body]:
+        """Joints with their masses at nominal geometry, in the order of the tree."""
+        model = self._model
+        return [
+            body(
+                model.parents[joint] - 1,
+                self.placements[k],
+                self.axes[k],
+                bool(self.revolute[k]),
+                model.inertias[joint],
+            )
+            for joint, k in sorted(zip(self._ids, range(len(self._ids)), strict=True))
+        ]
+
+    @cached_property
+    def _base_at_zero(self) -> pin.SE3:
+        """Base in the root at zero joint positions."""
+        frame = self._model.frames[self._base_id]
+        return self._at_zero(frame.parentJoint) * frame.placement
+
+    def _at_zero(self, joint: int) -> pin.SE3:
+        """Nominal frame of a joint in the root at zero joint positions."""
+        placed = dict(zip(self._ids, self.placements, strict=True))
+        frame = pin.SE3.Identity()
+        while joint:
+            frame, joint = placed[joint] * frame, self._model.parents[joint]
+        return frame
 
     def _differentiate(
         self,

@@ -124,14 +124,27 @@ def located(data: Observations, place: str) -> int:
 
 def place_of(data: Observations, row: int) -> str:
     """Where a measurement stands, as `located` finds it."""
-    file = data.files[row]
-    if not file:
-        return str(_numbers(data)[row])
-    if len(data.files.distinct) == 1:
-        return str(data.lines[row])
-    ends = [name.rpartition("/")[2] for name in data.files.distinct]
-    own = file.rpartition("/")[2]
-    return f"{own if ends.count(own) == 1 else file}:{data.lines[row]}"
+    return places_of(data, [row])[0]
+
+
+def places_of(data: Observations, rows: Sequence[int]) -> tuple[str, ...]:
+    """The same of several; very many have to be ordered once."""
+    names = data.files.distinct
+    ends = [name.rpartition("/")[2] for name in names]
+    shown = {
+        name: end if ends.count(end) == 1 else name
+        for name, end in zip(names, ends, strict=True)
+    }
+    numbers = _numbers(data) if "" in names else data.lines
+
+    def place(row: int) -> str:
+        file = data.files[row]
+        if not file:
+            return str(numbers[row])
+        line = str(data.lines[row])
+        return line if len(names) == 1 else f"{shown[file]}:{line}"
+
+    return tuple(map(place, rows))
 
 
 def _numbers(data: Observations) -> Indices:

@@ -11,6 +11,7 @@ import numpy as np
 from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations.labels import Labels
 from calib_pin.parameterizations.base import (
     BasisFunction,
     Drive,
@@ -83,6 +84,9 @@ class Compliance(Parameterization):
         heaviest = max(self.payloads, key=lambda k: self.payloads[k].mass, default="")
         torques = functions(q, (heaviest,) * len(q)) / [d.factor for d in moved]
         usual = np.sqrt(np.mean(torques**2, axis=0))
+        # To the last bit: joints of one drive have one parameter.
+        leaders = [d.joint for d in moved]
+        usual = usual[[leaders.index(joint) for joint in leaders]]
         # A newton-meter for a revolute joint, a newton for a prismatic one.
         if not usual.max() > 1e-6:
             raise OptionError(
@@ -118,9 +122,9 @@ class _Torques:
 
     def __call__(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
         result = np.empty((len(q), len(self.chain.joints)))
-        names = payload or ("",) * len(q)
-        for name in dict.fromkeys(names):
-            rows = np.array([other == name for other in names], bool)
+        names = Labels.of(payload) if len(payload) else Labels.all("", len(q))
+        for name in names.distinct:
+            rows = names.where(name)
             result[rows] = self.chain.gravity_torques(
                 q[rows], self.load.gravity, self._carried(name)
             )

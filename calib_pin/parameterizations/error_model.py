@@ -32,6 +32,7 @@ from calib_pin.kinematics.spatial import (
     interpolated_twists,
     se3_exp,
 )
+from calib_pin.observations.labels import Labels
 from calib_pin.parameterizations import (
     BasisFunctions,
     Screw,
@@ -187,16 +188,17 @@ class ErrorModel:
             InputError: If there are several payloads, or none of that name.
         """
         values: dict[BasisFunctions, Floats] = {}
-        if self.payload and not any(payload):
-            payload = (self.payload,) * len(q)
-        result = np.empty((len(q), len(self.joint_corrections)))
+        if self.payload and not any(Labels.of(payload).distinct):
+            payload = Labels.all(self.payload, len(q))
+        # Function by function, as they are computed and as kernels take them.
+        result = np.empty((len(self.joint_corrections), len(q)))
         for k, position in enumerate(self.joint_corrections):
             function = self.screws[position].basis
             assert function is not None
             if function.functions not in values:
                 values[function.functions] = function.functions(q, payload)
-            result[:, k] = values[function.functions][:, function.column]
-        return result
+            result[k] = values[function.functions][:, function.column]
+        return result.T
 
     def joint_positions(self, q: Floats, theta: Floats) -> Floats:
         """Actual joint positions, `q + dq`.

@@ -108,9 +108,13 @@ class _Waves:
     phase: Floats
 
     def __call__(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
-        of_drive = (q[:, self.joint] - self.offset) / self.factor
-        waves = np.sin(self.frequency * of_drive + self.phase)
-        return self.factor * np.where(self.frequency == 0.0, of_drive, waves)
+        result = np.empty((len(self.joint), len(q)))
+        for k, (joint, factor) in enumerate(zip(self.joint, self.factor, strict=True)):
+            of_drive = (q[:, joint] - self.offset[k]) / factor
+            if self.frequency[k] != 0.0:
+                np.sin(self.frequency[k] * of_drive + self.phase[k], out=of_drive)
+            np.multiply(factor, of_drive, out=result[k])
+        return result.T
 
 
 def _waves(revolute: bool, ratio: float | None) -> Iterator[tuple[str, float]]:

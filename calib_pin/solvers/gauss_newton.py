@@ -83,6 +83,7 @@ def gauss_newton(
     worthwhile: float = 0.0,
     max_iterations: int = 100,
     damped: bool = True,
+    spare: bool = False,
     callback: Callable[[int, float], None] | None = None,
     complete: Complete | None = None,
 ) -> LeastSquaresResult:
@@ -103,6 +104,8 @@ def gauss_newton(
         max_iterations: Limit on the steps.
         damped: Whether a step that raises the cost is damped and tried again;
             otherwise every step is taken whole.
+        spare: Whether a step that promises less than the tolerance is not even taken:
+            where evaluations are dear.
         callback: Called with the step count and the cost after each step.
         complete: Completes steps where `linearize` has eliminated variables.
 
@@ -122,6 +125,9 @@ def gauss_newton(
             break
         step = _Step(J @ basis, r, rank_tolerance)
         limit = max(tolerance * way, OPTIONS.shortest), tolerance * cost
+        if spare and step.promised(step.solve(0.0)) <= limit[1]:
+            status = Status.CONVERGED
+            break
         trial = _search(step, cost_of, x, basis, damping, limit, damped, complete)
         evaluations += trial.evaluations
         if trial.improved or not damped:

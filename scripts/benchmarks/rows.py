@@ -12,6 +12,12 @@ product:
 A step takes the first three, a cost the first one, a decision the first two and the
 last. What is smaller does not count: residuals, weights, parameters, steps. The peak is
 that of a product of large matrices with one thread, times the threads.
+
+A second table compares models of one robot on the same measurements: joint corrections
+with placements alone, without and with gross errors that the loss has to set aside; the
+fit by itself, and a whole calibration with held-out measurements. A calibration with
+joint corrections also fits and judges the geometry that a URDF can hold. Times are
+those of the clock and of all processors; the latter depends less on what else runs.
 """
 
 from __future__ import annotations
@@ -22,7 +28,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +36,8 @@ from numba import config
 
 import calib_pin
 from benchmarks.timing import best
-from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.many_rows import ManyRows
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
@@ -53,6 +60,23 @@ OPERATIONS = {
     "factorize": POSE + COVECTORS + 6 * COLUMNS**2,
 }
 """Operations of a measurement by kind of pass."""
+
+ROBOT = "example:ur10_robot"
+PLACEMENT = ("placement",)
+JOINTS_TOO = ("placement", "transmission", "compliance")
+COMPARED = 1_000_000
+"""Measurements of the second table."""
+
+GROSS = 0.02
+"""Part of the measurements that are wrong, by a deviation of `WRONG` [m]."""
+
+WRONG = 0.02
+
+HELD_OUT = 0.1
+"""Part of the measurements that a calibration is checked on."""
+
+PIECE = 50_000
+"""Measurements that are simulated at once, so that no memory is needed beside."""
 
 
 def main() -> None:
@@ -81,6 +105,34 @@ def main() -> None:
             f"{100 * bound / seconds:>6.0f}%{found['sigma0']:>8.4f}"
         )
     print("steps, costs, factors: passes over all; bound: floating-point bound")
+    _compare(COMPARED)
+
+
+def _compare(size: int) -> None:
+    """Print what joint corrections and gross errors cost beside placements alone."""
+    print(f"\nUR10, position, {size} measurements; ratios to placements without errors")
+    print(
+        f"{'what':>10}{'gross':>7}{'parameters':>11}{'seconds':>9}{'cpu':>7}{'MB':>6}"
+        f"{'set aside':>10}{'sigma0':>8}{'time':>7}{'cpu':>6}{'memory':>7}"
+    )
+    for what in ("fit", "calibrate"):
+        first: dict[str, float] = {}
+        for gross in (0.0, GROSS):
+            for kinds in (PLACEMENT, JOINTS_TOO):
+                given = [str(size), what, str(gross), *kinds]
+                command = [sys.executable, "-m", "benchmarks.rows", *given]
+                out = subprocess.run(command, check=True, stdout=subprocess.PIPE)
+                found = json.loads(out.stdout)
+                first = first or found
+                ratios = [found[k] / first[k] for k in ("seconds", "cpu", "memory")]
+                print(
+                    f"{what:>10}{100 * gross:>6.0f}%{found['parameters']:>11}"
+                    f"{found['seconds']:>9.2f}{found['cpu']:>7.2f}"
+                    f"{found['memory'] / 1e6:>6.0f}{found['aside']:>10}"
+                    f"{found['sigma0']:>8.4f}"
+                    f"{ratios[0]:>7.2f}{ratios[1]:>6.2f}{ratios[2]:>7.2f}",
+                    flush=True,
+                )
 
 
 def _gemm() -> float:
@@ -120,6 +172,46 @@ def _measure(size: int) -> dict[str, object]:
     }
 
 
+def _measure_model(
+    size: int, what: str, gross: float, kinds: Sequence[str]
+) -> dict[str, float]:
+    """Fit or calibrate a model; the measurements are the same for all models."""
+    rng = np.random.default_rng(0)
+    chain = calib_pin.load_chain(ROBOT, base="base_link", tip="tool0")
+    tool = Setup(tool_frame=FrameSetup((0.05, 0.1, 0.1)))
+    nominal = nominal_problem(chain, "position", tool)
+    truth = calib_pin.draw_errors(nominal.parameters, rng)
+    q = chain.random_configurations(size, rng)
+    pieces = [q[start : start + PIECE] for start in range(0, size, PIECE)]
+    values = np.concatenate([_simulated(nominal, truth, piece) for piece in pieces])
+    values += rng.normal(size=values.shape) * NOISE
+    wrong = rng.random(size) < gross
+    values[wrong] += rng.normal(size=(int(wrong.sum()), 3)) * WRONG
+    data = Measurements(
+        chain.joints, q, "position", values, np.full_like(values, NOISE)
+    )
+    setup = Setup(parameters=tuple(kinds))
+    # Compiles, and loads what is loaded once.
+    few = data.rows(np.arange(SIZES[0]))
+    calib_pin.calibrate(chain, few, Setup(), validate=False)
+    start, cpu = time.perf_counter(), time.process_time()
+    if what == "fit":
+        problem = make_problem(chain, Observations.of(data), setup)
+        fitted = fit(problem, np.random.default_rng(0))
+        sigma0, outliers = fitted.sigma0, fitted.robust.outliers
+    else:
+        found = calib_pin.calibrate(chain, data, setup, holdout=HELD_OUT)
+        sigma0, outliers = found.statistics.sigma0, found.statistics.outliers
+    return {
+        "seconds": time.perf_counter() - start,
+        "cpu": time.process_time() - cpu,
+        "memory": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
+        "parameters": len(nominal_problem(chain, "position", setup).parameters),
+        "aside": sum(outlier.weight == 0.0 for outlier in outliers),
+        "sigma0": sigma0,
+    }
+
+
 def _simulated(nominal: Problem, truth: Floats, q: Floats) -> Floats:
     """Exact positions (N, 3), without a pose for each."""
     empty = Measurements(nominal.data.joints, q, "position", np.zeros((len(q), 3)))
@@ -141,4 +233,9 @@ def _counted(
 
 
 if __name__ == "__main__":
-    print(json.dumps(_measure(int(sys.argv[1]))))
+    count, *rest = sys.argv[1:]
+    if rest:
+        answer = _measure_model(int(count), rest[0], float(rest[1]), rest[2:])
+        print(json.dumps(answer))
+    else:
+        print(json.dumps(_measure(int(count))))

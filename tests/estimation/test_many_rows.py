@@ -197,33 +197,6 @@ def test_problems_with_very_many_rows(
         assert_same_system(bare.linearize(theta), (r[:-6], J[:-6]), 1e-11)
 
 
-@pytest.mark.parametrize("kind", ["transmission", "compliance"])
-def test_joint_corrections_go_row_by_row(
-    kind: str, measured: Measured, framed: Setup, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """However many rows there are, the kernels know nothing of them."""
-
-    def refuse(*_: object) -> None:
-        raise AssertionError("the kernels were asked")
-
-    chain = load_chain("space6")
-    stated = {"payloads": framed.payloads, "gear_ratios": framed.gear_ratios}
-    plain = measured(chain, "pose", ["placement", kind], 300, **stated)
-    theta = parameters_of(plain)
-    expected = plain.cost(theta), *plain.linearize(theta)
-    monkeypatch.setattr("calib_pin.estimation.many_rows.ManyRows.__init__", refuse)
-    chunked = through_kernels(plain, monkeypatch)
-    assert not chunked.many
-    assert chunked.cost(theta) == expected[0]
-    for call in (chunked.linearize, chunked.factorize):
-        for found, rows in zip(call(theta), expected[1:], strict=True):
-            np.testing.assert_array_equal(found, rows)
-    # Without them the same problem would be one for the kernels.
-    bare = measured(chain, "pose", ["placement"], 300)
-    with pytest.raises(AssertionError, match="kernels"):
-        _ = through_kernels(bare, monkeypatch).many
-
-
 def test_rows_relative_to_others_go_row_by_row(
     measured: Measured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -266,6 +239,11 @@ CASES = {
     "plane-distance": ("space6", "plane-distance", RANGER),
     "prior": ("space6", "position", Setup(prior={"*.placement.*": 1e-3})),
     "bound": ("space6", "position", Setup(bounds={"*.placement.*": 5e-4})),
+    "gears": (
+        "pa10",
+        "pose",
+        Setup(parameters=("placement", "transmission", "compliance")),
+    ),
     "fixed": ("space6", "pose", Setup(fixed=("joint_2.*", "base.frame.z"))),
 }
 

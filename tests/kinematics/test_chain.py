@@ -447,6 +447,35 @@ def test_torques_of_gravity_are_its_virtual_work(
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
 
 
+@pytest.mark.parametrize("payload", [None, LOAD])
+def test_torques_of_gravity_are_pinocchio_s(
+    payload: Payload | None, heavy_urdf: str, chain_of: ChainOf
+) -> None:
+    """Many configurations at once, to rounding."""
+    chain = chain_of(heavy_urdf, "a", "tool")
+    q = chain.random_configurations(50, np.random.default_rng(1))
+    model = pin.buildModelFromXML(heavy_urdf)
+    model.gravity.linear = np.array(GRAVITY)
+    if payload is not None:
+        tip = model.frames[model.getFrameId("tool")]
+        mass = pin.Inertia(payload.mass, np.array(payload.com), np.zeros((3, 3)))
+        model.appendBodyToJoint(tip.parentJoint, mass, tip.placement)
+    data, expected = model.createData(), np.empty(q.shape)
+    joints = [model.joints[model.getJointId(name)] for name in chain.joints]
+    for row, positions in enumerate(q):
+        there = pin.neutral(model)
+        for joint, position in zip(joints, positions, strict=True):
+            turn = [np.cos(position), np.sin(position)]
+            there[joint.idx_q : joint.idx_q + joint.nq] = (
+                turn if joint.nq == 2 else position
+            )
+        holding = pin.computeGeneralizedGravity(model, data, there)
+        expected[row] = [-holding[joint.idx_v] for joint in joints]
+    found = chain.gravity_torques(q, GRAVITY, payload)
+    assert np.abs(expected).max() > 50.0
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+
+
 def test_a_payload_on_the_root_bends_nothing(
     heavy_urdf: str, chain_of: ChainOf
 ) -> None:

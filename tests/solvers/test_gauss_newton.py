@@ -152,6 +152,35 @@ def test_a_single_undamped_step() -> None:
     assert result.x[0] == pytest.approx(1.0)
 
 
+def test_a_last_step_of_nothing_is_spared() -> None:
+    """Where evaluations are dear; the result is that of the last linearization."""
+    rng = np.random.default_rng(0)
+    problem = Linear(rng.normal(size=(20, 3)), rng.normal(size=20))
+    counts = []
+    for spare in (False, True):
+        linearized: list[Floats] = []
+
+        def linearize(x: Floats, seen: list[Floats] = linearized) -> object:
+            seen.append(x)
+            return problem.linearize(x)
+
+        found = gauss_newton(
+            linearize,  # type: ignore[arg-type]
+            problem.cost,
+            np.zeros(3),
+            np.eye(3),
+            tolerance=1e-12,
+            spare=spare,
+        )
+        assert found.status is Status.CONVERGED
+        np.testing.assert_array_equal(found.x, linearized[-1])
+        expected = np.linalg.lstsq(problem.A, problem.b)[0]
+        np.testing.assert_allclose(found.x, expected, rtol=0, atol=1e-14)
+        counts.append((len(linearized), found.nfev))
+    assert counts[1] == (2, 2)
+    assert counts[0][1] > counts[1][1]
+
+
 def test_start_that_is_not_finite() -> None:
     def linearize(x: Floats) -> tuple[Floats, Floats]:
         return np.array([np.nan]), np.ones((1, 1))

@@ -70,7 +70,7 @@ def consensus(problem: Problem, rng: np.random.Generator) -> Problem:
             best, least = about, total
         if agree:
             break
-    return replace(best, data=problem.data)
+    return problem.with_parts(best.parts)
 
 
 def _concentrated(

@@ -25,13 +25,16 @@ from calib_pin.estimation.layout import Layout
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import states_sigmas
+from calib_pin.observations import Indices, states_sigmas
 
 LEAST = 1e-6
 """Smallest scale in stated or assumed deviations: less is numerically zero."""
 
 ALONE = 1e-6
 """Part of a residual's variance below which its leverage is one: the fit meets it."""
+
+DENSE = 8
+"""Numbers for each value up to which a table of all numbers is faster than sorting."""
 
 COUNTED = 0.5
 """Fewest independent components of a configuration that is used to estimate noise."""
@@ -74,10 +77,7 @@ class Studentized:
         """
         layout, labels = problem.layout, problem.data.groups()
         width = len(layout.components)
-        # Of very many stations a configuration has measurements of one.
-        cells, place = np.unique(
-            labels[layout.row] * width + layout.component, return_inverse=True
-        )
+        cells, place = _numbered(labels[layout.row] * width + layout.component)
         squares, total = (
             np.asarray(np.bincount(place, values, len(cells)), float)
             for values in (components, counts)
@@ -207,6 +207,17 @@ def squared_or_infinite(r: Floats) -> Floats:
     """Squares, infinite where a residual is not a number."""
     with np.errstate(over="ignore"):
         return np.where(np.isfinite(r), r**2, np.inf)
+
+
+def _numbered(values: Indices) -> tuple[Indices, Indices]:
+    """Distinct values, ascending, and which of them each one is, (M,) -> (C,), (M,)."""
+    largest = int(values.max(initial=-1))
+    if largest > DENSE * len(values):
+        # Of very many stations a configuration has measurements of one.
+        return np.unique(values, return_inverse=True)
+    used = np.zeros(largest + 1, bool)
+    used[values] = True
+    return np.flatnonzero(used), (np.cumsum(used) - 1)[values]
 
 
 def _quantiles(counts: Floats, tail: float) -> Floats:

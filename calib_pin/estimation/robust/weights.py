@@ -30,7 +30,12 @@ from numpy.typing import NDArray
 from calib_pin.errors import require_known
 from calib_pin.estimation.evidence import Outlier
 from calib_pin.estimation.fitted import Fit, RobustDecision
-from calib_pin.estimation.problem import EXACT, SAMPLE, Problem, distinct_values
+from calib_pin.estimation.problem import (
+    EXACT,
+    SAMPLE,
+    Problem,
+    distinct_values,
+)
 from calib_pin.estimation.robust.causes import causes
 from calib_pin.estimation.robust.consensus import consensus
 from calib_pin.estimation.robust.studentized import (
@@ -41,6 +46,7 @@ from calib_pin.estimation.robust.studentized import (
 from calib_pin.estimation.row_blocks import Expected
 from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.unit_weights import balanced
+from calib_pin.estimation.variants import expecting, in_units, reweighted
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 
@@ -119,6 +125,8 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
     """
     loss = problem.setup.loss
     require_known("loss", loss, LOSSES)
+    # Prepared once: references, weights and units may change.
+    _ = problem.evaluators
     squared = balanced(problem, solver)
     if not squared.sigma0 > EXACT:
         # Without redundancy, or without errors, every measurement is met.
@@ -161,8 +169,7 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
 
 def _weighted(problem: Problem, weight: NDArray[np.generic]) -> Problem:
     """The problem with a weight for each configuration, shape (G,)."""
-    rows = weight.astype(float)[problem.data.groups()]
-    return replace(problem, data=problem.data.weighted(rows))
+    return reweighted(problem, weight.astype(float)[problem.data.groups()])
 
 
 def _plain(problem: Problem) -> Problem:
@@ -244,9 +251,7 @@ def _sought(
     expected = Expected(
         np.eye(len(parameters))[:, robot], OPTIONS.size, parameters.scales
     )
-    every = replace(
-        consensus(_plain(problem), rng), expected=expected, units=np.zeros(0)
-    )
+    every = in_units(expecting(consensus(_plain(problem), rng), expected), np.zeros(0))
     few = replace(every, data=every.data.sample(SAMPLE)) if every.many else every
     theta, weight = np.zeros(len(parameters)), np.zeros(0)
     # A model of p parameters meets p values exactly, so more than half must count
@@ -264,7 +269,7 @@ def _sought(
         theta = theta + _step(few, r, J, rows)
     if few is not every:
         weight = _weights(_unfitted(every, every.residual(theta)), scale, loss)
-    return replace(every, units=scale), theta, weight
+    return in_units(every, scale), theta, weight
 
 
 def _weights(found: Studentized, scale: Floats, loss: str) -> Floats:
@@ -330,7 +335,7 @@ def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.boo
         if np.array_equal(passed, accepted):
             break
         accepted = passed
-        problem = replace(problem, units=problem.units * scale)
+        problem = in_units(problem, problem.units * scale)
     return accepted
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from calib_pin.estimation.directions import half_covariance
 from calib_pin.estimation.elimination import with_response
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.estimation.problem import Problem, in_units
+from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
     chi_square_tail,
@@ -33,6 +33,7 @@ from calib_pin.estimation.statistics.restricted_likelihood import (
     estimate_variances,
 )
 from calib_pin.estimation.system import Part
+from calib_pin.estimation.variants import in_units
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import LeastSquaresResult
 

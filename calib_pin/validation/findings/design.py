@@ -81,7 +81,8 @@ def design(case: Case) -> Iterator[Finding]:
         )
         elsewhere = ""
     limit = WIDE if elsewhere else SMALL
-    by_chance = moved.sum() * (count - (count - 1) * part) * part ** (count - 1)
+    within = np.minimum(part, 1.0)
+    by_chance = moved.sum() * (count - (count - 1) * within) * within ** (count - 1)
     few = np.flatnonzero(moved & (part < limit) & (by_chance < CHANCE))
     if len(few):
         worst = few[np.argsort(part[few])]

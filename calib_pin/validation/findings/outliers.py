@@ -54,14 +54,16 @@ def outliers(case: Case) -> Iterator[Finding]:
             lines,
             "residuals-over-order",
         )
-    rest = np.array([o.row for o in out if not any(o.row in pair for pair in pairs)])
-    if not len(rest):
+    paired = {row for pair in pairs for row in pair}
+    alone = [o for o in out if o.row not in paired]
+    if not alone:
         return
+    rest = np.array([o.row for o in alone])
     rows = rest[np.argsort(np.argsort(data.in_order)[rest])].tolist()
     targets = {data.target[row] for row in rows}
     if len(targets) == 1 and any(targets):
         numbers["target"] = targets.pop()
-    causes = [*dict.fromkeys(o.cause for o in out if o.row in rows and o.cause)]
+    causes = [*dict.fromkeys(o.cause for o in alone if o.cause)]
     shared = f" ({', '.join(causes[:NAMED])})" if causes else ""
     yield Finding(
         "outliers",

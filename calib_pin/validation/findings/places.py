@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from calib_pin.measurement_models.readings import place_of
+from calib_pin.measurement_models.readings import places_of
 from calib_pin.observations import Observations
 from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.setup_lines import lines_of, written
@@ -19,7 +19,7 @@ SHORT = 12
 
 def named(data: Observations, rows: Sequence[int]) -> str:
     """Measurements in words, such as `lines 12, 31, 40 and 2 more`."""
-    words = ", ".join(place_of(data, row) for row in rows[:NAMED])
+    words = ", ".join(places_of(data, rows[:NAMED]))
     if len(rows) > NAMED:
         words += f" and {len(rows) - NAMED} more"
     kind = "line" if data.files[rows[0]] else "measurement"
@@ -36,7 +36,7 @@ def without(
         rows: Those to leave out.
         advice: The words before the measurements.
     """
-    reading = ReadingSetup(without=tuple(place_of(data, row) for row in rows))
+    reading = ReadingSetup(without=places_of(data, rows))
     lines = {"reading": lines_of(reading)}
     if len(rows) > SHORT:
         return f"{advice} ('reading: without' in the setup file)", lines

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from calib_pin.measurement_models.readings import place_of
+from calib_pin.measurement_models.readings import places_of
 from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.explanations import NEIGHBORS
@@ -32,6 +32,6 @@ def targets(case: Case) -> Iterator[Hypothesis]:
                 "target",
                 f"the measurements of target '{name}' contradict all others",
                 "target",
-                ReadingSetup(without=tuple(place_of(data, row) for row in rows)),
+                ReadingSetup(without=places_of(data, rows)),
                 figure="residuals-over-order",
             )

@@ -10,7 +10,12 @@ import numpy as np
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.readings import measured_lengths, place_of, scaled
+from calib_pin.measurement_models.readings import (
+    measured_lengths,
+    place_of,
+    places_of,
+    scaled,
+)
 from calib_pin.observations import Indices, Observations
 from calib_pin.setup import ConvertedSetup, ReadingSetup
 from calib_pin.validation.findings.case import Case
@@ -117,7 +122,7 @@ def _converted(data: Observations, rows: Indices, factor: float) -> ConvertedSet
     if len(rows) > 1 and np.ptp(rank[rows]) == len(rows) - 1:
         ends = (place_of(data, ordered[0]), place_of(data, ordered[-1]))
         return ConvertedSetup(factor, ends)
-    return ConvertedSetup(factor, tuple(place_of(data, row) for row in ordered), True)
+    return ConvertedSetup(factor, places_of(data, ordered), True)
 
 
 def _sizes(problem: Problem, data: Observations, theta: Floats) -> Floats:

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import require_known
 from calib_pin.estimation.evidence import Outlier
 from calib_pin.estimation.fitted import Fit, RobustDecision
-from calib_pin.estimation.problem import EXACT, SAMPLE, Problem, distinct_values
+from calib_pin.estimation.problem import EXACT, SAMPLE, Problem, known_values
 from calib_pin.estimation.robust.causes import causes
 from calib_pin.estimation.robust.consensus import consensus
 from calib_pin.estimation.robust.studentized import (
@@ -224,7 +224,7 @@ def _enough(squared: Fit, accepted: NDArray[np.bool_]) -> bool:
     """Whether the accepted configurations are a majority that determines the robot."""
     if 1.0 - accepted.mean() > OPTIONS.breakdown:
         return False
-    return distinct_values(_weighted(squared.problem, accepted)) > squared.rank
+    return known_values(_weighted(squared.problem, accepted)) > squared.rank
 
 
 def _sought(

@@ -83,7 +83,7 @@ class Priors:
             prior: The prior; what the parameters lack of it is left out.
             parameters: The parameters; those that are not free have none.
         """
-        free = {p.name for p in parameters if p.free}
+        free = {p.name for p in parameters if p.free and not p.nuisance}
         known = [k for k, name in enumerate(prior.names) if name in free]
         index = [parameters.index(prior.names[k]) for k in known]
         mean = np.zeros(len(parameters))

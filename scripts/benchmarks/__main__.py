@@ -1,6 +1,7 @@
 """`scripts/benchmark [NAMES] [OPTIONS]`: run the benchmarks that are named, or all.
 
-Options belong to the benchmark that knows them, `guard`, `verdict` or `findings`.
+Options belong to the benchmark that knows them, `guard`, `verdict`, `findings` or
+`fleet-prior`.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from benchmarks import (
     evolution,
     findings,
     fit,
+    fleet_prior,
     guard,
     jobs,
     planning,
@@ -37,6 +39,7 @@ BENCHMARKS = {
     "guard": guard.main,
     "verdict": verdict.main,
     "findings": findings.main,
+    "fleet-prior": fleet_prior.main,
 }
 
 

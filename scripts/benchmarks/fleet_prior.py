@@ -1,0 +1,270 @@
+"""A prior from other robots of a type: what it saves the next one, and its intervals.
+
+    scripts/benchmark fleet-prior                       # a tenth of the types
+    scripts/benchmark fleet-prior --full                # all of them
+    scripts/benchmark fleet-prior --job 4 --tell        # one type, told in full
+
+A job is a type of UR10: errors that all its robots have, and how far each deviates from
+them. 200 robots are calibrated with 30 positions each and give the prior; then 40 new
+ones are calibrated with and without it. Kinds of types take turns; they differ in how
+much alike their robots are, and in what disturbs the measurements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+import calib_pin
+from benchmarks.criteria import run_criteria
+from benchmarks.criterion import Criterion, Line, between, square
+from benchmarks.verdict.coverage import covered, unmodeled
+from benchmarks.verdict.jobs import SEED, Job, draw, stream
+from benchmarks.verdict.truth import WORKSPACE, position_error
+from calib_pin.estimation.statistics.population_prior import population_of
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.setup import PopulationPrior, Setup
+from calib_pin.validation.population_evidence import robot_evidence
+
+ROBOTS, COUNT = 200, 30
+"""Robots of a fleet, and configurations of each."""
+
+FEW = 12
+"""Configurations of a robot that has a prior."""
+
+NEXT = 40
+"""Robots that are calibrated with the prior."""
+
+COMMON = 1.0
+"""Standard deviation of the errors that a type has, in the scales of parameters."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of types.
+
+    Attributes:
+        spread: Median spread of an error, in its scale: 1 mm or 1 mrad.
+        noise: Standard deviation of a coordinate [m].
+        gears: Error of the tool by gears that the model does not have, a component [m].
+    """
+
+    spread: float
+    noise: float
+    gears: float = 0.0
+
+    def __str__(self) -> str:
+        """The kind in a few words."""
+        gears = f", gears {1e3 * self.gears:g} mm" if self.gears else ""
+        return f"spread {self.spread:g} mm, noise {1e3 * self.noise:g} mm{gears}"
+
+
+KINDS = (
+    Kind(0.05, 1e-4),
+    Kind(0.1, 1e-4),
+    Kind(0.3, 1e-4),
+    Kind(0.3, 1e-4, 3e-4),
+)
+"""Kinds of types: alike, less so, as robots are, and as these are measured."""
+
+WAYS: Mapping[str, tuple[int, bool]] = {
+    "with": (FEW, True),
+    "without": (FEW, False),
+    "more": (COUNT, False),
+}
+"""Configurations of the next robots, and whether they have the prior."""
+
+
+@dataclass(frozen=True)
+class Next:
+    """The next robots of a type, calibrated in one way.
+
+    Attributes:
+        errors: Tool errors over the workspace [m].
+        predicted: Predicted ones [m].
+        inside: 95 % intervals that hold the truth.
+        total: Number of intervals.
+    """
+
+    errors: list[float] = field(default_factory=list)
+    predicted: list[float] = field(default_factory=list)
+    inside: int = 0
+    total: int = 0
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the tool errors [m]."""
+        return float(np.sqrt(np.mean(np.square(self.errors))))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of a type.
+
+    Attributes:
+        number: Number of the type.
+        kind: Its kind.
+        ways: The next robots by the way they are calibrated.
+        spread: Found by true spread, of errors that half of the fleet tells, the
+            median.
+    """
+
+    number: int
+    kind: Kind
+    ways: Mapping[str, Next]
+    spread: float
+
+    def __str__(self) -> str:
+        """The outcome in one line."""
+        told = ", ".join(f"{n} {1e3 * w.rms:.3f} mm" for n, w in self.ways.items())
+        some = self.ways["with"]
+        return (
+            f"type {self.number}: {self.kind}: {told}; {some.inside} of {some.total} "
+            f"inside; found by true spread {self.spread:.2f}"
+        )
+
+
+@dataclass(frozen=True)
+class Type:
+    """A type of robots.
+
+    Attributes:
+        number: Its number.
+        kind: Its kind.
+        mean: Errors of all its robots, shape (P,).
+        spread: How far each deviates, shape (P,).
+    """
+
+    number: int
+    kind: Kind
+    mean: Floats
+    spread: Floats
+
+    @staticmethod
+    def of(number: int) -> Type:
+        """The type of a number."""
+        kind = KINDS[number % len(KINDS)]
+        parameters = _job(kind).problem.parameters
+        rng, count = stream(number, 7), len(parameters)
+        robot = parameters.free & ~parameters.nuisance
+        sizes = np.where(robot, parameters.scales, 0.0)
+        # Spreads of a type differ by a factor of two and more among its errors.
+        several = kind.spread * np.exp(0.5 * rng.normal(size=count))
+        mean = COMMON * sizes * rng.normal(size=count)
+        return Type(number, kind, mean, several * sizes)
+
+    def robot(self, rng: np.random.Generator) -> Job:
+        """A robot of the type."""
+        deviation = self.spread * rng.normal(size=len(self.spread))
+        job = replace(_job(self.kind), theta=self.mean + deviation)
+        return unmodeled(job, rng, self.kind.gears) if self.kind.gears else job
+
+    def calibrated(
+        self, rng: np.random.Generator, ways: Mapping[str, tuple[int, Setup]]
+    ) -> tuple[Job, dict[str, calib_pin.CalibrationResult]]:
+        """A robot of the type, and its calibrations by the first configurations."""
+        job = self.robot(rng)
+        rows = job.measured(rng, count=max(count for count, _ in ways.values()))
+        return job, {
+            name: calib_pin.calibrate(
+                job.chain, rows.rows(np.arange(count)), setup, validate=False
+            )
+            for name, (count, setup) in ways.items()
+        }
+
+
+def _job(kind: Kind) -> Job:
+    robot = "example:ur10_robot"
+    return draw(0, robot=robot, model="position", stated=False, noise=kind.noise)
+
+
+def run(number: int, robots: int = ROBOTS, following: int = NEXT) -> Outcome:
+    """A fleet of a type, and its next robots with and without its prior."""
+    kind = Type.of(number)
+    fleet = [
+        robot_evidence(result)
+        for k in range(robots)
+        for result in kind.calibrated(
+            np.random.default_rng([SEED, number, 0, k]), {"": (COUNT, Setup())}
+        )[1].values()
+    ]
+    population = population_of(fleet)
+    prior = population.prior()
+    ways = {
+        name: (count, Setup(prior=prior) if told else Setup())
+        for name, (count, told) in WAYS.items()
+    }
+    found: dict[str, Next] = {name: Next() for name in ways}
+    for k in range(following):
+        rng = np.random.default_rng([SEED, number, 1, k])
+        job, results = kind.calibrated(rng, ways)
+        q = job.chain.random_configurations(WORKSPACE, rng)
+        for name, result in results.items():
+            found[name] = _with(found[name], job, result, q)
+    return Outcome(number, kind.kind, found, _spread(kind, prior))
+
+
+def _with(some: Next, job: Job, result: calib_pin.CalibrationResult, q: Floats) -> Next:
+    """The next robots with another one."""
+    inside, total = covered(job, result)
+    workspace = result.accuracy.workspace
+    return Next(
+        [*some.errors, position_error(job, result.model, q)],
+        [*some.predicted, np.nan if workspace is None else workspace.calibrated[0]],
+        some.inside + inside,
+        some.total + total,
+    )
+
+
+def _spread(kind: Type, prior: PopulationPrior) -> float:
+    """Found by true spread, the median of what half of the fleet tells."""
+    parameters = _job(kind.kind).problem.parameters
+    ratios = [
+        p.spread / kind.spread[parameters.index(p.name)]
+        for p in prior.parameters
+        if p.robots > 0.5 * prior.robots
+    ]
+    return float(np.median(ratios))
+
+
+def judge(found: Sequence[Outcome]) -> Iterator[Line]:
+    """Accuracy, coverage and predictions of every kind."""
+    for kind in KINDS:
+        some = [outcome for outcome in found if outcome.kind == kind]
+        if not some:
+            continue
+        rms = {
+            name: 1e3 * np.sqrt(np.mean([o.ways[name].rms ** 2 for o in some]))
+            for name in WAYS
+        }
+        yield Line(
+            f"{kind}: tool error with {FEW} configurations and the prior",
+            f"{rms['with']:.3f} mm",
+            f"{COUNT} without it: {rms['more']:.3f} mm; {FEW}: {rms['without']:.3f} mm",
+            bool(rms["with"] <= rms["more"]) if kind.spread <= 0.1 else None,
+        )
+        own = [o.ways["with"] for o in some]
+        shares = np.array([o.inside / o.total for o in own])
+        chance = float(shares.std() / np.sqrt(len(shares)))
+        limits = (0.9, 0.98) if kind.gears else (0.94, 0.96)
+        share = sum(o.inside for o in own) / sum(o.total for o in own)
+        yield between(f"{kind}: 95 % intervals", share, *limits, chance)
+        squares = [
+            (error / predicted) ** 2
+            for o in own
+            for error, predicted in zip(o.errors, o.predicted, strict=True)
+        ]
+        text = f"{kind}: mean square of actual by predicted tool error"
+        yield square(text, squares, *((0.7, 1.3) if kind.gears else (0.8, 1.2)))
+        spread = float(np.mean([o.spread for o in some]))
+        yield between(f"{kind}: found by true spread", spread, 0.9, 1.1)
+
+
+CRITERIA = {"prior": Criterion(1, "Population prior", 40, run, judge, least=4)}
+
+
+def main() -> None:
+    """Run the types that the options name; exit status 1 if a criterion fails."""
+    run_criteria("fleet-prior", CRITERIA, SEED)

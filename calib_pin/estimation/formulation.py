@@ -51,7 +51,7 @@ def make_problem(
     _require_payloads(data, setup)
     targets = {block.key: block.target.distinct for block in data.blocks}
     parts, given = make_parts(chains, targets, setup)
-    _require_prior(chains, given, setup)
+    setup = _with_prior(chains, given, setup)
     return Problem(chains, parts, given, data, setup)
 
 
@@ -236,15 +236,15 @@ def restricted(setup: Setup, names: Sequence[str]) -> Setup:
     )
 
 
-def _require_prior(chains: Chains, given: ParameterSet, setup: Setup) -> None:
-    """Refuse the prior of a population of another type, or of other parameters.
+def _with_prior(chains: Chains, given: ParameterSet, setup: Setup) -> Setup:
+    """The setup with the noise that the prior of a population states.
 
     Raises:
-        OptionError: If it is one.
+        OptionError: If it is the prior of another type, or of other parameters.
     """
     prior = setup.prior
     if not isinstance(prior, PopulationPrior):
-        return
+        return setup
     difference = prior.robot.difference(robot_type(chains))
     if difference:
         raise OptionError(
@@ -262,6 +262,7 @@ def _require_prior(chains: Chains, given: ParameterSet, setup: Setup) -> None:
             value=list(setup.parameters),
             allowed="the parameters of the robots that it was made from",
         )
+    return replace(setup, noise={**prior.noise, **setup.noise})
 
 
 def _require_payloads(data: Observations, setup: Setup) -> None:

@@ -254,7 +254,9 @@ class Problem(Measured):
         """Standard deviations of priors by name or glob."""
         prior = self.setup.prior
         if isinstance(prior, PopulationPrior):
-            return dict(prior.deviations([p.name for p in self.given if not p.nuisance]))
+            return dict(
+                prior.deviations([p.name for p in self.given if not p.nuisance])
+            )
         return prior
 
     @cached_property

@@ -4,7 +4,8 @@
      "robot": {"name", "joints": [{"name", "axis", "placement"}]},
      "robots": 200,       # that it was made from
      "parameters": [{"name", "unit", "mean", "sigma", "spread", "robots"}],
-     "covariance": []}    # of the next robot's errors about the means
+     "covariance": [],    # of the next robot's errors about the means
+     "noise": {}}         # by quantity
 
 All numbers are in SI units. What they mean stands at `setup.population`.
 """
@@ -115,6 +116,9 @@ def _require_whole(prior: PopulationPrior) -> None:
     means = [parameter.mean for parameter in prior.parameters]
     if not np.isfinite(covariance).all() or not np.isfinite(means).all():
         raise ValueError("a number is missing, or infinite")
+    for quantity, sigma in prior.noise.items():
+        if not 0.0 < sigma < np.inf:
+            raise ValueError(f"{sigma!r} is no noise of {quantity}")
     variances = np.diag(covariance)
     if not (variances > 0.0).all():
         raise ValueError("'covariance' has a variance that is not positive")

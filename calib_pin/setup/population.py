@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
 
 SAME = 1e-6
 """Largest difference of nominal geometries that count as one [m], and as parts of unit
@@ -95,6 +95,8 @@ class PopulationPrior:
         parameters: Mean and spread of every parameter, P of them.
         covariance: Of the next robot's errors about the means, shape (P, P): spreads,
             and what is unknown of these and of the means.
+        noise: Standard deviation of the measurements by quantity, the median of the
+            robots; it counts as stated where nobody states another one.
         file: Where it was read from, for messages.
     """
 
@@ -102,6 +104,7 @@ class PopulationPrior:
     robots: int
     parameters: tuple[ParameterPrior, ...]
     covariance: tuple[Row, ...]
+    noise: Mapping[str, float] = field(default_factory=dict)
     file: str = ""
 
     @property

@@ -42,6 +42,7 @@ def robot_evidence(result: CalibrationResult) -> RobotEvidence:
         scales=np.array([p.scale for p in own]),
         rows=told.rows,
         values=told.values,
+        noise={c.quantity: c.estimate for c in noise if c.estimate > 0.0},
     )
 
 

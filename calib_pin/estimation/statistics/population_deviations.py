@@ -96,8 +96,11 @@ def joint_deviations(
 ) -> tuple[tuple[JointDeviation, ...], ...]:
     """How far every joint of every robot is from the mean, robot by robot."""
     first, found = population.evidences[0], population.likelihood
-    owners = np.array([name.rsplit(".", 2)[0] for name in first.names])
-    joints = {joint: np.flatnonzero(owners == joint) for joint in dict.fromkeys(owners)}
+    owners = [name.rsplit(".", 2)[0] for name in first.names]
+    joints = {
+        joint: np.flatnonzero([owner == joint for owner in owners])
+        for joint in dict.fromkeys(owners)
+    }
     spread = np.sqrt(population.variances)
     # Of deviations in spreads: the estimates, and the covariance that they have.
     estimates = spread * found.scores

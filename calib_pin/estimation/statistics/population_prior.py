@@ -19,7 +19,7 @@ errors together: what no robot shows keeps the mean zero and these sizes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -64,6 +64,7 @@ class RobotEvidence:
         rows: W of `W theta = c` with noise of deviation one, theta divided by the
             scales, shape (r, P).
         values: c, shape (r,).
+        noise: Standard deviation of a component of every quantity, where it is known.
     """
 
     robot: RobotType
@@ -72,6 +73,7 @@ class RobotEvidence:
     scales: Floats
     rows: Floats
     values: Floats
+    noise: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -148,6 +150,7 @@ class Population:
                 )
             ),
             covariance=tuple(map(tuple, covariance.tolist())),
+            noise=_median_noise(self.evidences),
         )
 
 
@@ -249,6 +252,15 @@ class _Rows:
             if change < STANDS:
                 break
         return variances
+
+
+def _median_noise(evidences: Sequence[RobotEvidence]) -> Mapping[str, float]:
+    """The noise of every quantity; a few bad measurements of robots do not matter."""
+    found: dict[str, list[float]] = {}
+    for one in evidences:
+        for name, sigma in one.noise.items():
+            found.setdefault(name, []).append(sigma)
+    return {name: float(np.median(sigmas)) for name, sigmas in found.items()}
 
 
 def _widening(dof: float) -> float:

@@ -1,6 +1,6 @@
-"""What measurements tell of the robot alone, as few independent equations.
+"""The likelihood of the robot alone, as few independent equations.
 
-It is their likelihood: priors are left out, frames and instrument projected out.
+Priors are left out, frames and instrument projected out.
 Measurements that repeat a configuration, and effects of gears and compliance that the
 model lacks, have errors in common and tell less than as many independent ones.
 """
@@ -43,7 +43,7 @@ class RobotRows:
 def robot_rows(
     problem: Problem, theta: Floats, components: Sequence[VarianceComponent]
 ) -> RobotRows:
-    """What the measurements of a problem tell of the robot.
+    """The equations for the robot that the measurements of a problem amount to.
 
     Args:
         problem: The problem, in the units of its noise.

@@ -1,4 +1,4 @@
-"""What robots of one type have in common, as the prior of the next one of them."""
+"""The prior of a robot by others of its type."""
 
 from __future__ import annotations
 

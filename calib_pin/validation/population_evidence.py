@@ -1,4 +1,4 @@
-"""What a calibration tells of the errors of its robot, for the prior of the next one.
+"""The part of a calibration that counts for the prior of other robots.
 
 Priors that it had itself are left out, and so nothing counts twice.
 """
@@ -19,7 +19,7 @@ from calib_pin.validation.result import CalibrationResult
 
 @serial_blas
 def robot_evidence(result: CalibrationResult) -> RobotEvidence:
-    """What a calibration tells of the errors of its robot.
+    """The equations for the errors of its robot that a calibration amounts to.
 
     Args:
         result: The calibration, of this program or read from its folder.

@@ -74,7 +74,7 @@ def test_of_other_joints(chain_of) -> None:
     assert own.difference(turned) == "its joints stand in another order"
 
 
-def test_an_arm_that_is_passed_backwards(chain_of) -> None:
+def test_an_arm_from_tip_to_base(chain_of) -> None:
     """The same joints from the other end: none of them stands against the base."""
     forth = arm(chain_of)
     back = robot_type(Chains.of(chain_of(ARM.format(**GIVEN), "tip", "base")))

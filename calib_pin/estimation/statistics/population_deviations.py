@@ -1,4 +1,4 @@
-"""What is common to the robots of a type, and what belongs to one of them.
+"""Errors that the robots of a type have in common, and those of one of them.
 
 Of thousands of errors some stand out by chance. Those that are told apart here are
 chosen so that of them at most one in twenty does (false discovery rate: Benjamini and

@@ -1,4 +1,4 @@
-"""What robots of one type have in common: mean and spread of every error.
+"""Errors that robots of one type have in common: the mean and spread of each.
 
 The errors of robot i are `theta_i = mu + u_i`, `u_i ~ N(0, Lambda)`, with a diagonal
 Lambda. Its measurements tell `W_i theta_i = c_i` with independent noise of deviation
@@ -54,7 +54,7 @@ as Student's t."""
 
 @dataclass(frozen=True)
 class RobotEvidence:
-    """What the measurements of one robot tell of its errors.
+    """The equations for the errors of one robot that its measurements amount to.
 
     Attributes:
         robot: The type of the robot.

@@ -16,7 +16,7 @@ def check(found: fleet_prior.Outcome, gain: float) -> None:
     squares = np.square(with_it.errors) / np.square(with_it.predicted)
     # Errors in about two directions: chi-square, of the mean of so many.
     assert abs(squares.mean() - 1.0) < 4.0 / np.sqrt(len(squares))
-    assert with_it.inside / with_it.total > 0.85
+    assert np.mean(with_it.shares) > 0.85
 
 
 def test_a_small_fleet() -> None:

@@ -85,7 +85,6 @@ class Likelihood:
         covariance: Covariance of the means, shape (P, P).
         information: `W_i' V_i^-1 W_i` of every robot, shape (R, P, P).
         scores: `W_i' V_i^-1 (c_i - W_i mu)` of every robot, shape (R, P).
-        expected: Sum of the squared scores that these spreads predict, shape (P,).
     """
 
     mean: Floats
@@ -102,7 +101,10 @@ class Likelihood:
     @cached_property
     def expected(self) -> Floats:
         """Sums of the squared scores that these spreads predict, shape (P,)."""
-        return np.asarray(np.einsum("ijj->j", self.known))
+        G = self.information
+        # The diagonal of `known`, without the rest of it.
+        mean = np.einsum("ijk,ijk->j", G @ self.covariance, G)
+        return np.asarray(np.einsum("ijj->j", G) - mean)
 
     @property
     def found(self) -> Floats:

@@ -19,7 +19,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -578,3 +578,55 @@ def start_dask(tmp_path: Path) -> Iterator[Callable[[], Dask]]:
 def dask(start_dask: Callable[[], Dask]) -> Dask:
     """A cluster of two workers on the loopback."""
     return start_dask()
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """Robots of one type, space6 with a tracker, and their next one.
+
+    Attributes:
+        problem: The nominal robot before the tracker.
+        mean: Errors that all have, shape (P,).
+        spread: How far each deviates, shape (P,).
+        results: Calibrations of the robots.
+        population: What they have in common.
+    """
+
+    problem: Problem
+    mean: Floats
+    spread: Floats
+    results: tuple[Any, ...]
+    population: Any
+
+    def measured(
+        self, seed: int, count: int, changes: Mapping[str, float] | None = None
+    ) -> tuple[Observations, Floats]:
+        """Measurements of one more robot, and its errors."""
+        rng = np.random.default_rng([1, seed])
+        theta = self.mean + self.spread * rng.normal(size=len(self.mean))
+        for name, change in (changes or {}).items():
+            theta[self.problem.parameters.index(name)] += change
+        data = simulate(self.problem, theta, rng, count=count).only
+        return Observations.of(replace(data, sigma=None)), theta
+
+
+@pytest.fixture(scope="session")
+def fleet() -> Fleet:
+    """Sixteen calibrated robots of one type."""
+    from calib_pin.calibration import calibrate
+    from calib_pin.estimation.statistics.population_prior import population_of
+    from calib_pin.validation.population_evidence import robot_evidence
+
+    setup = Setup(tool_frame=FrameSetup((0.05, 0.08, 0.12)))
+    problem = nominal_problem(load_chain("space6"), "position", setup)
+    parameters, rng = problem.parameters, np.random.default_rng(0)
+    robot = np.where(parameters.nuisance, 0.0, parameters.scales)
+    mean = robot * rng.normal(size=len(parameters))
+    bare = Fleet(problem, mean, 0.1 * robot, (), None)
+    chain = problem.chains[""]
+    results = tuple(
+        calibrate(chain, bare.measured(seed, 24)[0], validate=False)
+        for seed in range(16)
+    )
+    population = population_of([robot_evidence(result) for result in results])
+    return replace(bare, results=results, population=population)

@@ -126,7 +126,7 @@ def posterior(
     noise = np.ones(len(problem.layout.components))
     if systematic is not None:
         noise = systematic.noise
-    shared = _shared(problem, components, noise)
+    shared = shared_variances(problem, components, noise)
     core = np.eye(half.shape[1])
     if systematic is not None or shared.any():
         products = by_quantity(problem, theta, fun, jac, half)
@@ -138,7 +138,7 @@ def posterior(
             axes=1,
         )
     if shared.any():
-        core += _by_configuration(problem, jac @ half, shared)
+        core += by_configuration(problem, jac @ half, shared)
     values, vectors = np.linalg.eigh(core)
     by_effects = np.zeros((len(theta), 0))
     if systematic is not None:
@@ -180,7 +180,7 @@ def _held(
     return np.eye(len(parameters))[:, parameters.free], rows
 
 
-def _shared(
+def shared_variances(
     problem: Problem, components: Sequence[VarianceComponent], noise: Floats
 ) -> Floats:
     """Part of the variances of quantities that repetitions have in common, (K,)."""
@@ -196,7 +196,7 @@ def _shared(
     return result
 
 
-def _by_configuration(problem: Problem, U: Floats, shared: Floats) -> Floats:
+def by_configuration(problem: Problem, U: Floats, shared: Floats) -> Floats:
     """Covariance of errors that repetitions have in common, shape (r, r).
 
     By orthonormal columns U of the rows, (M, r), and their variances, (K,).

@@ -10,12 +10,13 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import OptionError, nearest, stated_in
+from calib_pin.errors import OptionError, enumerated, nearest, stated_in
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.scopes import prefixed, scopes
 from calib_pin.estimation.system import Part, assembled
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import (
     BlockKey,
@@ -31,7 +32,7 @@ from calib_pin.parameterizations import (
 )
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameters import ParameterSet, matching
-from calib_pin.setup import WORLD, Setup
+from calib_pin.setup import WORLD, PopulationPrior, Setup
 
 
 def make_problem(
@@ -50,6 +51,7 @@ def make_problem(
     _require_payloads(data, setup)
     targets = {block.key: block.target.distinct for block in data.blocks}
     parts, given = make_parts(chains, targets, setup)
+    setup = _with_prior(chains, given, setup)
     return Problem(chains, parts, given, data, setup)
 
 
@@ -228,8 +230,39 @@ def restricted(setup: Setup, names: Sequence[str]) -> Setup:
         setup,
         fixed=tuple(filter(known, setup.fixed)),
         bounds={key: value for key, value in setup.bounds.items() if known(key)},
-        prior={key: value for key, value in setup.prior.items() if known(key)},
+        prior=setup.prior
+        if isinstance(setup.prior, PopulationPrior)
+        else {key: value for key, value in setup.prior.items() if known(key)},
     )
+
+
+def _with_prior(chains: Chains, given: ParameterSet, setup: Setup) -> Setup:
+    """The setup with the noise that the prior of a population states.
+
+    Raises:
+        OptionError: If it is the prior of another type, or of other parameters.
+    """
+    prior = setup.prior
+    if not isinstance(prior, PopulationPrior):
+        return setup
+    difference = prior.robot.difference(robot_type(chains))
+    if difference:
+        raise OptionError(
+            f"a prior of other robots, '{prior.robot.name}': {difference}",
+            file=prior.file or None,
+            value=chains.robot.name,
+        )
+    known = set(prior.names)
+    robot = given.with_fixed(setup.fixed)
+    lacking = [p.name for p in robot if p.free and not p.nuisance | (p.name in known)]
+    if lacking:
+        raise OptionError(
+            f"the prior does not have the parameters {enumerated(lacking)}",
+            file=prior.file or None,
+            value=list(setup.parameters),
+            allowed="the parameters of the robots that it was made from",
+        )
+    return replace(setup, noise={**prior.noise, **setup.noise})
 
 
 def _require_payloads(data: Observations, setup: Setup) -> None:

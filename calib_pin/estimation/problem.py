@@ -28,6 +28,7 @@ from calib_pin.estimation.system import Part
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameters import ParameterSet
+from calib_pin.setup import PopulationPrior
 
 _Found = TypeVar("_Found")
 
@@ -77,7 +78,7 @@ class Problem(Measured):
             return (
                 self.given.with_fixed(self.setup.fixed)
                 .with_bounds(self.setup.bounds)
-                .with_priors(self.setup.prior)
+                .with_priors(self._deviations)
                 .without(self.held_at)
             )
 
@@ -256,8 +257,20 @@ class Problem(Measured):
 
     @cached_property
     def _priors(self) -> Priors:
-        parameters = self.parameters
-        return Priors(np.where(parameters.free, parameters.priors, np.inf))
+        prior, parameters = self.setup.prior, self.parameters
+        if isinstance(prior, PopulationPrior):
+            return Priors.together(prior, parameters)
+        return Priors.alone(np.where(parameters.free, parameters.priors, np.inf))
+
+    @property
+    def _deviations(self) -> Mapping[str, float]:
+        """Standard deviations of priors by name or glob."""
+        prior = self.setup.prior
+        if isinstance(prior, PopulationPrior):
+            return dict(
+                prior.deviations([p.name for p in self.given if not p.nuisance])
+            )
+        return prior
 
     @cached_property
     def _by_station(self) -> Mapping[str, Sequence[int]]:
@@ -368,3 +381,8 @@ def distinct_values(problem: Problem) -> int:
     counted[rows[first]] = True
     used = counted[problem.layout.row] & np.isfinite(problem.sigma)
     return int(used.sum()) + problem.count - problem.values - problem.further.priors
+
+
+def known_values(problem: Problem) -> int:
+    """Distinct values and priors: as many directions as that can be determined."""
+    return distinct_values(problem) + problem.further.priors

@@ -21,7 +21,8 @@ from calib_pin.measurement_models.references import (
     ReferenceObject,
     Sphere,
 )
-from calib_pin.setup import DistanceSetup
+from calib_pin.parameters import ParameterSet
+from calib_pin.setup import DistanceSetup, PopulationPrior
 
 
 @dataclass(frozen=True)
@@ -53,25 +54,59 @@ class Expected:
 
 @dataclass(frozen=True)
 class Priors:
-    """Normal priors about zero on single parameters.
+    """A normal prior on parameters, on each alone or on several together.
 
     Attributes:
-        sigma: Standard deviations, infinite where there is none, shape (P,).
+        rows: W of `W (theta - mean)`, whose p components have the deviation one, shape
+            (p, P); zero for parameters without a prior.
+        mean: The most likely values, shape (P,).
     """
 
-    sigma: Floats
+    rows: Floats
+    mean: Floats
+
+    @staticmethod
+    def alone(sigma: Floats) -> Priors:
+        """Priors about zero on single parameters.
+
+        Args:
+            sigma: Standard deviations, infinite where there is none, shape (P,).
+        """
+        known = np.isfinite(sigma)
+        return Priors(np.diag(1.0 / sigma)[known], np.zeros(len(sigma)))
+
+    @staticmethod
+    def together(prior: PopulationPrior, parameters: ParameterSet) -> Priors:
+        """The prior that robots of the same type have given.
+
+        Args:
+            prior: The prior; what the parameters lack of it is left out.
+            parameters: The parameters; those that are not free have none.
+        """
+        free = {p.name for p in parameters if p.free and not p.nuisance}
+        known = [k for k, name in enumerate(prior.names) if name in free]
+        index = [parameters.index(prior.names[k]) for k in known]
+        mean = np.zeros(len(parameters))
+        mean[index] = [prior.parameters[k].mean for k in known]
+        # Of parameters in their scales, lengths and angles are alike.
+        scales = parameters.scales[index]
+        covariance = np.array(prior.covariance)[np.ix_(known, known)]
+        half = np.linalg.cholesky(covariance / np.outer(scales, scales))
+        rows = np.zeros((len(known), len(parameters)))
+        rows[:, index] = np.linalg.solve(half, np.diag(1.0 / scales))
+        return Priors(rows, mean)
 
     def __len__(self) -> int:
-        """Number of priors."""
-        return int(np.isfinite(self.sigma).sum())
+        """Number of rows."""
+        return len(self.rows)
 
     def residual(self, theta: Floats) -> Floats:
-        """Parameters in standard deviations, (..., P) -> (..., p)."""
-        return np.asarray((theta / self.sigma)[..., np.isfinite(self.sigma)])
+        """Distances from the mean in standard deviations, (..., P) -> (..., p)."""
+        return np.asarray((theta - self.mean) @ self.rows.T)
 
     def jacobian(self, theta: Floats) -> Floats:
         """Their derivative, shape (p, P)."""
-        return np.asarray(np.diag(1.0 / self.sigma)[np.isfinite(self.sigma)])
+        return self.rows
 
 
 @dataclass(frozen=True)
@@ -90,7 +125,7 @@ class Blocks:
 
     @property
     def priors(self) -> int:
-        """Number of priors on single parameters, the last rows."""
+        """Number of rows of priors on parameters, the last ones."""
         return sum(len(block) for block in self.blocks if isinstance(block, Priors))
 
     def residual(self, theta: Floats) -> Floats:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from calib_pin.errors import InputError, nearest
 from calib_pin.io.json_text import plain
-from calib_pin.setup import WORLD, Setup
+from calib_pin.setup import WORLD, PopulationPrior, Setup
 
 WIDTH = 60
 """Column after which a list is continued in the next line."""
@@ -121,6 +121,10 @@ def read_setup(path: str | Path) -> Setup:
     _check_distances(tree, setup)
     # The result may be read from another folder than the setup file.
     folder = Path(path).absolute().parent
+    if isinstance(setup.prior, str):
+        from calib_pin.io.population_prior import read_population_prior
+
+        setup = replace(setup, prior=read_population_prior(folder / setup.prior))
     obstacles = tuple(
         obstacle
         if obstacle.mesh is None
@@ -146,11 +150,16 @@ def setup_document(setup: Setup) -> dict[str, Any]:
 
     file, empty = SetupFile.of(setup), SetupFile()
     required = {"parameters", *required_keys(setup.parameters)}
-    return {
+    found = {
         key: value
         for key, value in _plain(asdict(file)).items()
         if getattr(file, key) != getattr(empty, key) or key in required
     }
+    if isinstance(setup.prior, PopulationPrior):
+        from calib_pin.io.population_prior import prior_document
+
+        found["prior"] = prior_document(setup.prior)
+    return found
 
 
 def yaml_text(lines: Mapping[str, Any]) -> str:
@@ -187,6 +196,12 @@ def setup_of(document: Mapping[str, Any]) -> Setup:
     from calib_pin.io.setup_schema import adapter, context
 
     names = context(lenient=True)
+    prior = document.get("prior")
+    if isinstance(prior, Mapping) and "format" in prior:
+        from calib_pin.io.population_prior import prior_of
+
+        rest = {key: value for key, value in document.items() if key != "prior"}
+        return replace(setup_of(rest), prior=prior_of(prior))
     try:
         return adapter().validate_python(document, context=names).setup()
     except ValidationError as error:

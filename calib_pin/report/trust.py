@@ -25,6 +25,7 @@ from calib_pin.report.blocks import (
     columns,
 )
 from calib_pin.report.tables import number, outlier_cells, significant
+from calib_pin.setup import PopulationPrior
 from calib_pin.units import DISPLAY
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.findings.setup_lines import written
@@ -229,6 +230,9 @@ def statistics(result: CalibrationResult) -> Iterator[Block]:
         entries.append(
             ("sigma0", f"{number(result.statistics.sigma0)} times the {sigmas} sigma")
         )
+    prior = result.model.setup.prior
+    if isinstance(prior, PopulationPrior):
+        entries.append(("prior", f"by {prior.robots} robots of this type"))
     title = "Statistics of the parameters, before what is learned"
     yield Facts(title if learned else "Statistics", entries)
 

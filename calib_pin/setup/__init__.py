@@ -14,11 +14,13 @@ from typing import Annotated
 from calib_pin.setup.constraints import (
     Checked,
     Distinct,
+    OrFile,
     Registered,
     Section,
     listed,
 )
 from calib_pin.setup.fleet import JobSetup, MonteCarloSetup
+from calib_pin.setup.population import PopulationPrior
 from calib_pin.setup.printing import ReportSetup
 from calib_pin.setup.reading import (
     AXES,
@@ -81,6 +83,7 @@ __all__ = [
     "Payload",
     "PlaneSetup",
     "PointSetup",
+    "PopulationPrior",
     "RangerSetup",
     "ReadingSetup",
     "Region",
@@ -277,7 +280,9 @@ class FitSetup(Section):
             (rad/m for a prismatic joint), where harmonics of the motor are sought.
         fixed: Globs of parameter names that are not estimated.
         bounds: Glob to the largest absolute value [SI], or to (lower, upper).
-        prior: Glob to the prior standard deviation about zero [SI].
+        prior: Glob to the prior standard deviation about zero [SI], or the file of a
+            prior that robots of the same type have given, relative to this file; that
+            holds for all errors of the robot.
         noise: Standard deviation by quantity (`position`, `orientation`, `distance`,
             `contact`, `pixel`) used where the file has no sigma columns [SI].
         solver: Solver of the fit, and its options.
@@ -302,12 +307,23 @@ class FitSetup(Section):
     bounds: Mapping[str, Annotated[float | Pair, Checked(_bound, BOUND)]] = field(
         default_factory=dict
     )
-    prior: Mapping[str, Annotated[float, Positive("SI")]] = field(default_factory=dict)
+    prior: Annotated[
+        Mapping[str, float] | PopulationPrior,
+        OrFile(
+            Mapping[str, Annotated[float, Positive("SI")]],
+            "the file of a fleet's prior, or a mapping of names to standard deviations",
+        ),
+    ] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
     solver: SolverSetup = SolverSetup()
     loss: Annotated[str, Registered("loss")] = "auto"
     limit: LimitSetup = field(default_factory=LimitSetup)
     report: ReportSetup = field(default_factory=ReportSetup)
+
+    @property
+    def prior_by_glob(self) -> Mapping[str, float]:
+        """Prior standard deviations about zero by glob; none with a fleet's prior."""
+        return {} if isinstance(self.prior, PopulationPrior) else self.prior
 
     @property
     def heaviest(self) -> str:

@@ -264,6 +264,38 @@ class Distinct:
         return core_schema.no_info_after_validator_function(check, handler(source))
 
 
+@dataclass(frozen=True, eq=False)  # Annotations are hashed, types need not be.
+class OrFile:
+    """A value, or the path of a file that the reader of the setup puts in its place.
+
+    Attributes:
+        kind: Type of the value, a mapping.
+        words: What is allowed.
+    """
+
+    kind: Any
+    words: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """A text as it is; the checks of the type for any other value."""
+        from pydantic_core import core_schema
+
+        def check(value: object, checked: Callable[[object], Any]) -> Any:
+            if isinstance(value, str) and value.strip():
+                return value
+            if not isinstance(value, Mapping):
+                raise ValueError(self.words)
+            return checked(value)
+
+        return core_schema.no_info_wrap_validator_function(
+            check, handler.generate_schema(self.kind)
+        )
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Json:
+        """The schema of the value, or a text."""
+        return {"anyOf": [handler(core["schema"]), {"type": "string"}]}
+
+
 def listed(entry: Json, count: int, few: int | None = None) -> Json:
     """The JSON schema of a list.
 

@@ -8,7 +8,12 @@ from typing import Protocol
 
 import numpy as np
 
-from calib_pin.estimation.directions import Directions, half_covariance
+from calib_pin.estimation.directions import (
+    Directions,
+    half_covariance,
+    practical_directions,
+    robot_singular_values,
+)
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.identifiability import Structure, everett_count, observability
@@ -183,8 +188,12 @@ def estimates(
 
 def fitted_ranks(fitted: Fit) -> Identifiability:
     """Ranks and observability of the measurements that were fitted."""
-    s = fitted.singular_values
-    problem = fitted.problem
+    problem, s = fitted.problem, fitted.singular_values
+    rank, weak = fitted.rank, fitted.directions.weak.shape[1]
+    if problem.further.priors:
+        s = _told(fitted)
+        rank += len(s) - fitted.directions.robot.shape[1]
+        weak = max(len(fitted.structure.robot) - len(s), 0)
     return replace(
         _ranks(
             problem,
@@ -192,11 +201,24 @@ def fitted_ranks(fitted: Fit) -> Identifiability:
             s[s > 1e-12 * s.max(initial=0.0)],
             len(problem.data),
         ),
-        rank=fitted.rank,
-        weak=fitted.directions.weak.shape[1],
+        rank=rank,
+        weak=weak,
         revealed=fitted.directions.revealed,
         correlated=tuple(_correlated(fitted)),
     )
+
+
+def _told(fitted: Fit) -> Floats:
+    """Singular values of the robot directions that measurements tell without priors."""
+    problem, parameters = fitted.problem, fitted.problem.parameters
+    count = len(fitted.result.fun) - problem.further.priors
+    fun, jac = fitted.result.fun[:count], fitted.result.jac[:count]
+    robot = np.eye(len(parameters))[:, parameters.free & ~parameters.nuisance]
+    unit = fitted.unit if np.isfinite(fitted.unit) else 0.0
+    told = practical_directions(
+        jac, fun, problem.count - problem.absorbed, parameters, robot, unit
+    )
+    return robot_singular_values(told, jac, parameters)
 
 
 def _ranks(

@@ -261,7 +261,7 @@ def _require_patterns(
             names += parameter_names(chains, measurements, setup, (name,))
         except OptionError:
             continue  # The candidate will say so.
-    for pattern in (*setup.fixed, *setup.bounds, *setup.prior):
+    for pattern in (*setup.fixed, *setup.bounds, *setup.prior_by_glob):
         if not matching(pattern, names):
             raise OptionError(
                 f"no parameter matches '{pattern}'{nearest(pattern, names)}",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.problem import distinct_values
+from calib_pin.estimation.problem import known_values
 from calib_pin.estimation.scopes import own_name
 from calib_pin.measurement_models import declared
 from calib_pin.observations import AT, Observations, fitted_and_held_out
@@ -152,13 +152,16 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     # Only what is estimated must be seen in every part.
     elsewhere = (seen & (grouping.places < 0) for seen in _estimated(fitted, rows))
     sought = [np.where(seen, rows.groups(), -1) for seen in elsewhere if seen.any()]
+    # What priors hold counts among what is known and among what is needed.
+    held = fitted.problem.further.priors > 0
+    needed = fitted.rank if held else fitted.structure.rank
     masks = []
     for k in range(count):
         mask = grouping.spared(fold[labels] == k)
         if not mask.any():
             continue
         rest = replace(fitted.problem, data=rows.rows(~mask))
-        if distinct_values(rest) <= fitted.structure.rank or any(
+        if known_values(rest) <= needed or any(
             len(np.unique(seen[~mask & (seen >= 0)])) < FEWEST for seen in sought
         ):
             return []

@@ -16,7 +16,7 @@ from calib_pin.estimation.evidence import (
     Gain,
 )
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.problem import distinct_values
+from calib_pin.estimation.problem import distinct_values, known_values
 from calib_pin.estimation.statistics.distributions import chi_square_quantile, f_tail
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.units import DISPLAY
@@ -215,20 +215,21 @@ def told(findings: Sequence[Finding]) -> str:
 def _unchecked(grounds: Grounds) -> str:
     """The reason why there is no check; empty where there is one."""
     fitted = grounds.fitted
-    values, rank = distinct_values(fitted.problem), fitted.structure.rank
+    values, rank = known_values(fitted.problem), fitted.structure.rank
+    known = "values and priors" if fitted.problem.further.priors else "values"
     if values < rank:
         return (
-            f"{values} measured values cannot determine {rank} identifiable "
+            f"{values} measured {known} cannot determine {rank} identifiable "
             "parameters; measure more configurations or estimate fewer parameters"
         )
     if values <= fitted.rank:
         return (
-            f"{values} measured values for {fitted.rank} estimated parameters leave "
+            f"{values} measured {known} for {fitted.rank} estimated parameters leave "
             "nothing to check the fit with; measure more configurations"
         )
     left = sum(v.redundancy * v.values for v in fitted.noise)
-    known = all(noise.stated and not noise.contradicted for noise in fitted.noise)
-    if not known and left < OPTIONS.redundant:
+    sure = all(noise.stated and not noise.contradicted for noise in fitted.noise)
+    if not sure and left < OPTIONS.redundant:
         return (
             f"{left:.1f} redundant values are too few to estimate the noise; measure "
             "more configurations, or state the standard deviations"

@@ -13,6 +13,7 @@ from benchmarks import (
     findings,
     fit,
     fleet,
+    fleet_prior,
     guard,
     jobs,
     planning,
@@ -39,6 +40,7 @@ BENCHMARKS = {
     "fleet": fleet.main,
     "verdict": verdict.main,
     "findings": findings.main,
+    "fleet-prior": fleet_prior.main,
 }
 
 

@@ -11,8 +11,8 @@ import pytest
 import calib_pin
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
-from calib_pin.estimation.problem import distinct_values
-from calib_pin.estimation.row_blocks import KnownDistances
+from calib_pin.estimation.problem import distinct_values, known_values
+from calib_pin.estimation.row_blocks import KnownDistances, Priors
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.references import (
     Anchor,
@@ -168,3 +168,51 @@ def test_between_points_of_the_tool() -> None:
     assert plain.identifiability.rank == tied.identifiability.rank == 30
     problem = nominal_problem(ARM, "position", replace(setup, distances=gauge))
     assert problem.count == nominal_problem(ARM, "position", setup).count + 1
+
+
+def test_a_prior_of_several_parameters(fleet) -> None:
+    """Rows of deviation one by the covariance, and their derivative."""
+    prior = fleet.population.prior()
+    parameters = fleet.problem.parameters
+    block = Priors.together(prior, parameters)
+    index = [parameters.index(name) for name in prior.names]
+    W, covariance = block.rows[:, index], np.array(prior.covariance)
+    np.testing.assert_allclose(W @ covariance @ W.T, np.eye(len(W)), atol=1e-9)
+    mean = np.zeros(len(parameters))
+    mean[index] = [p.mean for p in prior.parameters]
+    assert not block.residual(mean).any() and len(block) == len(index)
+    theta = mean + np.random.default_rng(0).normal(size=len(mean)) * parameters.scales
+    steps = 1e-6 * np.eye(len(theta))
+    found = (block.residual(theta + steps) - block.residual(theta - steps)).T / 2e-6
+    J = block.jacobian(theta)
+    np.testing.assert_allclose(found, J, atol=1e-8 * np.abs(J).max())
+
+
+def test_a_prior_of_some_fixed_parameters(fleet) -> None:
+    """Those that are free keep their marginal distribution."""
+    prior = fleet.population.prior()
+    parameters = fleet.problem.parameters.with_fixed(["*.placement.z"])
+    block = Priors.together(prior, parameters)
+    free = [k for k, name in enumerate(prior.names) if not name.endswith(".z")]
+    index = [parameters.index(prior.names[k]) for k in free]
+    assert len(block) == len(free)
+    W = block.rows[:, index]
+    covariance = np.array(prior.covariance)[np.ix_(free, free)]
+    np.testing.assert_allclose(W @ covariance @ W.T, np.eye(len(W)), atol=1e-9)
+    assert not np.delete(block.rows, index, axis=1).any()
+
+
+def test_the_prior_of_a_problem(fleet) -> None:
+    """Its rows are the last ones; values that priors hold count as known."""
+    prior = fleet.population.prior()
+    data, theta = fleet.measured(400, 10)
+    chain = fleet.problem.chains[""]
+    plain = make_problem(chain, data, Setup())
+    problem = make_problem(chain, data, Setup(prior=prior))
+    block = Priors.together(prior, problem.parameters)
+    r, J = problem.linearize(theta)
+    np.testing.assert_allclose(r[-len(block) :], block.residual(theta), rtol=1e-12)
+    np.testing.assert_array_equal(J[-len(block) :], block.rows)
+    assert problem.count == plain.count + len(block)
+    assert known_values(problem) == distinct_values(plain) + len(block)
+    assert problem.setup.noise == prior.noise

@@ -34,7 +34,7 @@ from calib_pin.estimation.problem import (
     EXACT,
     SAMPLE,
     Problem,
-    distinct_values,
+    known_values,
 )
 from calib_pin.estimation.robust.causes import causes
 from calib_pin.estimation.robust.consensus import consensus
@@ -231,7 +231,7 @@ def _enough(squared: Fit, accepted: NDArray[np.bool_]) -> bool:
     """Whether the accepted configurations are a majority that determines the robot."""
     if 1.0 - accepted.mean() > OPTIONS.breakdown:
         return False
-    return distinct_values(_weighted(squared.problem, accepted)) > squared.rank
+    return known_values(_weighted(squared.problem, accepted)) > squared.rank
 
 
 def _sought(

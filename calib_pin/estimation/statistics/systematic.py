@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.directions import Directions, half_covariance
-from calib_pin.estimation.problem import Problem, distinct_values, representative
+from calib_pin.estimation.problem import Problem, known_values, representative
 from calib_pin.estimation.statistics.restricted_likelihood import (
     EXACT,
     Groups,
@@ -149,7 +149,7 @@ def systematic(
         nominal robot is where nothing can be measured.
     """
     effects = _candidates(problem)
-    spare = distinct_values(problem) - directions.count
+    spare = known_values(problem) - directions.count
     if effects is None or spare < SPARE:
         return None
     sample = replace(problem, data=sampled(problem))

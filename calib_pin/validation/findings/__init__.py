@@ -41,6 +41,7 @@ from calib_pin.validation.findings.noise import noise
 from calib_pin.validation.findings.orientations import orientations
 from calib_pin.validation.findings.outliers import outliers
 from calib_pin.validation.findings.plausibility import plausibility
+from calib_pin.validation.findings.population import population
 from calib_pin.validation.findings.repetitions import repetitions
 from calib_pin.validation.findings.robot import robots
 from calib_pin.validation.findings.targets import targets
@@ -69,6 +70,7 @@ CONSEQUENCES: tuple[Kind, ...] = (
     plausibility,
     outliers,
     noise,
+    population,
 )
 """Faults in every fit that may follow from another one, and then are not told."""
 

@@ -98,7 +98,7 @@ def run(number: int) -> Coverage:
         result = calib_pin.calibrate(job.chain, rows, setup, validate=False)
     except Exception as error:
         return Coverage(number, kind, problem=f"{type(error).__name__}: {error}")
-    inside, total = _covered(job, result)
+    inside, total = covered(job, result)
     predicted = np.nan
     if result.accuracy.workspace is not None:
         predicted = result.accuracy.workspace.calibrated[0]
@@ -109,7 +109,7 @@ def run(number: int) -> Coverage:
     return Coverage(number, kind, inside, total, ratio)
 
 
-def _covered(job: Job, result: CalibrationResult) -> tuple[int, int]:
+def covered(job: Job, result: CalibrationResult) -> tuple[int, int]:
     """Combinations whose interval holds the truth, and all of them."""
     names = job.problem.parameters.names
     truth = dict(zip(names, job.theta.tolist(), strict=True))

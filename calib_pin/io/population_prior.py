@@ -1,0 +1,131 @@
+"""The prior that robots of one type have given, as a JSON file.
+
+    {"format": "calib-pin/fleet-prior", "version": 1,
+     "robot": {"name", "joints": [{"name", "axis", "placement"}]},
+     "robots": 200,       # that it was made from
+     "parameters": [{"name", "unit", "mean", "sigma", "spread", "robots"}],
+     "covariance": [],    # of the next robot's errors about the means
+     "noise": {}}         # by quantity
+
+All numbers are in SI units. What they mean stands at `setup.population`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib_pin.errors import InputError
+from calib_pin.io.files import read_bytes, write_atomically
+from calib_pin.io.json_text import Json, decode, encode, plain, require_format, typed
+from calib_pin.setup import PopulationPrior
+
+FORMAT, VERSION = "calib-pin/fleet-prior", 1
+"""The newest format of priors."""
+
+SYMMETRIC = 1e-9
+"""Largest part of a correlation that may differ from its mirror image."""
+
+
+def prior_document(prior: PopulationPrior) -> Json:
+    """A prior as plain data."""
+    content = plain(prior)
+    del content["file"]
+    return {"format": FORMAT, "version": VERSION, **content}
+
+
+def prior_of(document: Mapping[str, Any]) -> PopulationPrior:
+    """The prior of plain data.
+
+    Raises:
+        ValueError: If it is none; the message says why.
+    """
+    try:
+        prior = typed(PopulationPrior, document)
+    except KeyError as error:
+        raise ValueError(f"{error} is missing") from error
+    except (TypeError, AttributeError) as error:
+        raise ValueError("a value is not of its type") from error
+    _require_whole(prior)
+    return replace(prior, file="")
+
+
+def read_population_prior(path: str | Path) -> PopulationPrior:
+    """The prior of a file.
+
+    Args:
+        path: The file.
+
+    Raises:
+        InputError: If it is no such file, of a later version, or damaged.
+    """
+    data = read_bytes(path)
+    try:
+        document = decode(data)
+    except (ValueError, RecursionError) as mistake:
+        reason = f"not the prior of a fleet, or truncated: {mistake}"
+        raise InputError(reason, file=path) from mistake
+    document = require_format(document, "fleet's prior", FORMAT, VERSION, path)
+    try:
+        prior = prior_of(document)
+    except ValueError as mistake:
+        reason = f"damaged or edited prior: {mistake}"
+        raise InputError(reason, file=path) from mistake
+    return replace(prior, file=str(path))
+
+
+def write_population_prior(
+    prior: PopulationPrior, path: str | Path, *, force: bool = False
+) -> None:
+    """Write a prior to a file.
+
+    Args:
+        prior: The prior.
+        path: The new file.
+        force: Replace an existing file.
+
+    Raises:
+        OptionError: If the file exists.
+        OutputError: If it cannot be written.
+    """
+    write_atomically(Path(path), encode(prior_document(prior)), force=force)
+
+
+def _require_whole(prior: PopulationPrior) -> None:
+    """Refuse numbers that are no prior.
+
+    Raises:
+        ValueError: If they are none.
+    """
+    count = len(prior.parameters)
+    if prior.robots < 1 or not count:
+        raise ValueError("it is of no robots, or of no parameters")
+    for kind, names in (
+        ("parameters", prior.names),
+        ("joints", [joint.name for joint in prior.robot.joints]),
+    ):
+        if len(set(names)) < len(names):
+            raise ValueError(f"two '{kind}' have one name")
+    if [len(row) for row in prior.covariance] != [count] * count:
+        raise ValueError(f"'covariance' does not have {count} rows and columns")
+    covariance = np.array(prior.covariance)
+    means = [parameter.mean for parameter in prior.parameters]
+    if not np.isfinite(covariance).all() or not np.isfinite(means).all():
+        raise ValueError("a number is missing, or infinite")
+    for quantity, sigma in prior.noise.items():
+        if not 0.0 < sigma < np.inf:
+            raise ValueError(f"{sigma!r} is no noise of {quantity}")
+    variances = np.diag(covariance)
+    if not (variances > 0.0).all():
+        raise ValueError("'covariance' has a variance that is not positive")
+    correlation = covariance / np.sqrt(np.outer(variances, variances))
+    if np.abs(correlation - correlation.T).max() > SYMMETRIC:
+        raise ValueError("'covariance' is not symmetric")
+    try:
+        np.linalg.cholesky(correlation)
+    except np.linalg.LinAlgError:
+        raise ValueError("'covariance' is not positive definite") from None

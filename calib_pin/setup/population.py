@@ -1,0 +1,119 @@
+"""The prior of a robot by others of its type."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+
+SAME = 1e-6
+"""Largest difference of nominal geometries that count as one [m], and as parts of unit
+vectors: what is left of numbers that were printed with seven digits."""
+
+Row = tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class JointType:
+    """The nominal geometry of a joint.
+
+    Attributes:
+        name: Name of the joint.
+        axis: Unit axis in the joint frame.
+        placement: Pose of the joint frame in that of the joint before it, the first
+            three rows of the homogeneous matrix row by row [m]; empty for the first
+            joint, before which a base frame may be anywhere.
+    """
+
+    name: str
+    axis: Row
+    placement: Row
+
+
+@dataclass(frozen=True)
+class RobotType:
+    """By which robots of one type are recognized, whatever their files look like.
+
+    Attributes:
+        name: Name of the robot, for messages.
+        joints: The joints of all chains.
+    """
+
+    name: str
+    joints: tuple[JointType, ...]
+
+    def difference(self, other: RobotType) -> str:
+        """How another robot differs in a few words; empty for one of this type."""
+        here = tuple(joint.name for joint in self.joints)
+        there = tuple(joint.name for joint in other.joints)
+        if here != there:
+            strange = [name for name in there if name not in here]
+            lacking = [name for name in here if name not in there]
+            if strange:
+                return f"it has a joint '{strange[0]}'"
+            if lacking:
+                return f"it has no joint '{lacking[0]}'"
+            return "its joints stand in another order"
+        for own, joint in zip(self.joints, other.joints, strict=True):
+            for word in ("axis", "placement"):
+                numbers: tuple[Row, Row] = getattr(own, word), getattr(joint, word)
+                if len(numbers[0]) != len(numbers[1]) or any(
+                    not abs(a - b) <= SAME for a, b in zip(*numbers, strict=True)
+                ):
+                    return f"its joint '{own.name}' has another nominal {word}"
+        return ""
+
+
+@dataclass(frozen=True)
+class ParameterPrior:
+    """An error parameter over the robots of a type.
+
+    Attributes:
+        name: Name of the parameter.
+        unit: Its unit.
+        mean: Mean of the robots.
+        sigma: Standard deviation of the mean, as far as it is known.
+        spread: Standard deviation among robots.
+        robots: Number of robots that the spread is known from: one counts in full that
+            tells the parameter without error; 0 where no robot tells anything.
+    """
+
+    name: str
+    unit: str
+    mean: float
+    sigma: float
+    spread: float
+    robots: float
+
+
+@dataclass(frozen=True)
+class PopulationPrior:
+    """A normal prior of the errors of the next robot of a type.
+
+    Attributes:
+        robot: The type.
+        robots: Number of robots that it was made from.
+        parameters: Mean and spread of every parameter, P of them.
+        covariance: Of the next robot's errors about the means, shape (P, P): spreads,
+            and what is unknown of these and of the means.
+        noise: Standard deviation of the measurements by quantity, the median of the
+            robots; it counts as stated where nobody states another one.
+        file: Where it was read from, for messages.
+    """
+
+    robot: RobotType
+    robots: int
+    parameters: tuple[ParameterPrior, ...]
+    covariance: tuple[Row, ...]
+    noise: Mapping[str, float] = field(default_factory=dict)
+    file: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, in order."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    def deviations(self, names: Collection[str]) -> Iterator[tuple[str, float]]:
+        """Names and standard deviations of those of its parameters that are named."""
+        for k, name in enumerate(self.names):
+            if name in names:
+                yield name, self.covariance[k][k] ** 0.5

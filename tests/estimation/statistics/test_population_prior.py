@@ -1,0 +1,167 @@
+"""Mean and spread of a population, of which each robot shows a part."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib_pin.errors import OptionError
+from calib_pin.estimation.statistics.population_deviations import (
+    common_errors,
+    joint_deviations,
+)
+from calib_pin.estimation.statistics.population_prior import (
+    LEAST,
+    RobotEvidence,
+    population_of,
+)
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.setup.population import JointType, RobotType
+
+TYPE = RobotType("arm", (JointType("a", (0.0, 0.0, 1.0), ()),))
+NAMES = tuple(f"j{k // 3}.placement.{'xyz'[k % 3]}" for k in range(9))
+SCALES = np.array([1e-3] * 6 + [2e-3] * 3)
+MEAN = np.array([1.0, -0.5, 0.0, 2.0, 0.0, 0.3, -1.0, 0.0, 0.7])
+SPREAD = np.array([0.1, 0.3, 0.2, 0.5, 0.1, 0.4, 0.2, 0.3, 0.2])
+HIDDEN = 7
+"""An error that no robot shows; and of the first two only their sum shows."""
+
+
+def equations(rng: np.random.Generator, noise: float = 0.1) -> Floats:
+    """What the measurements of a robot see, fewer rows than errors."""
+    W = rng.normal(size=(6, len(NAMES))) / noise
+    W[:, 1] = W[:, 0]
+    W[:, HIDDEN] = 0.0
+    return W
+
+
+def evidence(theta: Floats, W: Floats, rng: np.random.Generator) -> RobotEvidence:
+    """That of a robot with some errors, in scales."""
+    values = W @ theta + rng.normal(size=len(W))
+    units = ("m",) * len(NAMES)
+    return RobotEvidence(TYPE, NAMES, units, SCALES, W, values, {"position": 1e-4})
+
+
+def robots(count: int, seed: int = 0) -> list[RobotEvidence]:
+    """Robots of the type."""
+    rng = np.random.default_rng(seed)
+    return [
+        evidence(MEAN + SPREAD * rng.normal(size=len(NAMES)), equations(rng), rng)
+        for _ in range(count)
+    ]
+
+
+def test_mean_and_spread_are_recovered() -> None:
+    found = population_of(robots(300))
+    free = np.array([2, 3, 4, 5, 6, 8])
+    sigma = np.sqrt(np.diag(found.likelihood.covariance))
+    z = (found.likelihood.mean - MEAN)[free] / sigma[free]
+    assert np.abs(z).max() < 3.5 and np.abs(sigma[free]).max() < 0.1
+    # The relative deviation of a variance of n normal values is sqrt(2 / n).
+    error = np.log(found.variances / SPREAD**2)[free] / np.sqrt(2 / found.robots[free])
+    assert np.abs(error).max() < 3.5
+    assert (found.robots[free] > 30).all() and (found.robots <= 300).all()
+
+
+def test_only_a_sum_shows() -> None:
+    """It is known well, its terms are not."""
+    found = population_of(robots(300))
+    both = np.isin(np.arange(len(NAMES)), (0, 1)).astype(float)
+    total = both @ found.likelihood.mean
+    sigma = np.sqrt(both @ found.likelihood.covariance @ both)
+    assert abs(total - MEAN[:2].sum()) < 3.5 * sigma and sigma < 0.05
+    assert np.sqrt(found.likelihood.covariance[0, 0]) > 0.5
+    variance = found.variances[:2].sum()
+    assert variance == pytest.approx(np.sum(SPREAD[:2] ** 2), rel=0.3)
+
+
+def test_what_no_robot_shows_keeps_its_size() -> None:
+    """Mean zero, known to its scale, and the spread that all errors have together."""
+    found = population_of(robots(50))
+    assert abs(found.likelihood.mean[HIDDEN]) < 1e-12
+    assert found.likelihood.covariance[HIDDEN, HIDDEN] == pytest.approx(1.0)
+    assert found.robots[HIDDEN] == 0.0
+    spread = np.sqrt(found.variances)
+    assert spread.min() < spread[HIDDEN] < spread.max()
+    (parameter,) = (p for p in found.prior().parameters if p.name == NAMES[HIDDEN])
+    assert parameter.robots == 0.0 and parameter.sigma == pytest.approx(SCALES[HIDDEN])
+
+
+def test_robots_that_are_alike() -> None:
+    """The spread is less than the noise of a robot, and the prior is one."""
+    rng = np.random.default_rng(1)
+    found = population_of([evidence(MEAN, equations(rng), rng) for _ in range(30)])
+    assert np.sqrt(found.variances[2:7]).max() < 0.1
+    np.linalg.cholesky(np.array(found.prior().covariance))
+
+
+@pytest.mark.parametrize(("count", "high"), [(8, 0.995), (100, 0.97)])
+def test_intervals_of_the_next_robot_cover(count: int, high: float) -> None:
+    """Also the predictive ones, before it is measured; of few robots they are wide."""
+    inside = np.zeros(2)
+    total = 0
+    along = np.ones((len(NAMES), 0))
+    for seed in range(60):
+        prior = population_of(robots(count, seed)).prior()
+        rng = np.random.default_rng([9, seed])
+        theta = MEAN + SPREAD * rng.normal(size=len(NAMES))
+        mean = np.array([p.mean for p in prior.parameters]) / SCALES
+        S = np.array(prior.covariance) / np.outer(SCALES, SCALES)
+        W = equations(rng, 0.3)[:3]
+        next_one = evidence(theta, W, rng)
+        V = W @ S @ W.T + np.eye(3)
+        gain = S @ W.T @ np.linalg.inv(V)
+        after = mean + gain @ (next_one.values - W @ mean)
+        # Of what can be known: all but the hidden one and the terms of the sum.
+        along = np.eye(len(NAMES))[[2, 3, 4, 5, 6, 8]]
+        along = np.vstack([along, np.isin(np.arange(len(NAMES)), (0, 1))])
+        for k, (guess, C) in enumerate(((mean, S), (after, S - gain @ W @ S))):
+            sigma = np.sqrt(np.einsum("ij,jk,ik->i", along, C, along))
+            inside[k] += np.sum(np.abs(along @ (guess - theta)) < 1.96 * sigma)
+        total += len(along)
+    # Of 420 intervals of 60 robots, some of which move together.
+    assert (inside / total > 0.92).all() and (inside / total < high).all()
+
+
+def test_the_same_evidence_gives_the_same_bytes() -> None:
+    first, second = (population_of(robots(20)).prior() for _ in range(2))
+    assert first == second and first.noise == {"position": 1e-4}
+
+
+def test_too_few_robots(refused) -> None:
+    with refused(OptionError, value=LEAST - 1, allowed=f"{LEAST} or more"):
+        population_of(robots(LEAST - 1))
+
+
+def test_robots_of_several_types(refused) -> None:
+    some = robots(6)
+    other = RobotType("crane", (*TYPE.joints, JointType("b", (1.0, 0.0, 0.0), ())))
+    with refused(OptionError, reason=("robot 6", "joint 'b'"), value="crane"):
+        population_of([*some[:5], replace(some[5], robot=other)])
+    names = ("j9.placement.x", *NAMES[1:])
+    with refused(OptionError, reason=("robot 6", "j9.placement.x")):
+        population_of([*some[:5], replace(some[5], names=names)])
+
+
+def test_what_is_common_and_what_belongs_to_one() -> None:
+    rng = np.random.default_rng(3)
+    some = robots(100)
+    theta = MEAN + SPREAD * rng.normal(size=len(NAMES))
+    theta[5] += 8 * SPREAD[5]
+    found = population_of([*some, evidence(theta, equations(rng, 0.03), rng)])
+    common = {error.name: error for error in common_errors(found)}
+    for k, name in enumerate(NAMES):
+        # Of a sum neither term is known to differ from zero.
+        told = MEAN[k] != 0.0 and k not in (0, 1)
+        assert common[name].significant == told, name
+    deviations = joint_deviations(found)
+    bent = {d.joint: d for d in deviations[-1]}
+    assert bent["j1"].significant and bent["j1"].parameter == NAMES[5]
+    assert bent["j1"].spreads > 4.0 and bent["j1"].chance < 1e-4
+    others = [d for row in deviations[:-1] for d in row]
+    assert sum(d.significant for d in others) <= 1
+    # Probabilities by chance are spread evenly, but where little is told.
+    chances = np.array([d.chance for d in others])
+    assert np.mean(chances < 0.1) == pytest.approx(0.1, abs=0.06)

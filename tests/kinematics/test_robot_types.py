@@ -1,0 +1,83 @@
+"""Robots are of one type by their geometry, not by their files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from calib_pin.io.urdf import load_chain
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.robot_types import robot_type
+from calib_pin.setup.population import RobotType
+
+ARM = """<robot name="{name}">
+  <link name="world"/><link name="base"/><link name="x"/><link name="y"/>
+  <link name="tip"/>
+  <joint name="mount" type="fixed"><origin xyz="{mount}"/>
+    <parent link="world"/><child link="base"/></joint>
+  <joint name="a" type="revolute"><origin xyz="0 0 {height}"/>
+    <parent link="base"/><child link="x"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="b" type="revolute"><origin xyz="{length} 0 0.2"/>
+    <parent link="x"/><child link="y"/><axis xyz="{axis}"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="end" type="fixed"><origin xyz="{end} 0 0"/>
+    <parent link="y"/><child link="tip"/></joint>
+</robot>"""
+GIVEN = {
+    "name": "arm",
+    "mount": "0 0 0",
+    "height": 0.3,
+    "length": 0.1,
+    "axis": "0 1 0",
+    "end": 0.1,
+}
+
+
+def arm(chain_of, **changes: object) -> RobotType:
+    return robot_type(Chains.of(chain_of(ARM.format(**{**GIVEN, **changes}))))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"name": "arm_17"},
+        {"mount": "1 2 3", "height": 0.4},
+        {"end": 0.5},
+        {"length": 0.10000001},
+    ],
+)
+def test_of_one_type(chain_of, changes) -> None:
+    """Mounts, tools and names do not matter, nor does the eighth digit."""
+    assert arm(chain_of).difference(arm(chain_of, **changes)) == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"length": 0.101}, "its joint 'b' has another nominal placement"),
+        ({"axis": "1 0 0"}, "its joint 'b' has another nominal axis"),
+    ],
+)
+def test_of_other_geometry(chain_of, changes, words) -> None:
+    assert arm(chain_of).difference(arm(chain_of, **changes)) == words
+
+
+def test_of_other_joints(chain_of) -> None:
+    own, other = arm(chain_of), robot_type(Chains.of(load_chain("space6")))
+    name = other.joints[0].name
+    assert own.difference(other) == f"it has a joint '{name}'"
+    fewer = replace(own, joints=own.joints[:1])
+    assert own.difference(fewer) == "it has no joint 'b'"
+    turned = replace(own, joints=own.joints[::-1])
+    assert own.difference(turned) == "its joints stand in another order"
+
+
+def test_an_arm_from_tip_to_base(chain_of) -> None:
+    """The same joints from the other end: none of them stands against the base."""
+    forth = arm(chain_of)
+    back = robot_type(Chains.of(chain_of(ARM.format(**GIVEN), "tip", "base")))
+    assert [joint.name for joint in back.joints] == ["b", "a"]
+    assert back.difference(back) == "" and forth.difference(back) != ""
+    assert [len(joint.placement) for joint in back.joints] == [12, 0]

@@ -63,7 +63,7 @@ class Chains:
         """Build the chains."""
         self.robot = robot
         self.names = tuple(dict.fromkeys(names))
-        self._base, self._tip, self._stated = base, tip, stated
+        self._base, self._tip, self._stated = base, tip, dict(stated)
         if WORLD in stated:
             raise RobotError(
                 f"'{WORLD}' is the name of what stands still, not of a chain",

@@ -33,7 +33,7 @@ CHUNK = 4000
 ENTERING = 40
 """Most candidates that enter after a pass for the sake of one question."""
 
-WORTH = 1e-6
+WORTH = 1e-5
 """Difference of costs, which are logarithms, below which an answer is no better."""
 
 

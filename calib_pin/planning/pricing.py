@@ -11,7 +11,6 @@ same for linear programs: what is not there enters when its price is right.)
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +20,7 @@ from calib_pin.observations import Indices
 from calib_pin.planning.information import Information
 from calib_pin.planning.objective import Listener, Objective
 from calib_pin.planning.rows import Rows
+from calib_pin.planning.selection import Asked
 from calib_pin.planning.workspace import Candidates
 from calib_pin.workers import SERIAL, Workers
 
@@ -107,15 +107,14 @@ class WorkingSet:
     def grow(
         self,
         objective: Objective,
-        asked: Mapping[frozenset[int], float],
+        asked: Asked,
         listener: Listener,
     ) -> bool:
         """Let candidates enter that are better answers than those in memory.
 
         Args:
             objective: What is to be small.
-            asked: The sets whose best addition was sought, by the positions of their
-                members in memory, and the cost with it.
+            asked: The sets whose best addition was sought.
             listener: Told the part of the pass that is done; may end it.
 
         Returns:

@@ -29,7 +29,7 @@ from calib_pin.planning.descents import (
 from calib_pin.planning.objective import Found, Listener, Objective, Progress
 from calib_pin.planning.pricing import WORKING, WorkingSet
 from calib_pin.planning.rows import Rows
-from calib_pin.planning.selection import Selection, selection
+from calib_pin.planning.selection import Asked, Selection, selection
 from calib_pin.planning.workspace import Candidates, Workspace
 from calib_pin.solvers import (
     ExchangeResult,
@@ -70,7 +70,8 @@ class Search:
         workspace: The constraints of configurations.
         criterion: Criterion to minimize.
         known: Information that is there already, shape (m, m).
-        candidates: Configurations to choose from.
+        candidates: Configurations to choose from; of very many only some are in memory
+            with their rows, see `pricing`.
         count: Size K of the set.
         rng: Source of chance.
         progress: Told how far the search is; may stop it.
@@ -149,14 +150,15 @@ class Search:
     def by_greedy(self) -> Found:
         """Add the best candidate until there are enough."""
         while True:
-            chosen, asked = self._greedy("greedy")
+            asked: Asked = {}
+            chosen = self._greedy("greedy", asked)
             if self.stopped or not self._grown(asked):
                 return self._of("greedy", chosen)
 
     def by_exchange(self) -> Found:
         """DETMAX, from what is best greedily or by its determinant."""
         start = min(
-            self._greedy("start")[0],
+            self._greedy("start"),
             self._determined,
             key=lambda chosen: self.selection(chosen).cost,
         )
@@ -165,9 +167,9 @@ class Search:
         # that failed, all candidates together would bring no more.
         for longest in (1, LONGEST):
             while not (self.stopped or self._working.complete):
-                subset = self.selection(result.chosen)
-                exchange(subset, longest=longest)
-                if not self._grown(subset.asked):
+                asked: Asked = {}
+                self._exchanged(result.chosen, longest, asked)
+                if not self._grown(asked):
                     break
                 result = self._exchanged(result.chosen)
         return self._of("exchange", result.chosen, result.status)
@@ -275,24 +277,24 @@ class Search:
                 break
         return found
 
-    def _exchanged(self, start: Sequence[int]) -> ExchangeResult:
+    def _exchanged(
+        self, start: Sequence[int], longest: int = LONGEST, asked: Asked | None = None
+    ) -> ExchangeResult:
+        """What DETMAX finds, and what it has asked if that is wanted."""
+        subset = self.selection(start)
+        subset.asked = asked
         return exchange(
-            self.selection(start),
+            subset,
             lambda steps, cost: self.told("exchange", steps / (steps + 200.0)),
+            longest=longest,
         )
 
-    def _grown(self, asked: Mapping[frozenset[int], float]) -> bool:
+    def _grown(self, asked: Asked) -> bool:
         """Whether better answers have entered the working set."""
         return self._working.grow(self.objective, asked, self._listener)
 
-    def _greedy(
-        self, stage: str
-    ) -> tuple[tuple[int, ...], Mapping[frozenset[int], float]]:
-        """The set that grows by the best candidate; where stopped, `_determined`.
-
-        Returns:
-            The set, and the sets whose best addition was sought on the way.
-        """
+    def _greedy(self, stage: str, asked: Asked | None = None) -> tuple[int, ...]:
+        """The set that grows by the best candidate; where stopped, `_determined`."""
         chosen = self._determined
         # Before everything is determined, only the determinant tells what is better.
         least = next(
@@ -302,11 +304,11 @@ class Search:
         )
         more = max(self.count - least, 1)
         subset = self.selection(chosen[:least])
+        subset.asked = asked
         result = greedy(
             subset, self.count, lambda steps, cost: self.told(stage, steps / more)
         )
-        whole = len(result.chosen) == self.count
-        return result.chosen if whole else chosen, subset.asked
+        return result.chosen if len(result.chosen) == self.count else chosen
 
     @cached_property
     def _determined(self) -> tuple[int, ...]:

@@ -12,6 +12,9 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import Criterion, Determinant
 from calib_pin.planning.information import Information, log_determinants, products_of
 
+Asked = dict[frozenset[int], float]
+"""Sets whose best addition was sought, by their members, and the cost with it."""
+
 
 class Selection:
     """A subset of C candidates with its information, its cost and what would change it.
@@ -28,7 +31,7 @@ class Selection:
 
     Attributes:
         chosen: The members, in the order in which they were added.
-        asked: The sets whose best addition was sought, and the cost with it.
+        asked: Filled with what is asked; none where nobody wants to know.
     """
 
     def __init__(
@@ -42,7 +45,7 @@ class Selection:
     ) -> None:
         """Sum what the members tell."""
         self.chosen = list(chosen)
-        self.asked: dict[frozenset[int], float] = {}
+        self.asked: Asked | None = None
         self._rows, self._known = rows, known
         # Component by component: trials work on contiguous tables of all candidates.
         self._by_component = np.ascontiguousarray(np.swapaxes(rows, 0, 1))
@@ -72,7 +75,8 @@ class Selection:
     def best_to_add(self) -> tuple[int, float]:
         """The candidate to add and the cost after that."""
         candidate, cost = self._best_to_add()
-        self.asked[frozenset(self.chosen)] = cost
+        if self.asked is not None:
+            self.asked[frozenset(self.chosen)] = cost
         return candidate, cost
 
     def best_to_remove(self) -> tuple[int, float]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import subprocess
+import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -211,3 +213,29 @@ def test_trees_of_chains_travel(tree: Chains, pool: Pool) -> None:
         for workers in (SERIAL, pool)
     ]
     assert bytes_of(plans[0]) == bytes_of(plans[1])
+
+
+MILLION = """
+import resource
+import calib_pin
+
+plan = calib_pin.plan(
+    calib_pin.load_chain("space6"),
+    "position",
+    30,
+    method="exchange",
+    candidates=1_000_000,
+    progress=lambda stage, part: stage == "passes" and part == 1.0,
+)
+assert plan.candidates == 1_000_000 and plan.value < plan.random
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+@pytest.mark.slow
+def test_a_million_candidates_take_little_memory() -> None:
+    """Their rows alone would take 0.6 GB, and a search has several copies of them."""
+    child = subprocess.run(
+        [sys.executable, "-c", MILLION], capture_output=True, text=True, check=True
+    )
+    assert 1024 * int(child.stdout) < 1e9

@@ -135,8 +135,9 @@ def main() -> None:
     """Print the tables; draw the figure and plan with a million where asked to."""
     options = _options()
     most = options.most or (MOST if options.full else MANY)
-    steps = round(2 * np.log10(most / LEAST))
-    sizes = [_round(LEAST * 10 ** (k / 2)) for k in range(steps + 1)]
+    decades = np.log10(most / LEAST)
+    count = 1 + round(options.steps * decades)
+    sizes = [_round(LEAST * 10 ** (k / options.steps)) for k in range(count)]
     figure = Figure(figsize=(11.0, 3.7 * len(options.robots)), layout="constrained")
     shape = len(options.robots), len(options.criteria)
     grid = figure.subplots(*shape, squeeze=False)
@@ -252,6 +253,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--full", action="store_true", help="a million, and its memory")
     parser.add_argument("--most", type=int, help="most candidates instead")
     parser.add_argument("--seeds", type=int, default=3, help="number of seeds")
+    parser.add_argument("--steps", type=int, default=2, help="numbers a decade")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--figure", type=Path, metavar="FILE", help="picture to write")
     for name, known in (("robots", CASES), ("criteria", UNITS)):

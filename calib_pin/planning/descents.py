@@ -39,7 +39,7 @@ class Descent:
 
 @dataclass(frozen=True)
 class Descents:
-    """What all descents of a search share.
+    """The part that all descents of a search share.
 
     Attributes:
         objective: What is to be small.

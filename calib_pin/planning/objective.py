@@ -1,4 +1,4 @@
-"""What a search for configurations makes small, where it ends, and how it is told."""
+"""The objective of a search for configurations, its end, and who hears of it."""
 
 from __future__ import annotations
 

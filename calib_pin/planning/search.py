@@ -263,7 +263,7 @@ class Search:
     def _descents(
         self, shared: Descents, tasks: Sequence[Descent]
     ) -> list[tuple[Found, ...]]:
-        """What descents find, those that are done when the search is stopped."""
+        """Ends of descents, of those that are done when the search is stopped."""
         found = list[tuple[Found, ...]]()
         if self.stopped:
             return found
@@ -280,7 +280,7 @@ class Search:
     def _exchanged(
         self, start: Sequence[int], longest: int = LONGEST, asked: Asked | None = None
     ) -> ExchangeResult:
-        """What DETMAX finds, and what it has asked if that is wanted."""
+        """The set that DETMAX finds; notes what it has asked if that is wanted."""
         subset = self.selection(start)
         subset.asked = asked
         return exchange(

@@ -286,7 +286,7 @@ class Workspace:
 
 
 class _Block(NamedTuple):
-    """What may be measured among configurations that were tried together.
+    """Configurations that were tried together, those that may be measured.
 
     Attributes:
         q: Those that may be measured, shape (C, n) [rad, m].

@@ -94,7 +94,7 @@ class Collisions:
         )
 
     def __reduce__(self) -> tuple[type[Collisions], tuple[object, ...]]:
-        """The arguments that build the same elsewhere; hulls and results do not travel."""
+        """The arguments that build the same elsewhere, without hulls and results."""
         return Collisions, (self._chain, self._meshes, self.clearances)
 
     def free(self, q: Floats) -> NDArray[np.bool_]:

@@ -22,13 +22,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.identifiability import observability
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.planning.information import Information, whiten
+from calib_pin.planning.information import (
+    Information,
+    log_determinants,
+    products_of,
+    whiten,
+)
 
 PINCHED = 5
 """Smallest eigenvalues whose coupling enters the closer bounds."""
@@ -171,6 +177,15 @@ class Determinant(Spectral):
         f = found.nuisances
         return -float(np.log(np.diag(found.factor)[f:]).mean())
 
+    def trials(self, found: Information, rows: Floats, sign: float) -> Lazy:
+        """By the determinant lemma, for M and for the nuisances alone."""
+        f = found.nuisances
+        Y = found.trials(rows, sign).whitened
+        gained = log_determinants(products_of(Y), sign)
+        if f:
+            gained -= log_determinants(products_of(Y[:, :, :f]), sign)
+        return Lazy(self.cost(found) - 0.5 * gained / (len(found.factor) - f))
+
 
 @dataclass(frozen=True)
 class Prediction:
@@ -229,22 +244,35 @@ def _power_mean(eigenvalues: Floats, exponent: float) -> tuple[float, Floats]:
 
 
 def _extremes(
-    largest: float, smallest: float
-) -> Callable[[Floats, float], tuple[float, Floats]]:
+    largest: float, smallest: float, eigenvalues: Floats, sharpness: float
+) -> tuple[float, Floats]:
     """`a log(x_max) - b log(x_min)` by power means, with its derivative."""
-
-    def smooth(eigenvalues: Floats, sharpness: float) -> tuple[float, Floats]:
-        high, by_high = _power_mean(eigenvalues, sharpness)
-        low, by_low = _power_mean(eigenvalues, -sharpness)
-        cost = largest * high - smallest * low
-        return cost, largest * by_high - smallest * by_low
-
-    return smooth
+    high, by_high = _power_mean(eigenvalues, sharpness)
+    low, by_low = _power_mean(eigenvalues, -sharpness)
+    cost = largest * high - smallest * low
+    return cost, largest * by_high - smallest * by_low
 
 
 def _log_condition(eigenvalues: Floats) -> Floats:
     largest, smallest = eigenvalues.max(axis=-1), eigenvalues.min(axis=-1)
     return np.asarray(0.5 * np.log(largest / smallest))
+
+
+def _log_mean(eigenvalues: Floats) -> Floats:
+    return np.asarray(-0.5 * np.log(eigenvalues).mean(axis=-1))
+
+
+def _log_least(eigenvalues: Floats) -> Floats:
+    return np.asarray(-0.5 * np.log(eigenvalues.min(axis=-1)))
+
+
+def _log_spread(eigenvalues: Floats) -> Floats:
+    largest, smallest = eigenvalues.max(axis=-1), eigenvalues.min(axis=-1)
+    return np.asarray(0.5 * np.log(largest) - np.log(smallest))
+
+
+def _log_sum(eigenvalues: Floats) -> Floats:
+    return np.asarray(np.log((eigenvalues**-0.5).sum(axis=-1)))
 
 
 def _volume(eigenvalues: Floats, sharpness: float) -> tuple[float, Floats]:
@@ -262,21 +290,13 @@ Criterion = Spectral | Prediction
 """A cost of information matrices."""
 
 CRITERIA: dict[str, Spectral] = {
-    "condition": Spectral("condition", _log_condition, _extremes(0.5, 0.5), SHARPER),
-    "O1": Determinant("O1", lambda x: -0.5 * np.log(x).mean(axis=-1), _volume),
-    "O2": Spectral("O2", _log_condition, _extremes(0.5, 0.5), SHARPER),
-    "O3": Spectral(
-        "O3",
-        lambda x: -0.5 * np.log(x.min(axis=-1)),
-        _extremes(0.0, 0.5),
-        SHARPER,
+    "condition": Spectral(
+        "condition", _log_condition, partial(_extremes, 0.5, 0.5), SHARPER
     ),
-    "O4": Spectral(
-        "O4",
-        lambda x: 0.5 * np.log(x.max(axis=-1)) - np.log(x.min(axis=-1)),
-        _extremes(0.5, 1.0),
-        SHARPER,
-    ),
-    "O5": Spectral("O5", lambda x: np.log((x**-0.5).sum(axis=-1)), _log_roots),
+    "O1": Determinant("O1", _log_mean, _volume),
+    "O2": Spectral("O2", _log_condition, partial(_extremes, 0.5, 0.5), SHARPER),
+    "O3": Spectral("O3", _log_least, partial(_extremes, 0.0, 0.5), SHARPER),
+    "O4": Spectral("O4", _log_spread, partial(_extremes, 0.5, 1.0), SHARPER),
+    "O5": Spectral("O5", _log_sum, _log_roots),
 }
 """The criteria of the singular values, by name."""

@@ -19,6 +19,7 @@ from calib_pin.observations import BlockKey, Indices, Measurements, Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.planning.aims import Aim, Aims, require_plannable
 from calib_pin.planning.criteria import CRITERIA, Prediction
+from calib_pin.planning.objective import Found, Progress
 from calib_pin.planning.planned_problem import (
     STRUCTURE,
     Predicted,
@@ -30,13 +31,14 @@ from calib_pin.planning.planned_problem import (
     predict,
 )
 from calib_pin.planning.rows import IdentificationRows
-from calib_pin.planning.search import METHODS, Found, Progress, Search
+from calib_pin.planning.search import METHODS, Search
 from calib_pin.planning.travel import visits
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status
 from calib_pin.validation.assessment import estimates
 from calib_pin.validation.result import CoupledGroup, ParameterEstimate
+from calib_pin.workers import SERIAL, Workers
 
 CRITERION_NAMES = (*CRITERIA, "prediction")
 """Names of all criteria."""
@@ -150,6 +152,7 @@ def plan(
     tests: Floats | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    workers: Workers = SERIAL,
 ) -> Plan:
     """Plan which configurations to measure.
 
@@ -174,6 +177,8 @@ def plan(
         seed: Random seed.
         progress: Told the stage and the part of it that is done, 0 to 1; returns True
             to stop with the best set so far.
+        workers: Who tries and scores candidates, and descends along the gradient; the
+            plan does not depend on it.
 
     Raises:
         OptionError: If a name does not exist, or the request cannot be met: limits
@@ -210,7 +215,7 @@ def plan(
     )
     # However few are to choose from, all that may be measured shows the structure.
     wanted = max(candidates, count, STRUCTURE)
-    spread = workspace.candidates(wanted, rng, progress, least=count)
+    spread = workspace.candidates(wanted, rng, progress, count, workers)
     spread.require(count)
     # A part of an even spread is one too.
     first = slice(max(candidates, count))
@@ -234,9 +239,10 @@ def plan(
         rng,
         progress,
         measured=0 if data is None else len(data),
+        workers=workers,
     )
     best = search.run(method)
-    return _finished(search, best, structure, at, data)
+    return _finished(search, best, structure, at, data, workers)
 
 
 def _finished(
@@ -245,6 +251,7 @@ def _finished(
     structure: Structure,
     tests: TipTests,
     measured: Observations | None,
+    workers: Workers,
 ) -> Plan:
     """Order a set and say what it will tell."""
     workspace, rows = search.workspace, search.rows
@@ -255,11 +262,11 @@ def _finished(
     q = _rounded(workspace, q, aim)
 
     assert workspace.allowed(q, aim).all(), "methods only end in allowed sets"
-    information = search.information(rows.rows(q, aim))
+    information = search.objective.information(rows.rows(q, aim))
     assert information is not None, "the search only ends in sets that determine all"
     rng = np.random.default_rng(0)  # A generator that nothing shares.
     draws = (
-        rng.choice(len(search.table), search.count, replace=False).tolist()
+        rng.choice(len(search.candidates.q), search.count, replace=False)
         for _ in range(RANDOM_SETS)
     )
     predicted = predict(information, rows.basis, tests, problem.parameters)
@@ -270,7 +277,7 @@ def _finished(
         aims=tuple(workspace.aims.each[k] for k in aim),
         criterion=search.criterion.name,
         value=search.criterion.value(information, search.measured + len(q)),
-        random=float(np.median([search.selection(chosen).value for chosen in draws])),
+        random=float(np.median([search.value(chosen) for chosen in draws])),
         method=best.method,
         status=best.status,
         steps=_steps(search, best, tests),
@@ -278,7 +285,7 @@ def _finished(
         candidates=len(search.candidates.q),
         tried=search.candidates.tried,
         blocked=None if workspace.collisions is None else closed,
-        unmeasurable=workspace.unmeasurable(search.candidates),
+        unmeasurable=workspace.unmeasurable(search.candidates, workers),
         assumed_tool=measured is None and bool(assumed_tools(problem)),
         predicted=predicted,
         parameters=parameters,
@@ -308,7 +315,7 @@ def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
     subset = search.selection(members, table)
 
     def step() -> Step:
-        found = search.information(table[subset.chosen])
+        found = search.objective.information(table[subset.chosen])
         position = np.inf if found is None else tip.value(found, len(subset.chosen))
         return Step(len(subset.chosen), subset.value, position)
 

@@ -8,8 +8,9 @@ measured and end in one.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import replace
+from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,19 +19,29 @@ from calib_pin.errors import OptionError, require_known
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices
 from calib_pin.planning.criteria import CRITERIA, Criterion
-from calib_pin.planning.information import Information
+from calib_pin.planning.descents import (
+    EXPLORING,
+    REFINING,
+    Descent,
+    Descents,
+    descend,
+)
+from calib_pin.planning.objective import Found, Listener, Objective, Progress
+from calib_pin.planning.pricing import WORKING, WorkingSet
 from calib_pin.planning.rows import Rows
-from calib_pin.planning.selection import Selection, selection
+from calib_pin.planning.selection import Asked, Selection, selection
 from calib_pin.planning.workspace import Candidates, Workspace
 from calib_pin.solvers import (
+    ExchangeResult,
     ParticleSwarm,
     Status,
     exchange,
     genetic_selection,
     greedy,
     particle_swarm,
-    projected_descent,
 )
+from calib_pin.solvers.exchange import LONGEST
+from calib_pin.workers import SERIAL, Workers
 
 RIDGE = 1e-6
 """Information that lets a search begin, as a part of that of a mean configuration."""
@@ -47,30 +58,8 @@ VARIABLES = 2000
 FINALISTS = 3
 """Descents that go on to the ground."""
 
-EXPLORING, REFINING = (1e-3, 60), (1e-6, 200)
-"""Tolerance and steps of the descents before and after; costs are logarithms."""
-
-Progress = Callable[[str, float], bool | None]
-"""Told the stage and the part that is done, 0 to 1; True stops the search."""
-
-
-@dataclass(frozen=True)
-class Found:
-    """The set that a method has found.
-
-    Attributes:
-        q: Configurations, shape (K, n) [rad, m].
-        aim: Position of what is measured at each among those of the workspace, (K,).
-        cost: Their cost.
-        method: The method.
-        status: How it ended.
-    """
-
-    q: Floats
-    aim: Indices
-    cost: float
-    method: str
-    status: Status
+GENES = 100_000
+"""Most candidates of the genetic algorithm: each member ranks all of them."""
 
 
 class Search:
@@ -81,12 +70,15 @@ class Search:
         workspace: The constraints of configurations.
         criterion: Criterion to minimize.
         known: Information that is there already, shape (m, m).
-        candidates: Configurations to choose from.
+        candidates: Configurations to choose from; of very many only some are in memory
+            with their rows, see `pricing`.
         count: Size K of the set.
         rng: Source of chance.
         progress: Told how far the search is; may stop it.
         starts: Most random sets from which the gradient method starts.
         measured: Number of measurements that the known information comes from.
+        workers: Who scores candidates and descends.
+        working: Number of candidates in memory to begin with.
 
     Raises:
         OptionError: If there are fewer candidates than wanted.
@@ -104,16 +96,29 @@ class Search:
         progress: Progress | None = None,
         starts: int = STARTS,
         measured: int = 0,
+        workers: Workers = SERIAL,
+        working: int = WORKING,
     ) -> None:
-        """Compute the rows of the candidates."""
+        """Compute the rows of the first candidates."""
         candidates.require(count)
         self.rows, self.workspace, self.criterion = rows, workspace, criterion
         self.known, self.candidates, self.count = known, candidates, count
         self.measured = measured
-        self.table = rows.rows(candidates.q, candidates.aim)
-        self.stopped = False
-        self._rng, self._progress, self._starts = rng, progress, starts
+        self.objective = Objective(rows, criterion, known)
+        self._working = WorkingSet(rows, candidates, workers, max(working, count))
+        self._listener, self._workers = Listener(progress), workers
+        self._rng, self._starts = rng, starts
         self._bounds = np.column_stack([workspace.lower, workspace.upper])
+
+    @property
+    def table(self) -> Floats:
+        """Rows of the candidates in memory, shape (W, d, m)."""
+        return self._working.table
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the search was asked to stop."""
+        return self._listener.stopped
 
     def run(self, method: str) -> Found:
         """Search with a method of `METHODS`.
@@ -135,18 +140,20 @@ class Search:
         nuisances, criterion = self.rows.nuisances, self.criterion
         return selection(table, nuisances, criterion, self.known, chosen, self.measured)
 
-    def cost(self, q: Floats, aim: Indices) -> float:
-        """Cost of a set of configurations."""
-        return self._cost_of(self.rows.rows(q, aim))
-
-    def information(self, rows: Floats) -> Information | None:
-        """Information of rows (..., m) together with what is known."""
-        U = rows.reshape(-1, rows.shape[-1])
-        return Information.of(self.known + U.T @ U, self.rows.nuisances)
+    def value(self, chosen: Indices) -> float:
+        """The value of the criterion of some of all candidates."""
+        found = self.objective.information(self._working.rows_of(chosen))
+        if found is None:
+            return np.inf
+        return self.criterion.value(found, self.measured + len(chosen))
 
     def by_greedy(self) -> Found:
         """Add the best candidate until there are enough."""
-        return self._of("greedy", self._greedy("greedy"))
+        while True:
+            asked: Asked = {}
+            chosen = self._greedy("greedy", asked)
+            if self.stopped or not self._grown(asked):
+                return self._of("greedy", chosen)
 
     def by_exchange(self) -> Found:
         """DETMAX, from what is best greedily or by its determinant."""
@@ -155,27 +162,35 @@ class Search:
             self._determined,
             key=lambda chosen: self.selection(chosen).cost,
         )
-        result = exchange(
-            self.selection(start),
-            lambda steps, cost: self.told("exchange", steps / (steps + 200.0)),
-        )
+        result = self._exchanged(start)
+        # Passes with few questions first; after the last ones, those of every excursion
+        # that failed, all candidates together would bring no more.
+        for longest in (1, LONGEST):
+            while not (self.stopped or self._working.complete):
+                asked: Asked = {}
+                self._exchanged(result.chosen, longest, asked)
+                if not self._grown(asked):
+                    break
+                result = self._exchanged(result.chosen)
         return self._of("exchange", result.chosen, result.status)
 
     def by_genes(self) -> Found:
         """A genetic algorithm over subsets of the candidates (case B)."""
 
         def costs(subsets: NDArray[np.intp]) -> Floats:
-            U = self.table[subsets].reshape(len(subsets), -1, self.table.shape[2])
-            return np.array([self._cost_of(member) for member in U])
+            rows = self._working.rows_of(subsets.ravel())
+            U = rows.reshape(len(subsets), -1, rows.shape[2])
+            return np.array([self.objective.of_rows(member) for member in U])
 
         result = genetic_selection(
             costs,
-            len(self.table),
+            min(len(self.candidates.q), GENES),
             self.count,
             self._rng,
             callback=lambda k, x, cost: self.told("ga", k / (k + 100.0)),
         )
-        return self._of("ga", [int(k) for k in result.x], result.status)
+        q, aim = self.candidates.q[result.x], self.candidates.aim[result.x]
+        return Found(q, aim, result.fun, "ga", result.status)
 
     def by_swarm(self) -> Found:
         """The improved particle swarm on the configurations themselves (case C)."""
@@ -225,61 +240,60 @@ class Search:
             sets.append((self.candidates.q[chosen], self.candidates.aim[chosen]))
         stages = self.criterion.sharpnesses
         total = len(sets) + FINALISTS * len(stages)
-        found = [
-            self._descent(q, aim, stages[0], EXPLORING, k / total)
-            for k, (q, aim) in enumerate(sets)
-        ]
-        part = len(sets)
-        for finalist in sorted(found, key=lambda one: one.cost)[:FINALISTS]:
-            refined = finalist
-            for sharpness in stages:
-                refined = self._descent(
-                    refined.q, refined.aim, sharpness, REFINING, part / total
-                )
-                best = min(best, finalist, refined, key=lambda one: one.cost)
-                part += 1
-        return best
-
-    def _descent(
-        self,
-        q: Floats,
-        aim: Indices,
-        sharpness: float,
-        limits: tuple[float, int],
-        part: float,
-    ) -> Found:
-        """Go down from a set; what it may not reach it does not."""
-        cost = self.cost(q, aim)
-        start = Found(q, aim, cost, "gradient", Status.STALLED)
-        if self.told("gradient", part) or not np.isfinite(cost):
-            return start
-
-        settled = partial(self.workspace.settled, aim=aim)
-
-        def smooth(q: Floats) -> tuple[float, Floats]:
-            rows, pullback = self.rows.linearize(settled(q), aim)
-            found = self.information(rows)
-            if found is None:
-                return np.inf, np.zeros_like(q)
-            cost, by_M = self.criterion.slope(found, sharpness)
-            return cost, pullback(2.0 * rows @ by_M)
-
-        result = projected_descent(
-            smooth,
-            self._bounds,
-            q,
-            allowed=lambda q: self.workspace.allowed(settled(q), aim),
-            callback=lambda nit, x, fun: self.told("gradient", part),
-            tolerance=limits[0],
-            max_iterations=limits[1],
+        shared = Descents(self.objective, self.workspace, self._listener, total)
+        found = self._descents(
+            shared,
+            [
+                Descent(q, aim, stages[:1], EXPLORING, k)
+                for k, (q, aim) in enumerate(sets)
+            ],
         )
-        q = settled(result.x)
-        # Points that were held up may have come too close to others that moved.
-        if not self.workspace.allowed(q, aim).all():
-            return start
-        return Found(q, aim, self.cost(q, aim), "gradient", result.status)
+        explored = [of_start[0] for of_start in found]
+        finalists = sorted(explored, key=lambda one: one.cost)[:FINALISTS]
+        refined = self._descents(
+            shared,
+            [
+                Descent(one.q, one.aim, stages, REFINING, len(sets) + k * len(stages))
+                for k, one in enumerate(finalists)
+            ],
+        )
+        ends = [best, *explored, *chain.from_iterable(refined)]
+        return min(ends, key=lambda one: one.cost)
 
-    def _greedy(self, stage: str) -> tuple[int, ...]:
+    def _descents(
+        self, shared: Descents, tasks: Sequence[Descent]
+    ) -> list[tuple[Found, ...]]:
+        """Ends of descents, of those that are done when the search is stopped."""
+        found = list[tuple[Found, ...]]()
+        if self.stopped:
+            return found
+        for task, one in zip(
+            tasks, self._workers.map(descend, shared, tasks), strict=True
+        ):
+            found.append(one)
+            # Where others descend, this is the only one to tell.
+            done = task.begin + len(task.sharpnesses)
+            if self.told("gradient", done / shared.total):
+                break
+        return found
+
+    def _exchanged(
+        self, start: Sequence[int], longest: int = LONGEST, asked: Asked | None = None
+    ) -> ExchangeResult:
+        """The set that DETMAX finds; notes what it has asked if that is wanted."""
+        subset = self.selection(start)
+        subset.asked = asked
+        return exchange(
+            subset,
+            lambda steps, cost: self.told("exchange", steps / (steps + 200.0)),
+            longest=longest,
+        )
+
+    def _grown(self, asked: Asked) -> bool:
+        """Whether better answers have entered the working set."""
+        return self._working.grow(self.objective, asked, self._listener)
+
+    def _greedy(self, stage: str, asked: Asked | None = None) -> tuple[int, ...]:
         """The set that grows by the best candidate; where stopped, `_determined`."""
         chosen = self._determined
         # Before everything is determined, only the determinant tells what is better.
@@ -289,10 +303,10 @@ class Search:
             if np.isfinite(self.selection(chosen[:k]).cost)
         )
         more = max(self.count - least, 1)
+        subset = self.selection(chosen[:least])
+        subset.asked = asked
         result = greedy(
-            self.selection(chosen[:least]),
-            self.count,
-            lambda steps, cost: self.told(stage, steps / more),
+            subset, self.count, lambda steps, cost: self.told(stage, steps / more)
         )
         return result.chosen if len(result.chosen) == self.count else chosen
 
@@ -342,18 +356,14 @@ class Search:
         if len(good):
             rows = self.rows.rows(sets[good].reshape(-1, n), np.tile(aim, len(good)))
             rows = rows.reshape(len(good), -1, rows.shape[2])
-            costs[good] = [self._cost_of(member) for member in rows]
+            costs[good] = [self.objective.of_rows(member) for member in rows]
         return np.asarray(costs)
-
-    def _cost_of(self, rows: Floats) -> float:
-        found = self.information(rows)
-        return np.inf if found is None else self.criterion.cost(found)
 
     def _drawn(self, aim: Indices) -> list[int]:
         """Random candidates with given aims; twice only if there are few."""
         result = list[int]()
         for one in aim:
-            fitting = np.flatnonzero(self.candidates.aim == one)
+            fitting = np.flatnonzero(self.candidates.aim[:WORKING] == one)
             fresh = np.setdiff1d(fitting, result)
             result.append(int(self._rng.choice(fresh if len(fresh) else fitting)))
         return result
@@ -361,10 +371,10 @@ class Search:
     def _of(
         self, method: str, chosen: Sequence[int], status: Status = Status.CONVERGED
     ) -> Found:
-        chosen = list(chosen)
+        at = self._working.at[list(chosen)]
         return Found(
-            q=self.candidates.q[chosen],
-            aim=self.candidates.aim[chosen],
+            q=self.candidates.q[at],
+            aim=self.candidates.aim[at],
             cost=self.selection(chosen).cost,
             method=method,
             status=status,
@@ -372,9 +382,7 @@ class Search:
 
     def told(self, stage: str, part: float) -> bool:
         """Tell the progress; whether the search is to stop."""
-        if self._progress is not None and self._progress(stage, min(part, 1.0)):
-            self.stopped = True
-        return self.stopped
+        return self._listener.told(stage, part)
 
 
 METHODS: Mapping[str, Callable[[Search], Found]] = {

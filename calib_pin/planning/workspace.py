@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, OptionError, RobotError, nearest
 from calib_pin.estimation.problem import Problem
@@ -18,6 +17,8 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Booleans, Indices
 from calib_pin.parameters import matching
 from calib_pin.planning.aims import Aims
+from calib_pin.planning.spread import Apart, quasi_random
+from calib_pin.workers import SERIAL, Workers
 
 DRAWS = 400
 """Quasi-random configurations tried for each candidate that is wanted."""
@@ -96,7 +97,7 @@ class Workspace:
         collisions: Collisions | None = None,
         distance: float = 0.0,
         aims: Aims | None = None,
-        points: Mapping[BlockKey, pin.SE3] = MappingProxyType({}),
+        points: Mapping[BlockKey, pin.SE3] | None = None,
     ) -> Workspace:
         """The workspace of a problem, with the limits of its setup.
 
@@ -120,7 +121,9 @@ class Workspace:
             )
         lower, upper = joint_limits(problem)
         aims = aims or Aims.of(problem, tuple(problem.parts))
-        return Workspace(problem, lower, upper, aims, points, collisions, distance)
+        return Workspace(
+            problem, lower, upper, aims, points or {}, collisions, distance
+        )
 
     def settled(self, q: Floats, aim: Indices) -> Floats:
         """Configurations where other chains rest and mimic joints follow.
@@ -142,7 +145,7 @@ class Workspace:
         Returns:
             True for those within the limits, measurable and free, shape (N,).
         """
-        return np.asarray(sum(self._refusals(q, aim).values()) == 0)
+        return np.asarray(sum(self.refusals(q, aim).values()) == 0)
 
     def allowed(self, q: Floats, aim: Indices) -> Booleans:
         """The same as `inside`, for a set that must also keep its distances."""
@@ -166,6 +169,7 @@ class Workspace:
         rng: np.random.Generator,
         progress: Callable[[str, float], bool | None] | None = None,
         least: int = 0,
+        workers: Workers = SERIAL,
     ) -> Candidates:
         """Quasi-random configurations, evenly spread over what is allowed.
 
@@ -175,37 +179,30 @@ class Workspace:
             progress: Told the name of this stage and the part that is done; returns
                 True to be content with the least number.
             least: Number without which nothing can be planned.
+            workers: Who tries the configurations.
 
         Raises:
             InputError: If none of many is allowed; says what refused them.
         """
-        n = len(self.lower)
-        shift, taken = rng.random(n), 0
-        found, aim = np.empty((0, n)), np.empty(0, np.int64)
+        shift, taken = rng.random(len(self.lower)), 0
+        apart = Apart(self.distance)
+        q, aim = list[Floats](), list[Indices]()
         refused: dict[str, int] = {}
         budget = max(LEAST_DRAWS, DRAWS * count)
+        blocks = workers.map(_block, (self, shift), range(0, budget, BLOCK))
         # Where nothing is allowed, more of the same would be a loop.
-        while len(found) < count and taken < (budget if len(found) else LEAST_DRAWS):
-            part = max(len(found) / count, taken / budget)
+        while apart.count < count and taken < (budget if apart.count else LEAST_DRAWS):
+            part = max(apart.count / count, taken / budget)
             enough = progress is not None and progress("candidates", part)
-            if enough and len(found) >= max(least, 1):
+            if enough and apart.count >= max(least, 1):
                 break
-            q = self.lower + _quasi_random(shift, taken, BLOCK) * (
-                self.upper - self.lower
-            )
-            looked = (taken + np.arange(BLOCK)) % len(self.aims.each)
-            q = self.settled(q, looked)
-            taken += BLOCK
-            refusals = self._refusals(q, looked)
-            for reason, rows in refusals.items():
-                refused[reason] = refused.get(reason, 0) + int(rows.sum())
-            free = np.flatnonzero(sum(refusals.values()) == 0)
-            if self.distance > 0.0:
-                free = self._spread(q, free, found, count)
-            free = free[: count - len(found)]
-            found = np.concatenate([found, q[free]])
-            aim = np.concatenate([aim, looked[free]])
-        if not len(found):
+            block, taken = next(blocks), taken + BLOCK
+            for reason, number in block.refused.items():
+                refused[reason] = refused.get(reason, 0) + number
+            kept = apart.keep(block.q, count)
+            q.append(block.q[kept])
+            aim.append(block.aim[kept])
+        if not apart.count:
             reasons = ", ".join(f"{n} {why}" for why, n in refused.items() if n)
             raise InputError(
                 f"none of {taken} configurations within the joint limits can be "
@@ -213,20 +210,25 @@ class Workspace:
                 file=self.problem.setup.file or None,
                 allowed="wider limits, a larger region, or fewer obstacles",
             )
-        return Candidates(found, aim, taken)
+        return Candidates(np.concatenate(q), np.concatenate(aim), taken)
 
-    def unmeasurable(self, candidates: Candidates) -> tuple[str, ...]:
+    def unmeasurable(
+        self, candidates: Candidates, workers: Workers = SERIAL
+    ) -> tuple[str, ...]:
         """The targets that no candidate can measure."""
-        shown: dict[str, bool] = {}
-        for look in self.aims.looks:
-            rows = np.flatnonzero(look.of_aim[candidates.aim] >= 0)
-            aim = candidates.aim[rows]
-            found = look.targets(aim)[look.seen(candidates.q[rows], aim)]
-            for k, name in enumerate(look.names):
-                shown[name] = shown.get(name, False) or k in found
-        return tuple(name for name, some in shown.items() if not some)
+        names = {name: False for look in self.aims.looks for name in look.names}
+        blocks = (
+            (candidates.q[begin : begin + BLOCK], candidates.aim[begin : begin + BLOCK])
+            for begin in range(0, len(candidates.q), BLOCK)
+        )
+        for seen in workers.map(_seen, self.aims, blocks):
+            names.update(dict.fromkeys(seen, True))
+            # Most are seen at once; the others only show in the end.
+            if all(names.values()):
+                break
+        return tuple(name for name, some in names.items() if not some)
 
-    def _refusals(self, q: Floats, aim: Indices) -> dict[str, Booleans]:
+    def refusals(self, q: Floats, aim: Indices) -> dict[str, Booleans]:
         """Configurations by what first refuses them, each of shape (N,)."""
         beyond = np.asarray(((q < self.lower) | (q > self.upper)).any(axis=1))
         refusals: dict[str, Booleans] = {"beyond the limits": beyond}
@@ -282,21 +284,43 @@ class Workspace:
             rest = free[[np.abs(free - rest).max(axis=1).argmin()]]
         return moving, rest[0]
 
-    def _spread(
-        self, q: Floats, free: NDArray[np.intp], found: Floats, count: int
-    ) -> NDArray[np.intp]:
-        """The free configurations that keep their distance from all before them."""
-        kept: list[int] = []
-        if len(found):
-            between = np.abs(q[free, None] - found[None]).max(axis=2)
-            free = free[between.min(axis=1) >= self.distance]
-        for k in free:
-            if len(found) == count:
-                break
-            if (np.abs(found - q[k]).max(axis=1) >= self.distance).all():
-                kept.append(int(k))
-                found = np.concatenate([found, q[k : k + 1]])
-        return np.array(kept, np.intp)
+
+class _Block(NamedTuple):
+    """Configurations that were tried together, those that may be measured.
+
+    Attributes:
+        q: Those that may be measured, shape (C, n) [rad, m].
+        aim: What is measured at each, shape (C,).
+        refused: Number of the others by what refused them.
+    """
+
+    q: Floats
+    aim: Indices
+    refused: Mapping[str, int]
+
+
+def _block(shared: tuple[Workspace, Floats], begin: int) -> _Block:
+    """Try the configurations of the sequence from one on."""
+    workspace, shift = shared
+    unit = quasi_random(shift, begin, BLOCK)
+    q = workspace.lower + unit * (workspace.upper - workspace.lower)
+    aim = (begin + np.arange(BLOCK)) % len(workspace.aims.each)
+    q = workspace.settled(q, aim)
+    refusals = workspace.refusals(q, aim)
+    free = sum(refusals.values()) == 0
+    refused = {reason: int(rows.sum()) for reason, rows in refusals.items()}
+    return _Block(q[free], aim[free], refused)
+
+
+def _seen(aims: Aims, block: tuple[Floats, Indices]) -> set[str]:
+    """The targets that can be measured at configurations."""
+    q, aim = block
+    shown = set[str]()
+    for look in aims.looks:
+        rows = np.flatnonzero(look.of_aim[aim] >= 0)
+        found = look.targets(aim[rows])[look.seen(q[rows], aim[rows])]
+        shown.update(look.names[k] for k in np.unique(found))
+    return shown
 
 
 def joint_limits(problem: Problem) -> tuple[Floats, Floats]:
@@ -331,17 +355,3 @@ def joint_limits(problem: Problem) -> tuple[Floats, Floats]:
     tidy = np.ceil(lower * TIDY) / TIDY, np.floor(upper * TIDY) / TIDY
     room = tidy[0] < tidy[1]
     return np.where(room, tidy[0], lower), np.where(room, tidy[1], upper)
-
-
-def _quasi_random(shift: Floats, begin: int, count: int) -> Floats:
-    """Members of an additive recurrence in the unit cube, shape (count, n).
-
-    `x_k = shift + k a (mod 1)` with `a_j = g^-j` and g the root of `g^(n+1) = g + 1`,
-    the generalized golden ratio (Roberts 2018): low discrepancy for any number.
-    """
-    n = len(shift)
-    ratio = 2.0
-    for _ in range(60):
-        ratio = (1.0 + ratio) ** (1.0 / (n + 1))
-    steps = ratio ** -np.arange(1.0, n + 1)
-    return np.asarray((shift + np.arange(begin, begin + count)[:, None] * steps) % 1.0)

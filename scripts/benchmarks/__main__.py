@@ -9,6 +9,7 @@ import sys
 
 from benchmarks import (
     camera,
+    candidates,
     evolution,
     findings,
     fit,
@@ -33,6 +34,7 @@ BENCHMARKS = {
     "jobs": jobs.main,
     "camera": camera.main,
     "planning": planning.main,
+    "candidates": candidates.main,
     "reading": reading.main,
     "recovery": recovery.main,
     "report": report.main,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -277,6 +278,23 @@ def test_some_of_the_pairs(chain: Chain, collisions: Collisions) -> None:
     some = collisions.only(kept)
     assert some.pairs == tuple(collisions.pairs[k] for k in kept)
     np.testing.assert_array_equal(some.contacts(q), collisions.contacts(q)[:, kept])
+
+
+def test_they_travel_to_other_processes(
+    chain: Chain, collisions: Collisions, clearance: float
+) -> None:
+    q = chain.random_configurations(100, np.random.default_rng(5))
+    sent = pickle.loads(pickle.dumps(collisions))
+    assert sent.pairs == collisions.pairs
+    assert sent.clearances.tobytes() == collisions.clearances.tobytes()
+    assert sent.free(q).tobytes() == collisions.free(q).tobytes()
+    assert sent.contacts(q).tobytes() == collisions.contacts(q).tobytes()
+    # The same goes for those of some pairs, each with a clearance of its own.
+    count = len(collisions.pairs)
+    wide = collisions.only(range(0, count, 2), np.linspace(0.0, 0.2, count))
+    sent = pickle.loads(pickle.dumps(wide))
+    assert sent.contacts(q).tobytes() == wide.contacts(q).tobytes()
+    assert sent.contacts(q).any()
 
 
 def test_a_clearance_of_each_pair() -> None:

@@ -58,6 +58,7 @@ class TrainingRows:
         by_joint: Residuals at joint positions q + dq and a shift, from dq, shape
             (N, n), and the shift, shape (P,), in units in which its directions compare.
         by_tip: Residuals at tool poses T Exp(xi) and a shift, from xi, shape (N, 6).
+        values: Number d of residual components of each row.
         shifts: Number P of directions of the shift.
     """
 
@@ -66,6 +67,7 @@ class TrainingRows:
     revolute: NDArray[np.bool_]
     by_joint: Callable[[Floats, Floats], Linearized]
     by_tip: Callable[[Floats, Floats], Linearized]
+    values: int
     shifts: int = 0
 
     def folds(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
@@ -87,9 +89,8 @@ class TrainingRows:
             InputError: With the number of configurations that are needed.
         """
         found = len(np.unique(self.groups))
-        zero = np.zeros((len(self.q), len(self.revolute)))
-        values = self.by_joint(zero, np.zeros(self.shifts)).residual.shape[1]
-        enough = -(-(self.shifts + directions) * folds // ((folds - 1) * values))
+        count = (folds - 1) * self.values
+        enough = -(-(self.shifts + directions) * folds // count)
         needed = max(4 * folds, enough)
         if found < needed:
             raise InputError(

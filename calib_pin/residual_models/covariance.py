@@ -40,6 +40,9 @@ BOUNDS = {
 }
 """Least and largest values; variances in squared units of the correction."""
 
+STARTS = {"own": 0.1, "short": 0.1, "all": 0.3, "long": 1.5}
+"""Values that a search begins with."""
+
 QUIETEST = 1e-5
 """Least noise, as a part of the mean square; few measurements look noise-free."""
 
@@ -209,8 +212,7 @@ def most_likely(
 
     square = float((target**2).mean())
     least = max(QUIETEST * square, BOUNDS["noise"][0])
-    starts = {"own": 0.1, "short": 0.1, "all": 0.3, "long": 1.5}
-    starts["noise"] = max(0.1 * square, least)
+    starts = {**STARTS, "noise": max(0.1 * square, least)}
     limits = {**BOUNDS, "noise": (least, BOUNDS["noise"][1])}
     lower, upper = np.log(np.repeat(list(limits.values()), list(counts.values()), 0)).T
     first = np.log(np.repeat(list(starts.values()), list(counts.values())))

@@ -154,13 +154,13 @@ def likeliest(
         of_all, of_own = by_part * variances.of_all, by_part * variances.of_own
 
         def summed(values: Floats) -> Floats:
-            return np.bincount(harmonics.component, values, m)
+            return np.bincount(harmonics.component, values, m).astype(float)
 
-        gradient = [summed(of_all), variances.by_long @ of_all, [found.by_noise]]
+        gradient = np.r_[summed(of_all), variances.by_long @ of_all, [found.by_noise]]
         if own:
             short = summed(of_own * variances.by_short)
-            gradient = [summed(of_own), short, *gradient]
-        return found.cost, np.concatenate(gradient)
+            gradient = np.r_[summed(of_own), short, gradient]
+        return found.cost, gradient
 
     square = sums.square / sums.count
     least = max(QUIETEST * square, BOUNDS["noise"][0])

@@ -109,13 +109,14 @@ class HarmonicProcess:
             inside[piece] = self._variance(
                 self.region.angles(q[piece]), A[piece], G[piece]
             )
-        own = np.bincount(
-            self.harmonics.component, self._own_root**2, minlength=len(self.unit)
+        # As large as the corrections are: the variances before any measurement are also
+        # those of all the harmonics that did not join.
+        size = np.bincount(
+            self.harmonics.component, self.amplitudes**2, minlength=len(self.unit)
         )
+        outside = inside + (A**2).dot(size)
         weight = self.region.weight(q)[:, None]
-        return np.asarray(
-            weight * np.sqrt(inside) + (1.0 - weight) * np.sqrt((A**2).dot(own))
-        )
+        return np.asarray(weight * np.sqrt(inside) + (1.0 - weight) * np.sqrt(outside))
 
     def _inside(self, angle: Floats) -> Floats:
         """Corrections at angles as if all were inside the region, shape (N, m)."""
@@ -129,15 +130,11 @@ class HarmonicProcess:
         return np.concatenate(found) * self.unit
 
     def _variance(self, angle: Floats, A: Floats, G: Floats) -> Floats:
-        """Variances of what depends on corrections in units and on the shift, (K, d)."""
+        """Variances of what depends on corrections in units and a shift, (K, d)."""
         values = self.harmonics.values(angle)[:, None, :]
         columns = np.concatenate([values * A[:, :, self.harmonics.component], G], 2)
         found = (columns * self.root) @ self._triangle.T
         return np.asarray((found**2).sum(axis=2))
-
-    @property
-    def _own_root(self) -> Floats:
-        return self.root[: len(self.harmonics)]
 
     @cached_property
     def _triangle(self) -> Floats:
@@ -218,9 +215,7 @@ class _Draft:
             the harmonics.
     """
 
-    def __init__(
-        self, rows: TrainingRows, space: Space, region: TrainedRegion
-    ) -> None:
+    def __init__(self, rows: TrainingRows, space: Space, region: TrainedRegion) -> None:
         """Linearize about no correction."""
         self._rows, self._space, self._region = rows, space, region
         kinds = rows.revolute if space == "joint" else np.arange(6) < 3
@@ -244,7 +239,7 @@ class _Draft:
         _, group = np.unique(product, axis=0, return_inverse=True)
         group = group.reshape(-1)
         size = np.bincount(group)
-        chosen = ~every.modes.any(axis=1)
+        chosen = np.asarray(~every.modes.any(axis=1))
         noise, left = float((linear.target**2).mean()) or 1.0, linear
         for part in ROUNDS:
             score = np.bincount(group, scores(every, left)) / size / noise

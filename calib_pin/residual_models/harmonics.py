@@ -13,7 +13,6 @@ Särkkä 2020, doi 10.1007/s11222-019-09886-w).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -90,7 +89,7 @@ class Harmonics:
         others = self.modes.copy()
         own = self.component < others.shape[1]
         others[own, self.component[own]] = 0
-        return ~others.any(axis=1)
+        return np.asarray(~others.any(axis=1))
 
     def at(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> Harmonics:
         """Some of them."""

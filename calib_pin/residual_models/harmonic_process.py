@@ -319,7 +319,7 @@ class _Draft:
         return Amplitudes.of(sums, np.r_[variances, self._others(sums)], noise)
 
     def _effect(self, linear: Linear) -> Floats:
-        """What amplitudes and shifts make of the residuals, shape (N, d)."""
+        """Effect of amplitudes and shifts on the residuals, shape (N, d)."""
         mean, D, m = self._amplitudes.mean, len(self._harmonics), len(self._unit)
         result = np.empty_like(linear.target)
         for part in linear.chunks():

@@ -131,7 +131,7 @@ class HarmonicProcess:
 
     def _variance(self, angle: Floats, A: Floats, G: Floats) -> Floats:
         """Variances of what depends on corrections in units and a shift, (K, d)."""
-        values = self.harmonics.values(angle)[:, None, :]
+        values = np.ascontiguousarray(self.harmonics.values(angle))[:, None, :]
         columns = np.concatenate([values * A[:, :, self.harmonics.component], G], 2)
         found = (columns * self.root) @ self._triangle.T
         return np.asarray((found**2).sum(axis=2))

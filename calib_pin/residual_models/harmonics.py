@@ -112,7 +112,7 @@ class Harmonics:
     def values(self, angle: Floats) -> Floats:
         """The functions, of unit mean square, shape (N, n) -> (N, D)."""
         modes, place = self.distinct
-        return products(modes, angle)[:, place]
+        return products(modes, angle).T[place].T
 
     def combined(self, angle: Floats, amplitudes: Floats, count: int) -> Floats:
         """Sums of the functions of so many components, shape (N, n) -> (N, m)."""
@@ -165,12 +165,13 @@ def candidates(joints: int, components: int, *, own: bool) -> Harmonics:
 
 def products(modes: NDArray[np.int64], angle: Floats) -> Floats:
     """The products of some modes, (U, n), at angles, shape (N, n) -> (N, U)."""
-    result = np.ones((len(angle), len(modes)))
+    # One function after another in memory: so they are copied and multiplied quickly.
+    result = np.ones((len(modes), len(angle)))
     for j, column in enumerate(modes.T):
         used = np.flatnonzero(column)
         waves = _waves(angle[:, j], (int(column.max(initial=0)) + 1) // 2)
-        result[:, used] *= waves[:, column[used]]
-    return result
+        result[used] *= waves[column[used]]
+    return result.T
 
 
 def _orders(joints: int) -> list[tuple[int, ...]]:
@@ -188,9 +189,9 @@ def _orders(joints: int) -> list[tuple[int, ...]]:
 
 
 def _waves(angle: Floats, highest: int) -> Floats:
-    """1, and cosine and sine of each multiple of unit mean square, (N, 2 K + 1)."""
-    result = np.ones((len(angle), 2 * highest + 1))
-    multiple = np.multiply.outer(angle, np.arange(1, highest + 1))
-    result[:, 1::2] = np.sqrt(2.0) * np.cos(multiple)
-    result[:, 2::2] = np.sqrt(2.0) * np.sin(multiple)
+    """1, and cosine and sine of each multiple of unit mean square, (2 K + 1, N)."""
+    result = np.ones((2 * highest + 1, len(angle)))
+    multiple = np.multiply.outer(np.arange(1, highest + 1), angle)
+    result[1::2] = np.sqrt(2.0) * np.cos(multiple)
+    result[2::2] = np.sqrt(2.0) * np.sin(multiple)
     return result

@@ -11,7 +11,7 @@ from calib_pin.compiled.threads import Threads
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.harmonics import Harmonics, products
 
-CHUNK = 4096
+CHUNK = 2048
 """Measurements whose products are one sum; for any number of threads the same."""
 
 SCREENED = 512

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
 from scipy.linalg.lapack import dpotri, dtrtri
-from scipy.optimize import Bounds, minimize
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.residual_models.covariance import BOUNDS, QUIETEST, STARTS, Covariance
+from calib_pin.residual_models.covariance import Covariance, searched
 from calib_pin.residual_models.harmonics import HIGHEST, Harmonics, Spectrum
 from calib_pin.residual_models.sums import Sums
 
@@ -121,32 +120,22 @@ class Amplitudes:
 
 
 def likeliest(
-    sums: Sums, harmonics: Harmonics, others: Floats, *, own: bool, steps: int
-) -> tuple[Covariance, float, float]:
+    sums: Sums, harmonics: Harmonics, others: Floats, *, own: bool
+) -> tuple[Covariance, float]:
     """Maximize the marginal likelihood of the measurements.
 
     Args:
         sums: Their sums.
-        harmonics: The harmonics.
+        harmonics: The harmonics, of every component at least one.
         others: Variances of the shifts, shape (P,).
         own: Whether components have functions of their own angle.
-        steps: Largest number of steps.
 
     Returns:
-        The covariance, the variance of the noise, and the negative logarithm of the
-        likelihood, but for a constant.
+        The covariance and the variance of the noise.
     """
-    m, n = int(harmonics.component.max()) + 1, harmonics.modes.shape[1]
-    counts = {"own": m * own, "short": m * own, "all": m, "long": n, "noise": 1}
-    cuts = np.cumsum(list(counts.values()))[:-1]
-    D = len(harmonics)
+    m, D = int(harmonics.component.max()) + 1, len(harmonics)
 
-    def parts(values: Floats) -> tuple[Covariance, float]:
-        *of_corrections, noise = np.split(np.exp(values), cuts)
-        return Covariance(*of_corrections), float(noise[0])
-
-    def cost(values: Floats) -> tuple[float, Floats]:
-        covariance, noise = parts(values)
+    def cost(covariance: Covariance, noise: float) -> tuple[float, Floats]:
         variances = Variances.of(covariance, harmonics)
         found = Amplitudes.of(sums, np.r_[variances.total, others], noise)
         # Of a variance that is a sum each part has its share of the derivative.
@@ -163,17 +152,4 @@ def likeliest(
         return found.cost, gradient
 
     square = sums.square / sums.count
-    least = max(QUIETEST * square, BOUNDS["noise"][0])
-    starts = {**STARTS, "noise": max(0.1 * square, least)}
-    limits = {**BOUNDS, "noise": (least, BOUNDS["noise"][1])}
-    lower, upper = np.log(np.repeat(list(limits.values()), list(counts.values()), 0)).T
-    first = np.log(np.repeat(list(starts.values()), list(counts.values())))
-    found = minimize(
-        cost,
-        np.clip(first, lower, upper),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=Bounds(lower, upper),
-        options={"maxiter": steps},
-    )
-    return *parts(found.x), float(found.fun)
+    return searched(cost, (m, harmonics.modes.shape[1]), square, own=own)

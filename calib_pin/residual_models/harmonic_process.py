@@ -47,9 +47,6 @@ FOLDS = 10
 CHECKED = 2000
 """Held-out measurements that tell how large the predicted variances are."""
 
-STEPS = 30
-"""Steps of each search for the likeliest covariance."""
-
 DIGITS = 7
 """Decimals of the factor of the covariance in a document."""
 
@@ -251,13 +248,12 @@ class _Draft:
                     chosen |= phases
             self._harmonics = every.at(chosen)
             sums = Sums.of(self._harmonics, linear)
-            others = self._others(sums)
-            self._covariance, noise, self.cost = likeliest(
-                sums, self._harmonics, others, own=own, steps=STEPS
+            self._covariance, noise = likeliest(
+                sums, self._harmonics, self._others(sums), own=own
             )
             self._amplitudes = self._solved(sums, noise)
+            self.cost = self._amplitudes.cost
             left = replace(linear, target=linear.target - self._effect(linear))
-        self._noise = noise
         return self
 
     def solve(
@@ -280,12 +276,9 @@ class _Draft:
         report(0.7)
         known, unknown = self._linear.rows(training), self._linear.rows(held)
         sums = Sums.of(self._harmonics, known)
-        self._covariance, self._noise, _ = likeliest(
-            sums,
-            self._harmonics,
-            self._others(sums),
-            own=self._space == "joint",
-            steps=STEPS,
+        own = self._space == "joint"
+        self._covariance, self._noise = likeliest(
+            sums, self._harmonics, self._others(sums), own=own
         )
         report(0.9)
         self._amplitudes = self._solved(sums, self._noise)

@@ -98,9 +98,9 @@ def test_slopes_of_the_variances(harmonics: Harmonics) -> None:
 
 def test_the_likeliest_covariance(harmonics: Harmonics, linear: Linear) -> None:
     sums = Sums.of(harmonics, linear)
-    covariance, noise, cost = likeliest(
-        sums, harmonics, np.zeros(0), own=True, steps=30
-    )
+    covariance, noise = likeliest(sums, harmonics, np.zeros(0), own=True)
+    variance = Variances.of(covariance, harmonics).total
+    cost = Amplitudes.of(sums, variance, noise).cost
     assert cost < solved(harmonics, linear, COVARIANCE).cost
     assert noise == pytest.approx(NOISE, rel=0.6)
     for factor in (0.9, 1.1):

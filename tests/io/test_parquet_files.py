@@ -259,7 +259,7 @@ print(json.dumps({
     [
         (["many.csv"], 3.0),
         (["many.parquet"], 3.0),
-        (["many.csv", "many.parquet"], 4.0),
+        (["many.parquet", "many.csv"], 4.0),
     ],
 )
 def test_memory_of_a_million_measurements(

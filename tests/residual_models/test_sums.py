@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
+from calib_pin.compiled.threads import Threads, serial_blas
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models import sums
 from calib_pin.residual_models.harmonics import Harmonics, candidates
@@ -39,6 +42,22 @@ def test_sums_are_those_of_the_columns(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(parts.normal, found.normal, atol=1e-12)
     one = (X.T @ y) ** 2 / (X**2).sum(axis=0)
     np.testing.assert_allclose(scores(harmonics, linear), one[: len(harmonics)])
+
+
+def test_the_number_of_threads_does_not_matter(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sums, "CHUNK", 7)
+    harmonics = candidates(2, 2, own=False)
+    linear, _ = some(harmonics, 60)
+    found = []
+    for count in (1, 4):
+        monkeypatch.setattr(sums, "Threads", partial(Threads, count))
+        with serial_blas:
+            found.append((Sums.of(harmonics, linear), scores(harmonics, linear)))
+    (one, few), (other, more) = found
+    np.testing.assert_array_equal(one.normal, other.normal)
+    np.testing.assert_array_equal(few, more)
 
 
 def test_what_nothing_shows_explains_nothing() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -69,6 +69,34 @@ class TrainingRows:
     by_tip: Callable[[Floats, Floats], Linearized]
     values: int
     shifts: int = 0
+
+    def some(self, index: NDArray[np.int64]) -> TrainingRows:
+        """Some of the rows; the others are evaluated with them, without a correction.
+
+        Args:
+            index: The rows, in this order.
+        """
+
+        def of(
+            evaluate: Callable[[Floats, Floats], Linearized],
+        ) -> Callable[[Floats, Floats], Linearized]:
+            def linearized(correction: Floats, shift: Floats) -> Linearized:
+                whole = np.zeros((len(self.q), correction.shape[1]))
+                whole[index] = correction
+                at = evaluate(whole, shift)
+                return Linearized(
+                    at.residual[index], at.by_correction[index], at.by_shift[index]
+                )
+
+            return linearized
+
+        return replace(
+            self,
+            q=self.q[index],
+            groups=self.groups[index],
+            by_joint=of(self.by_joint),
+            by_tip=of(self.by_tip),
+        )
 
     def folds(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
         """Part 0 to count - 1 of each row, groups undivided, shape (N,)."""

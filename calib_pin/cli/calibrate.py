@@ -26,7 +26,8 @@ def calibrate(
     measurements: Annotated[
         list[Path],
         typer.Argument(
-            metavar="MEASUREMENTS...", help="CSV files with one row per measurement."
+            metavar="MEASUREMENTS...",
+            help="CSV or Parquet files with one row per measurement.",
         ),
     ],
     output: Annotated[

@@ -24,7 +24,8 @@ from calib_pin.errors import require_known
 def evaluate(
     robot: options.RobotOrCalibration,
     measurements: Annotated[
-        list[Path], typer.Argument(metavar="MEASUREMENTS...", help="CSV files.")
+        list[Path],
+        typer.Argument(metavar="MEASUREMENTS...", help="CSV or Parquet files."),
     ],
     package_dir: options.PackageDirs = None,
     setup: options.SetupFile = None,

@@ -30,7 +30,7 @@ def identify(
         list[Path] | None,
         typer.Argument(
             metavar="[MEASUREMENTS...]",
-            help="CSV files; without them identifiability is structural.",
+            help="CSV or Parquet files; without them identifiability is structural.",
         ),
     ] = None,
     package_dir: options.PackageDirs = None,

@@ -37,7 +37,7 @@ def view(
     robot: options.RobotOrCalibration,
     measurements: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[MEASUREMENTS...]", help="CSV files."),
+        typer.Argument(metavar="[MEASUREMENTS...]", help="CSV or Parquet files."),
     ] = None,
     plan: Annotated[
         Path | None, window_option("--plan CSV", "Configurations to play in order.")

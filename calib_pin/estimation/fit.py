@@ -355,6 +355,7 @@ def training_rows(problem: Problem, theta: Floats, directions: Floats) -> Traini
         revolute=problem.only.error.chain.revolute,
         by_joint=partial(linearize, "joint"),
         by_tip=partial(linearize, "tip"),
+        values=layout.width,
         shifts=directions.shape[1],
     )
 

@@ -182,10 +182,18 @@ class GrowingColumn:
                 first = next((k for k in found if np.isfinite(numbers[k])), None)
                 if first is not None:
                     self.marks[mark] = len(self.numbers) + first
-        without = ~np.isfinite(numbers)
-        if self._words.known or without.any():
-            codes = np.full(len(cells), -1)
-            codes[without] = self._words.of(list(compress(cells, without)))
+        self.add(numbers, list(compress(cells, ~np.isfinite(numbers))))
+
+    def add(self, numbers: Floats, words: Sequence[str]) -> None:
+        """Add rows that were no text.
+
+        Args:
+            numbers: Their numbers.
+            words: Texts of those that are not finite.
+        """
+        if self._words.known or words:
+            codes = np.full(len(numbers), -1)
+            codes[~np.isfinite(numbers)] = self._words.of(words)
             missing = len(self.numbers) - len(self._codes)
             self._codes.extend(array("q", [-1]) * missing)
             self._codes.frombytes(codes.tobytes())

@@ -152,6 +152,22 @@ class CsvText:
                 return stretch.cells(stretch.numbers.index(number))
         raise self.changed()
 
+    def texts(
+        self, places: Sequence[int]
+    ) -> Iterator[tuple[Sequence[int], list[list[str]]]]:
+        """Numbers of some lines, and the untrimmed cells of some columns, and so on.
+
+        Raises:
+            InputError: If the file is no longer what it was.
+        """
+        first, stretches = self.split()
+        header = first.cells(0)
+        if len(header) <= max(places):
+            raise self.changed()
+        for stretch in stretches:
+            columns = stretch.columns(header)
+            yield stretch.numbers, [columns[place] for place in places]
+
     def changed(self) -> InputError:
         """An error about a file that is no longer what it was."""
         return InputError("the file has changed while it was read", file=self.file)

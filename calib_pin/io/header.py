@@ -46,7 +46,7 @@ def check_marks(
 
 
 def renamed(
-    named: dict[str, Column], columns: Mapping[str, str], file: str, line: int
+    named: dict[str, Column], columns: Mapping[str, str], file: str, line: int | None
 ) -> tuple[dict[str, Column], dict[str, str]]:
     """Columns by what the setup says they are, and those that are not there.
 
@@ -90,7 +90,7 @@ def renamed(
 
 
 def named_columns(
-    header: Sequence[str], columns: Sequence[GrowingColumn], file: str, line: int
+    header: Sequence[str], columns: Sequence[GrowingColumn], file: str, line: int | None
 ) -> dict[str, Column]:
     """Columns by their names; those without a name are left out.
 

@@ -1,4 +1,4 @@
-"""Tables: CSV files with named columns of numbers or text, and errors that cite them.
+"""Tables: files with named columns of numbers or text, and errors that cite them.
 
 A column holds the number of every cell that is one, and the text of the others, so
 columns that mean nothing may hold anything, and a bad number is blamed on its own line.
@@ -36,30 +36,31 @@ from calib_pin.io.header import (
     renamed,
     separator_of,
 )
+from calib_pin.io.parquet_files import ParquetFile, is_parquet
 from calib_pin.observations import Labels
 from calib_pin.progress import Progress
 
 
 @dataclass(frozen=True)
 class Table:
-    """A CSV file by columns.
+    """A CSV or Parquet file by columns.
 
     Attributes:
         file: Path as the caller gave it.
-        header_line: Line of the header, counted from 1.
+        header_line: Line of the header, counted from 1; None in a file without lines.
         columns: The named columns in the order of the file.
         unnamed: Number of columns with an empty header.
-        lines: Line of each row, shape (N,).
+        lines: Line of each row, or its number, shape (N,).
         text: The file's text.
         missing: Columns that it should have by the setup, ours to theirs.
     """
 
     file: str
-    header_line: int
+    header_line: int | None
     columns: Mapping[str, Column]
     unnamed: int
     lines: NDArray[np.int64]
-    text: CsvText
+    text: CsvText | ParquetFile
     missing: Mapping[str, str] = field(default_factory=dict)
 
     def __contains__(self, name: object) -> bool:
@@ -227,18 +228,13 @@ class Table:
     def _cells_of_file(self, names: Sequence[str]) -> dict[str, Labels]:
         """Untrimmed text of whole columns, read from the file once more."""
         places = [self.columns[name].place for name in names]
-        first, stretches = self.text.split()
-        header = first.cells(0)
-        if len(header) <= max(places):
-            raise self.text.changed()
         lines = array("q")
         known = [Numbering() for _ in places]
         found: list[list[NDArray[np.int64]]] = [[] for _ in places]
-        for stretch in stretches:
-            lines.extend(stretch.numbers)
-            columns = stretch.columns(header)
-            for codes, place, number in zip(found, places, known, strict=True):
-                codes.append(number.of(columns[place]))
+        for numbers, columns in self.text.texts(places):
+            lines.extend(numbers)
+            for codes, cells, number in zip(found, columns, known, strict=True):
+                codes.append(number.of(cells))
         rows = np.searchsorted(lines, self.lines)
         if not np.array_equal(np.take(lines, rows, mode="clip"), self.lines):
             raise self.text.changed()
@@ -276,12 +272,13 @@ def read_table(
     head: bool = False,
     columns: Mapping[str, str] = {},
 ) -> Table:
-    """Read a CSV file with a header; comments and blank lines are skipped.
+    """Read a file of columns: Parquet, or else CSV.
 
     Args:
-        path: UTF-8 file, with or without byte order mark, or UTF-16 with one, any line
-            ends; commas, semicolons or tabs separate, and where it is no comma, the
-            decimal mark may be one.
+        path: Parquet file, by its suffix or its content; or CSV with a header: UTF-8,
+            with or without byte order mark, or UTF-16 with one, any line ends; comments
+            and blank lines are skipped; commas, semicolons or tabs separate, and where
+            it is no comma, the decimal mark may be one.
         progress: Told the part of the lines that is read, 0 to 1.
         head: Whether the first lines are enough, some hundreds.
         columns: What columns with foreign names are, ours to theirs; theirs may state
@@ -289,10 +286,41 @@ def read_table(
 
     Raises:
         InputError: If the file is no such text with a header and rows of the same
-            length, a column name occurs twice, or decimal marks are of both kinds.
+            length, a column name occurs twice, or decimal marks are of both kinds; if
+            it is a damaged Parquet file.
+        OptionError: If it is a Parquet file, and the extra that reads it is missing.
     """
+    text: CsvText | ParquetFile
+    header_line: int | None = None
+    if is_parquet(path):
+        text = ParquetFile(str(path))
+        header, grown, lines = text.columns(progress, head=head)
+    else:
+        text, header, header_line, grown, lines = _read_csv(path, progress, head)
+    if not lines:
+        raise InputError("the file has a header but no rows", file=text.file)
+    named, missing = renamed(
+        named_columns(header, grown, text.file, header_line),
+        columns,
+        text.file,
+        header_line,
+    )
+    return Table(
+        text.file,
+        header_line,
+        named,
+        sum(not split_header(cell)[0] for cell in header),
+        np.frombuffer(lines, np.int64),
+        text,
+        missing,
+    )
+
+
+def _read_csv(
+    path: str | Path, progress: Progress | None, head: bool
+) -> tuple[CsvText, list[str], int, list[GrowingColumn], array[int]]:
+    """A CSV file: text, header and its line, columns, and the lines of the rows."""
     text = open_csv(path)
-    file = text.file
     first, stretches = text.split(progress)
     separator = separator_of(first)
     if separator != text.separator:
@@ -304,7 +332,7 @@ def read_table(
         raise InputError(
             "the first row holds numbers, a header with the names of the columns is "
             "missing",
-            file=file,
+            file=text.file,
             line=header_line,
         )
     lines, grown = array("q"), [GrowingColumn() for _ in header]
@@ -312,21 +340,8 @@ def read_table(
         lines.extend(stretch.numbers)
         for column, cells in zip(grown, stretch.columns(header), strict=True):
             column.extend(cells, commas=separator != ",")
-    if not lines:
-        raise InputError("the file has a header but no rows", file=file)
-    check_marks(header, grown, lines, file)
-    named, missing = renamed(
-        named_columns(header, grown, file, header_line), columns, file, header_line
-    )
-    return Table(
-        file,
-        header_line,
-        named,
-        sum(not split_header(cell)[0] for cell in header),
-        np.frombuffer(lines, np.int64),
-        text,
-        missing,
-    )
+    check_marks(header, grown, lines, text.file)
+    return text, header, header_line, grown, lines
 
 
 def require_columns(tables: Sequence[Table]) -> None:

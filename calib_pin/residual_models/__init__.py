@@ -84,6 +84,11 @@ def restore(document: object, joints: int) -> ResidualModel:
         from calib_pin.residual_models.network import Network
 
         return Network.restore(parts, joints)
+    if "made_of" in parts:
+        from calib_pin.residual_models.harmonic_process import HarmonicProcess
+
+        stated(parts, "made_of", (HarmonicProcess.made_of,))
+        return HarmonicProcess.restore(parts, joints)
     from calib_pin.residual_models.gaussian_process import GaussianProcess
 
     return GaussianProcess.restore(parts, joints)

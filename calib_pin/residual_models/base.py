@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -58,6 +58,7 @@ class TrainingRows:
         by_joint: Residuals at joint positions q + dq and a shift, from dq, shape
             (N, n), and the shift, shape (P,), in units in which its directions compare.
         by_tip: Residuals at tool poses T Exp(xi) and a shift, from xi, shape (N, 6).
+        values: Number d of residual components of each row.
         shifts: Number P of directions of the shift.
     """
 
@@ -66,7 +67,36 @@ class TrainingRows:
     revolute: NDArray[np.bool_]
     by_joint: Callable[[Floats, Floats], Linearized]
     by_tip: Callable[[Floats, Floats], Linearized]
+    values: int
     shifts: int = 0
+
+    def some(self, index: NDArray[np.int64]) -> TrainingRows:
+        """Some of the rows; the others are evaluated with them, without a correction.
+
+        Args:
+            index: The rows, in this order.
+        """
+
+        def of(
+            evaluate: Callable[[Floats, Floats], Linearized],
+        ) -> Callable[[Floats, Floats], Linearized]:
+            def linearized(correction: Floats, shift: Floats) -> Linearized:
+                whole = np.zeros((len(self.q), correction.shape[1]))
+                whole[index] = correction
+                at = evaluate(whole, shift)
+                return Linearized(
+                    at.residual[index], at.by_correction[index], at.by_shift[index]
+                )
+
+            return linearized
+
+        return replace(
+            self,
+            q=self.q[index],
+            groups=self.groups[index],
+            by_joint=of(self.by_joint),
+            by_tip=of(self.by_tip),
+        )
 
     def folds(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
         """Part 0 to count - 1 of each row, groups undivided, shape (N,)."""
@@ -87,9 +117,8 @@ class TrainingRows:
             InputError: With the number of configurations that are needed.
         """
         found = len(np.unique(self.groups))
-        zero = np.zeros((len(self.q), len(self.revolute)))
-        values = self.by_joint(zero, np.zeros(self.shifts)).residual.shape[1]
-        enough = -(-(self.shifts + directions) * folds // ((folds - 1) * values))
+        count = (folds - 1) * self.values
+        enough = -(-(self.shifts + directions) * folds // count)
         needed = max(4 * folds, enough)
         if found < needed:
             raise InputError(

@@ -17,7 +17,7 @@ of the covariance by every parameter in memory, and takes twice as long.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -180,26 +180,18 @@ def most_likely(
     Returns:
         The covariance and the variance of the noise.
     """
-    m, n = A.shape[2], angle.shape[1]
-    counts = {"own": m * own, "short": m * own, "all": m, "long": n, "noise": 1}
     y = target.reshape(-1)
     constant = 0.5 * len(y) * np.log(2.0 * np.pi)
 
-    def parts(values: Floats) -> tuple[Covariance, float]:
-        cuts = np.cumsum(list(counts.values()))[:-1]
-        *of_corrections, noise = np.split(np.exp(values), cuts)
-        return Covariance(*of_corrections), float(noise[0])
-
-    def cost(values: Floats) -> tuple[float, Floats]:
-        """Negative log-likelihood, and its derivative by the logarithms `values`."""
-        covariance, noise = parts(values)
+    def cost(covariance: Covariance, noise: float) -> tuple[float, Floats]:
+        """Negative log-likelihood, and its derivative by logarithms."""
         K = covariance.of_residuals(angle, A) + other
         K[np.diag_indices_from(K)] += noise
         K[np.diag_indices_from(K)] += JITTER
         try:
             L = cholesky(K, lower=True, check_finite=False)
         except LinAlgError:
-            return np.inf, np.zeros(len(values))
+            return np.inf, np.zeros(1)
         alpha = cho_solve((L, True), y, check_finite=False)
         inverse = cho_solve((L, True), np.eye(len(y)), check_finite=False)
         by_K = 0.5 * (inverse - np.outer(alpha, alpha))
@@ -208,6 +200,43 @@ def most_likely(
         return 0.5 * y @ alpha + np.log(np.diag(L)).sum() + constant, gradient
 
     square = float((target**2).mean())
+    shape = A.shape[2], angle.shape[1]
+    return searched(cost, shape, square, own=own, progress=progress)
+
+
+def searched(
+    cost: Callable[[Covariance, float], tuple[float, Floats]],
+    shape: tuple[int, int],
+    square: float,
+    *,
+    own: bool,
+    progress: Progress | None = None,
+) -> tuple[Covariance, float]:
+    """Minimize a cost of a covariance and a noise.
+
+    Args:
+        cost: Cost, and its derivative by the logarithms of the numbers of the
+            covariance, in their order, and of the noise; any where it is infinite.
+        shape: Numbers m of components and n of angles.
+        square: Mean square of the residuals.
+        own: Whether components have functions of their own angle.
+        progress: Told the part that is done, 0 to 1.
+
+    Returns:
+        The covariance and the variance of the noise.
+    """
+    m, n = shape
+    counts = {"own": m * own, "short": m * own, "all": m, "long": n, "noise": 1}
+    cuts = np.cumsum(list(counts.values()))[:-1]
+
+    def parts(values: Floats) -> tuple[Covariance, float]:
+        *of_corrections, noise = np.split(np.exp(values), cuts)
+        return Covariance(*of_corrections), float(noise[0])
+
+    def of_logarithms(values: Floats) -> tuple[float, Floats]:
+        found, gradient = cost(*parts(values))
+        return found, gradient if np.isfinite(found) else np.zeros(len(values))
+
     least = max(QUIETEST * square, BOUNDS["noise"][0])
     starts = {"own": 0.1, "short": 0.1, "all": 0.3, "long": 1.5}
     starts["noise"] = max(0.1 * square, least)
@@ -223,7 +252,7 @@ def most_likely(
             progress(done / STEPS)
 
     found = minimize(
-        cost,
+        of_logarithms,
         np.clip(first, lower, upper),
         jac=True,
         method="L-BFGS-B",

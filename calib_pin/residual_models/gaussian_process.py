@@ -30,6 +30,10 @@ from calib_pin.residual_models.base import (
 )
 from calib_pin.residual_models.covariance import Covariance, left_out, most_likely
 from calib_pin.residual_models.documents import checked, numbers, stated, written
+from calib_pin.residual_models.harmonic_process import (
+    HarmonicProcess,
+    fit_harmonics,
+)
 from calib_pin.residual_models.region import PIECE, TrainedRegion
 
 FREE = 1e4
@@ -49,14 +53,18 @@ class GaussianProcessOptions:
     Attributes:
         searched: Residual components, of random measurements, that choose the
             covariance.
-        largest: Residual components, of random measurements if there are more, that the
-            process is made of; time grows with their cube.
+        largest: Residual components that the process is made of at most; time grows
+            with their cube. Of more measurements it is made of harmonics.
+        functions: Most harmonics.
+        screened: Measurements that choose the harmonics, at random.
         spaces: Spaces of the correction; the one that predicts held-out measurements
             better is taken.
     """
 
     searched: int = 360
     largest: int = 3600
+    functions: int = 1200
+    screened: int = 20_000
     spaces: tuple[Space, ...] = ("joint", "tip")
 
 
@@ -208,7 +216,7 @@ def fit_gaussian_process(
     *,
     options: GaussianProcessOptions | None = None,
     progress: Progress | None = None,
-) -> GaussianProcess:
+) -> GaussianProcess | HarmonicProcess:
     """Fit a Gaussian process to the residuals of a geometric fit.
 
     Args:
@@ -223,6 +231,16 @@ def fit_gaussian_process(
     options = options or GaussianProcessOptions()
     rows.require("Gaussian process", 2 * len(rows.revolute), FEWEST)
     region = TrainedRegion.of(rows.q, rows.revolute, rng)
+    if rows.values * len(rows.q) > options.largest:
+        return fit_harmonics(
+            rows,
+            region,
+            rng,
+            spaces=options.spaces,
+            functions=options.functions,
+            screened=options.screened,
+            report=progress or (lambda part: None),
+        )
     found = []
     for k, space in enumerate(options.spaces):
 
@@ -242,7 +260,7 @@ def fit_gaussian_process(
             progress=lambda part: report(0.7 * part),
         )
         report(0.7)
-        found.append(draft.solve(covariance, noise, draft.sample(options.largest)))
+        found.append(draft.solve(covariance, noise))
         report(1.0)
     return min(found, key=lambda process: process.held_out[1])
 
@@ -278,15 +296,13 @@ class _Draft:
         """Rows with as many residual components at most."""
         return np.sort(self.order[: max(components // self.at.residual.shape[1], 1)])
 
-    def solve(
-        self, covariance: Covariance, noise: float, chosen: NDArray[np.int64]
-    ) -> GaussianProcess:
-        """The process for some measurements, linearized again at its predictions."""
-        before = self.at.residual[chosen]
+    def solve(self, covariance: Covariance, noise: float) -> GaussianProcess:
+        """The process, linearized again at its predictions."""
+        before = self.at.residual
         for _ in range(2):
-            G, A = self.at.by_shift[chosen], self.A[chosen]
+            G, A = self.at.by_shift, self.A
             effect = times(self.at.by_correction, self.f)
-            base = (self.at.residual - effect - self.at.by_shift @ self.z)[chosen]
+            base = self.at.residual - effect - G @ self.z
             columns, released = absorbed(G)
             process = GaussianProcess(
                 region=self.region,
@@ -295,24 +311,22 @@ class _Draft:
                 covariance=covariance,
                 noise=noise,
                 unit=self.unit,
-                q=self.rows.q[chosen],
+                q=self.rows.q,
                 A=A,
                 absorbed=columns,
                 released=released,
                 free=self.free,
-                weights=np.zeros((len(chosen), len(self.unit))),
+                weights=np.zeros((len(A), len(self.unit))),
                 held_out=(0.0, 0.0),
             )
             alpha = cho_solve((process._factor, True), -base.reshape(-1))
             weights = (A.transpose(0, 2, 1) @ alpha.reshape(*base.shape, 1))[:, :, 0]
-            here = self.angle[chosen]
-            self.f = covariance.predict(self.angle, here, weights) * self.unit
+            self.f = covariance.predict(self.angle, self.angle, weights) * self.unit
             # The shift must explain the rest, which neither process nor noise does.
-            rest = base + times(A, self.f[chosen] / self.unit)
+            rest = base + times(A, self.f / self.unit)
             self.z = -released @ (columns.T @ rest.reshape(-1))
             self.at = self.evaluate(self.f, self.z)
-        groups = self.rows.groups[chosen]
-        predicted, surprise = left_out(process._factor, alpha, groups)
+        predicted, surprise = left_out(process._factor, alpha, self.rows.groups)
         predicted = predicted.reshape(before.shape)
         if not convincing(before, predicted):
             weights, predicted, self.z = 0.0 * weights, before, 0.0 * self.z

@@ -48,12 +48,15 @@ class NetworkOptions:
             stops by it, and the average of all is the network.
         steps: Largest number of steps with few harmonics, and with all of them.
         patience: Steps without a better prediction that end them early.
+        largest: Most measurements to learn from, random ones if there are more; memory
+            grows with them.
     """
 
     units: int = 8
     members: int = 5
     steps: tuple[int, int] = (32, 10)
     patience: int = 4
+    largest: int = 20_000
 
 
 @dataclass(frozen=True)
@@ -196,6 +199,8 @@ def fit_network(
     joints = len(rows.revolute)
     rows.require("network", 2 * joints, options.members)
     region = TrainedRegion.of(rows.q, rows.revolute, rng)
+    if len(rows.q) > options.largest:
+        rows = rows.some(np.sort(rng.permutation(len(rows.q))[: options.largest]))
     inputs = Inputs.of(region.angles(rows.q), len(np.unique(rows.groups)))
     nothing = np.zeros(rows.q.shape), np.zeros(rows.shifts)
     unit = correction_unit(rows.by_joint(*nothing), rows.revolute)

@@ -26,7 +26,9 @@ from calib_pin.io.results import (
 )
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import BlockKey
-from calib_pin.residual_models import LearnedCorrection
+from calib_pin.residual_models import LearnedCorrection, TrainedRegion
+from calib_pin.residual_models.harmonic_process import HarmonicProcess
+from calib_pin.residual_models.harmonics import Harmonics
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult
@@ -71,6 +73,35 @@ def test_it_predicts_as_before(learned: CalibrationResult, folder: Path) -> None
     plain = model.without_corrections.of().poses(q)
     assert np.abs(plain - poses).max() > 1e-5
     assert not model.of().outside(q).all()
+
+
+def test_so_does_one_of_many_measurements(
+    learned: CalibrationResult, folder: Path
+) -> None:
+    q = learned.model.chains.random_configurations(40, np.random.default_rng(0))
+    modes = np.zeros((2, 6), np.int64)
+    modes[:, 1] = 1, 2
+    process = HarmonicProcess(
+        region=TrainedRegion.of(q, np.ones(6, bool), np.random.default_rng(0)),
+        shift=np.zeros(0),
+        space="joint",
+        unit=np.full(6, 1e-3),
+        harmonics=Harmonics(modes, np.array([2, 4])),
+        amplitudes=np.array([0.5, 0.25]),
+        root=np.ones(2),
+        spread=np.array([0.1, 0.0, 0.2]),
+        held_out=(1.0, 0.5),
+    )
+    network = learned.model.only.error.learned
+    assert isinstance(network, LearnedCorrection)
+    model = with_learned(learned.model, replace(network, model=process))
+    data = encode_residual_model(model)
+    assert data is not None
+    (folder / "other.json").write_bytes(data)
+    found = read_residual_model(folder / "other.json", learned.model)
+    assert isinstance(found.model, HarmonicProcess)
+    np.testing.assert_array_equal(found(q), process(q))
+    np.testing.assert_array_equal(found.model.deviation(q), process.deviation(q))
 
 
 def test_it_belongs_to_all_tools_of_a_chain(

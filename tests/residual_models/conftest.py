@@ -75,6 +75,7 @@ class Study:
             revolute=np.asarray(self.error.chain.revolute, bool),
             by_joint=lambda dq, z: linearized(dq, np.zeros((count, 6)), z, False),
             by_tip=lambda xi, z: linearized(np.zeros(q.shape), xi, z, True),
+            values=3,
             shifts=self.columns.shape[1],
         )
 

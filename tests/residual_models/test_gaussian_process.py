@@ -16,11 +16,12 @@ from calib_pin.residual_models.gaussian_process import (
     GaussianProcessOptions,
     fit_gaussian_process,
 )
+from calib_pin.residual_models.harmonic_process import HarmonicProcess
 
 NOISE = 5e-6
 
 
-def learn(rows: Any, **options: Any) -> GaussianProcess:
+def learn(rows: Any, **options: Any) -> Any:
     return fit_gaussian_process(
         rows,
         np.random.default_rng(0),
@@ -137,9 +138,12 @@ def test_too_few_rows_are_refused(study: Callable[..., Any]) -> None:
         learn(study().rows(12, NOISE, 0))
 
 
-def test_only_some_rows_where_there_are_many(study: Callable[..., Any]) -> None:
-    found = learn(study().rows(80, NOISE, 0), largest=90, spaces=("tip",))
-    assert len(found.q) == 30
+def test_of_more_measurements_it_is_made_of_harmonics(
+    study: Callable[..., Any],
+) -> None:
+    rows = study().rows(30, NOISE, 0)
+    assert isinstance(learn(rows, largest=90), GaussianProcess)
+    assert isinstance(learn(rows, largest=89), HarmonicProcess)
 
 
 def test_without_any_residual(study: Callable[..., Any]) -> None:

@@ -44,6 +44,17 @@ def test_more_rows_help(study: Callable[..., Any], network: Network) -> None:
     assert arm.errors(few).mean() < arm.errors(None).mean()
 
 
+def test_of_very_many_measurements_some_are_enough(
+    study: Callable[..., Any], network: Network
+) -> None:
+    arm = study()
+    found = train(arm.rows(200, NOISE, 0), largest=120)
+    assert arm.errors(found).mean() < 0.3 * arm.errors(None).mean()
+    # Nothing is lost of the region.
+    assert len(found.region.anchors) == 200
+    assert train(arm.rows(120, NOISE, 0), largest=120).document() == network.document()
+
+
 def test_noise_alone_teaches_nothing(study: Callable[..., Any]) -> None:
     arm = study(sag=0.0, gear=0.0)
     found = train(arm.rows(60, 1e-4, 0))

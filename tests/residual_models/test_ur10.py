@@ -63,6 +63,7 @@ def rows(fitted: Any) -> TrainingRows:
         revolute=np.asarray(part.error.chain.revolute, bool),
         by_joint=by_joint,
         by_tip=by_joint,
+        values=3,
         shifts=columns.shape[1],
     )
 

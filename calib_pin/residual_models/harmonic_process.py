@@ -1,0 +1,351 @@
+"""A Gaussian process of many measurements, made of harmonics in place of these.
+
+The process of `gaussian_process` costs the cube of the number of measurements. Here the
+same covariance is that of a sum of harmonics: measurements enter through sums alone,
+chunk by chunk, and their number does not matter afterwards. Which harmonics there are
+is read off some thousand measurements: again and again those join that would explain
+most of what is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar, cast, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.compiled.threads import Threads, serial_blas
+from calib_pin.kinematics.spatial import Floats, times
+from calib_pin.residual_models.amplitudes import Amplitudes, Variances, likeliest
+from calib_pin.residual_models.base import (
+    Space,
+    TrainingRows,
+    convincing,
+    correction_unit,
+    root_mean_square,
+)
+from calib_pin.residual_models.documents import checked, numbers, stated, written
+from calib_pin.residual_models.harmonics import Harmonics, candidates
+from calib_pin.residual_models.region import PIECE, TrainedRegion
+from calib_pin.residual_models.sums import Linear, Sums, scores
+
+FREE = 1e4
+"""Variance that a direction of the shift may have, in mean squares of the residual."""
+
+ROUNDS = (0.2, 0.5, 1.0)
+"""Part of the harmonics after each round of choosing."""
+
+WORTH = 3.0
+"""Squares of the noise that a harmonic explains on average if it is to join."""
+
+FOLDS = 10
+"""Parts of the measurements, of which one is held out."""
+
+CHECKED = 2000
+"""Held-out measurements that tell how large the predicted variances are."""
+
+DIGITS = 7
+"""Decimals of the factor of the covariance in a document."""
+
+
+@dataclass(frozen=True)
+class HarmonicProcess:
+    """A Gaussian process given its measurements, as a sum of harmonics.
+
+    Attributes:
+        region: Training region; its angles are those of the harmonics.
+        shift: Shift of the geometry that belongs to it, shape (P,).
+        space: Space of the corrections.
+        unit: Correction that counts as one, shape (m,) [rad, m].
+        harmonics: The D functions.
+        amplitudes: Their amplitudes in units, shape (D,).
+        root: Standard deviations of amplitudes and shifts before any measurement,
+            shape (D + P,).
+        spread: Lower triangle T row by row: what has the derivatives x by amplitudes
+            and shifts has the variance `|T (root x)|^2`, shape (K,).
+        held_out: Root mean square of the whitened residuals of a part of the
+            measurements, before, and predicted from all the others.
+    """
+
+    region: TrainedRegion
+    shift: Floats
+    space: Space
+    unit: Floats
+    harmonics: Harmonics
+    amplitudes: Floats
+    root: Floats
+    spread: Floats
+    held_out: tuple[float, float]
+    name: ClassVar[str] = "gaussian-process"
+    made_of: ClassVar[str] = "harmonics"
+
+    @serial_blas
+    def __call__(self, q: Floats) -> Floats:
+        """Corrections at joint positions, (N, m) [rad, m], zero outside the region."""
+        inside = self._inside(self.region.angles(q))
+        return np.asarray(self.region.weight(q)[:, None] * inside)
+
+    @serial_blas
+    def deviation(
+        self,
+        q: Floats,
+        by_correction: Floats | None = None,
+        by_shift: Floats | None = None,
+    ) -> Floats:
+        """Standard deviations, see `ResidualModel.deviation`."""
+        if by_correction is None:
+            by_correction = np.tile(np.eye(len(self.unit)), (len(q), 1, 1))
+        A = by_correction * self.unit
+        G = np.zeros((*A.shape[:2], len(self.shift))) if by_shift is None else by_shift
+        inside = np.empty(A.shape[:2])
+        for start in range(0, len(q), PIECE):
+            piece = slice(start, start + PIECE)
+            inside[piece] = self._variance(
+                self.region.angles(q[piece]), A[piece], G[piece]
+            )
+        # As large as the corrections are: the variances before any measurement are also
+        # those of all the harmonics that did not join.
+        size = np.bincount(
+            self.harmonics.component, self.amplitudes**2, minlength=len(self.unit)
+        )
+        outside = inside + (A**2).dot(size)
+        weight = self.region.weight(q)[:, None]
+        return np.asarray(weight * np.sqrt(inside) + (1.0 - weight) * np.sqrt(outside))
+
+    def _inside(self, angle: Floats) -> Floats:
+        """Corrections at angles as if all were inside the region, shape (N, m)."""
+
+        def combined(start: int) -> Floats:
+            part = angle[start : start + PIECE]
+            return self.harmonics.combined(part, self.amplitudes, len(self.unit))
+
+        starts = range(0, len(angle), PIECE)
+        found = [np.zeros((0, len(self.unit))), *Threads().map(combined, starts)]
+        return np.concatenate(found) * self.unit
+
+    def _variance(self, angle: Floats, A: Floats, G: Floats) -> Floats:
+        """Variances of what depends on corrections in units and a shift, (K, d)."""
+        values = np.ascontiguousarray(self.harmonics.values(angle))[:, None, :]
+        columns = np.concatenate([values * A[:, :, self.harmonics.component], G], 2)
+        found = (columns * self.root) @ self._triangle.T
+        return np.asarray((found**2).sum(axis=2))
+
+    @cached_property
+    def _triangle(self) -> Floats:
+        result = np.zeros((len(self.root),) * 2)
+        result[np.tril_indices(len(self.root))] = self.spread
+        return result
+
+    def document(self) -> dict[str, Any]:
+        """The numbers."""
+        return {"kind": self.name, "made_of": self.made_of, **written(self)}
+
+    @staticmethod
+    def restore(document: Mapping[str, Any], joints: int) -> HarmonicProcess:
+        """The process of a document.
+
+        Raises:
+            ValueError: If it is not one.
+        """
+        parts = checked(document, "gaussian-process")
+        space = cast(Space, stated(parts, "space", get_args(Space)))
+        m = joints if space == "joint" else 6
+        harmonics = Harmonics.restore(parts.get("harmonics"), joints, m)
+        shift = numbers(parts, "shift", (None,), empty=True)
+        size = len(harmonics) + len(shift)
+        before, after = numbers(parts, "held_out", (2,))
+        return HarmonicProcess(
+            region=TrainedRegion.restore(parts.get("region"), joints),
+            shift=shift,
+            space=space,
+            unit=numbers(parts, "unit", (m,), positive=True),
+            harmonics=harmonics,
+            amplitudes=numbers(parts, "amplitudes", (len(harmonics),)),
+            root=np.abs(numbers(parts, "root", (size,))),
+            spread=numbers(parts, "spread", (size * (size + 1) // 2,)),
+            held_out=(float(before), float(after)),
+        )
+
+
+def fit_harmonics(
+    rows: TrainingRows,
+    region: TrainedRegion,
+    rng: np.random.Generator,
+    *,
+    spaces: tuple[Space, ...],
+    functions: int,
+    screened: int,
+    report: Callable[[float], None],
+) -> HarmonicProcess:
+    """Fit a Gaussian process of harmonics to the residuals of a geometric fit.
+
+    Args:
+        rows: The measurements.
+        region: Their region.
+        rng: Chooses the measurements that choose the harmonics.
+        spaces: Spaces of the correction; the one in which the chosen measurements are
+            most likely is taken.
+        functions: Most harmonics.
+        screened: Most measurements that choose them.
+        report: Told the part that is done, 0 to 1.
+    """
+    part = rows.folds(FOLDS, rng)
+    training = rng.permutation(np.flatnonzero(part > 0))
+    few = np.sort(training[:screened])
+    drafts = []
+    for k, space in enumerate(spaces):
+        draft = _Draft(rows, space, region)
+        drafts.append(draft.choose(few, functions))
+        report(0.5 * (k + 1) / len(spaces))
+    best = min(drafts, key=lambda draft: draft.cost)
+    return best.solve(np.sort(training), np.flatnonzero(part == 0), report)
+
+
+class _Draft:
+    """A process in one space, on its way.
+
+    Attributes:
+        cost: Negative logarithm of the likelihood of the measurements that have chosen
+            the harmonics.
+    """
+
+    def __init__(self, rows: TrainingRows, space: Space, region: TrainedRegion) -> None:
+        """Linearize about no correction."""
+        self._rows, self._space, self._region = rows, space, region
+        kinds = rows.revolute if space == "joint" else np.arange(6) < 3
+        self._evaluate = rows.by_joint if space == "joint" else rows.by_tip
+        self._angle = region.angles(rows.q)
+        zero = np.zeros((len(rows.q), len(kinds)))
+        at = self._evaluate(zero, np.zeros(rows.shifts))
+        self._unit = correction_unit(at, kinds)
+        self._before = at.residual
+        self._linear = Linear(
+            self._angle, at.by_correction * self._unit, at.by_shift, -at.residual
+        )
+        self.cost = np.inf
+
+    def choose(self, few: NDArray[np.int64], functions: int) -> _Draft:
+        """Choose harmonics and solve for them, by some of the measurements."""
+        linear, own = self._linear.rows(few), self._space == "joint"
+        every = candidates(linear.angle.shape[1], len(self._unit), own=own)
+        # Phases of one product join together: so a variance is the same everywhere.
+        product = np.column_stack([every.component, every.orders])
+        _, group = np.unique(product, axis=0, return_inverse=True)
+        group = group.reshape(-1)
+        size = np.bincount(group)
+        chosen = np.asarray(~every.modes.any(axis=1))
+        noise, left = float((linear.target**2).mean()) or 1.0, linear
+        for part in ROUNDS:
+            score = np.bincount(group, scores(every, left)) / size / noise
+            for k in np.argsort(-score, kind="stable"):
+                if score[k] < WORTH:
+                    break
+                phases = group == k
+                if (chosen | phases).sum() <= part * functions:
+                    chosen |= phases
+            self._harmonics = every.at(chosen)
+            sums = Sums.of(self._harmonics, linear)
+            self._covariance, noise = likeliest(
+                sums, self._harmonics, self._others(sums), own=own
+            )
+            self._amplitudes = self._solved(sums, noise)
+            self.cost = self._amplitudes.cost
+            left = replace(linear, target=linear.target - self._effect(linear))
+        return self
+
+    def solve(
+        self,
+        training: NDArray[np.int64],
+        held: NDArray[np.int64],
+        report: Callable[[float], None],
+    ) -> HarmonicProcess:
+        """The process of all measurements, linearized again at its predictions."""
+        process = self._process()
+        f = process._inside(self._angle)
+        at = self._evaluate(f, process.shift)
+        effect = times(at.by_correction, f) + at.by_shift @ process.shift
+        self._linear = Linear(
+            self._angle,
+            at.by_correction * self._unit,
+            at.by_shift,
+            effect - at.residual,
+        )
+        report(0.7)
+        known, unknown = self._linear.rows(training), self._linear.rows(held)
+        sums = Sums.of(self._harmonics, known)
+        own = self._space == "joint"
+        self._covariance, self._noise = likeliest(
+            sums, self._harmonics, self._others(sums), own=own
+        )
+        report(0.9)
+        self._amplitudes = self._solved(sums, self._noise)
+        before = self._before[held]
+        after = self._effect(unknown) - unknown.target
+        surprise = self._surprise(unknown, after)
+        sums += Sums.of(self._harmonics, unknown)
+        self._amplitudes = self._solved(sums, self._noise)
+        result = self._process()
+        if not convincing(before, after):
+            after = before
+            result = replace(
+                result, shift=0.0 * result.shift, amplitudes=0.0 * result.amplitudes
+            )
+        report(1.0)
+        # All variances times one number predict the same, but less surely.
+        return replace(
+            result,
+            root=result.root * np.sqrt(surprise),
+            held_out=(root_mean_square(before), root_mean_square(after)),
+        )
+
+    def _others(self, sums: Sums) -> Floats:
+        """Variances of the shifts before any measurement, shape (P,)."""
+        squares = np.diag(sums.normal)[len(self._harmonics) :]
+        free = FREE * sums.square
+        return np.where(squares > 0.0, free / np.where(squares > 0.0, squares, 1.0), 0)
+
+    def _solved(self, sums: Sums, noise: float) -> Amplitudes:
+        variances = Variances.of(self._covariance, self._harmonics).total
+        return Amplitudes.of(sums, np.r_[variances, self._others(sums)], noise)
+
+    def _effect(self, linear: Linear) -> Floats:
+        """Effect of amplitudes and shifts on the residuals, shape (N, d)."""
+        mean, D, m = self._amplitudes.mean, len(self._harmonics), len(self._unit)
+        result = np.empty_like(linear.target)
+        for part in linear.chunks():
+            f = self._harmonics.combined(linear.angle[part], mean[:D], m)
+            result[part] = times(linear.A[part], f) + linear.G[part] @ mean[D:]
+        return result
+
+    def _surprise(self, held: Linear, residual: Floats) -> float:
+        """Mean square of residuals in their predicted variances."""
+        process, some = self._process(), slice(CHECKED)
+        variance = np.concatenate(
+            [
+                process._variance(part.angle, part.A, part.G)
+                for part in map(held.rows(some).rows, _pieces(len(residual[some])))
+            ]
+        )
+        found = float((residual[some] ** 2 / (variance + self._noise)).mean())
+        return found if found > 0.0 else 1.0
+
+    def _process(self) -> HarmonicProcess:
+        found, D = self._amplitudes, len(self._harmonics)
+        return HarmonicProcess(
+            region=self._region,
+            shift=found.mean[D:],
+            space=self._space,
+            unit=self._unit,
+            harmonics=self._harmonics,
+            amplitudes=found.mean[:D],
+            root=found.root,
+            spread=np.round(found.spread[np.tril_indices(len(found.root))], DIGITS),
+            held_out=(0.0, 0.0),
+        )
+
+
+def _pieces(count: int) -> list[slice]:
+    return [slice(start, start + PIECE) for start in range(0, count, PIECE)]

@@ -1,0 +1,290 @@
+"""Parquet files: the same measurements as from CSV, and one line for a damaged one."""
+
+from __future__ import annotations
+
+import json
+import random
+import subprocess
+import sys
+from collections.abc import Callable
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as parquet
+import pytest
+
+import calib_pin
+from calib_pin.errors import InputError, OptionError
+from calib_pin.io import parquet_files
+from calib_pin.io.columns import LENGTH, PURE
+from calib_pin.io.measurements import encode_table, read_measurements, read_names
+from calib_pin.io.parquet_files import is_parquet
+from calib_pin.io.table import Table, read_table
+from calib_pin.units import as_number
+
+Write = Callable[..., Path]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    """Write columns as a Parquet file, a few rows in each of its groups."""
+
+    def write(columns: Any, name: str = "a.parquet", **options: Any) -> Path:
+        file = tmp_path / name
+        parquet.write_table(
+            columns if isinstance(columns, pa.Table) else pa.table(columns),
+            file,
+            **{"row_group_size": 2, **options},
+        )
+        return file
+
+    return write
+
+
+def columns_of(count: int, seed: int = 0) -> dict[str, Any]:
+    rng = np.random.default_rng(seed)
+    chain = calib_pin.load_chain("space6")
+    q = np.rad2deg(chain.random_configurations(count, rng))
+    joints = {f"{joint} [deg]": q[:, k] for k, joint in enumerate(chain.joints)}
+    values = {f"{axis} [mm]": rng.normal(size=count) for axis in "xyz"}
+    return {
+        **joints,
+        **values,
+        "target": [f"ball{k % 3}" for k in range(count)],
+        "payload": [k % 2 for k in range(count)],
+        "set": ["train"] * (count - 2) + ["validate"] * 2,
+    }
+
+
+def test_the_same_measurements_as_from_csv(write: Write, tmp_path: Path) -> None:
+    chain, columns = calib_pin.load_chain("space6"), columns_of(25)
+    text = tmp_path / "a.csv"
+    text.write_bytes(encode_table(columns, []))
+    ours = read_measurements(write(columns, row_group_size=7), chain)
+    theirs = read_measurements(text, chain)
+    for name in ("q", "values", "validate"):
+        found, expected = (getattr(data.only, name) for data in (ours, theirs))
+        np.testing.assert_array_equal(found, expected)
+    for name in ("target", "payload"):
+        found, expected = (getattr(data.only, name) for data in (ours, theirs))
+        assert list(found) == list(expected)
+    assert ours.only.lines.tolist() == list(range(1, 26))
+
+
+def test_days_of_either_kind_are_joined(write: Write, tmp_path: Path) -> None:
+    chain, text = calib_pin.load_chain("space6"), tmp_path / "more.csv"
+    text.write_bytes(encode_table(columns_of(6, 2), []))
+    files = [write(columns_of(5, k), f"day{k}.parquet") for k in range(2)]
+    told: list[float] = []
+    data = read_measurements([*files, text], chain, progress=told.append)
+    assert len(data) == 16
+    assert data.only.files.names == (*map(str, files), str(text))
+    assert told == sorted(told)
+    assert read_names(files[0], "target")[1] == "ball1"
+
+
+def test_columns_of_the_setup(write: Write) -> None:
+    file = write({"TCP_X": [1500.0, 20.0], "n": [1, 2]})
+    found = read_table(file, columns={"x": "TCP_X [mm]"})
+    assert found.numbers("x", LENGTH).tolist() == [1.5, 0.02]
+    with pytest.raises(InputError, match="unit 'deg' does not fit here") as caught:
+        read_table(file, columns={"x": "TCP_X [deg]"}).numbers("x", LENGTH)
+    assert (caught.value.line, caught.value.column) == (None, "TCP_X (x)")
+
+
+TYPES = {
+    "float": (pa.array([1.5, None, float("nan"), 2.0]), ["1.5", "", "nan", "2.0"]),
+    "int": (pa.array([1, 2, None, 2**40]), ["1", "2", "", str(2**40)]),
+    "uint8": (pa.array([7, 8, 9, 10], pa.uint8()), ["7", "8", "9", "10"]),
+    "float32": (
+        pa.array([0.5, 1, 2, -0.0], pa.float32()),
+        ["0.5", "1.0", "2.0", "-0.0"],
+    ),
+    "text": (pa.array(["1.5", "b", None, " 2"]), ["1.5", "b", "", "2"]),
+    "coded": (pa.array(["a", "a", "b", "a"]).dictionary_encode(), ["a", "a", "b", "a"]),
+    "bool": (pa.array([True, False, None, True]), ["true", "false", "", "true"]),
+    "decimal": (pa.array([Decimal("1.25")] * 4), ["1.25"] * 4),
+    "list": (pa.array([[1.0], [], None, [2.0]]), ["(list<element: double>)"] * 4),
+    "null": (pa.nulls(4), [""] * 4),
+}
+"""Cells of columns, and their trimmed texts."""
+
+
+def test_cells_of_every_type(write: Write) -> None:
+    found = read_table(write({name: cells for name, (cells, _) in TYPES.items()}))
+    some = found.rows(np.array([3, 1]), [*TYPES])
+    every, few = found.texts([*TYPES]), some.texts([*TYPES])
+    assert (found.cell("float", 3), found.cell("float", 2)) == ("2.0", "nan")
+    for name, (_, texts) in TYPES.items():
+        assert list(every[name]) == texts
+        assert list(few[name]) == [texts[3], texts[1]]
+        column = found.columns[name]
+        assert column.blank().tolist() == [not text for text in texts]
+        numbers = [as_number(text) for text in texts]
+        expected = [np.nan if number is None else number for number in numbers]
+        np.testing.assert_array_equal(column.numbers, expected)
+
+
+def test_a_bad_cell_is_blamed_on_its_row(write: Write) -> None:
+    found = read_table(write({"n": [1.0, 2.0, None, 4.0]}))
+    with pytest.raises(InputError, match="the cell is empty") as caught:
+        found.numbers("n", PURE)
+    assert (caught.value.line, caught.value.column) == (3, "n")
+
+
+def test_only_the_head(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = write({"n": np.arange(70_000.0)}, row_group_size=70_000)
+    assert 0 < len(read_table(file, head=True).lines) < 70_000
+    assert len(read_table(file).lines) == 70_000
+
+
+def test_by_suffix_or_by_content(write: Write, tmp_path: Path) -> None:
+    assert len(read_table(write({"n": [1.0]}, "measured.dat")).lines) == 1
+    text = tmp_path / "a.csv"
+    text.write_text("PAR1,n\n1,2\n")
+    assert not is_parquet(text)
+    assert "PAR1" in read_table(text)
+    assert not is_parquet(tmp_path)
+
+
+def refused(file: Path) -> str:
+    """The one line about a file, which names it."""
+    with pytest.raises(InputError) as caught:
+        found = read_table(file)
+        assert isinstance(found, Table)
+        for name in found.columns:
+            found.texts([name])
+    assert "\n" not in str(caught.value)
+    assert str(caught.value.file) == str(file)
+    return str(caught.value)
+
+
+def test_files_that_are_none(write: Write, tmp_path: Path) -> None:
+    file = tmp_path / "a.parquet"
+    file.write_text("x,y\n1,2\n")
+    assert "is no Parquet file: it does not begin with PAR1" in refused(file)
+    file.write_bytes(b"PAR1" + bytes(40))
+    assert "cannot be read as Parquet" in refused(file)
+    assert "no such file" in refused(tmp_path / "b.parquet").lower()
+    assert "no rows" in refused(write({"x": pa.array([], pa.float64())}))
+    twice = pa.table([pa.array([1.0]), pa.array([2.0])], names=["x", "x [mm]"])
+    assert "two columns are 'x'" in refused(write(twice))
+
+
+def test_too_many_cells(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parquet_files, "CELLS", 5)
+    assert "has 3 rows of 2 columns, more than 5" in refused(
+        write({"x": [1, 2, 3], "y": [1, 2, 3]})
+    )
+
+
+def test_too_much_text(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parquet_files, "TEXT", 100)
+    file = write({"x": [1.0] * 60, "n": [f"name {k}" for k in range(60)]})
+    assert "MB of different texts" in refused(file)
+
+
+def test_damaged_files_cost_a_line(write: Write) -> None:
+    file = write(columns_of(40), row_group_size=20)
+    whole, rng = file.read_bytes(), random.Random(0)
+    for cut in (7, len(whole) // 2, len(whole) - 1):
+        file.write_bytes(whole[:cut])
+        refused(file)
+    for _ in range(12):
+        data = bytearray(whole)
+        for _ in range(rng.choice((1, 20))):
+            data[rng.randrange(4, len(data))] = rng.randrange(256)
+        file.write_bytes(data)
+        try:
+            read_table(file)
+        except InputError as error:
+            assert "\n" not in str(error)
+
+
+def test_a_reader_that_crashes_costs_a_line(
+    write: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def dead(script: str) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-c", "input(); import os; os._exit(1)"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+
+    monkeypatch.setattr(parquet_files, "started", dead)
+    assert "what reads it crashes" in refused(write({"x": [1.0]}))
+
+
+def test_without_the_extra(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parquet_files, "find_spec", lambda name: None)
+    with pytest.raises(OptionError, match=r"pip install 'calib-pin\[parquet\]'"):
+        read_table(write({"x": [1.0]}))
+
+
+def test_a_file_that_changes_meanwhile(write: Write) -> None:
+    found = read_table(write({"x": [1.0, 2.0, 3.0]}))
+    write({"x": [1.0]})
+    with pytest.raises(InputError, match="has changed"):
+        found.cell("x", 2)
+    with pytest.raises(InputError, match="has changed"):
+        found.texts(["x"])
+
+
+MEASURE = """
+import json, resource, sys
+import calib_pin
+
+def peak(who):
+    return resource.getrusage(who).ru_maxrss * 1024
+
+chain = calib_pin.load_chain("space6")
+# What a few of them take is what the program takes.
+calib_pin.read_measurements(sys.argv[1:2], chain)
+before = peak(resource.RUSAGE_SELF)
+data = calib_pin.read_measurements(sys.argv[2:], chain).only
+print(json.dumps({
+    "numbers": data.q.nbytes + data.values.nbytes,
+    "taken": peak(resource.RUSAGE_SELF) - before,
+    "child": peak(resource.RUSAGE_CHILDREN),
+}))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("names", "most"),
+    [
+        (["many.csv"], 3.0),
+        (["many.parquet"], 3.0),
+        (["many.parquet", "many.csv"], 4.0),
+    ],
+)
+def test_memory_of_a_million_measurements(
+    write: Write, tmp_path: Path, names: list[str], most: float
+) -> None:
+    chain, rng = calib_pin.load_chain("space6"), np.random.default_rng(0)
+
+    def columns(count: int) -> dict[str, Any]:
+        q = chain.random_configurations(count, rng)
+        values = rng.normal(size=(count, 3))
+        return {**dict(zip(chain.joints, q.T, strict=True)), "x": values[:, 0]} | {
+            axis: values[:, k + 1] for k, axis in enumerate("yz")
+        }
+
+    few = write(columns(10), "few.parquet")
+    many = columns(1_000_000)
+    files = []
+    for name in names:
+        if name.endswith(".csv"):
+            files.append(tmp_path / name)
+            files[-1].write_bytes(encode_table(many, []))
+        else:
+            files.append(write(many, name, row_group_size=1 << 20))
+    command = [sys.executable, "-c", MEASURE, *map(str, [few, *files])]
+    found = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
+    assert found["taken"] < most * found["numbers"]
+    # The process that knows Parquet holds some thousand rows at a time.
+    assert found["child"] < 300e6

@@ -195,7 +195,7 @@ def fleet_columns(rows: Iterable[FleetRow]) -> dict[str, list[object]]:
     """The columns of `fleet.csv`; what is unknown is empty.
 
     Example:
-        >>> list(fleet_columns([FleetRow("a")]))[-7:-3]
+        >>> list(fleet_columns([FleetRow("a")]))[-6:-2]
         ['drift_explained', 'drift_beyond', 'joint_name', 'joint_spreads']
     """
     found: dict[str, list[object]] = {}

@@ -226,7 +226,7 @@ def _draw(
     axes.set_title(CASES[key[0]].title)
     axes.set_xlabel("number of candidates")
     axes.set_ylabel(name)
-    axes.set_ylim(0.0, 1.25 * factor * np.nanmax(values))
+    axes.set_ylim(0.0, 1.35 * factor * np.nanmax(values))
     axes.grid(alpha=0.3)
     axes.legend(title="a line for each seed", loc="upper right", ncols=2)
 

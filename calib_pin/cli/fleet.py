@@ -10,6 +10,7 @@ import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, exists
+from calib_pin.cli.fleet_types import types_of
 from calib_pin.cli.printing import Bar, notice, progress_bar, say_written, show
 from calib_pin.cli.workforce import ClusterAddress, WorkerCount, asked_workers
 from calib_pin.errors import OptionError
@@ -20,8 +21,11 @@ if TYPE_CHECKING:
     from calib_pin.validation.fleet import FleetRow
     from calib_pin.workers import Workers
 
-FILES = ("fleet.csv", "fleet.json", "fleet.html")
+FILES = ("fleet.csv", "fleet.html")
 """Files of a fleet beside the folders of its calibrations."""
+
+PRIOR = "fleet.json"
+"""What robots of a type have in common: `prior` in the setup of the next one."""
 
 
 def fleet(
@@ -118,11 +122,9 @@ def _calibrated(
     bar: Bar | None,
 ) -> int:
     """Calibrate the robots of a table; returns the exit status."""
-    from calib_pin.cli.fleet_jobs import Orders, calibrate_job, lost_job
-    from calib_pin.io.documents import fleet_document
+    from calib_pin.cli.fleet_jobs import Orders, Outcome, calibrate_job, lost_job
     from calib_pin.io.files import write_files
     from calib_pin.io.jobs import read_jobs
-    from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import encode_table
     from calib_pin.report.figures import fleet_figures
     from calib_pin.report.fleet_text import MANY, fleet_report
@@ -130,33 +132,36 @@ def _calibrated(
     from calib_pin.validation.fleet import by_urgency, fleet_columns
 
     asked = read_jobs(table, notice)
-    files = [output / name for name in FILES]
+    csv, html = files = [output / name for name in FILES]
     orders = Orders(Path.cwd(), output, pages, resume)
-    _check(orders, asked, files, table, force or resume)
-    rows: list[FleetRow] = []
-    for row in workers.map(calibrate_job, orders, asked, lost_job):
-        rows.append(row)
+    _check(orders, asked, [*files, output / PRIOR], table, force or resume)
+    found: list[Outcome] = []
+    for outcome in workers.map(calibrate_job, orders, asked, lost_job):
+        found.append(outcome)
         if bar is not None:
-            bar(f"{len(rows)} of {len(asked)}", len(rows) / len(asked))
-    rows = _compared(orders, asked, rows, workers, bar)
-    ordered = by_urgency(rows)
+            bar(f"{len(found)} of {len(asked)}", len(found) / len(asked))
+    rows = _compared(orders, asked, [row for row, _ in found], workers, bar)
+    if bar is not None:
+        bar("types", None)
+    types = types_of(asked, rows, [evidence for _, evidence in found])
+    ordered = by_urgency(types.rows)
     contents = {
-        files[0]: encode_table(fleet_columns(ordered), []),
-        files[1]: encode(fleet_document(ordered)),
-        files[2]: blocks_page(
+        csv: encode_table(fleet_columns(ordered), []),
+        html: blocks_page(
             "Calibrations of a fleet",
-            [*fleet_report(ordered, MANY)],
+            [*fleet_report(ordered, types.populations, MANY)],
             [*fleet_figures(ordered)],
-            "fleet.json",
+            csv.name,
         ),
+        **types.priors(output, PRIOR),
     }
     with write_files(contents, force=True):
         if not quiet:
-            show(fleet_report(ordered))
+            show(fleet_report(ordered, types.populations))
     if not quiet:
         folders = sum(row.fitted > 0 for row in ordered)
         written = [f"wrote {folders} folders to {output}"]
-        say_written([*written, *(f"wrote {file}" for file in files)])
+        say_written([*written, *(f"wrote {file}" for file in contents)])
     return 0 if all(row.trusted for row in ordered) else 2
 
 

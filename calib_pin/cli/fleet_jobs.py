@@ -6,17 +6,19 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from calib_pin.cli.printing import tell_notices
 from calib_pin.cli.requests import Request, calibrated, opened
 from calib_pin.cli.results import write_results
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError, OptionError, one_line
+from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.result_folder import DOCUMENT, REPORT, read_document
 from calib_pin.validation.fleet import Drift, FleetRow, fleet_row, with_drift
 
 if TYPE_CHECKING:
+    from calib_pin.estimation.statistics.population_prior import RobotEvidence
     from calib_pin.io.jobs import Job
     from calib_pin.validation.result import CalibrationResult
 
@@ -59,8 +61,15 @@ class Orders:
             ) from error
 
 
+class Outcome(NamedTuple):
+    """A row, and the evidence of a trusted calibration for the prior of its type."""
+
+    row: FleetRow
+    evidence: RobotEvidence | None = None
+
+
 @serial_blas
-def calibrate_job(orders: Orders, job: Job) -> FleetRow:
+def calibrate_job(orders: Orders, job: Job) -> Outcome:
     """Calibrate, write the folder of the results, and tell its row."""
     blank = FleetRow(job.name, job.stated.serial_number, job.stated.date or "")
     try:
@@ -68,22 +77,36 @@ def calibrate_job(orders: Orders, job: Job) -> FleetRow:
         result = _finished(orders, job) if orders.resume else None
         if result is None:
             result = _calibrated(orders, job)
+        row = fleet_row(job.name, result, blank.serial_number, blank.date)
+        return Outcome(row, _evidence(result))
     except CalibPinError as error:
-        return replace(blank, reason=str(error))
+        reason = str(error)
     except OSError as error:
-        file = error.filename or job.name
-        return replace(blank, reason=f"{file}: {error.strerror or error}")
+        reason = f"{error.filename or job.name}: {error.strerror or error}"
     except Exception as error:  # One broken job stops nothing.
-        return replace(blank, reason=one_line(f"{type(error).__name__}: {error}"))
+        reason = one_line(f"{type(error).__name__}: {error}")
     finally:
         tell_notices(forget=True)
-    return fleet_row(job.name, result, blank.serial_number, blank.date)
+    return Outcome(replace(blank, reason=reason))
 
 
-def lost_job(job: Job) -> FleetRow:
-    """The row of a job over which workers died again and again."""
+def lost_job(job: Job) -> Outcome:
+    """The outcome of a job over which workers died again and again."""
     blank = FleetRow(job.name, job.stated.serial_number, job.stated.date or "")
-    return replace(blank, reason="the process that calibrates it dies each time")
+    reason = "the process that calibrates it dies each time"
+    return Outcome(replace(blank, reason=reason))
+
+
+def _evidence(result: CalibrationResult) -> RobotEvidence | None:
+    """What a calibration tells of its type; None where that is nothing."""
+    from calib_pin.validation.population_evidence import robot_evidence
+
+    if result.verdict not in TRUSTED:
+        return None
+    try:
+        return robot_evidence(result)
+    except InputError:  # Something was learned, say.
+        return None
 
 
 @dataclass(frozen=True)

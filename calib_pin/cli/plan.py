@@ -46,6 +46,7 @@ from calib_pin.cli.results import (
     figure_files,
     told_figures,
 )
+from calib_pin.cli.workforce import ClusterAddress, WorkerCount, asked_workers
 from calib_pin.errors import OptionError, require_known
 
 plan_option = partial(options.option, "Plan")
@@ -120,6 +121,8 @@ def plan(
         ),
     ] = None,
     seed: Annotated[int, options.seed("Plan")] = 0,
+    workers: WorkerCount = None,
+    cluster: ClusterAddress = None,
     limits: Annotated[
         list[str] | None,
         options.constraints(
@@ -272,7 +275,11 @@ def plan(
         if tests is None
         else read_configurations(tests, chains, stated.joints, stated.columns)
     )
-    with progress_bar(quiet=quiet) as bar, _interruptible(bar) as progress:
+    with (
+        asked_workers(workers, cluster) as several,
+        progress_bar(quiet=quiet) as bar,
+        _interruptible(bar) as progress,
+    ):
         found = run(
             chains,
             keys,
@@ -287,6 +294,7 @@ def plan(
             tests=poses,
             seed=seed,
             progress=progress,
+            workers=several,
         )
         drawn = draw_plan(found, bar) if pictures else []
         figured = figure_contents(drawn, pictures)

@@ -21,7 +21,6 @@ from calib_pin.planning.suggestions import Suggestion
 from calib_pin.setup import LimitSetup
 from calib_pin.validation.acceptance import Acceptance, judged
 from calib_pin.validation.comparison import BOUND, Comparison, Difference, faults
-from calib_pin.validation.fleet import FleetRow
 from calib_pin.validation.result import (
     CalibrationResult,
     Evaluation,
@@ -86,11 +85,6 @@ def acceptance_document(tests: Mapping[str, Acceptance], limit: LimitSetup) -> J
         ],
         "tests": {name: plain(test) for name, test in tests.items()},
     }
-
-
-def fleet_document(rows: Sequence[FleetRow]) -> Json:
-    """The rows of a fleet, those that need attention first."""
-    return {**stated("fleet"), "jobs": plain(rows)}
 
 
 def outlook_document(study: Study, found: Sequence[Outlook], limit: LimitSetup) -> Json:

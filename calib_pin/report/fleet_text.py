@@ -8,6 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from calib_pin.estimation.statistics.population_deviations import common_errors
+from calib_pin.estimation.statistics.population_prior import Population
 from calib_pin.monte_carlo import Outlook, Study
 from calib_pin.monte_carlo.summary import LEVELS
 from calib_pin.report.blocks import (
@@ -20,7 +22,7 @@ from calib_pin.report.blocks import (
     Tone,
     columns,
 )
-from calib_pin.report.tables import amount, known, quantity
+from calib_pin.report.tables import amount, known, quantity, uncertain
 from calib_pin.setup import LimitSetup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.fleet import FAILED, ORDER, FleetRow
@@ -29,11 +31,14 @@ FEW, MANY = 20, 2000
 """Rows that a terminal and a page show, the most urgent first."""
 
 
-def fleet_report(rows: Sequence[FleetRow], most: int = FEW) -> Iterator[Block]:
+def fleet_report(
+    rows: Sequence[FleetRow], types: Sequence[Population] = (), most: int = FEW
+) -> Iterator[Block]:
     """The report of a fleet.
 
     Args:
         rows: The rows, the most urgent first.
+        types: Types of robots that are known well enough to compare with.
         most: Most rows that are listed.
     """
     counts = Counter(row.verdict for row in rows)
@@ -54,8 +59,40 @@ def fleet_report(rows: Sequence[FleetRow], most: int = FEW) -> Iterator[Block]:
             yield Line(f"{row.job}: {row.reason}", tone)
     yield from _accuracy(rows)
     yield _listed(shown)
+    if any(row.drift.beyond or row.joint.significant for row in shown):
+        yield Line(
+            "!: the tool points differ from the calibration before by more than noise "
+            "explains; a joint differs from those of other robots by more than chance.",
+            "note",
+        )
     if len(rows) > most:
         yield Line(f"{len(rows) - most} more are in fleet.csv.", "note")
+    for population in types:
+        yield from _common(population, most)
+
+
+def _common(population: Population, most: int) -> Iterator[Block]:
+    """Errors that the robots of a type have in common."""
+    name, robots = population.evidences[0].robot.name, len(population.evidences)
+    errors = [error for error in common_errors(population) if error.significant]
+    errors.sort(key=lambda error: error.chance)
+    said = f"{robots} robots '{name}' are the prior of the next one of their type"
+    if not errors:
+        yield Line(f"{said}; they have no error in common that shows.")
+        return
+    yield Line(f"{said}.")
+    cells = []
+    for error in errors[:most]:
+        unit, factor = DISPLAY.get(error.unit, (error.unit, 1.0))
+        pair = uncertain(error.mean, error.sigma, factor)
+        cells.append((Cell(error.name), *pair, Cell(unit)))
+    yield Table(
+        f"Errors that robots '{name}' have in common",
+        columns("error", ("mean", "std. dev.", "unit")),
+        cells,
+    )
+    if len(errors) > most:
+        yield Line(f"{len(errors) - most} more are in fleet.json.", "note")
 
 
 def _accuracy(rows: Sequence[FleetRow]) -> Iterator[Table]:
@@ -104,8 +141,10 @@ def _rows(rows: Sequence[FleetRow]) -> Iterator[tuple[Cell, ...]]:
         drift = known(row.drift.size, "m") if lengths else Cell("-")
         if row.drift.beyond:
             drift = Cell(f"{drift.text} !", row.drift.size)
-        far = row.joint.name
-        joint = f"{far} ({row.joint.spreads:.1f})" if far else ""
+        joint = ""
+        if row.joint.name:
+            mark = " !" if row.joint.significant else ""
+            joint = f"{row.joint.name} ({row.joint.spreads:+.1f}){mark}"
         yield (
             Cell(row.job),
             Cell(row.verdict.upper() if row.verdict == FAILED else row.verdict),

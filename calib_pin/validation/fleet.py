@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import NamedTuple
 
 from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.estimation.statistics.population_deviations import JointDeviation
 from calib_pin.validation.comparison import Comparison, faults
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import ToolAccuracy
@@ -54,11 +55,14 @@ class FarJoint(NamedTuple):
 
     Attributes:
         name: Its name; empty if nothing is known of the type.
-        spreads: Its distance from the mean of the type, in spreads of the type.
+        spreads: Distance of its farthest error from the mean of the type, in spreads,
+            with its sign.
+        significant: Whether it stands out among all joints of all robots.
     """
 
     name: str = ""
     spreads: float = math.nan
+    significant: bool = False
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,8 @@ class FleetRow:
         if self.verdict in ORDER:
             level = ORDER.index(self.verdict)
         else:
-            level = len(ORDER) + (not self.drift.beyond)
+            stands_out = self.drift.beyond or self.joint.significant
+            level = len(ORDER) + (not stands_out)
         # Among equals the robot that is least accurate, and those of which that is
         # unknown before it.
         size = self.expected.calibrated
@@ -186,6 +191,17 @@ def with_drift(row: FleetRow, found: Comparison, previous: str) -> FleetRow:
     )
 
 
+def with_joint(row: FleetRow, joints: Sequence[JointDeviation]) -> FleetRow:
+    """A row with the joint that differs most from those of other robots.
+
+    Args:
+        row: The row.
+        joints: How far each joint is from the mean of the type.
+    """
+    far = min(joints, key=lambda joint: joint.chance)
+    return replace(row, joint=FarJoint(far.joint, far.spreads, far.significant))
+
+
 def by_urgency(rows: Iterable[FleetRow]) -> tuple[FleetRow, ...]:
     """The rows, those that need attention first; among equals in their order."""
     return tuple(sorted(rows, key=lambda row: row.urgency))
@@ -196,7 +212,7 @@ def fleet_columns(rows: Iterable[FleetRow]) -> dict[str, list[object]]:
 
     Example:
         >>> list(fleet_columns([FleetRow("a")]))[-6:-2]
-        ['drift_explained', 'drift_beyond', 'joint_name', 'joint_spreads']
+        ['drift_beyond', 'joint_name', 'joint_spreads', 'joint_significant']
     """
     found: dict[str, list[object]] = {}
     for row in rows:

@@ -7,6 +7,7 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from calib_pin.io.trials import read_trials
@@ -73,8 +74,8 @@ def test_a_fleet_is_a_row_and_a_folder_each(jobs, run):
     assert names == {"arm.urdf", "calibration.json", "measurements.csv", "nominal.urdf"}
     page = Path("out", "fleet.html").read_text()
     assert "missing.csv: no such file" in page and "errors-in-fleet" in page
-    whole = json.loads(Path("out", "fleet.json").read_text())
-    assert [row["job"] for row in whole["jobs"]] == list(rows)
+    # Three robots are too few to tell what their type has in common.
+    assert good["joint_name"] == "" and not Path("out", "fleet.json").exists()
 
     # What is there is replaced by force only.
     assert run(f"fleet jobs.csv -o out {QUICKLY}").err.startswith(
@@ -123,6 +124,47 @@ def test_any_workers_have_the_same_bytes(jobs, run):
     }.items():
         run(f"fleet jobs.csv -o {name} --no-pages --quiet {words}")
     assert contents("one") == contents("two") == contents("many")
+
+
+def test_robots_of_a_type_are_a_prior_and_compared(here, run):
+    """Robots with one error in common, and one of them with a joint of its own."""
+    lines, rng = ["robot,measurements,setup,serial_number"], np.random.default_rng(1)
+    for k in range(14):
+        drawn = rng.normal(0.0, 5e-4, 2)
+        # Offsets of the first and the last joint are those of base and tool.
+        offsets = {"joint2": 2e-3 + drawn[0], "joint3": drawn[1]}
+        if k == 5:
+            offsets["joint3"] = 1e-2
+        Path("own.yaml").write_text(
+            "".join(f"{name}.joint-offset.q: {v:.9f}\n" for name, v in offsets.items())
+        )
+        words = (
+            "simulate arm.urdf --model position --noise 1e-4 --count 30 --errors "
+            f"own.yaml --parameters joint-offset --seed {10 + k} -o r{k}.csv"
+        )
+        assert run(words).status == 0
+        lines.append(f"arm.urdf,r{k}.csv,setup.yaml,R{k}")
+    Path("jobs.csv").write_text("\n".join(lines) + "\n")
+    result = run("fleet jobs.csv -o out --no-pages --workers 2")
+    assert result.status == 0
+    assert "14 robots 'arm' are the prior of the next one of their type." in result.out
+    assert "joint2.joint-offset.q" in result.out
+    rows = rows_of("out")
+    assert next(iter(rows)) == "R5" and rows["R5"]["joint_name"] == "joint3"
+    assert rows["R5"]["joint_significant"] == "True"
+    assert rows["R1"]["joint_significant"] == "False"
+    prior = json.loads(Path("out", "fleet.json").read_text())
+    assert prior["format"] == "calib-pin/fleet-prior" and prior["robots"] == 14
+    (mean,) = (
+        one["mean"]
+        for one in prior["parameters"]
+        if one["name"] == "joint2.joint-offset.q"
+    )
+    assert abs(mean - 2e-3) < 6e-4
+    setup = Path("setup.yaml").read_text() + "prior: out/fleet.json\n"
+    Path("next.yaml").write_text(setup)
+    words = "calibrate arm.urdf rows.csv --setup next.yaml -o next --quiet"
+    assert run(words).status == 0
 
 
 def test_jobs_in_yaml_share_what_stands_above_them(here, run):

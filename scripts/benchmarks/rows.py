@@ -226,8 +226,12 @@ def _counted(
     """A method of `ManyRows` that notes how many rows it has passed over."""
 
     def counted(self: ManyRows, *arguments: object) -> object:
-        passes[kind] += sum(len(chunk.data) for chunk in self._chunks)
-        return method(self, *arguments)
+        before = self._last
+        found = method(self, *arguments)
+        # Products that were remembered are no pass.
+        if kind != "normal" or self._last is not before:
+            passes[kind] += sum(len(chunk.data) for chunk in self._chunks)
+        return found
 
     return counted
 

@@ -58,15 +58,16 @@ def fleet_report(
             tone: Tone = "bad" if row.verdict in ORDER[:2] else "strong"
             yield Line(f"{row.job}: {row.reason}", tone)
     yield from _accuracy(rows)
-    yield _listed(shown)
-    if any(row.drift.beyond or row.joint.significant for row in shown):
+    yield Table("Robots, those that need attention first", LISTED, [*_listed(shown)])
+    if any(row.drift.beyond for row in shown):
         yield Line(
             "!: the tool points differ from the calibration before by more than noise "
-            "explains; a joint differs from those of other robots by more than chance.",
+            "explains.",
             "note",
         )
     if len(rows) > most:
         yield Line(f"{len(rows) - most} more are in fleet.csv.", "note")
+    yield from _joints(rows, most)
     for population in types:
         yield from _common(population, most)
 
@@ -117,34 +118,22 @@ def _accuracy(rows: Sequence[FleetRow]) -> Iterator[Table]:
         )
 
 
-def _listed(rows: Sequence[FleetRow]) -> Table:
+LISTED = (
+    Column("job", "name"),
+    Column("verdict", "word"),
+    *map(Column, ("nominal", "calibrated", "expected", "drift")),
+    Column("unit", "word"),
+)
+
+
+def _listed(rows: Sequence[FleetRow]) -> Iterator[tuple[Cell, ...]]:
     """A line for each of some rows."""
-    titles = ("nominal", "calibrated", "expected", "drift")
-    compared = any(row.joint.name for row in rows)
-    return Table(
-        "Robots, those that need attention first",
-        (
-            Column("job", "name"),
-            Column("verdict", "word"),
-            *map(Column, titles),
-            Column("unit", "word"),
-            *[Column("joint (spreads)", "word")] * compared,
-        ),
-        [cells[: None if compared else -1] for cells in _rows(rows)],
-    )
-
-
-def _rows(rows: Sequence[FleetRow]) -> Iterator[tuple[Cell, ...]]:
     for row in rows:
         unit = row.unit or "m"
         lengths = unit == "m"
         drift = known(row.drift.size, "m") if lengths else Cell("-")
         if row.drift.beyond:
             drift = Cell(f"{drift.text} !", row.drift.size)
-        joint = ""
-        if row.joint.name:
-            mark = " !" if row.joint.significant else ""
-            joint = f"{row.joint.name} ({row.joint.spreads:+.1f}){mark}"
         yield (
             Cell(row.job),
             Cell(row.verdict.upper() if row.verdict == FAILED else row.verdict),
@@ -153,7 +142,24 @@ def _rows(rows: Sequence[FleetRow]) -> Iterator[tuple[Cell, ...]]:
             known(row.expected.calibrated, "m") if lengths else Cell("-"),
             drift,
             Cell(DISPLAY[unit][0]),
-            Cell(joint),
+        )
+
+
+def _joints(rows: Sequence[FleetRow], most: int) -> Iterator[Block]:
+    """Joints that stand out among those of other robots."""
+    apart = [row for row in rows if row.joint.significant]
+    if apart:
+        yield Table(
+            "Joints that differ from those of other robots by more than chance",
+            columns("job", ("joint", "spreads"), {"joint": "word"}),
+            [
+                (
+                    Cell(row.job),
+                    Cell(row.joint.name),
+                    Cell(f"{row.joint.spreads:+.1f}", row.joint.spreads),
+                )
+                for row in apart[:most]
+            ],
         )
 
 

@@ -45,6 +45,9 @@ LOADED = 6_000
 FEWEST = 5
 """Configurations per joint without which lengths are guesses."""
 
+FOLDS = 10
+"""Parts of very many measurements, of which one is held out."""
+
 
 @dataclass(frozen=True)
 class GaussianProcessOptions:
@@ -54,9 +57,11 @@ class GaussianProcessOptions:
         searched: Residual components, of random measurements, that choose the
             covariance.
         largest: Residual components that the process is made of at most; time grows
-            with their cube. Of more measurements it is made of harmonics.
+            with their cube. Of more measurements it is made of harmonics, or of some
+            of them where that predicts the others better.
         functions: Most harmonics.
-        screened: Measurements that choose the harmonics, at random.
+        screened: Measurements that choose the harmonics, at random; up to as many
+            both ways are compared.
         spaces: Spaces of the correction; the one that predicts held-out measurements
             better is taken.
     """
@@ -228,25 +233,53 @@ def fit_gaussian_process(
     Raises:
         InputError: If there are too few measurements.
     """
-    options = options or GaussianProcessOptions()
+    options, tell = options or GaussianProcessOptions(), progress or (lambda part: None)
     rows.require("Gaussian process", 2 * len(rows.revolute), FEWEST)
     region = TrainedRegion.of(rows.q, rows.revolute, rng)
-    if rows.values * len(rows.q) > options.largest:
-        return fit_harmonics(
-            rows,
-            region,
-            rng,
-            spaces=options.spaces,
-            functions=options.functions,
-            screened=options.screened,
-            report=progress or (lambda part: None),
-        )
+    if rows.values * len(rows.q) <= options.largest:
+        return _exact(rows, region, rng, options, tell)
+    part = rows.folds(FOLDS, rng)
+    training = rng.permutation(np.flatnonzero(part > 0))
+    held = np.flatnonzero(part == 0)
+    compared = len(rows.q) <= options.screened
+    harmonic = fit_harmonics(
+        rows,
+        region,
+        training,
+        held,
+        spaces=options.spaces,
+        functions=options.functions,
+        screened=options.screened,
+        report=lambda part: tell(0.5 * part if compared else part),
+    )
+    if not compared:
+        return harmonic
+    # Errors that no few harmonics describe are better predicted from some of the
+    # measurements than from the harmonics of all.
+    few = rows.some(np.sort(training[: options.largest // rows.values]))
+    exact = _exact(few, region, rng, options, lambda part: tell(0.5 + 0.5 * part))
+    there = rows.some(held)
+    evaluate = there.by_joint if exact.space == "joint" else there.by_tip
+    after = root_mean_square(evaluate(exact(there.q), exact.shift).residual)
+    before, by_harmonics = harmonic.held_out
+    return (
+        replace(exact, held_out=(before, after)) if after < by_harmonics else harmonic
+    )
+
+
+def _exact(
+    rows: TrainingRows,
+    region: TrainedRegion,
+    rng: np.random.Generator,
+    options: GaussianProcessOptions,
+    progress: Progress,
+) -> GaussianProcess:
+    """The process that is made of measurements, in the better space."""
     found = []
     for k, space in enumerate(options.spaces):
 
         def report(part: float, k: int = k) -> None:
-            if progress is not None:
-                progress((k + part) / len(options.spaces))
+            progress((k + part) / len(options.spaces))
 
         draft = _Draft(rows, space, region, rng)
         few = draft.sample(options.searched)

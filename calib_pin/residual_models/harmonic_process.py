@@ -41,9 +41,6 @@ ROUNDS = (0.2, 0.5, 1.0)
 WORTH = 3.0
 """Squares of the noise that a harmonic explains on average if it is to join."""
 
-FOLDS = 10
-"""Parts of the measurements, of which one is held out."""
-
 CHECKED = 2000
 """Held-out measurements that tell how large the predicted variances are."""
 
@@ -173,7 +170,8 @@ class HarmonicProcess:
 def fit_harmonics(
     rows: TrainingRows,
     region: TrainedRegion,
-    rng: np.random.Generator,
+    training: NDArray[np.int64],
+    held: NDArray[np.int64],
     *,
     spaces: tuple[Space, ...],
     functions: int,
@@ -185,15 +183,14 @@ def fit_harmonics(
     Args:
         rows: The measurements.
         region: Their region.
-        rng: Chooses the measurements that choose the harmonics.
+        training: Those to learn from, the first of which choose the harmonics.
+        held: The others, which tell in between how well it predicts.
         spaces: Spaces of the correction; the one in which the chosen measurements are
             most likely is taken.
         functions: Most harmonics.
         screened: Most measurements that choose them.
         report: Told the part that is done, 0 to 1.
     """
-    part = rows.folds(FOLDS, rng)
-    training = rng.permutation(np.flatnonzero(part > 0))
     few = np.sort(training[:screened])
     drafts = []
     for k, space in enumerate(spaces):
@@ -201,7 +198,7 @@ def fit_harmonics(
         drafts.append(draft.choose(few, functions))
         report(0.5 * (k + 1) / len(spaces))
     best = min(drafts, key=lambda draft: draft.cost)
-    return best.solve(np.sort(training), np.flatnonzero(part == 0), report)
+    return best.solve(np.sort(training), held, report)
 
 
 class _Draft:

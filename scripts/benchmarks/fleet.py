@@ -14,6 +14,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from benchmarks.timing import best
@@ -47,11 +48,11 @@ def main() -> None:
     words = [word for word in sys.argv[1:] if word not in ("fleet",)]
     options = parser.parse_args(words)
     study = _study()
+    _robots(study, options.robots)
     _bare(study)
     _scaling(study)
     _overhead()
     _saturation()
-    _memory(study, options.robots)
 
 
 def _study() -> Study:
@@ -171,7 +172,7 @@ def _saturation() -> None:
     print(f"  {cores():5} processes    {1e6 * each:20.1f} us: {1.0 / each:9.0f}")
 
 
-def _memory(study: Study, robots: int) -> None:
+def _robots(study: Study, robots: int) -> None:
     """Time per robot and core, and memory of the one who gives the work."""
     limit = LimitSetup(position=2e-4)
     with LocalProcesses(patience=0.0) as workers:
@@ -190,5 +191,6 @@ def _memory(study: Study, robots: int) -> None:
 
 
 def _resident() -> float:
-    """Most memory that this process has had [MB]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    """Memory that this process has now [MB]."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20

@@ -88,8 +88,10 @@ def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:
     from calib_pin.monte_carlo import study_of
 
     asked = stated.monte_carlo
-    if asked.robot is None:
-        raise OptionError("'monte_carlo.robot' is missing", file=file)
+    for key, value in (("monte_carlo.robot", asked.robot), ("model", stated.model)):
+        if value is None:
+            raise OptionError(f"'{key}' is missing", file=file)
+    assert asked.robot is not None
     there = file.parent / asked.robot.split(" ")[0]
     robot = str(file.parent / asked.robot) if exists(there) else asked.robot
     keys = stated_blocks(stated)

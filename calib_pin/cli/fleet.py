@@ -25,7 +25,7 @@ FILES = ("fleet.csv", "fleet.html")
 """Files of a fleet beside the folders of its calibrations."""
 
 PRIOR = "fleet.json"
-"""What robots of a type have in common: `prior` in the setup of the next one."""
+"""The prior that robots are for the next one of their type: `prior` in its setup."""
 
 
 def fleet(

@@ -98,7 +98,7 @@ def lost_job(job: Job) -> Outcome:
 
 
 def _evidence(result: CalibrationResult) -> RobotEvidence | None:
-    """What a calibration tells of its type; None where that is nothing."""
+    """The evidence of a calibration for its type; None where there is none."""
     from calib_pin.validation.population_evidence import robot_evidence
 
     if result.verdict not in TRUSTED:

@@ -157,6 +157,9 @@ def cross_validate(
         progress: Told the stage and the fraction done of all parts.
         workers: Who fits them.
     """
+    if whole.problem.many:
+        # Their kernels keep all cores busy, and every worker would have a copy.
+        workers = SERIAL
     shared = _Whole(chains, measurements, setup, seed, whole)
     if progress is not None:
         progress(f"check 1 of {len(masks)}", 0.0)

@@ -533,15 +533,18 @@ class Dask:
         self.log = (folder / "dask.log").open("wb")
         self.scheduler = self.start("scheduler", "--port", "0", "--host", "127.0.0.1")
         self.workers = [self.worker() for _ in range(workers)]
+
+    def met(self) -> Dask:
+        """The cluster, once all its workers are there."""
         deadline = time.monotonic() + 60
-        while time.monotonic() < deadline:
+        while True:
             try:
                 with Cluster(str(self.file)) as cluster:
-                    if cluster.count == workers:
-                        return
+                    if cluster.count == len(self.workers):
+                        return self
             except OptionError:
+                assert time.monotonic() < deadline
                 time.sleep(0.2)
-        raise TimeoutError("no cluster within a minute")
 
     def start(self, program: str, *words: str) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", f"distributed.cli.dask_{program}"]
@@ -567,7 +570,7 @@ def start_dask(tmp_path: Path) -> Iterator[Callable[[], Dask]]:
         folder = tmp_path / f"dask{len(started)}"
         folder.mkdir()
         started.append(Dask(folder))
-        return started[-1]
+        return started[-1].met()
 
     yield start
     for cluster in started:

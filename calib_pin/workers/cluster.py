@@ -10,7 +10,7 @@ import asyncio
 import json
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
 from types import TracebackType
@@ -66,7 +66,9 @@ class Cluster:
             found = _scheduler(address)
             # A client that meets nobody takes long to give up.
             try:
-                asyncio.run(_greet(found))
+                # In a notebook this thread has a loop already.
+                with ThreadPoolExecutor(1) as pool:
+                    pool.submit(asyncio.run, _greet(found)).result()
                 self._client = distributed.Client(found, timeout=PATIENCE)
             except Exception as error:  # Anything may answer, in any language.
                 reason = " ".join(str(error).split()) or type(error).__name__

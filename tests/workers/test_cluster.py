@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.server
 import os
 import signal
@@ -71,6 +72,17 @@ def silent() -> Iterator[str]:
     server.shutdown()
     server.server_close()
     thread.join()
+
+
+@pytest.mark.slow
+def test_a_thread_with_a_loop_of_its_own_meets_a_scheduler(dask):
+    """As in a notebook."""
+
+    async def meet() -> int:
+        with Cluster(str(dask.file)) as cluster:
+            return cluster.count
+
+    assert asyncio.run(meet()) == 2
 
 
 @pytest.mark.parametrize(

@@ -71,12 +71,16 @@ class Outcome(NamedTuple):
 @serial_blas
 def calibrate_job(orders: Orders, job: Job) -> Outcome:
     """Calibrate, write the folder of the results, and tell its row."""
+    from calib_pin.io.result_file import read_result
+
     blank = FleetRow(job.name, job.stated.serial_number, job.stated.date or "")
     try:
         orders.enter()
         result = _finished(orders, job) if orders.resume else None
         if result is None:
-            result = _calibrated(orders, job)
+            _calibrated(orders, job)
+            # As the folder has it, so that who goes on later has the same bytes.
+            result = read_result(orders.folder(job.name))
         row = fleet_row(job.name, result, blank.serial_number, blank.date)
         return Outcome(row, _evidence(result))
     except CalibPinError as error:
@@ -168,13 +172,14 @@ def _request(job: Job) -> Request:
     )
 
 
-def _calibrated(orders: Orders, job: Job) -> CalibrationResult:
+def _calibrated(orders: Orders, job: Job) -> None:
+    """Calibrate, and write the folder of the results."""
     request, folder = _request(job), orders.folder(job.name)
     given = opened(request, folder, force=True)
     found = calibrated(given, request.words(folder), page=orders.pages)
     assert given.files is not None
     with write_results(found.result, given.files, found.contents, force=True):
-        return found.result
+        pass
 
 
 def _finished(orders: Orders, job: Job) -> CalibrationResult | None:

@@ -60,7 +60,9 @@ class Cluster:
         self.count = 0
         if address == "local":
             self._client: Any = distributed.Client(
-                n_workers=cores(), threads_per_worker=1, dashboard_address=None
+                n_workers=cores(),
+                threads_per_worker=1,
+                dashboard_address="127.0.0.1:0",
             )
         else:
             found = _scheduler(address)

@@ -73,7 +73,7 @@ def calibrate_job(orders: Orders, job: Job) -> Outcome:
     """Calibrate, write the folder of the results, and tell its row."""
     from calib_pin.io.result_file import read_result
 
-    blank = FleetRow(job.name, job.stated.serial_number, job.stated.date or "")
+    blank = _blank(job)
     try:
         orders.enter()
         result = _finished(orders, job) if orders.resume else None
@@ -94,11 +94,15 @@ def calibrate_job(orders: Orders, job: Job) -> Outcome:
     return Outcome(replace(blank, reason=reason))
 
 
+def _blank(job: Job) -> FleetRow:
+    """The row of a job before anything is known of it."""
+    return FleetRow(job.name, job.stated.serial_number, job.stated.date or "")
+
+
 def lost_job(job: Job) -> Outcome:
     """The outcome of a job over which workers died again and again."""
-    blank = FleetRow(job.name, job.stated.serial_number, job.stated.date or "")
     reason = "the process that calibrates it dies each time"
-    return Outcome(replace(blank, reason=reason))
+    return Outcome(replace(_blank(job), reason=reason))
 
 
 def _evidence(result: CalibrationResult) -> RobotEvidence | None:

@@ -13,18 +13,19 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, nearest, stated_in
+from calib_pin.estimation.evidence import rms
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.system import Part
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.spatial import Floats, so3_log
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameters import ParameterSet, matching
 from calib_pin.setup import MonteCarloSetup, Setup
 from calib_pin.simulation import simulate
 from calib_pin.validation.judgement import expected_accuracy
-from calib_pin.validation.tip_drift import absorbed
+from calib_pin.validation.tip_drift import absorbed, turns
 
 TESTS = 100
 """Configurations of the workspace at which every robot is compared with its truth."""
@@ -226,10 +227,10 @@ def _compared(
         expected, bound = found.calibrated.position, found.bound.position
     return replace(
         trial,
-        nominal=_rms(before),
-        position=_rms(position),
+        nominal=rms(before),
+        position=rms(position),
         position_share=float(np.quantile(position, SHARE)),
-        orientation=_rms(orientation),
+        orientation=rms(orientation),
         orientation_share=float(np.quantile(orientation, SHARE)),
         expected=expected,
         bound=bound,
@@ -239,10 +240,5 @@ def _compared(
 def _apart(A: Floats, B: Floats) -> tuple[Floats, Floats]:
     """Distances and angles between poses, displacements of both ends left aside."""
     B = absorbed(A, B, left=True, right=True)
-    turns = so3_log(A[:, :3, :3].transpose(0, 2, 1) @ B[:, :3, :3])
     distances = np.linalg.norm(B[:, :3, 3] - A[:, :3, 3], axis=1)
-    return distances, np.linalg.norm(turns, axis=1)
-
-
-def _rms(sizes: Floats) -> float:
-    return float(np.sqrt(np.mean(sizes**2)))
+    return distances, np.linalg.norm(turns(A, B), axis=1)

@@ -85,7 +85,7 @@ def tip_drift(
         q=q,
         points=A[:, :3, 3],
         drift=np.linalg.norm(B[:, :3, 3] - A[:, :3, 3], axis=1),
-        turn=np.linalg.norm(_turns(A, B), axis=1),
+        turn=np.linalg.norm(turns(A, B), axis=1),
         absorbed=tuple(name for name, free in ends if free),
     )
 
@@ -111,7 +111,7 @@ def absorbed(A: Floats, B: Floats, *, left: bool, right: bool) -> Floats:
         J = np.zeros((len(B), 6, 12))
         J[:, :3, :3], J[:, :3, 3:6], J[:, :3, 6:9] = np.eye(3), -skew(p), R
         J[:, 3:, 3:6], J[:, 3:, 9:] = LEVER * R.transpose(0, 2, 1), LEVER * np.eye(3)
-        missing = np.hstack([A[:, :3, 3] - p, LEVER * _turns(B, A)])
+        missing = np.hstack([A[:, :3, 3] - p, LEVER * turns(B, A)])
         step = np.zeros(12)
         # Of what both can do alike, as with a single joint, each does a part.
         step[free] = np.linalg.lstsq(
@@ -133,6 +133,6 @@ def _tools(
     return np.asarray(invert(base.homogeneous) @ loaded.poses(q) @ exchanged)
 
 
-def _turns(A: Floats, B: Floats) -> Floats:
+def turns(A: Floats, B: Floats) -> Floats:
     """Rotation vectors from orientations to others, (N, 4, 4) -> (N, 3) [rad]."""
     return so3_log(A[:, :3, :3].transpose(0, 2, 1) @ B[:, :3, :3])

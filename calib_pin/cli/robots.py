@@ -1,12 +1,54 @@
-"""`calib-pin robots`: the bundled robots."""
+"""`calib-pin robots`: the bundled robots, and a copy of one."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
+import calib_pin.cli.options as options
+from calib_pin.errors import OptionError, require_known
 
-def robots() -> int:
-    """List the bundled robots, whose names can stand for a URDF file."""
+
+def robots(
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar="[NAME]", help="The robot to copy; without it, a list."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        options.output("-o --output DIR", "Folder for its URDF and example files."),
+    ] = None,
+    force: options.Force = False,
+) -> int:
+    """List the bundled robots, whose names can stand for a URDF file, or copy one.
+
+    A copy holds robot.urdf, measurements.csv and setup.yaml: a calibration to try.
+    """
+    if name is None and output is None:
+        return _listed()
+    if name is None or output is None:
+        raise OptionError("name the robot and the folder: robots NAME -o DIR")
+    return _copied(name, output, force)
+
+
+def _copied(name: str, folder: Path, force: bool) -> int:
+    from calib_pin.cli.printing import say_written
+    from calib_pin.io.files import read_bytes, write_files
+    from calib_pin.io.urdf import bundled_robots
+
+    known = bundled_robots()
+    require_known("bundled robot", name, known)
+    files = [path for path in sorted(known[name].parent.iterdir()) if path.is_file()]
+    copies = {folder / path.name: read_bytes(path) for path in files}
+    with write_files(copies, force=force):
+        pass
+    say_written(f"wrote {path}" for path in copies)
+    return 0
+
+
+def _listed() -> int:
     from calib_pin.cli.printing import show
     from calib_pin.io.urdf import bundled_robots, load_robot
     from calib_pin.kinematics.chain import Chain
@@ -24,6 +66,5 @@ def robots() -> int:
     titles = ("chain", "joints", "files")
     of = columns("name", titles, {"chain": "word", "files": "remark"})
     show([Table("", of, rows)])
-    folder = next(iter(bundled_robots().values())).parents[1]
-    typer.echo(f"in {folder}")
+    typer.echo("calib-pin robots NAME -o DIR copies one with its example files")
     return 0

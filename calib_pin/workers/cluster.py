@@ -1,7 +1,7 @@
 """Workers on a cluster: those of a scheduler of dask.distributed.
 
 Dask sends Python objects: whoever reaches its scheduler can run anything on its
-workers. So only in a trusted network, or with TLS (docs/fleet.md).
+workers. So only in a trusted network, or with TLS (docs/how-to/fleet.md).
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ The blocks of a page run in their order in one folder:
   numbers are compared as numbers, and a line `...` stands for anything.
 - `bash` holds commands whose output is not shown.
 - `yaml` and `csv` are written to the file that a first line `# name` gives; every YAML
-  block must be a setup file.
+  block must be a setup file, a table of jobs, or errors by parameter.
 - `toml` and `json` must be readable.
 - `math` is a formula.
 - `<!-- run: COMMAND -->` runs unseen, `<!-- needs: FOLDER -->` copies a folder of the
@@ -30,6 +30,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 ROOT = Path(__file__).parents[2]
 
@@ -210,10 +212,15 @@ class Reader:
             exec(compile(lines, str(self.page), "exec"), self.names)
 
     def _yaml(self, block: Block) -> None:
+        from calib_pin.io.jobs import read_jobs
         from calib_pin.io.setup import read_setup
 
-        name = self._written(block)
-        read_setup(Path(name))
+        path = Path(self._written(block))
+        keys = yaml.safe_load(block.text)
+        if "jobs" in keys:
+            read_jobs(path)
+        elif not all("." in key for key in keys):
+            read_setup(path)
 
     def _csv(self, block: Block) -> None:
         self._written(block)

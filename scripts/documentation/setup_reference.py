@@ -114,13 +114,3 @@ def _value(schema: Json, part: Json) -> str:
         return f"name: {_value(schema, inner)}" if inner else "section"
     names = {"string": "text", "boolean": "`true`, `false`", "integer": "whole number"}
     return names.get(part["type"], part["type"])
-
-
-def main() -> None:
-    """Write both documents."""
-    (DOCS / "setup.schema.json").write_text(schema_text())
-    (DOCS / "setup.md").write_text(reference_text())
-
-
-if __name__ == "__main__":
-    main()

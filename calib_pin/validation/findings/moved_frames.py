@@ -127,4 +127,4 @@ def _subject(kind: Kind, key: BlockKey) -> str:
 def _size(distance: float, angle: float | None) -> str:
     """A displacement that people read."""
     found = f"{distance:.3g} m" if distance >= 0.1 else f"{1e3 * distance:.3g} mm"
-    return found if angle is None else f"{found}, {np.degrees(angle):.2g} deg"
+    return found if angle is None else f"{found}, {np.degrees(angle):.3g} deg"

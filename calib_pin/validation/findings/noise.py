@@ -45,7 +45,7 @@ def noise(case: Case) -> Iterator[Finding]:
             continue  # There is more to it than noise.
         if unclear:
             message = (
-                f"the errors of {part.quantity} are {factor:.2g} times the stated "
+                f"the errors of {part.quantity} are {factor:.3g} times the stated "
                 f"{said}: sigma is too small, or no parameter describes them"
             )
         else:

@@ -1,0 +1,33 @@
+"""`scripts/document [--site]`: write what is made from declarations, build the site."""
+
+from __future__ import annotations
+
+import argparse
+
+from documentation import api_reference, command_reference, setup_reference
+from documentation.site import build
+
+
+def main() -> None:
+    """Write the generated documents, and with `--site` the site from all of them."""
+    parser = argparse.ArgumentParser(prog="document", description=__doc__)
+    parser.add_argument("--site", action="store_true", help="build out/site as well")
+    words = parser.parse_args()
+    for name, text in documents().items():
+        (setup_reference.DOCS / name).write_text(text)
+    if words.site:
+        print(f"wrote {build() / 'index.html'}")
+
+
+def documents() -> dict[str, str]:
+    """Name in docs/ and text of every document that is made from declarations."""
+    return {
+        "setup.schema.json": setup_reference.schema_text(),
+        "setup.md": setup_reference.reference_text(),
+        "reference/commands.md": command_reference.text(),
+        "reference/api.md": api_reference.text(),
+    }
+
+
+if __name__ == "__main__":
+    main()

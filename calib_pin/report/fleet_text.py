@@ -196,7 +196,7 @@ def outlook_report(
     yield Table("Trust", TRUST, [_trust(one) for one in found])
     yield Line(
         "Covered: robots within the bound that their own calibration states with 95 % "
-        "confidence. Actual by expected: 1 where calibrations say how accurate they "
+        "confidence. Actual/expected: 1 where calibrations say how accurate they "
         "are.",
         "note",
     )
@@ -247,7 +247,7 @@ SIZES = (
 )
 TRUST = (
     CONFIGURATIONS,
-    *map(Column, ("covered", "95 %", "actual by expected", "limit met", "95 %")),
+    *map(Column, ("covered", "95 %", "actual/expected", "limit met", "95 %")),
 )
 
 

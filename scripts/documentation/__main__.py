@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 
 from documentation import api_reference, command_reference, setup_reference
 from documentation.site import build
@@ -16,7 +17,10 @@ def main() -> None:
     for name, text in documents().items():
         (setup_reference.DOCS / name).write_text(text)
     if words.site:
-        print(f"wrote {build() / 'index.html'}")
+        try:
+            print(f"wrote {build() / 'index.html'}")
+        except RuntimeError as error:
+            sys.exit(str(error))
 
 
 def documents() -> dict[str, str]:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-import calib_pin
+from calib_pin import _HOMES
 
 INTRODUCTION = """\
 # Python
 
 The public names of `calib_pin`, which loads what a name needs at its first use. Lengths
-are in meters, angles in radians, twists in the order (linear, angular). A wrong input is
-raised as `calib_pin.CalibPinError`, one line that says where.
+are in meters, angles in radians, twists in the order (linear, angular). A wrong input
+raises `calib_pin.CalibPinError`, one line that says where.
 """
 
 TOPICS: Mapping[str, tuple[str, ...]] = {
@@ -48,5 +48,4 @@ def _topics() -> Iterator[str]:
     for topic, names in TOPICS.items():
         yield f"## {topic}\n"
         for name in names:
-            home = getattr(calib_pin, name).__module__
-            yield f"::: {home}.{name}\n"
+            yield f"::: calib_pin.{_HOMES[name]}.{name}\n"

@@ -7,7 +7,7 @@ The blocks of a page run in their order in one folder:
   numbers are compared as numbers, and a line `...` stands for anything.
 - `bash` holds commands whose output is not shown.
 - `yaml` and `csv` are written to the file that a first line `# name` gives; every YAML
-  block must be a setup file, a table of jobs, or errors by parameter.
+  block must be a setup file, a table of jobs, errors by parameter, or a citation.
 - `toml` and `json` must be readable.
 - `math` is a formula.
 - `<!-- run: COMMAND -->` runs unseen, `<!-- needs: FOLDER -->` copies a folder of the
@@ -217,7 +217,11 @@ class Reader:
 
         path = Path(self._written(block))
         keys = yaml.safe_load(block.text)
-        if "jobs" in keys:
+        if "cff-version" in keys:
+            project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+            shared = ("version", "license")
+            assert all(keys[key] == project[key] for key in shared)
+        elif "jobs" in keys:
             read_jobs(path)
         elif not all("." in key for key in keys):
             read_setup(path)

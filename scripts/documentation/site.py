@@ -22,11 +22,16 @@ def build(folder: Path = SITE, configuration: Path = HERE / "mkdocs.yml") -> Pat
         The folder.
 
     Raises:
-        subprocess.CalledProcessError: It has warnings, which it has printed.
+        RuntimeError: It has warnings: what was printed.
     """
-    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--clean", "--quiet"]
+    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "--clean"]
     words += ["--config-file", str(configuration), "--site-dir", str(folder)]
     # The theme would tell of its successor at every build.
     environment = os.environ | {"NO_MKDOCS_2_WARNING": "true"}
-    subprocess.run(words, check=True, env=environment)
+    # Less talk (`--quiet`) would count no warnings.
+    done = subprocess.run(
+        words, check=False, env=environment, capture_output=True, text=True
+    )
+    if done.returncode:
+        raise RuntimeError(done.stderr)
     return folder

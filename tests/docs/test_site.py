@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -90,5 +89,5 @@ def test_a_link_that_leads_nowhere_is_told(tmp_path: Path):
     keys = ("site_name", "theme", "validation")
     kept = {key: yaml.safe_load(configuration)[key] for key in keys}
     (tmp_path / "mkdocs.yml").write_text(yaml.safe_dump(kept))
-    with pytest.raises(subprocess.CalledProcessError):
+    with pytest.raises(RuntimeError, match=r"nowhere\.md"):
         build(tmp_path / "site", tmp_path / "mkdocs.yml")

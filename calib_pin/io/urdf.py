@@ -95,7 +95,9 @@ def load_chain(
     """Load a robot and take the chain between two of its links.
 
     Args:
-        name_or_path: As for `load_robot`.
+        name_or_path: Path of a URDF, a xacro file with its arguments or one of MuJoCo,
+            the name of a bundled robot, or `example:` and that of one of
+            example-robot-data.
         base: Link the chain starts at; default the root.
         tip: Link the chain ends at; default the only leaf.
 

@@ -164,7 +164,7 @@ def test_help(run):
             "--ignore-collisions --setup --base --tip --parameters --force --quiet "
             "--json",
         ),
-        ("robots", "", ""),
+        ("robots", "[NAME]", "-o --force"),
     ],
 )
 def test_help_of_a_command(command, arguments, options, run):
@@ -936,6 +936,30 @@ def test_robots(run):
     for name in ("pa10", "space6", "space7"):
         assert f"\n{name} " in f"\n{result.out}"
     assert "base_link -> tool" in result.out
+
+
+def test_a_bundled_robot_is_copied(tmp_path, monkeypatch, run):
+    monkeypatch.chdir(tmp_path)
+    assert run("robots space7 -o copy").status == 0
+    words = "calibrate copy/robot.urdf copy/measurements.csv --setup copy/setup.yaml"
+    assert run(words).out.startswith("Warning: the origin of joint_5")
+    again = run("robots space7 -o copy")
+    assert again.status == 1 and "exists already" in again.err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("robots space8 -o copy", "did you mean 'space7'"),
+        ("robots space7", "robots NAME -o DIR"),
+        ("robots -o copy", "robots NAME -o DIR"),
+    ],
+)
+def test_a_copy_needs_a_robot_and_a_folder(words, said, tmp_path, monkeypatch, run):
+    monkeypatch.chdir(tmp_path)
+    result = run(words)
+    assert result.status == 1 and said in result.err
+    assert not Path("copy").exists()
 
 
 @pytest.mark.parametrize(

@@ -79,7 +79,7 @@ class Motion(NamedTuple):
             whose = f"joint '{name}'" if len(self.joints) == 1 else "all joints"
             return Hypothesis(
                 "lag",
-                f"errors follow the last motion of {whose}: {100 * part:.3g} % of it",
+                f"errors follow the last motion of {whose}: {100 * part:.2g} % of it",
                 "lag",
                 reading=ReadingSetup(lag={names[j]: part for j in self.joints}),
                 figure="residuals",
@@ -91,7 +91,7 @@ class Motion(NamedTuple):
             words = f"joint '{name}' moves {1.0 + part:.5g} times as far as read"
         else:
             code, other = "joint-coupled", names[self.joints[1]]
-            words = f"joint '{name}' is coupled to '{other}', by {100 * part:.3g} %"
+            words = f"joint '{name}' is coupled to '{other}', by {100 * part:.2g} %"
         return Hypothesis(
             code,
             words,

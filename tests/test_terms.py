@@ -54,7 +54,7 @@ FILES = sorted(
         *(ROOT / "calib_pin").rglob("*.py"),
         *(ROOT / "calib_pin").rglob("*.html"),
         ROOT / "README.md",
-        *(ROOT / "docs").glob("*.md"),
+        *(ROOT / "docs").rglob("*.md"),
     ]
 )
 

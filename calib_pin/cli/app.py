@@ -17,6 +17,7 @@ from calib_pin.cli.evaluate import evaluate
 from calib_pin.cli.export import export
 from calib_pin.cli.fleet import fleet
 from calib_pin.cli.identify import identify
+from calib_pin.cli.init import init
 from calib_pin.cli.join import join
 from calib_pin.cli.plan import plan
 from calib_pin.cli.report import report
@@ -27,6 +28,7 @@ from calib_pin.errors import OptionError
 from calib_pin.plugins import extensions
 
 COMMANDS: dict[Callable[..., int | None], str] = {
+    init: "Draft a setup file from a robot and its measurements.",
     calibrate: "Fit a robot to measurements and write the corrected URDF.",
     identify: "Print which parameters are identifiable.",
     evaluate: "Print the accuracy of a robot or a calibration on measurements.",

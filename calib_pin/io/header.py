@@ -8,8 +8,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from calib_pin.errors import InputError
-from calib_pin.io.columns import Column, GrowingColumn, split_header
+from calib_pin.io.columns import (
+    ANGLE,
+    LENGTH,
+    PIXEL,
+    Column,
+    GrowingColumn,
+    split_header,
+)
 from calib_pin.io.csv_text import Stretch
+
+UNITS = {*ANGLE.units, *LENGTH.units, *PIXEL.units}
+"""Units as calib-pin writes them."""
 
 
 def separator_of(first: Stretch) -> str:
@@ -70,14 +80,16 @@ def renamed(
                 line=line,
                 column=name,
             )
-        if None not in (unit, column.unit) and unit != column.unit:
+        # A unit that the file writes in its own way may be stated in ours.
+        own = column.unit if column.unit in UNITS else None
+        if None not in (unit, own) and unit != own:
             raise InputError(
                 f"the header says [{column.unit}], 'columns' in the setup [{unit}]",
                 file=file,
                 line=line,
                 column=name,
             )
-        taken[name] = ours, replace(column, unit=column.unit or unit)
+        taken[name] = ours, replace(column, unit=own or unit or column.unit)
     meanings = {ours for ours, _ in taken.values()}
     result = dict[str, Column]()
     for name, column in named.items():

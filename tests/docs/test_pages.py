@@ -48,4 +48,4 @@ def test_the_setup_of_a_published_file_reads_it(
     assert main([*words.split(), "--holdout", "0.2"]) == 0
     said = re.sub(r"\s+", " ", capsys.readouterr().out)
     after, before = re.findall(r"(0\.\d+) mm rms instead of (0\.\d+) mm", said)[0]
-    assert float(after) < 0.65 * float(before) and 0.7 < float(before) < 1.0
+    assert float(after) < 0.75 * float(before) and 0.7 < float(before) < 1.0

@@ -1,0 +1,298 @@
+"""`calib-pin init`: a setup file from a look at a robot and its measurements."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import calib_pin.cli.options as options
+from calib_pin.cli.files import check_outputs, require_distinct, require_folders
+from calib_pin.cli.printing import say, say_written, told_command
+from calib_pin.errors import InputError, OptionError, enumerated
+
+if TYPE_CHECKING:
+    from calib_pin.io.first_look import Look
+    from calib_pin.io.foreign_headers import Foreign
+    from calib_pin.kinematics.chain import Robot
+    from calib_pin.setup import Setup
+
+TOUCHES = ("fixed-point", "plane-contact", "sphere-contact")
+LENGTHS = ("plane-distance", "point-distance", "relative-distance")
+
+AT_REST = 0.05
+"""Scatter of a nominal robot's ball in its sockets, in parts of how far it moved, below
+which it was in sockets."""
+
+CLEAR = 0.5
+"""Part of the errors of another reading that the chosen one must leave."""
+
+SIGMA = 1e-5
+"""Standard deviation of a distance between sockets [m]: they are gauged."""
+
+
+def init(
+    context: typer.Context,
+    robot: options.RobotName,
+    measurements: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="MEASUREMENTS...",
+            help="CSV or Parquet files with one row per measurement, as they are.",
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        options.output(
+            "-o --output YAML", "Setup file to write; without it, it is printed."
+        ),
+    ] = None,
+    package_dir: options.PackageDirs = None,
+    model: options.Model = None,
+    base: options.Base = None,
+    tip: options.Tip = None,
+    distance: Annotated[
+        str | None,
+        options.robot(
+            "--distance LENGTH",
+            "Known distance of the two sockets of each place, such as '50 mm'.",
+        ),
+    ] = None,
+    board: Annotated[
+        str | None,
+        options.robot("--board SPEC", "Board of a camera, as for 'detect'."),
+    ] = None,
+    station_per_file: options.StationPerFile = False,
+    force: options.Force = False,
+) -> int:
+    """Look at a robot and its measurements, and draft a setup file.
+
+    Finds the tip, the joints, what was measured, foreign names of columns and their
+    units, by trying on the nominal robot, and says in comments what it found. Asks what
+    cannot be known, on a terminal; elsewhere an error names the option that says it.
+    """
+    from calib_pin.io.drafts import Draft
+    from calib_pin.io.files import write_files
+    from calib_pin.io.foreign_headers import foreign
+    from calib_pin.io.table import read_table
+    from calib_pin.io.urdf import load_robot
+    from calib_pin.setup import Setup
+
+    require_folders(package_dir or [])
+    require_distinct(measurements)
+    check_outputs([output], [robot, *measurements], force)
+    loaded = load_robot(robot, package_dir or ())
+    table = read_table(measurements[0])
+    columns = foreign(table.columns)
+    start = Setup(base=base, tip=tip, model=model)
+    joints, links = _joints(loaded, start, columns, measurements[0])
+    start = _ends(start, loaded, joints, links, table)
+    if {"u", "v"} <= {*table.columns} and model in (None, "camera"):
+        start = _with_camera(start, table, board)
+    look = _best(start, loaded, joints, columns, measurements, station_per_file)
+    if look.data is not None and "fixed-point" in look.data.models:
+        look = _with_distances(look, distance)
+    elif distance is not None:
+        raise OptionError("--distance is that of sockets (fixed-point)")
+    text = Draft(loaded, look, links).text(told_command(context))
+    if output is None:
+        say(text)
+        return 0
+    with write_files({output: text.encode()}, force=force):
+        pass
+    say(text)
+    say_written([f"wrote {output}"])
+    return 0
+
+
+def _joints(
+    robot: Robot, setup: Setup, columns: Sequence[Foreign], file: Path
+) -> tuple[dict[str, Foreign], list[str]]:
+    """The columns of the joints, and the links that they may belong to."""
+    from calib_pin.io.first_look import joint_columns
+
+    joints, links = joint_columns(robot, setup.base, setup.tip, columns)
+    if not joints:
+        names = [n for n in robot.model.names if n != "universe"]
+        raise InputError(
+            "no columns are found for the joints of the robot; map them with 'columns' "
+            f"in a setup file (joints: {enumerated(names)})",
+            file=file,
+        )
+    return joints, links
+
+
+def _ends(
+    setup: Setup,
+    robot: Robot,
+    joints: dict[str, Foreign],
+    links: list[str],
+    table: object,
+) -> Setup:
+    """The setup with the tip, or with the chains that a column names."""
+    from calib_pin.io.table import Table
+    from calib_pin.kinematics.chain import Chain
+    from calib_pin.setup import ChainSetup
+
+    assert isinstance(table, Table)
+    if setup.tip is not None:
+        return setup
+    if "chain" in table:
+        chains = {}
+        for name in table.texts(["chain"])["chain"].distinct:
+            if name and name not in robot.links and name != "world":
+                found = [link for link in robot.links if name.lower() in link.lower()]
+                tip = _choose(f"which link is the tip of chain '{name}'", found, "")
+                chains[name] = ChainSetup(tip=tip)
+        return replace(setup, chains=chains)
+    moved = {frozenset(Chain(robot, setup.base, link).joints) for link in links}
+    if not links:
+        raise OptionError("no link is moved by the joints of the file; state --tip")
+    if len(moved) > 1:
+        return replace(setup, tip=_choose("which link was measured", links, "--tip"))
+    return replace(setup, tip=links[0])
+
+
+def _choose(question: str, choices: Sequence[str], option: str) -> str:
+    """What the user says, on a terminal, or the only choice.
+
+    Raises:
+        OptionError: If there are several, and nobody to be asked.
+    """
+    if len(choices) == 1:
+        return choices[0]
+    if not choices or not sys.stdin.isatty():
+        how = f"state {option}" if option else "state it in a setup file"
+        raise OptionError(f"{question}? {how}", allowed=enumerated(choices) or None)
+    print(f"{question}?", file=sys.stderr)
+    for number, choice in enumerate(choices, 1):
+        print(f"  {number}  {choice}", file=sys.stderr)
+    while True:
+        answer = typer.prompt("number or name", default=choices[0], err=True)
+        if answer in choices:
+            return str(answer)
+        if answer.isdecimal() and 1 <= int(answer) <= len(choices):
+            return choices[int(answer) - 1]
+
+
+def _best(
+    setup: Setup,
+    robot: Robot,
+    joints: dict[str, Foreign],
+    columns: Sequence[Foreign],
+    files: Sequence[Path],
+    station_per_file: bool,
+) -> Look:
+    """The reading that fits the robot best, of the model that is asked for or shows.
+
+    Raises:
+        CalibPinError: If the files cannot be read in any way.
+    """
+    from calib_pin.io.first_look import best, looked, readings
+
+    def tried(model: str | None) -> Look:
+        stated = replace(setup, model=model)
+        ways = readings(stated, robot, joints, columns)
+        found = [
+            looked(way, robot, files, station_per_file=station_per_file) for way in ways
+        ]
+        return best(found)
+
+    meanings = {ours for ours in ("x", "u", "distance") if _has(ours, columns)}
+    if setup.model is not None or meanings & {"x", "u"}:
+        look = tried(setup.model)
+    elif "distance" in meanings:
+        looks = sorted(map(tried, LENGTHS), key=lambda look: look.share)
+        look = looks[0]
+        if not look.share < CLEAR * looks[1].share:
+            look = tried(_choose("what is the distance of", LENGTHS, "--model"))
+    else:
+        look = tried("fixed-point")
+        if not look.share < AT_REST:
+            look = tried(_choose("what did the tool touch", TOUCHES, "--model"))
+    if look.fault is not None:
+        raise look.fault
+    return look
+
+
+def _has(ours: str, columns: Sequence[Foreign]) -> bool:
+    from calib_pin.io.foreign_headers import measured
+
+    return ours in measured(columns)
+
+
+def _with_camera(setup: Setup, table: object, board: str | None) -> Setup:
+    """The setup with a board and a camera to start from."""
+    from calib_pin.io.boards import board_of
+    from calib_pin.io.table import Table
+    from calib_pin.setup import CameraSetup
+
+    assert isinstance(table, Table)
+    if board is None:
+        raise OptionError(
+            "the points that the camera saw must be known: state --board",
+            allowed="such as charuco:7x5:0.03:0.022, lengths in m",
+        )
+    width, height = (
+        max(side for side in sides)
+        for sides in (
+            [100.0 * -(-table.columns[axis].numbers.max() // 100.0)] for axis in "uv"
+        )
+    )
+    camera = CameraSetup(
+        mount="hand",
+        focal=(width, width),
+        center=((width - 1.0) / 2.0, (height - 1.0) / 2.0),
+        estimate=True,
+    )
+    return replace(setup, model="camera", board=board_of(board), camera=camera)
+
+
+def _with_distances(look: Look, stated: str | None) -> Look:
+    """The reading with the known distance of the sockets of each place."""
+    from calib_pin.setup import DistanceSetup
+
+    assert look.data is not None
+    places = dict[str, list[str]]()
+    names = (name.rpartition("@")[2] for name in look.data.target.distinct)
+    for name in dict.fromkeys(names):
+        places.setdefault(name.rpartition("/")[0], []).append(name)
+    pairs = [names for names in places.values() if len(names) == 2]
+    if not pairs:
+        return look
+    if stated is None:
+        if not sys.stdin.isatty():
+            raise OptionError(
+                "sockets tell no size: state how far the two of a place are apart",
+                allowed="--distance '50 mm'",
+            )
+        question = f"how far apart are {pairs[0][0]} and {pairs[0][1]} (such as 50 mm)"
+        stated = str(typer.prompt(question, err=True))
+    value = _length(stated)
+    known = tuple(DistanceSetup((a, b), value, SIGMA) for a, b in pairs)
+    return replace(look, setup=replace(look.setup, distances=known))
+
+
+def _length(text: str) -> float:
+    """A length such as `50 mm` [m].
+
+    Raises:
+        OptionError: If it is none.
+    """
+    import re
+
+    from calib_pin.io.columns import LENGTH
+
+    found = re.fullmatch(r"\s*([0-9.]+)\s*\[?(\w*)\]?\s*", text)
+    unit = LENGTH.units.get(found[2] or "m") if found else None
+    try:
+        value = float(found[1]) * unit if found and unit else 0.0
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 100.0:
+        raise OptionError("--distance is no length", value=text, allowed="50 mm, 0.05")
+    return value

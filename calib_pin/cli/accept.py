@@ -19,7 +19,7 @@ from calib_pin.cli.files import (
     require_file,
 )
 from calib_pin.cli.options import dated
-from calib_pin.cli.printing import notice, progress_bar, say_written, show
+from calib_pin.cli.printing import notice, progress_bar, say_json, say_written, show
 from calib_pin.errors import stated_in
 
 if TYPE_CHECKING:
@@ -71,6 +71,7 @@ def accept(
     ] = False,
     force: options.Force = False,
     quiet: options.Quiet = False,
+    json: options.Json = False,
 ) -> int:
     """Test how accurately and repeatably a robot reaches poses, as ISO 9283 has it.
 
@@ -161,9 +162,11 @@ def accept(
             )
             notice(f"no {PDF} is written: {MISSING}{stays}")
     with write_files(contents, force=force):
-        if not quiet:
+        if json:
+            say_json(acceptance_document(found.tests, limit), files)
+        elif not quiet:
             show(blocks)
-    if files and not quiet:
+    if files and not quiet and not json:
         say_written([f"wrote {file}" for file in files])
     *_, last = found.tests.values()
     passed = all(status == "pass" for _, status, *_ in judged(last, limit))

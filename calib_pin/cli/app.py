@@ -55,7 +55,6 @@ def application(words: Sequence[str]) -> typer.Typer:
     """
     app = typer.Typer(
         name="calib-pin",
-        add_completion=False,
         rich_markup_mode=None,
         pretty_exceptions_enable=False,
     )

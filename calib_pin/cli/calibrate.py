@@ -8,7 +8,14 @@ from typing import Annotated
 import typer
 
 import calib_pin.cli.options as options
-from calib_pin.cli.printing import notice, progress_bar, say_written, show
+from calib_pin.cli.printing import (
+    notice,
+    progress_bar,
+    say,
+    say_json,
+    say_written,
+    show,
+)
 from calib_pin.cli.requests import Request, calibrated, opened
 from calib_pin.cli.results import (
     FigureFormat,
@@ -100,6 +107,7 @@ def calibrate(
     cluster: ClusterAddress = None,
     force: options.Force = False,
     quiet: options.Quiet = False,
+    json: options.Json = False,
 ) -> int:
     """Fit a robot to measurements and write the corrected URDF.
 
@@ -112,6 +120,7 @@ def calibrate(
     <robot name>.urdf is written.
     """
     from calib_pin.estimation.evidence import TRUSTED
+    from calib_pin.io.calibration_document import calibration_document
     from calib_pin.io.files import write_files
     from calib_pin.report.text import report
 
@@ -145,10 +154,14 @@ def calibrate(
         if files is None
         else write_results(result, files, contents, force=force)
     ):
-        if not quiet:
+        if json and files is not None:
+            say(contents[files.json].decode())
+        elif json:
+            say_json(calibration_document(result, suggestions=found.suggestions))
+        elif not quiet:
             show(report(result, found.suggestions))
     pictured = told_figures(found.pictures, pictures)
-    if not quiet:
+    if not quiet and not json:
         written = [path for path in files or () if path in contents]
         say_written([*(f"wrote {path}" for path in written), *pictured])
     elif result.verdict not in TRUSTED:

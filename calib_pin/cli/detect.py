@@ -13,6 +13,7 @@ from calib_pin.cli.printing import (
     notice,
     progress_bar,
     say,
+    say_json,
     say_written,
     stage,
     told_command,
@@ -96,6 +97,7 @@ def detect(
     ] = None,
     force: options.Force = False,
     quiet: options.Quiet = False,
+    json: options.Json = False,
 ) -> int:
     """Find the corners of a board in images, as measurements of the model 'camera'.
 
@@ -194,7 +196,16 @@ def detect(
             )
     with write_files(contents, force=force):
         pass
-    if not quiet:
+    if json:
+        document = {
+            "images": len(images),
+            "shown": len(seen),
+            "corners": len(pixels),
+            "sigma": float(np.median(sigma)),
+            "camera": setup_document(Setup(camera=camera))["camera"],
+        }
+        say_json(document, contents)
+    elif not quiet:
         focal, center = (
             f"({a:.1f}, {b:.1f})" for a, b in (camera.focal, camera.center)
         )

@@ -9,7 +9,7 @@ import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs
-from calib_pin.cli.printing import notice, say_written
+from calib_pin.cli.printing import notice, say_json, say_written
 from calib_pin.errors import OptionError, require_known
 
 FORMAT_NAMES = (
@@ -45,6 +45,7 @@ def export(
     chain: options.ChainName = None,
     force: options.Force = False,
     quiet: options.Quiet = False,
+    json: options.Json = False,
 ) -> int:
     """Write what other software loads: vendors' kinematics, offsets, cameras, frames.
 
@@ -77,7 +78,9 @@ def export(
     encoded = wanted.encode(Exported(result, file, chain), template)
     with write_files({output: encoded.data}, force=force):
         pass
-    if not quiet:
+    if json:
+        say_json({"format": form, "remarks": list(encoded.remarks)}, [output])
+    elif not quiet:
         for remark in encoded.remarks:
             notice(remark)
         say_written([f"wrote {output}"])

@@ -11,7 +11,14 @@ import typer
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, exists
 from calib_pin.cli.fleet_types import types_of
-from calib_pin.cli.printing import Bar, notice, progress_bar, say_written, show
+from calib_pin.cli.printing import (
+    Bar,
+    notice,
+    progress_bar,
+    say_json,
+    say_written,
+    show,
+)
 from calib_pin.cli.workforce import ClusterAddress, WorkerCount, asked_workers
 from calib_pin.errors import OptionError
 
@@ -67,6 +74,7 @@ def fleet(
     seed: Annotated[int, options.seed("Study", "Random seed of the study.")] = 0,
     force: options.Force = False,
     quiet: options.Quiet = False,
+    json: options.Json = False,
 ) -> int:
     """Calibrate a fleet of robots, or simulate one.
 
@@ -95,6 +103,7 @@ def fleet(
                 resume=resume,
                 force=force,
                 quiet=quiet,
+                json=json,
                 bar=bar,
             )
         assert jobs is not None
@@ -106,6 +115,7 @@ def fleet(
             resume=resume,
             force=force,
             quiet=quiet,
+            json=json,
             bar=bar,
         )
 
@@ -119,12 +129,14 @@ def _calibrated(
     resume: bool,
     force: bool,
     quiet: bool,
+    json: bool,
     bar: Bar | None,
 ) -> int:
     """Calibrate the robots of a table; returns the exit status."""
     from calib_pin.cli.fleet_jobs import Orders, Outcome, calibrate_job, lost_job
     from calib_pin.io.files import write_files
     from calib_pin.io.jobs import read_jobs
+    from calib_pin.io.json_text import plain
     from calib_pin.io.measurements import encode_table
     from calib_pin.report.figures import fleet_figures
     from calib_pin.report.fleet_text import MANY, fleet_report
@@ -156,9 +168,16 @@ def _calibrated(
         **types.priors(output, PRIOR),
     }
     with write_files(contents, force=True):
-        if not quiet:
+        if json:
+            columns = fleet_columns(ordered)
+            cells = zip(
+                *(plain(list(column)) for column in columns.values()), strict=True
+            )
+            jobs = [dict(zip(columns, row, strict=True)) for row in cells]
+            say_json({"jobs": jobs}, contents)
+        elif not quiet:
             show(fleet_report(ordered, types.populations))
-    if not quiet:
+    if not quiet and not json:
         folders = sum(row.fitted > 0 for row in ordered)
         written = [f"wrote {folders} folders to {output}"]
         say_written([*written, *(f"wrote {file}" for file in contents)])

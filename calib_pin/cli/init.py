@@ -12,7 +12,7 @@ import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, require_distinct, require_folders
-from calib_pin.cli.printing import say, say_written, told_command
+from calib_pin.cli.printing import say, say_json, say_written, told_command
 from calib_pin.errors import InputError, OptionError, enumerated
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ def init(
     ] = None,
     station_per_file: options.StationPerFile = False,
     force: options.Force = False,
+    json: options.Json = False,
 ) -> int:
     """Look at a robot and its measurements, and draft a setup file.
 
@@ -78,6 +79,7 @@ def init(
     from calib_pin.io.drafts import Draft
     from calib_pin.io.files import write_files
     from calib_pin.io.foreign_headers import foreign
+    from calib_pin.io.setup import setup_document
     from calib_pin.io.table import read_table
     from calib_pin.io.urdf import load_robot
     from calib_pin.setup import Setup
@@ -99,13 +101,15 @@ def init(
     elif distance is not None:
         raise OptionError("--distance is that of sockets (fixed-point)")
     text = Draft(loaded, look, links).text(told_command(context))
-    if output is None:
-        say(text)
-        return 0
-    with write_files({output: text.encode()}, force=force):
+    files = {} if output is None else {output: text.encode()}
+    with write_files(files, force=force):
         pass
-    say(text)
-    say_written([f"wrote {output}"])
+    if json:
+        found = {"setup": setup_document(look.setup), "nominal": look.errors}
+        say_json(found, files)
+    else:
+        say(text)
+        say_written(f"wrote {file}" for file in files)
     return 0
 
 
@@ -209,11 +213,17 @@ def _best(
         looks = sorted(map(tried, LENGTHS), key=lambda look: look.share)
         look = looks[0]
         if not look.share < CLEAR * looks[1].share:
-            look = tried(_choose("what is the distance of", LENGTHS, "--model"))
+            look = tried(_choose("of which kind is the distance", LENGTHS, "--model"))
     else:
         look = tried("fixed-point")
         if not look.share < AT_REST:
-            look = tried(_choose("what did the tool touch", TOUCHES, "--model"))
+            look = tried(
+                _choose(
+                    "did the tool rest in sockets or touch planes or spheres",
+                    TOUCHES,
+                    "--model",
+                )
+            )
     if look.fault is not None:
         raise look.fault
     return look

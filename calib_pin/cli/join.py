@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, open_setup, require_file
-from calib_pin.cli.printing import notice, progress_bar, say, say_written, stage
+from calib_pin.cli.printing import (
+    notice,
+    progress_bar,
+    say,
+    say_json,
+    say_written,
+    stage,
+)
+
+if TYPE_CHECKING:
+    from calib_pin.observations.joining import Joined
 
 SECONDS = "a time in seconds, more than 0 and at most 60"
 
@@ -81,6 +91,7 @@ def join(
     ] = False,
     force: options.Force = False,
     quiet: options.Quiet = False,
+    json: options.Json = False,
 ) -> int:
     """Join the log of a robot and that of an instrument to a measurement file.
 
@@ -110,7 +121,9 @@ def join(
         data = encode_joined(found, positions, readings, keep=True)
         with write_files({output: data}, force=force):
             pass
-        if not quiet:
+        if json:
+            say_json({"standstills": len(found.standstills)}, [output])
+        elif not quiet:
             say_written([f"{len(found.standstills)} samples", f"wrote {output}"])
         return 0
     with progress_bar(quiet=quiet) as bar:
@@ -153,8 +166,24 @@ def join(
             f"nothing was measured in motion, and the standstills tell it to {sigma}"
         )
     with write_files({output: data}, force=force):
-        if not quiet:
+        if json:
+            say_json(_document(found), [output])
+        elif not quiet:
             say("".join(f"{line}\n" for line in lines))
-    if not quiet:
+    if not quiet and not json:
         say_written([f"wrote {output}"])
     return 0
+
+
+def _document(found: Joined) -> dict[str, object]:
+    """The counts of a join, and the clock of the instrument [s]."""
+    counts = ("used", "empty", "moving", "scattered")
+    return {
+        "standstills": len(found.standstills),
+        "readings": {name: getattr(found, name) for name in counts},
+        "clock": {
+            "ahead": found.clock.ahead,
+            "sigma": found.clock.sigma,
+            "motions": found.clock.motions,
+        },
+    }

@@ -14,7 +14,7 @@ from calib_pin.cli.files import (
     stated_blocks,
     tell_limits,
 )
-from calib_pin.cli.printing import Bar, say_written, show
+from calib_pin.cli.printing import Bar, say_json, say_written, show
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ def simulated(
     resume: bool,
     force: bool,
     quiet: bool,
+    json: bool,
     bar: Bar | None,
 ) -> int:
     """Simulate the robots of a study; returns the exit status."""
@@ -72,9 +73,11 @@ def simulated(
         ),
     }
     with write_files(contents, force=True):
-        if not quiet:
+        if json:
+            say_json(outlook_document(study, found, stated.limit), (trials, *files))
+        elif not quiet:
             show(blocks)
-    if not quiet:
+    if not quiet and not json:
         say_written([f"wrote {path}" for path in (trials, *files)])
     return 0
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
+from calib_pin.cli.completion import completed, robots
 from calib_pin.errors import OptionError
 from calib_pin.units import as_number
 
@@ -62,6 +63,7 @@ def option(
         help=meaning,
         parser=parser,
         callback=callback,
+        autocompletion=completed(names[-1]),
         rich_help_panel=heading,
     )
 
@@ -86,6 +88,7 @@ RobotName = Annotated[
     str,
     typer.Argument(
         metavar="ROBOT",
+        autocompletion=robots,
         help="URDF or xacro file (with its arguments, name:=value), name of a bundled "
         "robot, or example:NAME if example-robot-data is installed.",
     ),
@@ -94,6 +97,7 @@ RobotOrCalibration = Annotated[
     str,
     typer.Argument(
         metavar="ROBOT|calibration.json",
+        autocompletion=robots,
         help="URDF or xacro file (with its arguments, name:=value), bundled robot, "
         "example:NAME, or a calibration.",
     ),

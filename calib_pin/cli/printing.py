@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -63,6 +64,18 @@ def say_written(lines: Iterable[str]) -> None:
         say("".join(f"{line}\n" for line in lines))
     except OSError as error:
         notice(f"standard output: {error.strerror}")
+
+
+def say_json(document: Mapping[str, Any], written: Iterable[Path] = ()) -> None:
+    """Print one JSON object, with the files that were written, if there are any.
+
+    Raises:
+        OSError: As `say` does.
+    """
+    from calib_pin.io.json_text import encode
+
+    files = [str(path) for path in written]
+    say(encode({**document, **({"written": files} if files else {})}).decode())
 
 
 def notice(message: str) -> None:

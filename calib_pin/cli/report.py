@@ -10,7 +10,7 @@ import typer
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs
 from calib_pin.cli.options import dated
-from calib_pin.cli.printing import notice, progress_bar, say_written, show
+from calib_pin.cli.printing import notice, progress_bar, say_json, say_written, show
 from calib_pin.cli.results import (
     FigureFormat,
     Figures,
@@ -43,6 +43,7 @@ def report(
     figure_format: FigureFormat = "png",
     force: options.Force = False,
     quiet: options.Quiet = False,
+    json: options.Json = False,
 ) -> int:
     """Write the page and the figures of a calibration again, from its files alone.
 
@@ -93,11 +94,13 @@ def report(
                 cover, [*blocks(result, suggestions), *provenance_blocks(document)]
             )
     with write_files({page: text, **contents}, force=force or own):
-        if not quiet:
+        if json:
+            say_json(document)
+        elif not quiet:
             show(blocks(result, suggestions))
     made = [page] if pdf is None else [page, pdf]
     told = told_figures([path for path in pictures if path in contents], pictures)
-    if not quiet:
+    if not quiet and not json:
         say_written([*(f"wrote {file}" for file in made), *told])
     elif result.verdict not in TRUSTED:
         notice(f"{result.verdict}: {result.reason}")

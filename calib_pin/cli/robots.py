@@ -21,20 +21,21 @@ def robots(
         options.output("-o --output DIR", "Folder for its URDF and example files."),
     ] = None,
     force: options.Force = False,
+    json: options.Json = False,
 ) -> int:
     """List the bundled robots, whose names can stand for a URDF file, or copy one.
 
     A copy holds robot.urdf, measurements.csv and setup.yaml: a calibration to try.
     """
     if name is None and output is None:
-        return _listed()
+        return _listed(json)
     if name is None or output is None:
         raise OptionError("name the robot and the folder: robots NAME -o DIR")
-    return _copied(name, output, force)
+    return _copied(name, output, force, json)
 
 
-def _copied(name: str, folder: Path, force: bool) -> int:
-    from calib_pin.cli.printing import say_written
+def _copied(name: str, folder: Path, force: bool, json: bool) -> int:
+    from calib_pin.cli.printing import say_json, say_written
     from calib_pin.io.files import read_bytes, write_files
     from calib_pin.io.urdf import bundled_robots
 
@@ -44,25 +45,33 @@ def _copied(name: str, folder: Path, force: bool) -> int:
     copies = {folder / path.name: read_bytes(path) for path in files}
     with write_files(copies, force=force):
         pass
-    say_written(f"wrote {path}" for path in copies)
+    if json:
+        say_json({"robot": name}, copies)
+    else:
+        say_written(f"wrote {path}" for path in copies)
     return 0
 
 
-def _listed() -> int:
-    from calib_pin.cli.printing import show
+def _listed(json: bool) -> int:
+    from calib_pin.cli.printing import say_json, show
     from calib_pin.io.urdf import bundled_robots, load_robot
     from calib_pin.kinematics.chain import Chain
     from calib_pin.report.blocks import Cell, Table, columns
 
-    rows = []
+    rows, found = [], []
     for name, path in bundled_robots().items():
         chain = Chain(load_robot(name))
         others = sorted(
             file.name for file in path.parent.iterdir() if file.suffix != ".urdf"
         )
-        ends = f"{chain.base} -> {chain.tip}"
-        words = (name, ends, f"{len(chain.joints)}", ", ".join(others))
+        joints = list(chain.joints)
+        ends = {"base": chain.base, "tip": chain.tip}
+        found.append({"name": name, **ends, "joints": joints, "files": others})
+        words = (name, " -> ".join(ends.values()), f"{len(joints)}", ", ".join(others))
         rows.append([Cell(word) for word in words])
+    if json:
+        say_json({"robots": found})
+        return 0
     titles = ("chain", "joints", "files")
     of = columns("name", titles, {"chain": "word", "files": "remark"})
     show([Table("", of, rows)])

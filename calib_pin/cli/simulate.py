@@ -20,6 +20,7 @@ from calib_pin.cli.files import (
 from calib_pin.cli.printing import (
     notice,
     progress_bar,
+    say_json,
     say_written,
     stage,
     told_command,
@@ -112,6 +113,7 @@ def simulate(
     tip: options.Tip = None,
     parameters: options.Parameters = None,
     force: options.Force = False,
+    json: options.Json = False,
 ) -> int:
     """Simulate measurements of a robot with true errors, given or drawn.
 
@@ -208,7 +210,11 @@ def simulate(
         if not true.geometric:
             notice(f"{truth} holds the geometry only; a URDF cannot hold other errors")
         told.append(f"wrote the true robot to {truth}")
-    say_written(told)
+    if json:
+        document = {"measurements": len(rows), "models": list(rows.models)}
+        say_json(document, contents)
+    else:
+        say_written(told)
     return 0
 
 

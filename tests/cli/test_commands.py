@@ -84,7 +84,7 @@ def test_help_is_fast(words):
 
 
 def test_a_reader_that_goes_away_is_no_error():
-    program = f"{sys.executable} -m calib_pin.cli robots | head -n 1"
+    program = f"{sys.executable} -m calib_pin robots | head -n 1"
     result = subprocess.run(
         program, shell=True, capture_output=True, text=True, check=False
     )
@@ -103,7 +103,7 @@ def test_a_reader_that_goes_away_is_no_error():
     ],
 )
 def test_closed_and_full_streams(redirection, status):
-    program = f"{sys.executable} -m calib_pin.cli robots"
+    program = f"{sys.executable} -m calib_pin robots"
     result = subprocess.run(
         f"{program} {redirection}", shell=True, capture_output=True, text=True
     )

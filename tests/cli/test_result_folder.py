@@ -368,7 +368,7 @@ def test_a_page_that_cannot_be_made(here, run, listing, monkeypatch):
 
 
 def process(words: str, **more: Any) -> subprocess.CompletedProcess[str]:
-    program = f"{sys.executable} -m calib_pin.cli {words}"
+    program = f"{sys.executable} -m calib_pin {words}"
     return subprocess.run(program, shell=True, capture_output=True, text=True, **more)
 
 
@@ -401,7 +401,7 @@ def test_a_full_standard_output(here, listing):
 
 @pytest.mark.slow
 def test_a_reader_that_goes_away_changes_no_file(here):
-    program = f"{sys.executable} -m calib_pin.cli {POSITION} -o out"
+    program = f"{sys.executable} -m calib_pin {POSITION} -o out"
     result = subprocess.run(
         ["bash", "-c", f"{program} | true; exit ${{PIPESTATUS[0]}}"],
         capture_output=True,

@@ -1,4 +1,4 @@
-"""Run the command line as `python -m calib_pin.cli`."""
+"""Run the command line as `python -m calib_pin`."""
 
 import sys
 

@@ -162,7 +162,7 @@ def _ends(
 
 
 def _choose(question: str, choices: Sequence[str], option: str) -> str:
-    """What the user says, on a terminal, or the only choice.
+    """The choice of the user, on a terminal, or the only one.
 
     Raises:
         OptionError: If there are several, and nobody to be asked.

@@ -46,9 +46,7 @@ after = errors(result.model.of().poses(q)[:, :3, 3])
 nominal = base.homogeneous @ chain.poses(q)
 before = errors(nominal[:, :3, 3] + nominal[:, :3, :3] @ target)
 # Before: the nominal robot with tracker and reflector where they truly are.
-print(
-    f"elsewhere the robot was {before.mean():.2f} mm off and is {after.mean():.3f} mm off"
-)
+print(f"elsewhere the robot was {before.mean():.2f} mm off and is {after.mean():.3f}")
 
 figure, axes = plt.subplots(figsize=(6, 3.2), layout="constrained")
 for name, sizes, color in (("before", before, "#d55e00"), ("after", after, "#0072b2")):

@@ -122,9 +122,10 @@ def _open(
 ) -> Scene:
     """The scene to draw."""
     from calib_pin.io.measurements import read_configurations, read_names
+    from calib_pin.io.robot_shapes import robot_shapes
     from calib_pin.io.urdf import load_robot
-    from calib_pin.viewer.scene import Plan, Scene, bodies_of, drawn_link, tip_paths
-    from calib_pin.viewer.shapes import robot_shapes
+    from calib_pin.kinematics.skeleton import drawn_link
+    from calib_pin.viewer.scene import Plan, Scene, bodies_of, tip_paths
 
     model, chains, rows, planned = None, None, None, None
     if name.endswith(".json"):
@@ -175,9 +176,10 @@ def _rows(
     bar: Bar | None,
 ) -> tuple[Chains, Rows]:
     """Measurements, and the errors of the nominal and of the calibrated robot."""
+    from calib_pin.kinematics.skeleton import drawn_link
     from calib_pin.validation.evaluation import prepared
     from calib_pin.viewer.errors import stage_errors
-    from calib_pin.viewer.scene import Rows, drawn_link
+    from calib_pin.viewer.scene import Rows
 
     known = {} if model is None else model.references
     sockets = (reference.name for reference in known.values())

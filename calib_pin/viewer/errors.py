@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.estimation.measured import Block
 from calib_pin.estimation.problem import error_table
-from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.skeleton import base_poses
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.kinematics.tree import Configurations, link_frame
 from calib_pin.measurement_models.tool_point import PointModel
 from calib_pin.validation.evaluation import Prepared
 
@@ -99,25 +97,3 @@ def _tool_poses(block: Block, theta: Floats) -> Floats:
         offset = np.array([*offsets, np.zeros(3)])[label]
         T[:, :3, 3] += np.einsum("nij,nj->ni", T[:, :3, :3], offset)
     return np.asarray(T)
-
-
-def base_poses(chains: Chains, name: str, link: str, q: Floats) -> Floats:
-    """Poses (N, 4, 4) of the base of a chain in a link, as the nominal robot has them.
-
-    Args:
-        chains: The chains.
-        name: Name of the chain.
-        link: The link.
-        q: Positions of the joints of all chains, shape (N, n) [rad, m].
-    """
-    result = np.tile(np.eye(4), (len(q), 1, 1))
-    if chains[name].base == link:
-        return result
-    model = chains.robot.model
-    data = model.createData()
-    base, other = (link_frame(model, k) for k in (chains[name].base, link))
-    joints = [model.getJointId(joint) for joint in chains.joints]
-    for k, configuration in enumerate(Configurations(model, joints)(q)):
-        pin.framesForwardKinematics(model, data, configuration)
-        result[k] = data.oMf[other].actInv(data.oMf[base]).homogeneous
-    return result

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.kinematics.shapes import Shape, creased
 from calib_pin.kinematics.spatial import Floats, to_quaternion
 from calib_pin.viewer.controls import GHOST, MARK, MEASURED, PATH, ROBOT, STAGES, scaled
 from calib_pin.viewer.errors import ErrorSizes, StageErrors
 from calib_pin.viewer.scene import Body, Rows, Scene, floor_height
-from calib_pin.viewer.shapes import Shape
 
 if TYPE_CHECKING:
     import viser

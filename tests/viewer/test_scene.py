@@ -17,6 +17,7 @@ from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.skeleton import Skeleton, drawn_link
 from calib_pin.kinematics.spatial import invert
 from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.plane_distance import PlaneDistance
@@ -34,13 +35,11 @@ from calib_pin.viewer.scene import (
     Plan,
     Rows,
     Scene,
-    Skeleton,
     bodies_of,
-    drawn_link,
     floor_height,
     tip_paths,
 )
-from calib_pin.viewer.shapes import robot_shapes
+from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.viewer.stage import sight
 
 MIMICS = {"panda_finger_joint2": "panda_finger_joint1"}

@@ -28,7 +28,8 @@ from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.panel import Joints, Player
 from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, tip_paths
 from calib_pin.viewer.server import Window
-from calib_pin.viewer.shapes import Shape, Surface, robot_shapes
+from calib_pin.io.robot_shapes import robot_shapes
+from calib_pin.kinematics.shapes import Shape, Surface
 from calib_pin.viewer.stage import Stage, lines
 
 SETUP = """base: panda_link0

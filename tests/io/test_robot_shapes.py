@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from calib_pin.io.urdf import load_robot
-from calib_pin.viewer.shapes import (
+from calib_pin.io.robot_shapes import robot_shapes
+from calib_pin.kinematics.shapes import (
     Surface,
     ball,
     box,
     capsule,
     creased,
     cylinder,
-    robot_shapes,
 )
 
 ARM = """<robot name="arm">

@@ -1,0 +1,339 @@
+"""Triangles in perspective as an image: depth buffer, light, outlines, shadow.
+
+Everything is arithmetic of numpy, element by element: the same triangles give the same
+image, whatever the number of threads, and no graphics card or library is asked.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from calib_pin.kinematics.shapes import Surface
+from calib_pin.kinematics.spatial import Floats
+
+Ints = NDArray[np.int64]
+
+EDGE = math.cos(math.radians(40.0))
+"""Cosine of the angle of triangles from which on their common edge looks sharp."""
+
+FRAGMENTS = 4_000_000
+"""Pixels of triangles that are held at once."""
+
+KEY, FILL = np.array([0.35, -0.45, 0.82]), np.array([-0.75, 0.25, 0.35])
+"""Directions to the lamps in the world: from above at the right, and from the left."""
+
+STEP = 0.018
+"""Jump of the depth at which an outline is drawn, by the depth of the whole."""
+
+OCCLUSION = ((1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1))
+"""Directions in which neighbors may keep the light away."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A pinhole that looks at a scene.
+
+    Attributes:
+        eye: Its place, shape (3,) [m].
+        axes: Right, down and ahead as rows, shape (3, 3).
+        focal: Pixels at depth 1.
+        center: Pixel straight ahead, shape (2,).
+        size: Width and height of the image [px].
+    """
+
+    eye: Floats
+    axes: Floats
+    focal: float
+    center: Floats
+    size: tuple[int, int]
+
+    @staticmethod
+    def of(points: Floats, azimuth: float, elevation: float, room: Floats) -> View:
+        """The view from a direction that has all points (N, 3) in the image.
+
+        Args:
+            points: What must be seen [m].
+            azimuth: Of the eye about the vertical [rad].
+            elevation: Of the eye above the horizon [rad].
+            room: Width and height that there are at most, shape (2,) [px]; the image
+                is as large as the points are.
+        """
+        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        radius = float(np.linalg.norm(points - middle, axis=1).max())
+        out = np.array(
+            [
+                math.cos(azimuth) * math.cos(elevation),
+                math.sin(azimuth) * math.cos(elevation),
+                math.sin(elevation),
+            ]
+        )
+        right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+        axes = np.stack([right, np.cross(-out, right), -out])
+        view = View(middle + 5.5 * radius * out, axes, 1.0, np.zeros(2), (1, 1))
+        spots, _ = view.project(points)
+        low, high = spots.min(axis=0), spots.max(axis=0)
+        focal = float((room / (high - low)).min())
+        width, height = (math.ceil(k) for k in focal * (high - low))
+        return View(view.eye, axes, focal, -focal * low, (width, height))
+
+    def scaled(self, factor: float) -> View:
+        """The same image of other pixels."""
+        width, height = (round(factor * k) for k in self.size)
+        center, focal = factor * self.center, factor * self.focal
+        return View(self.eye, self.axes, focal, center, (width, height))
+
+    def project(self, points: Floats) -> tuple[Floats, Floats]:
+        """Pixels (..., 2) and depths (...) [m] of points (..., 3)."""
+        seen = np.einsum("kj,...j->...k", self.axes, points - self.eye)
+        depth = np.maximum(seen[..., 2], 1e-6)
+        return self.focal * seen[..., :2] / depth[..., None] + self.center, depth
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A surface where it stands.
+
+    Attributes:
+        surface: Its triangles.
+        pose: Where it stands, shape (4, 4).
+        color: Red, green and blue from 0 to 1.
+    """
+
+    surface: Surface
+    pose: Floats
+    color: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What is seen in every pixel of an image.
+
+    Attributes:
+        nearness: One by the depth, shape (h, w) [1/m]; 0 where nothing is.
+        color: Lit colors from 0 to 1, shape (h, w, 3).
+        depth: Extent of the scene along the view [m].
+    """
+
+    nearness: Floats
+    color: Floats
+    depth: float
+
+
+def picture(view: View, solids: Sequence[Solid]) -> Picture:
+    """The lit solids in a view."""
+    corners, normals, owner = _triangles(solids)
+    spots, depths = view.project(corners)
+    nearness, winner = _nearest(view, spots, 1.0 / depths)
+    shown = winner >= 0
+    chosen = winner[shown]
+    normal = _smooth(spots[chosen], normals[chosen], shown)
+    ahead = np.einsum("nj,j->n", normal, view.axes[2])
+    # Some meshes are inside out: what is seen is the side that faces the eye.
+    normal = np.where(ahead[:, None] > 0.0, -normal, normal)
+    colors = np.array([solid.color for solid in solids])[owner[chosen]]
+    lit = np.ones((*nearness.shape, 3))
+    lit[shown] = colors * _light(normal, np.abs(ahead))[:, None]
+    extent = float(np.ptp(depths)) if depths.size else 1.0
+    lit[shown] *= _ambient(nearness, view)[shown][:, None]
+    return Picture(nearness, lit, extent)
+
+
+def shadow(view: View, solids: Sequence[Solid], floor: float) -> Floats:
+    """How dark the floor is below solids, 0 to 1, shape (h, w)."""
+    corners, _, _ = _triangles(solids)
+    height = np.maximum(corners[..., 2] - floor, 0.0)
+    fallen = corners - height[..., None] * (KEY / KEY[2])
+    spots, depths = view.project(fallen)
+    nearness, _ = _nearest(view, spots, 1.0 / depths)
+    dark, size = (nearness > 0.0).astype(float), max(3, round(0.012 * view.size[0]))
+    for _ in range(3):
+        dark = uniform_filter(dark, size, mode="constant")
+    return dark
+
+
+def outlines(seen: Picture) -> NDArray[np.bool_]:
+    """Pixels at the rim of something in front of something else, shape (h, w)."""
+    z = 1.0 / np.where(seen.nearness > 0.0, seen.nearness, 1e-9)
+    result = np.zeros(z.shape, bool)
+    for axis in (0, 1):
+        for step in (1, -1):
+            beyond = _moved(z, step, axis) - z > STEP * seen.depth
+            result |= beyond & (seen.nearness > 0.0)
+    return result
+
+
+def shrunk(image: Floats, factor: int) -> Floats:
+    """Means of squares of pixels, shape (h f, w f, ...) -> (h, w, ...)."""
+    h, w = image.shape[0] // factor, image.shape[1] // factor
+    parts = image.reshape(h, factor, w, factor, *image.shape[2:])
+    return np.asarray(parts.mean(axis=(1, 3)))
+
+
+def covered(spots: Floats, size: tuple[int, int]) -> Iterator[tuple[Ints, Ints, Ints]]:
+    """Pixels whose middle lies in triangles with corners at (T, 3, 2) pixels.
+
+    Yields:
+        Triangle, row and column of pixels within an image of some width and height,
+        part by part.
+    """
+    width, height = size
+    y = spots[..., 1]
+    first = np.ceil(np.clip(y.min(axis=1), 0.0, height) - 0.5).astype(np.int64)
+    last = np.ceil(np.clip(y.max(axis=1), 0.0, height) - 0.5).astype(np.int64)
+    outside = (spots[..., 0].max(axis=1) < 0.0) | (spots[..., 0].min(axis=1) > width)
+    rows = np.where(outside, 0, last - first)
+    triangle, row = _spread(np.flatnonzero(rows), first, rows)
+    at, corners = row + 0.5, spots[triangle]
+    low, high = np.full(len(at), np.inf), np.full(len(at), -np.inf)
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        (xa, ya), (xb, yb) = corners[:, a].T, corners[:, b].T
+        crossing = (ya <= at) != (yb <= at)
+        slope = (xb - xa) / np.where(crossing, yb - ya, 1.0)
+        x = xa + (at - ya) * slope
+        low = np.where(crossing, np.minimum(low, x), low)
+        high = np.where(crossing, np.maximum(high, x), high)
+    crossed = high >= low
+    start, stop = (
+        np.ceil(np.clip(np.where(crossed, x, 0.0), 0.0, width) - 0.5).astype(np.int64)
+        for x in (low, high)
+    )
+    lengths = stop - start
+    batch = np.cumsum(lengths) // FRAGMENTS
+    for k in range(int(batch[-1]) + 1 if len(batch) else 0):
+        span, column = _spread(np.flatnonzero((batch == k) & (lengths > 0)), start, lengths)
+        yield triangle[span], row[span], column
+
+
+def _spread(which: Ints, first: Ints, counts: Ints) -> tuple[Ints, Ints]:
+    """Each of `which` as often as it counts, with the numbers from its first one on."""
+    many = counts[which]
+    owner = np.repeat(which, many)
+    start = np.repeat(np.cumsum(many) - many, many)
+    return owner, first[owner] + np.arange(len(owner)) - start
+
+
+def _triangles(solids: Sequence[Solid]) -> tuple[Floats, Floats, Ints]:
+    """Corners (T, 3, 3) [m], their normals, and the solid of each triangle (T,)."""
+    corners, normals, owner = [], [], []
+    for k, solid in enumerate(solids):
+        triangles, R = solid.surface.triangles, solid.pose[:3, :3]
+        moved = np.einsum("ij,vj->vi", R, solid.surface.vertices) + solid.pose[:3, 3]
+        corners.append(moved[triangles])
+        normals.append(_normals(corners[-1], triangles, len(moved)))
+        owner.append(np.full(len(triangles), k))
+    empty = np.zeros((0, 3, 3))
+    return (
+        np.concatenate([empty, *corners]),
+        np.concatenate([empty, *normals]),
+        np.concatenate([np.zeros(0, np.int64), *owner]),
+    )
+
+
+def _normals(corners: Floats, triangles: Ints, count: int) -> Floats:
+    """Unit normals at the corners of triangles, of smooth surfaces means, (T, 3, 3)."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    flat = np.cross(b - a, c - a)
+    means = np.stack(
+        [
+            np.bincount(triangles.ravel(), np.repeat(flat[:, k], 3), count)
+            for k in range(3)
+        ],
+        axis=1,
+    )
+    flat, means = _unit(flat), _unit(means)
+    smooth = means[triangles]
+    near = np.einsum("tkj,tj->tk", smooth, flat) > EDGE
+    return np.where(near[..., None], smooth, flat[:, None])
+
+
+def _unit(vectors: Floats) -> Floats:
+    sizes = np.sqrt((vectors**2).sum(axis=-1, keepdims=True))
+    return np.asarray(vectors / np.maximum(sizes, 1e-300))
+
+
+def _nearest(view: View, spots: Floats, nearness: Floats) -> tuple[Floats, Ints]:
+    """Nearness (h, w) and number (h, w) of the triangle seen in each pixel, or -1."""
+    width, height = view.size
+    best, winner = np.zeros(width * height), np.full(width * height, -1)
+    origin, across, down = _plane(spots, nearness)
+    for triangle, row, column in covered(spots, view.size):
+        # One by the depth is linear in the image.
+        near = (
+            origin[triangle]
+            + across[triangle] * (column + 0.5)
+            + down[triangle] * (row + 0.5)
+        )
+        pixel = row * width + column
+        np.maximum.at(best, pixel, near)
+        first = near == best[pixel]
+        winner[pixel[first]] = triangle[first]
+    return best.reshape(height, width), winner.reshape(height, width)
+
+
+def _plane(spots: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
+    """Linear functions of the pixel with values (T, 3) at corners (T, 3, 2)."""
+    (x1, y1), (x2, y2) = (np.moveaxis(spots[:, k] - spots[:, 0], 1, 0) for k in (1, 2))
+    v1, v2 = values[:, 1] - values[:, 0], values[:, 2] - values[:, 0]
+    area = x1 * y2 - x2 * y1
+    # What is seen from its edge has no plane: it is as near as its first corner.
+    usable = np.abs(area) > 1e-3
+    area = np.where(usable, area, 1.0)
+    across = np.where(usable, (v1 * y2 - v2 * y1) / area, 0.0)
+    down = np.where(usable, (x1 * v2 - x2 * v1) / area, 0.0)
+    origin = values[:, 0] - across * spots[:, 0, 0] - down * spots[:, 0, 1]
+    return origin, across, down
+
+
+def _smooth(spots: Floats, normals: Floats, shown: NDArray[np.bool_]) -> Floats:
+    """Normals (n, 3) of the pixels that show something, between those of corners."""
+    row, column = np.nonzero(shown)
+    middle = np.stack([column + 0.5, row + 0.5], axis=1)
+    (x1, y1), (x2, y2), (x, y) = (
+        (part - spots[:, 0]).T for part in (spots[:, 1], spots[:, 2], middle)
+    )
+    area = x1 * y2 - x2 * y1
+    area = np.where(np.abs(area) > 1e-9, area, np.inf)
+    second = np.clip((x * y2 - x2 * y) / area, 0.0, 1.0)
+    third = np.clip((x1 * y - x * y1) / area, 0.0, 1.0)
+    parts = np.stack([np.maximum(1.0 - second - third, 0.0), second, third], axis=1)
+    return _unit(np.einsum("nk,nkj->nj", parts, normals))
+
+
+def _light(normal: Floats, facing: Floats) -> Floats:
+    """Brightness of surfaces, shape (n,): two lamps, the sky, and darker rims."""
+    sky = 0.5 + 0.5 * normal[:, 2]
+    key, fill = (
+        np.maximum(np.einsum("nj,j->n", normal, lamp / np.sqrt((lamp**2).sum())), 0.0)
+        for lamp in (KEY, FILL)
+    )
+    bright = 0.34 + 0.22 * sky + 0.50 * key + 0.14 * fill + 0.16 * key**24
+    return np.asarray(bright * (0.72 + 0.28 * facing))
+
+
+def _ambient(nearness: Floats, view: View) -> Floats:
+    """What neighbors in front leave of the light, 0 to 1, shape (h, w)."""
+    z = np.where(nearness > 0.0, 1.0 / np.maximum(nearness, 1e-9), 1e9)
+    kept = np.zeros(z.shape)
+    reach = 0.012 * view.size[0]
+    meters = reach * z / view.focal
+    for scale in (0.4, 1.0):
+        for right, down in OCCLUSION:
+            length = scale * reach / math.hypot(right, down)
+            step_x, step_y = round(right * length), round(down * length)
+            other = _moved(_moved(z, step_x, 1), step_y, 0)
+            rise = (z - other) / (scale * meters)
+            # What is far in front is another thing, and keeps no light away.
+            kept += np.clip(rise - 0.35, 0.0, 1.0) * (rise < 4.0)
+    return np.asarray(1.0 - 0.55 * kept / (2 * len(OCCLUSION)))
+
+
+def _moved(image: Floats, step: int, axis: int) -> Floats:
+    """An image whose pixels are those that lie some steps further, at the rim its own."""
+    count = image.shape[axis]
+    return np.take(image, np.clip(np.arange(count) + step, 0, count - 1), axis=axis)

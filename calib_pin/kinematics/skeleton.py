@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.shapes import Shape, box
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.kinematics.tree import Configurations, link_frame
 
@@ -84,6 +85,60 @@ class Skeleton:
         pin.framesForwardKinematics(model, data, full)
         T = np.array([data.oMf[frame].homogeneous for frame in self._frames])
         return np.asarray(invert(T[self._base]) @ T)
+
+
+LEGS = 0.15
+"""How far below what stands still a robot must reach to count as standing there [m]."""
+
+
+def corners(skeleton: Skeleton, shapes: Sequence[Shape], q: Floats) -> Floats:
+    """Corners (S, 3) [m] of boxes around shapes in the base link at q (K,) [rad, m]."""
+    T = dict(zip(skeleton.links, skeleton.placements(q), strict=True))
+    return np.concatenate([_corners(shape, T[shape.link]) for shape in shapes])
+
+
+def floor_height(skeleton: Skeleton, shapes: Sequence[Shape]) -> float:
+    """Height of the ground under a robot in its base link [m].
+
+    It lies under the links that stand still, or under the feet of a robot that reaches
+    well below these.
+    """
+    neutral = skeleton.neutral
+    # No joint stands at the same angle in both, nor a whole turn away.
+    other = skeleton.lower + 0.37 * (skeleton.upper - skeleton.lower)
+    ends = skeleton.placements(neutral), skeleton.placements(other)
+    moves = np.abs(ends[0] - ends[1]).max(axis=(1, 2))
+    fixed = {skeleton.links[k] for k in np.flatnonzero(moves < 1e-9)}
+    lowest = float(corners(skeleton, shapes, neutral)[:, 2].min())
+    standing = [shape for shape in shapes if shape.link in fixed]
+    if not standing:
+        return lowest
+    under = float(corners(skeleton, standing, neutral)[:, 2].min())
+    return under if lowest > under - LEGS else lowest
+
+
+def _corners(shape: Shape, T: Floats) -> Floats:
+    vertices = shape.surface.vertices
+    least, most = vertices.min(axis=0), vertices.max(axis=0)
+    around = box(most - least).vertices + 0.5 * (least + most)
+    pose = T @ shape.placement
+    return np.asarray(around @ pose[:3, :3].T + pose[:3, 3])
+
+
+def chain_links(chains: Chains) -> frozenset[str]:
+    """The links that the joints of measured chains move, and the links they start at.
+
+    Links that are fixed to these belong to them.
+    """
+    model = chains.robot.model
+    measured = [chains[name] for name in chains.names if chains[name].joints]
+    joints = {model.getJointId(joint) for chain in measured for joint in chain.joints}
+    joints |= {model.frames[link_frame(model, c.base)].parentJoint for c in measured}
+    return frozenset(
+        link
+        for link in chains.robot.links
+        if model.frames[link_frame(model, link)].parentJoint in joints
+    )
 
 
 def drawn_link(chains: Chains) -> str:

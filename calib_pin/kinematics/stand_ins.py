@@ -30,7 +30,7 @@ from calib_pin.kinematics.tree import link_frame
 JOINT: Color = (0.36, 0.40, 0.45)
 """Color of what stands for a joint; that of a link is left open."""
 
-TIP, ROOT = 0.020, 0.028
+TIP, ROOT = 0.018, 0.020
 """Radius of a tube by the length of the longest limb, and what its root has more."""
 
 THIN, THICK = 0.006, 0.09
@@ -97,7 +97,9 @@ class _Tree:
             for start, end in pairwise(_way(placed[:3, 3], own, other)):
                 length = float(np.linalg.norm(end - start))
                 if length > 0.1 * radius:
-                    tube = capsule(radius, length)
+                    # A round end would stick out of what the root stands on.
+                    standing = own is None and name == self._root
+                    tube = (cylinder if standing else capsule)(radius, length)
                     along = (end - start) / length
                     yield _about(name, 0.5 * (start + end), along, tube, None)
 

@@ -10,7 +10,7 @@ place of the tool only.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -20,7 +20,7 @@ from calib_pin.io.urdf_origins import edit_origins
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.shapes import Shape, box
+from calib_pin.kinematics.shapes import Shape
 from calib_pin.kinematics.skeleton import Skeleton, base_poses
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
@@ -36,9 +36,6 @@ STEPS = 20
 
 LONGEST = 5000
 """Points from which on a path has fewer between configurations."""
-
-LEGS = 0.15
-"""How far below what stands still a robot must reach to count as standing there [m]."""
 
 
 @dataclass(frozen=True)
@@ -170,12 +167,6 @@ class Scene:
             q[places] = self.plan.q[0, columns]
         return q
 
-    def corners(self, q: Floats) -> Floats:
-        """Corners (S, 3) [m] of boxes around all shapes in the base link at q."""
-        skeleton = self.bodies[0].skeleton
-        T = dict(zip(skeleton.links, skeleton.placements(q), strict=True))
-        return np.concatenate([_corners(shape, T[shape.link]) for shape in self.shapes])
-
 
 def bodies_of(robot: Robot, base: str, model: CalibratedModel | None) -> list[Body]:
     """The robot by itself, or as it is nominally and as its calibration corrects it."""
@@ -213,36 +204,7 @@ def tip_paths(
     return paths
 
 
-def floor_height(scene: Scene) -> float:
-    """Height of the ground under a robot in its base link [m].
-
-    It lies under the links that stand still, or under the feet of a robot that reaches
-    well below these.
-    """
-    skeleton = scene.bodies[0].skeleton
-    neutral = skeleton.neutral
-    # No joint stands at the same angle in both, nor a whole turn away.
-    other = skeleton.lower + 0.37 * (skeleton.upper - skeleton.lower)
-    ends = skeleton.placements(neutral), skeleton.placements(other)
-    moves = np.abs(ends[0] - ends[1]).max(axis=(1, 2))
-    fixed = {skeleton.links[k] for k in np.flatnonzero(moves < 1e-9)}
-    lowest = float(scene.corners(neutral)[:, 2].min())
-    standing = replace(scene, shapes=tuple(s for s in scene.shapes if s.link in fixed))
-    if not standing.shapes:
-        return lowest
-    under = float(standing.corners(neutral)[:, 2].min())
-    return under if lowest > under - LEGS else lowest
-
-
 def _carrying(model: CalibratedChain, payload: str) -> ErrorModel:
     """The error model with a payload; of several, no name means no payload."""
     several = len(model.setup.payloads) > 1
     return model.error.carrying(payload or (NOTHING if several else ""))
-
-
-def _corners(shape: Shape, T: Floats) -> Floats:
-    vertices = shape.surface.vertices
-    least, most = vertices.min(axis=0), vertices.max(axis=0)
-    corners = box(most - least).vertices + 0.5 * (least + most)
-    pose = T @ shape.placement
-    return np.asarray(corners @ pose[:3, :3].T + pose[:3, 3])

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.shapes import Shape, creased
+from calib_pin.kinematics.skeleton import corners, floor_height
 from calib_pin.kinematics.spatial import Floats, to_quaternion
 from calib_pin.viewer.controls import GHOST, MARK, MEASURED, PATH, ROBOT, STAGES, scaled
 from calib_pin.viewer.errors import ErrorSizes, StageErrors
-from calib_pin.viewer.scene import Body, Rows, Scene, floor_height
+from calib_pin.viewer.scene import Body, Rows, Scene
 
 if TYPE_CHECKING:
     import viser
@@ -179,11 +180,12 @@ class Stage:
     def __init__(self, server: viser.ViserServer, scene: Scene) -> None:
         """Draw everything."""
         self._server = server
-        api, floor = server.scene, floor_height(scene)
-        corners = scene.corners(scene.start)
-        size = float(np.ptp(corners, axis=0).max())
+        skeleton = scene.bodies[0].skeleton
+        api, floor = server.scene, floor_height(skeleton, scene.shapes)
+        robot = corners(skeleton, scene.shapes, scene.start)
+        size = float(np.ptp(robot, axis=0).max())
         _light(api, size, floor)
-        seen = [corners, np.array([[*corners.mean(axis=0)[:2], floor]])]
+        seen = [robot, np.array([[*robot.mean(axis=0)[:2], floor]])]
         if scene.rows is not None:
             seen += [errors.points for errors in scene.rows.stages.values()]
         camera = server.initial_camera

@@ -17,7 +17,7 @@ from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.skeleton import Skeleton, drawn_link
+from calib_pin.kinematics.skeleton import Skeleton, drawn_link, floor_height
 from calib_pin.kinematics.spatial import invert
 from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.plane_distance import PlaneDistance
@@ -36,7 +36,6 @@ from calib_pin.viewer.scene import (
     Rows,
     Scene,
     bodies_of,
-    floor_height,
     tip_paths,
 )
 from calib_pin.io.robot_shapes import robot_shapes
@@ -326,9 +325,9 @@ def test_all_is_in_view() -> None:
 )
 def test_the_floor_is_under_the_robot(name: str, height: float) -> None:
     robot = load_robot(name)
-    bodies = bodies_of(robot, robot.root, None)
-    scene = Scene("", robot_shapes(robot).parts, tuple(bodies))
-    assert floor_height(scene) == pytest.approx(height, abs=0.01)
+    skeleton = Skeleton(robot, robot.root)
+    found = floor_height(skeleton, robot_shapes(robot).parts)
+    assert found == pytest.approx(height, abs=0.01)
 
 
 def test_first_magnification() -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
-from calib_pin.kinematics.shapes import Surface
+from calib_pin.kinematics.shapes import Color, Surface
 from calib_pin.kinematics.spatial import Floats
 
 Ints = NDArray[np.int64]
@@ -103,11 +103,13 @@ class Solid:
         surface: Its triangles.
         pose: Where it stands, shape (4, 4).
         color: Red, green and blue from 0 to 1.
+        opacity: 1 for what cannot be seen through.
     """
 
     surface: Surface
     pose: Floats
-    color: tuple[float, float, float]
+    color: Color
+    opacity: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -137,10 +139,12 @@ def picture(view: View, solids: Sequence[Solid]) -> Picture:
     # Some meshes are inside out: what is seen is the side that faces the eye.
     normal = np.where(ahead[:, None] > 0.0, -normal, normal)
     colors = np.array([solid.color for solid in solids])[owner[chosen]]
-    lit = np.ones((*nearness.shape, 3))
+    lit = np.zeros((*nearness.shape, 3), np.float32)
     lit[shown] = colors * _light(normal, np.abs(ahead))[:, None]
     extent = float(np.ptp(depths)) if depths.size else 1.0
-    lit[shown] *= _ambient(nearness, view)[shown][:, None]
+    # What is smooth is found from every second pixel.
+    left = widened(_ambient(nearness[::2, ::2], view.scaled(0.5)), 2)
+    lit[shown] *= left[: len(shown), : shown.shape[1]][shown][:, None]
     return Picture(nearness, lit, extent)
 
 
@@ -149,9 +153,10 @@ def shadow(view: View, solids: Sequence[Solid], floor: float) -> Floats:
     corners, _, _ = _triangles(solids)
     height = np.maximum(corners[..., 2] - floor, 0.0)
     fallen = corners - height[..., None] * (KEY / KEY[2])
-    spots, depths = view.project(fallen)
-    nearness, _ = _nearest(view, spots, 1.0 / depths)
-    dark, size = (nearness > 0.0).astype(float), max(3, round(0.012 * view.size[0]))
+    spots, _ = view.project(fallen)
+    dark, size = np.zeros(view.size[::-1]), max(3, round(0.012 * view.size[0]))
+    for _, row, column in covered(spots, view.size):
+        dark[row, column] = 1.0
     for _ in range(3):
         dark = uniform_filter(dark, size, mode="constant")
     return dark
@@ -168,11 +173,62 @@ def outlines(seen: Picture) -> NDArray[np.bool_]:
     return result
 
 
+def balls(
+    view: View, seen: Picture, points: Floats, radius: float, colors: Floats
+) -> tuple[Ints, Floats, NDArray[np.bool_]]:
+    """Balls at points (N, 3) [m] among what is seen.
+
+    Args:
+        view: The view.
+        seen: What else is seen.
+        points: Their middles.
+        radius: Their radius [m].
+        colors: Red, green and blue from 0 to 1, shape (N, 3).
+
+    Returns:
+        Numbers of the pixels that show a ball, row by row, shape (n,), their lit
+        colors, shape (n, 3), and whether the ball stands behind something, shape (n,).
+    """
+    width, height = view.size
+    spots, depths = view.project(points)
+    sizes = np.maximum(view.focal * radius / depths, 1.0)
+    reach = math.ceil(float(sizes.max(initial=1.0)))
+    grid = np.arange(-reach, reach + 1)
+    first = np.floor(spots).astype(np.int64)
+    column, row = np.broadcast_arrays(
+        first[:, None, None, 0] + grid, first[:, None, None, 1] + grid[:, None]
+    )
+    x, y = (
+        (pixel + 0.5 - spots[:, None, None, k]) / sizes[:, None, None]
+        for k, pixel in enumerate((column, row))
+    )
+    inside = (x**2 + y**2 < 1.0) & (column >= 0) & (column < width)
+    inside &= (row >= 0) & (row < height)
+    ball = np.nonzero(inside)[0]
+    pixel, x, y = (row * width + column)[inside], x[inside], y[inside]
+    bulge = np.sqrt(np.maximum(1.0 - x**2 - y**2, 0.0))
+    near = 1.0 / (depths[ball] - radius * bulge)
+    best, winner = np.zeros(width * height), np.full(width * height, -1)
+    np.maximum.at(best, pixel, near)
+    first_one = near == best[pixel]
+    winner[pixel[first_one]] = np.flatnonzero(first_one)
+    shown = np.flatnonzero(winner >= 0)
+    k = winner[shown]
+    local = np.stack([x[k], y[k], -bulge[k]], axis=1)
+    bright = _light(np.einsum("nj,jk->nk", local, view.axes), bulge[k])
+    lit = colors[ball[k]] * (0.35 + 0.75 * bright[:, None])
+    return shown, lit, best[shown] < seen.nearness.ravel()[shown]
+
+
 def shrunk(image: Floats, factor: int) -> Floats:
     """Means of squares of pixels, shape (h f, w f, ...) -> (h, w, ...)."""
-    h, w = image.shape[0] // factor, image.shape[1] // factor
-    parts = image.reshape(h, factor, w, factor, *image.shape[2:])
-    return np.asarray(parts.mean(axis=(1, 3)))
+    parts = [image[k::factor, j::factor] for k in range(factor) for j in range(factor)]
+    return np.asarray(sum(parts[1:], parts[0]) / factor**2)
+
+
+def widened(image: Floats, factor: int) -> Floats:
+    """Each pixel as a square of pixels, shape (h, w) -> (h f, w f)."""
+    return np.repeat(np.repeat(image, factor, axis=0), factor, axis=1)
 
 
 def covered(spots: Floats, size: tuple[int, int]) -> Iterator[tuple[Ints, Ints, Ints]]:
@@ -206,7 +262,9 @@ def covered(spots: Floats, size: tuple[int, int]) -> Iterator[tuple[Ints, Ints, 
     lengths = stop - start
     batch = np.cumsum(lengths) // FRAGMENTS
     for k in range(int(batch[-1]) + 1 if len(batch) else 0):
-        span, column = _spread(np.flatnonzero((batch == k) & (lengths > 0)), start, lengths)
+        span, column = _spread(
+            np.flatnonzero((batch == k) & (lengths > 0)), start, lengths
+        )
         yield triangle[span], row[span], column
 
 
@@ -312,7 +370,7 @@ def _light(normal: Floats, facing: Floats) -> Floats:
         np.maximum(np.einsum("nj,j->n", normal, lamp / np.sqrt((lamp**2).sum())), 0.0)
         for lamp in (KEY, FILL)
     )
-    bright = 0.34 + 0.22 * sky + 0.50 * key + 0.14 * fill + 0.16 * key**24
+    bright = 0.42 + 0.22 * sky + 0.48 * key + 0.14 * fill + 0.16 * key**24
     return np.asarray(bright * (0.72 + 0.28 * facing))
 
 

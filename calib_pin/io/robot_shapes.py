@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, fromstring
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import InputError
+from calib_pin.errors import InputError, RobotError
 from calib_pin.io.meshes import MeshReader
 from calib_pin.io.packages import locate_mesh
 from calib_pin.io.urdf import locate_robot
@@ -48,7 +48,10 @@ def robot_shapes(
     """
     root = fromstring(parse_document(robot.source).plain)
     links = root.findall("link")
-    urdf = locate_robot(robot.file).resolve()
+    try:
+        urdf = locate_robot(robot.file).resolve()
+    except RobotError:  # The package it came from is not installed here.
+        urdf = Path(robot.file)
     colors = {m.get("name", ""): _rgb(m) for m in root.iterfind("material")}
     parts: list[Shape] = []
     missing: list[str] = []

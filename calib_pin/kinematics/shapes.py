@@ -86,6 +86,23 @@ def creased(surface: Surface) -> Surface:
     return Surface(corners[used // max(count, 1)], index.reshape(-1, 3))
 
 
+def simplified(surface: Surface, cell: float) -> Surface:
+    """The same surface with one vertex for all those in a cube of some edge [m].
+
+    Triangles that become lines are left out (J. Rossignac, P. Borrel, "Multi-resolution
+    3D approximations for rendering complex scenes", 1993).
+    """
+    cubes = np.floor(surface.vertices / cell).astype(np.int64)
+    cubes -= cubes.min(axis=0)
+    across, up, _ = cubes.max(axis=0) + 1
+    number = cubes[:, 0] + across * (cubes[:, 1] + up * cubes[:, 2])
+    _, place, counts = np.unique(number, return_inverse=True, return_counts=True)
+    means = [np.bincount(place, part) / counts for part in surface.vertices.T]
+    a, b, c = moved = place[surface.triangles].T
+    kept = (a != b) & (b != c) & (c != a)
+    return Surface(np.stack(means, axis=1), moved.T[kept])
+
+
 def _revolved(profile: list[tuple[float, float]]) -> Surface:
     """The surface that K points (radius, z), upwards, sweep about the z axis."""
     turns = 2.0 * np.pi * np.arange(SIDES) / SIDES

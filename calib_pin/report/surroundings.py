@@ -1,4 +1,4 @@
-"""What stands around a robot and on its tool, as shapes: instruments and targets.
+"""Instruments and targets around a robot and on its tool, as shapes.
 
 Each shape hangs on a link of the nominal robot: the base of its chain, or the tip for
 what the tool carries.
@@ -32,6 +32,12 @@ SOCKET: Color = (0.0, 0.62, 0.45)
 PLANE: Color = (0.34, 0.71, 0.91)
 """Of the palette of Okabe and Ito, like all groups of things."""
 
+AXES: tuple[Color, ...] = ((0.84, 0.37, 0.0), (0.0, 0.62, 0.45), (0.0, 0.45, 0.70))
+"""Of the axes x, y and z of a measurement frame."""
+
+LARGE = 1.2
+"""Size of a robot beside which signs have their full size [m]."""
+
 CLEAR = 0.35
 """Opacity of a surface that is touched: the robot behind it is seen."""
 
@@ -50,7 +56,8 @@ class Thing:
     """Something that the robot is measured with.
 
     Attributes:
-        kind: `station`, `camera`, `board`, `socket`, `sphere`, `anchor` or `plane`.
+        kind: `station` (a measurement frame), `camera`, `board`, `socket`, `sphere`,
+            `anchor` or `plane`.
         name: Its name; may be empty.
         origin: Where it is in its link, shape (3,) [m].
         shapes: What it looks like.
@@ -68,7 +75,7 @@ class Thing:
 
 
 def surroundings(
-    parts: Mapping[BlockKey, Part], rows: Observations, points: Floats
+    parts: Mapping[BlockKey, Part], rows: Observations, points: Floats, reach: float
 ) -> list[Thing]:
     """All that is known of what stands around, each once.
 
@@ -77,25 +84,27 @@ def surroundings(
             instruments.
         rows: Measurements of them.
         points: Their tool points in the base links of their chains, shape (N, 3) [m].
+        reach: Size of the robot [m]: what has no size of its own is drawn by it.
     """
+    size = float(np.clip(reach / LARGE, 0.15, 1.0))
     found: dict[tuple[str, str], Thing] = {}
     measured = dict(zip(rows.keys, rows.slices, strict=True))
     for key, part in parts.items():
         own = measured.get(key, slice(0))
-        touched = _touched(part, rows.target[own], points[own])
-        for thing in (*_instruments(part), *touched):
+        touched = _touched(part, rows.target[own], points[own], size)
+        for thing in (*_instruments(part, size), *touched):
             found.setdefault((thing.kind, thing.name), thing)
     return list(found.values())
 
 
-def _instruments(part: Part) -> Iterator[Thing]:
+def _instruments(part: Part, size: float) -> Iterator[Thing]:
     """The station of a block, or its camera with the board that it looks at."""
     chain, scope, references = part.error.chain, part.scope, part.measurement.references
     stands = chain.base, part.error.base.inverse().homogeneous
     carried = chain.tip, part.error.tool.homogeneous
     cameras = [r for r in references if isinstance(r, Camera)]
     if part.measurement.declaration.external and not cameras:
-        yield Thing("station", scope.station, stands[1][:3, 3], _station(*stands))
+        yield Thing("station", scope.station, stands[1][:3, 3], _station(*stands, size))
     for camera in cameras:
         hand = camera.mount == "hand"
         (own, name), (other, of) = (
@@ -103,7 +112,7 @@ def _instruments(part: Part) -> Iterator[Thing]:
             if hand
             else ((stands, scope.station), (carried, scope.tool))
         )
-        yield Thing("camera", name, own[1][:3, 3], _camera(*own))
+        yield Thing("camera", name, own[1][:3, 3], _camera(*own, size))
         marks = [r.xyz for r in references if isinstance(r, Point)]
         xyz = np.array([place for place in marks if place is not None]).reshape(-1, 3)
         if len(xyz) > 2:
@@ -111,7 +120,9 @@ def _instruments(part: Part) -> Iterator[Thing]:
             yield Thing("board", of, middle[:3], _board(*other, xyz))
 
 
-def _touched(part: Part, targets: Labels, points: Floats) -> Iterator[Thing]:
+def _touched(
+    part: Part, targets: Labels, points: Floats, size: float
+) -> Iterator[Thing]:
     """Sockets, planes, spheres and anchors that the measurements of a block name."""
     stands, link = part.error.base.inverse().homogeneous, part.error.chain.base
     sites = [target.rpartition(AT)[2] for target in targets.names]
@@ -119,7 +130,7 @@ def _touched(part: Part, targets: Labels, points: Floats) -> Iterator[Thing]:
         if not reference.located or not reference.outer:
             continue
         named = np.array([site in (reference.name, "") for site in sites], bool)
-        found = _reference(reference, stands, points[named[targets.codes]])
+        found = _reference(reference, stands, points[named[targets.codes]], size)
         if found is not None:
             place, surface, color, opacity = found
             shape = Shape(link, place, surface, color, opacity)
@@ -128,7 +139,7 @@ def _touched(part: Part, targets: Labels, points: Floats) -> Iterator[Thing]:
 
 
 def _reference(
-    reference: ReferenceObject, stands: Floats, near: Floats
+    reference: ReferenceObject, stands: Floats, near: Floats, size: float
 ) -> tuple[Floats, Surface, Color, float] | None:
     """Place (4, 4), surface, color and opacity of a reference that is located.
 
@@ -136,6 +147,7 @@ def _reference(
         reference: The reference, in the measurement frame.
         stands: That frame in the base link, shape (4, 4).
         near: Tool points that were measured against it, in the base link, (n, 3) [m].
+        size: Of what is drawn as a sign, 1 for a large robot.
     """
     if isinstance(reference, Plane):
         return _plane(reference, stands, near)
@@ -147,9 +159,9 @@ def _reference(
         assert reference.radius is not None
         return place, ball(abs(reference.radius)), PLANE, CLEAR
     if isinstance(reference, Anchor):
-        return place, box(np.full(3, 0.05)), STATION, 1.0
-    place[:3, 3] -= 0.02 * place[:3, 2]
-    return place, cylinder(0.03, 0.04), SOCKET, 1.0
+        return place, box(np.full(3, 0.05 * size)), STATION, 1.0
+    place[:3, 3] -= 0.02 * size * place[:3, 2]
+    return place, cylinder(0.024 * size, 0.03 * size), SOCKET, 1.0
 
 
 def _plane(
@@ -171,30 +183,26 @@ def _plane(
     return place, box(size), PLANE, CLEAR
 
 
-def _station(link: str, frame: Floats) -> tuple[Shape, ...]:
-    """A head on a foot, at the origin of a measurement frame."""
-    solids = (
-        (0.0, ball(0.06), STATION),
-        (-0.09, cylinder(0.045, 0.12), DARK),
-        (-0.16, cylinder(0.09, 0.02), DARK),
-    )
-    # Where its z axis points depends on the instrument: it stands upright.
-    shapes = []
-    for height, surface, color in solids:
-        place = np.eye(4)
-        place[:3, 3] = frame[:3, 3] + np.array([0.0, 0.0, height])
-        shapes.append(Shape(link, place, surface, color))
+def _station(link: str, frame: Floats, size: float) -> tuple[Shape, ...]:
+    """The axes of a measurement frame: nobody knows where its instrument stands."""
+    shapes = [Shape(link, frame, ball(0.02 * size), DARK)]
+    for k, color in enumerate(AXES):
+        # The z axis of a cylinder becomes the axis k.
+        place = frame.copy()
+        place[:3, :3] = np.roll(frame[:3, :3], 2 - k, axis=1)
+        place[:3, 3] += 0.1 * size * frame[:3, k]
+        shapes.append(Shape(link, place, cylinder(0.008 * size, 0.2 * size), color))
     return tuple(shapes)
 
 
-def _camera(link: str, frame: Floats) -> tuple[Shape, ...]:
+def _camera(link: str, frame: Floats, size: float) -> tuple[Shape, ...]:
     """A box with a lens, which looks along the z axis of its optical frame."""
     lens, body = frame.copy(), frame.copy()
-    lens[:3, 3] -= 0.0125 * frame[:3, 2]
-    body[:3, 3] -= 0.045 * frame[:3, 2]
+    lens[:3, 3] -= 0.0125 * size * frame[:3, 2]
+    body[:3, 3] -= 0.045 * size * frame[:3, 2]
     return (
-        Shape(link, body, box(np.array([0.08, 0.05, 0.04])), CAMERA),
-        Shape(link, lens, cylinder(0.018, 0.025), DARK),
+        Shape(link, body, box(size * np.array([0.08, 0.05, 0.04])), CAMERA),
+        Shape(link, lens, cylinder(0.018 * size, 0.025 * size), DARK),
     )
 
 

@@ -30,7 +30,6 @@ from calib_pin.report.breakdown import block_names
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.viewer.errors import StageErrors
 
-
 STEPS = 20
 """Points of the tip's path from one configuration to the next."""
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.kinematics.shapes import Shape, creased
+from calib_pin.kinematics.shapes import Shape, Surface, creased
 from calib_pin.kinematics.skeleton import corners, floor_height
 from calib_pin.kinematics.spatial import Floats, to_quaternion
 from calib_pin.viewer.controls import GHOST, MARK, MEASURED, PATH, ROBOT, STAGES, scaled
@@ -47,8 +47,7 @@ class RobotDrawing:
             color = ROBOT if shape.color is None else _bytes(shape.color)
             api.add_mesh_simple(
                 f"{name}/{number[shape.link]}/{k}",
-                shape.surface.vertices.astype(np.float32),
-                shape.surface.triangles.astype(np.uint32),
+                *_arrays(shape.surface),
                 color=GHOST if ghost else color,
                 opacity=OPACITY if ghost else None,
                 cast_shadow=not ghost,
@@ -147,6 +146,12 @@ def lines(errors: StageErrors, factor: float) -> NDArray[np.float32]:
     measured = errors.measured
     ends = np.stack([measured, measured + factor * errors.vectors], axis=1)
     return ends[np.isfinite(ends).all(axis=(1, 2))].astype(np.float32)
+
+
+def _arrays(surface: Surface) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Vertices and triangles with sharp edges, as the browser takes them."""
+    sharp = creased(surface)
+    return sharp.vertices.astype(np.float32), sharp.triangles.astype(np.uint32)
 
 
 def _bytes(color: tuple[float, float, float]) -> tuple[int, int, int]:

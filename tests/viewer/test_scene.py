@@ -13,6 +13,7 @@ import pytest
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.system import assembled
 from calib_pin.io.results import write_urdf
+from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
@@ -34,11 +35,9 @@ from calib_pin.viewer.panel import MAGNIFICATIONS, first_magnification
 from calib_pin.viewer.scene import (
     Plan,
     Rows,
-    Scene,
     bodies_of,
     tip_paths,
 )
-from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.viewer.stage import sight
 
 MIMICS = {"panda_finger_joint2": "panda_finger_joint1"}

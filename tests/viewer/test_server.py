@@ -18,8 +18,10 @@ import pytest
 import viser
 
 from calib_pin.cli import main
+from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.shapes import Shape, Surface
 from calib_pin.measurement_models.position import Position
 from calib_pin.validation.evaluation import prepared
 from calib_pin.viewer import server
@@ -28,8 +30,6 @@ from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.panel import Joints, Player
 from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, tip_paths
 from calib_pin.viewer.server import Window
-from calib_pin.io.robot_shapes import robot_shapes
-from calib_pin.kinematics.shapes import Shape, Surface
 from calib_pin.viewer.stage import Stage, lines
 
 SETUP = """base: panda_link0

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import base64
+import heapq
 import io
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,48 +29,62 @@ def with_few_colors(image: Bytes) -> Bytes:
 
     The colors are split where they vary most, until there are enough groups (S. J. Wan,
     P. Prusinkiewicz, S. K. M. Wong, "Variance-based color image quantization", 1990);
-    what is hardly opaque counts as little as it is seen.
+    a color that is hardly opaque counts as little as it is seen.
     """
     codes = np.ascontiguousarray(image).view(np.uint32).ravel()
     known, place, counts = np.unique(codes, return_inverse=True, return_counts=True)
     colors = known.view(np.uint8).reshape(-1, 4).astype(float)
     opacity = colors[:, 3:] / 255.0
     seen = np.concatenate([colors[:, :3] * opacity, colors[:, 3:]], axis=1)
-    weight = counts**RARE
+    weight = counts.astype(float) ** RARE
     # What is not there is a color of its own, or all else would get a tint.
-    groups = [np.flatnonzero(opacity[:, 0] > 0.0)]
-    losses = [_loss(seen, weight, groups[0])]
-    while len(groups) < COUNT - 1:
-        worst = int(np.argmax([loss for loss, _ in losses]))
-        if losses[worst][0] <= 0.0:
-            break
-        axis, group = losses[worst][1], groups[worst]
-        along = seen[group, axis]
-        low = along <= np.average(along, weights=weight[group])
-        parts = group[low], group[~low]
-        groups[worst : worst + 1] = parts
-        losses[worst : worst + 1] = [_loss(seen, weight, part) for part in parts]
+    groups = [_group(seen, weight, np.flatnonzero(opacity[:, 0] > 0.0))]
+    while len(groups) < COUNT - 1 and groups[0].loss < 0.0:
+        _, _, axis, members = heapq.heappop(groups)
+        along = seen[members, axis]
+        low = along <= np.average(along, weights=weight[members])
+        for part in (members[low], members[~low]):
+            heapq.heappush(groups, _group(seen, weight, part))
     result = np.zeros((len(known), 4), np.uint8)
-    for group in filter(len, groups):
-        mean = np.average(seen[group], axis=0, weights=weight[group])
+    for members in (group.members for group in groups if len(group.members)):
+        mean = np.average(seen[members], axis=0, weights=weight[members])
         mean[:3] *= 255.0 / max(mean[3], 1.0)
-        result[group] = np.clip(mean, 0.0, 255.0).round()
+        result[members] = np.clip(mean, 0.0, 255.0).round()
     return result[place.reshape(image.shape[:2])]
 
 
-def _loss(seen: Floats, weight: Floats, group: NDArray[np.intp]) -> tuple[float, int]:
-    """What one color for a group loses along its longest axis, and that axis."""
-    if len(group) == 0:
-        return 0.0, 0
-    own, colors = weight[group], seen[group]
-    mean = np.average(colors, axis=0, weights=own)
-    squares = (own[:, None] * (colors - mean) ** 2).sum(axis=0)
+class _Group(NamedTuple):
+    """Colors that one stands for, in the order in which they are split.
+
+    Attributes:
+        loss: What that loses along the longest axis, negative.
+        first: The first of them, of which no other group has the same.
+        axis: That axis.
+        members: Their numbers.
+    """
+
+    loss: float
+    first: int
+    axis: int
+    members: NDArray[np.intp]
+
+
+def _group(seen: Floats, weight: Floats, members: NDArray[np.intp]) -> _Group:
+    """A group of colors (n, 4) with weights (n,)."""
+    if len(members) == 0:
+        return _Group(0.0, -1, 0, members)
+    own, colors = weight[members, None], seen[members]
+    mean = (own * colors).sum(axis=0) / own.sum()
+    squares = (own * (colors - mean) ** 2).sum(axis=0)
     axis = int(np.argmax(squares))
-    return (float(squares[axis]) if np.ptp(colors[:, axis]) > 0.0 else 0.0), axis
+    same = colors[:, axis].min() == colors[:, axis].max()
+    return _Group(
+        0.0 if same else -float(squares[axis]), int(members[0]), axis, members
+    )
 
 
 def with_palette(address: str) -> str:
-    """A picture in an address, with a palette if its colors fit into one.
+    """A picture in an address, with a palette if that makes it shorter.
 
     Args:
         address: The `data:` address of a PNG file; any other is left alone.
@@ -88,4 +104,5 @@ def with_palette(address: str) -> str:
     indexed.save(
         stream, format="png", optimize=True, transparency=colors[:, 3].tobytes()
     )
-    return PNG + base64.b64encode(stream.getvalue()).decode()
+    shorter = PNG + base64.b64encode(stream.getvalue()).decode()
+    return min(shorter, address, key=len)

@@ -7,7 +7,7 @@ image, whatever the number of threads, and no graphics card or library is asked.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,17 +16,13 @@ from scipy.ndimage import uniform_filter
 
 from calib_pin.kinematics.shapes import Color, Surface
 from calib_pin.kinematics.spatial import Floats
-
-Ints = NDArray[np.int64]
+from calib_pin.report.figures.pixels import Ints, covered, nearest
 
 EDGE = math.cos(math.radians(40.0))
 """Cosine of the angle of triangles from which on their common edge looks sharp."""
 
-FRAGMENTS = 4_000_000
-"""Pixels of triangles that are held at once."""
-
-KEY, FILL = np.array([0.35, -0.45, 0.82]), np.array([-0.75, 0.25, 0.35])
-"""Directions to the lamps in the world: from above at the right, and from the left."""
+KEY, FILL = (-0.45, 0.45, 0.77), (0.80, 0.30, 0.35)
+"""Directions to both lamps: to the right, back to the eye, and up."""
 
 STEP = 0.018
 """Jump of the depth at which an outline is drawn, by the depth of the whole."""
@@ -88,6 +84,12 @@ class View:
         center, focal = factor * self.center, factor * self.focal
         return View(self.eye, self.axes, focal, center, (width, height))
 
+    def toward(self, lamp: tuple[float, float, float]) -> Floats:
+        """Unit vector to a lamp that stands where it does for every eye, shape (3,)."""
+        right, up = self.axes[0], np.array([0.0, 0.0, 1.0])
+        found = np.array(lamp) @ np.stack([right, np.cross(right, up), up])
+        return np.asarray(found / np.sqrt((found**2).sum()))
+
     def project(self, points: Floats) -> tuple[Floats, Floats]:
         """Pixels (..., 2) and depths (...) [m] of points (..., 3)."""
         seen = np.einsum("kj,...j->...k", self.axes, points - self.eye)
@@ -114,7 +116,7 @@ class Solid:
 
 @dataclass(frozen=True)
 class Picture:
-    """What is seen in every pixel of an image.
+    """Nearness and color of every pixel of an image.
 
     Attributes:
         nearness: One by the depth, shape (h, w) [1/m]; 0 where nothing is.
@@ -131,7 +133,7 @@ def picture(view: View, solids: Sequence[Solid]) -> Picture:
     """The lit solids in a view."""
     corners, normals, owner = _triangles(solids)
     spots, depths = view.project(corners)
-    nearness, winner = _nearest(view, spots, 1.0 / depths)
+    nearness, winner = nearest(view.size, spots, 1.0 / depths)
     shown = winner >= 0
     chosen = winner[shown]
     normal = _smooth(spots[chosen], normals[chosen], shown)
@@ -140,7 +142,7 @@ def picture(view: View, solids: Sequence[Solid]) -> Picture:
     normal = np.where(ahead[:, None] > 0.0, -normal, normal)
     colors = np.array([solid.color for solid in solids])[owner[chosen]]
     lit = np.zeros((*nearness.shape, 3), np.float32)
-    lit[shown] = colors * _light(normal, np.abs(ahead))[:, None]
+    lit[shown] = colors * _light(view, normal, np.abs(ahead))[:, None]
     extent = float(np.ptp(depths)) if depths.size else 1.0
     # What is smooth is found from every second pixel.
     left = widened(_ambient(nearness[::2, ::2], view.scaled(0.5)), 2)
@@ -152,14 +154,18 @@ def shadow(view: View, solids: Sequence[Solid], floor: float) -> Floats:
     """How dark the floor is below solids, 0 to 1, shape (h, w)."""
     corners, _, _ = _triangles(solids)
     height = np.maximum(corners[..., 2] - floor, 0.0)
-    fallen = corners - height[..., None] * (KEY / KEY[2])
+    key = view.toward(KEY)
+    fallen = corners - height[..., None] * (key / key[2])
     spots, _ = view.project(fallen)
     dark, size = np.zeros(view.size[::-1]), max(3, round(0.012 * view.size[0]))
     for _, row, column in covered(spots, view.size):
         dark[row, column] = 1.0
     for _ in range(3):
         dark = uniform_filter(dark, size, mode="constant")
-    return dark
+    # It fades before the image ends.
+    from_rim = [np.minimum(np.arange(k), np.arange(k)[::-1]) for k in dark.shape]
+    down, across = (np.minimum(rim / (3.0 * size), 1.0) for rim in from_rim)
+    return np.asarray(dark * down[:, None] * across)
 
 
 def outlines(seen: Picture) -> NDArray[np.bool_]:
@@ -215,7 +221,7 @@ def balls(
     shown = np.flatnonzero(winner >= 0)
     k = winner[shown]
     local = np.stack([x[k], y[k], -bulge[k]], axis=1)
-    bright = _light(np.einsum("nj,jk->nk", local, view.axes), bulge[k])
+    bright = _light(view, np.einsum("nj,jk->nk", local, view.axes), bulge[k])
     lit = colors[ball[k]] * (0.35 + 0.75 * bright[:, None])
     return shown, lit, best[shown] < seen.nearness.ravel()[shown]
 
@@ -229,51 +235,6 @@ def shrunk(image: Floats, factor: int) -> Floats:
 def widened(image: Floats, factor: int) -> Floats:
     """Each pixel as a square of pixels, shape (h, w) -> (h f, w f)."""
     return np.repeat(np.repeat(image, factor, axis=0), factor, axis=1)
-
-
-def covered(spots: Floats, size: tuple[int, int]) -> Iterator[tuple[Ints, Ints, Ints]]:
-    """Pixels whose middle lies in triangles with corners at (T, 3, 2) pixels.
-
-    Yields:
-        Triangle, row and column of pixels within an image of some width and height,
-        part by part.
-    """
-    width, height = size
-    y = spots[..., 1]
-    first = np.ceil(np.clip(y.min(axis=1), 0.0, height) - 0.5).astype(np.int64)
-    last = np.ceil(np.clip(y.max(axis=1), 0.0, height) - 0.5).astype(np.int64)
-    outside = (spots[..., 0].max(axis=1) < 0.0) | (spots[..., 0].min(axis=1) > width)
-    rows = np.where(outside, 0, last - first)
-    triangle, row = _spread(np.flatnonzero(rows), first, rows)
-    at, corners = row + 0.5, spots[triangle]
-    low, high = np.full(len(at), np.inf), np.full(len(at), -np.inf)
-    for a, b in ((0, 1), (1, 2), (2, 0)):
-        (xa, ya), (xb, yb) = corners[:, a].T, corners[:, b].T
-        crossing = (ya <= at) != (yb <= at)
-        slope = (xb - xa) / np.where(crossing, yb - ya, 1.0)
-        x = xa + (at - ya) * slope
-        low = np.where(crossing, np.minimum(low, x), low)
-        high = np.where(crossing, np.maximum(high, x), high)
-    crossed = high >= low
-    start, stop = (
-        np.ceil(np.clip(np.where(crossed, x, 0.0), 0.0, width) - 0.5).astype(np.int64)
-        for x in (low, high)
-    )
-    lengths = stop - start
-    batch = np.cumsum(lengths) // FRAGMENTS
-    for k in range(int(batch[-1]) + 1 if len(batch) else 0):
-        span, column = _spread(
-            np.flatnonzero((batch == k) & (lengths > 0)), start, lengths
-        )
-        yield triangle[span], row[span], column
-
-
-def _spread(which: Ints, first: Ints, counts: Ints) -> tuple[Ints, Ints]:
-    """Each of `which` as often as it counts, with the numbers from its first one on."""
-    many = counts[which]
-    owner = np.repeat(which, many)
-    start = np.repeat(np.cumsum(many) - many, many)
-    return owner, first[owner] + np.arange(len(owner)) - start
 
 
 def _triangles(solids: Sequence[Solid]) -> tuple[Floats, Floats, Ints]:
@@ -299,53 +260,22 @@ def _normals(corners: Floats, triangles: Ints, count: int) -> Floats:
     flat = np.cross(b - a, c - a)
     means = np.stack(
         [
-            np.bincount(triangles.ravel(), np.repeat(flat[:, k], 3), count)
+            np.bincount(triangles.ravel(), np.repeat(flat[:, k], 3), count).astype(
+                float
+            )
             for k in range(3)
         ],
         axis=1,
     )
-    flat, means = _unit(flat), _unit(means)
-    smooth = means[triangles]
+    flat, smooth = _unit(flat), _unit(means)[triangles]
     near = np.einsum("tkj,tj->tk", smooth, flat) > EDGE
     return np.where(near[..., None], smooth, flat[:, None])
 
 
 def _unit(vectors: Floats) -> Floats:
+    """Vectors of length one, or zero, shape (..., 3)."""
     sizes = np.sqrt((vectors**2).sum(axis=-1, keepdims=True))
     return np.asarray(vectors / np.maximum(sizes, 1e-300))
-
-
-def _nearest(view: View, spots: Floats, nearness: Floats) -> tuple[Floats, Ints]:
-    """Nearness (h, w) and number (h, w) of the triangle seen in each pixel, or -1."""
-    width, height = view.size
-    best, winner = np.zeros(width * height), np.full(width * height, -1)
-    origin, across, down = _plane(spots, nearness)
-    for triangle, row, column in covered(spots, view.size):
-        # One by the depth is linear in the image.
-        near = (
-            origin[triangle]
-            + across[triangle] * (column + 0.5)
-            + down[triangle] * (row + 0.5)
-        )
-        pixel = row * width + column
-        np.maximum.at(best, pixel, near)
-        first = near == best[pixel]
-        winner[pixel[first]] = triangle[first]
-    return best.reshape(height, width), winner.reshape(height, width)
-
-
-def _plane(spots: Floats, values: Floats) -> tuple[Floats, Floats, Floats]:
-    """Linear functions of the pixel with values (T, 3) at corners (T, 3, 2)."""
-    (x1, y1), (x2, y2) = (np.moveaxis(spots[:, k] - spots[:, 0], 1, 0) for k in (1, 2))
-    v1, v2 = values[:, 1] - values[:, 0], values[:, 2] - values[:, 0]
-    area = x1 * y2 - x2 * y1
-    # What is seen from its edge has no plane: it is as near as its first corner.
-    usable = np.abs(area) > 1e-3
-    area = np.where(usable, area, 1.0)
-    across = np.where(usable, (v1 * y2 - v2 * y1) / area, 0.0)
-    down = np.where(usable, (x1 * v2 - x2 * v1) / area, 0.0)
-    origin = values[:, 0] - across * spots[:, 0, 0] - down * spots[:, 0, 1]
-    return origin, across, down
 
 
 def _smooth(spots: Floats, normals: Floats, shown: NDArray[np.bool_]) -> Floats:
@@ -363,11 +293,11 @@ def _smooth(spots: Floats, normals: Floats, shown: NDArray[np.bool_]) -> Floats:
     return _unit(np.einsum("nk,nkj->nj", parts, normals))
 
 
-def _light(normal: Floats, facing: Floats) -> Floats:
+def _light(view: View, normal: Floats, facing: Floats) -> Floats:
     """Brightness of surfaces, shape (n,): two lamps, the sky, and darker rims."""
     sky = 0.5 + 0.5 * normal[:, 2]
     key, fill = (
-        np.maximum(np.einsum("nj,j->n", normal, lamp / np.sqrt((lamp**2).sum())), 0.0)
+        np.maximum(np.einsum("nj,j->n", normal, view.toward(lamp)), 0.0)
         for lamp in (KEY, FILL)
     )
     bright = 0.42 + 0.22 * sky + 0.48 * key + 0.14 * fill + 0.16 * key**24
@@ -375,7 +305,7 @@ def _light(normal: Floats, facing: Floats) -> Floats:
 
 
 def _ambient(nearness: Floats, view: View) -> Floats:
-    """What neighbors in front leave of the light, 0 to 1, shape (h, w)."""
+    """The part of the light that neighbors in front leave, 0 to 1, shape (h, w)."""
     z = np.where(nearness > 0.0, 1.0 / np.maximum(nearness, 1e-9), 1e9)
     kept = np.zeros(z.shape)
     reach = 0.012 * view.size[0]
@@ -392,6 +322,6 @@ def _ambient(nearness: Floats, view: View) -> Floats:
 
 
 def _moved(image: Floats, step: int, axis: int) -> Floats:
-    """An image whose pixels are those that lie some steps further, at the rim its own."""
+    """An image of the pixels that lie some steps further; the rim is repeated."""
     count = image.shape[axis]
     return np.take(image, np.clip(np.arange(count) + step, 0, count - 1), axis=axis)

@@ -25,6 +25,7 @@ class Skeleton:
         base: Link in whose frame the others are.
 
     Attributes:
+        base: That link.
         links: Names of all L links.
         joints: Names of the K joints with a position of their own.
         revolute: True for those that turn, shape (K,).
@@ -38,7 +39,7 @@ class Skeleton:
         model = robot.model
         self._model = model
         self._data = model.createData()
-        self.links = robot.links
+        self.base, self.links = base, robot.links
         self._base = robot.links.index(base)
         self._frames = [model.getFrameId(k, pin.FrameType.BODY) for k in self.links]
         single = [j for j in range(1, model.njoints) if model.nvs[j] == 1]

@@ -74,25 +74,34 @@ class Thing:
         return self.shapes[0].link
 
 
+Touched = Mapping[BlockKey, tuple[Labels, Floats]]
+"""Targets of measurements by block, and their tool points in the base, (n, 3) [m]."""
+
+
+def touched_by(rows: Observations, points: Floats) -> Touched:
+    """Targets and tool points of measurements, (N, 3) [m] in their base links."""
+    pairs = zip(rows.keys, rows.slices, strict=True)
+    return {key: (rows.target[own], points[own]) for key, own in pairs}
+
+
 def surroundings(
-    parts: Mapping[BlockKey, Part], rows: Observations, points: Floats, reach: float
+    parts: Mapping[BlockKey, Part], touched: Touched, reach: float
 ) -> list[Thing]:
     """All that is known of what stands around, each once.
 
     Args:
         parts: The parts of all blocks, about what has been found of frames and
             instruments.
-        rows: Measurements of them.
-        points: Their tool points in the base links of their chains, shape (N, 3) [m].
+        touched: Measurements, which tell how large planes are to be drawn; may be
+            empty.
         reach: Size of the robot [m]: what has no size of its own is drawn by it.
     """
     size = float(np.clip(reach / LARGE, 0.15, 1.0))
     found: dict[tuple[str, str], Thing] = {}
-    measured = dict(zip(rows.keys, rows.slices, strict=True))
     for key, part in parts.items():
-        own = measured.get(key, slice(0))
-        touched = _touched(part, rows.target[own], points[own], size)
-        for thing in (*_instruments(part, size), *touched):
+        targets, points = touched.get(key, (Labels.of(()), np.zeros((0, 3))))
+        sites = _touched(part, targets, points, size)
+        for thing in (*_instruments(part, size), *sites):
             found.setdefault((thing.kind, thing.name), thing)
     return list(found.values())
 

@@ -13,6 +13,7 @@ from calib_pin.estimation.problem import error_table
 from calib_pin.kinematics.skeleton import base_poses
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.tool_point import PointModel
+from calib_pin.report.surroundings import Thing, surroundings
 from calib_pin.validation.evaluation import Prepared
 
 
@@ -63,7 +64,7 @@ def stage_errors(robot: Prepared, link: str) -> StageErrors:
     points, vectors = np.zeros((len(data), 3)), np.full((len(data), 3), np.nan)
     for block in problem.blocks:
         q, base = data.q[block.rows], block.part.error.base.inverse().homogeneous
-        seen = base @ _tool_poses(block, theta)
+        seen = _in_base(block, theta)
         to_link = base_poses(problem.chains, block.part.key.chain, link, q)
         points[block.rows] = (to_link @ seen)[:, :3, 3]
         turn = to_link[:, :3, :3] @ base[:3, :3]
@@ -80,6 +81,27 @@ def stage_errors(robot: Prepared, link: str) -> StageErrors:
         for quantity in problem.layout.quantities
     }
     return StageErrors(points, vectors, sizes)
+
+
+def things_around(robot: Prepared, reach: float) -> list[Thing]:
+    """What stands around a robot that is prepared for measurements, and on its tool.
+
+    Args:
+        robot: The robot.
+        reach: Its size [m].
+    """
+    problem, theta = robot.problem.rebased(robot.theta)
+    touched = {
+        block.part.key: (block.data.target, _in_base(block, theta)[:, :3, 3])
+        for block in problem.blocks
+    }
+    return surroundings(problem.parts, touched, reach)
+
+
+def _in_base(block: Block, theta: Floats) -> Floats:
+    """Poses of the tool at the measured points, in the base link, (N, 4, 4)."""
+    base = block.part.error.base.inverse().homogeneous
+    return np.asarray(base @ _tool_poses(block, theta))
 
 
 def _tool_poses(block: Block, theta: Floats) -> Floats:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.io.urdf_origins import edit_origins
@@ -21,12 +22,13 @@ from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.shapes import Shape
-from calib_pin.kinematics.skeleton import Skeleton, base_poses
+from calib_pin.kinematics.skeleton import Skeleton, base_poses, chain_links
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.report.breakdown import block_names
+from calib_pin.report.surroundings import Thing
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.viewer.errors import StageErrors
 
@@ -46,11 +48,23 @@ class Body:
         skeleton: Where its links are.
         model: Calibrated model that corrects the commanded joints; None where
             nothing does.
+        factor: Magnification of all corrections.
     """
 
     name: str
     skeleton: Skeleton
     model: CalibratedModel | None = None
+    factor: float = 1.0
+
+    def magnified(self, factor: float) -> Body:
+        """The same with its corrections magnified; it stays as it is without any.
+
+        Links hang together: screws of joint origins and angles of joints are
+        multiplied, so that a small error of a link is magnified as much.
+        """
+        if self.model is None:
+            return self
+        return corrected(self.model, self.skeleton.base, factor)
 
     def placements(self, q: Floats, payload: str = "") -> Floats:
         """Poses of all links in the base link, shape (L, 4, 4).
@@ -72,6 +86,7 @@ class Body:
             (turned,) = _carrying(chain, payload).joint_positions(
                 commanded, chain.theta
             )
+            turned = commanded[0] + self.factor * (turned - commanded[0])
             for joint, position in zip(joints, turned, strict=True):
                 if joint in own:  # One that follows another follows it as it is.
                     moved[own[joint]] = position
@@ -134,6 +149,7 @@ class Scene:
         chains: The chains that measurements and plan move, if there are any.
         rows: Measurements, if there are any.
         plan: Planned configurations, if there are any.
+        things: Instruments and targets that stand around or that the tool carries.
     """
 
     title: str
@@ -142,6 +158,26 @@ class Scene:
     chains: Chains | None = None
     rows: Rows | None = None
     plan: Plan | None = None
+    things: tuple[Thing, ...] = ()
+
+    @cached_property
+    def highlighted(self) -> frozenset[str]:
+        """The links of the chains that measurements and plan move, or all links."""
+        if self.chains is None:
+            return frozenset(self.bodies[0].skeleton.links)
+        return chain_links(self.chains)
+
+    @property
+    def largest_move(self) -> float:
+        """How far the origin of any link is moved by corrections at the start [m]."""
+        first, *others = (body.placements(self.start) for body in self.bodies)
+        return max(
+            (
+                float(np.linalg.norm((T - first)[:, :3, 3], axis=1).max())
+                for T in others
+            ),
+            default=0.0,
+        )
 
     @cached_property
     def moved(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -171,11 +207,19 @@ def bodies_of(robot: Robot, base: str, model: CalibratedModel | None) -> list[Bo
     """The robot by itself, or as it is nominally and as its calibration corrects it."""
     if model is None:
         return [Body("robot", Skeleton(robot, base))]
-    corrected = edit_origins(robot.source, model.urdf_corrections(), robot.file)
-    return [
-        Body("nominal", Skeleton(robot, base)),
-        Body("corrected", Skeleton(parse_robot(corrected, robot.file), base), model),
-    ]
+    return [Body("nominal", Skeleton(robot, base)), corrected(model, base)]
+
+
+def corrected(model: CalibratedModel, base: str, factor: float = 1.0) -> Body:
+    """The robot as its calibration corrects it, so many times over."""
+    robot = model.chains.robot
+    origins = {
+        joint: pin.exp6(factor * pin.log6(correction))
+        for joint, correction in model.urdf_corrections().items()
+    }
+    written = edit_origins(robot.source, origins, robot.file)
+    skeleton = Skeleton(parse_robot(written, robot.file), base)
+    return Body("corrected", skeleton, model, factor)
 
 
 def tip_paths(

@@ -12,7 +12,7 @@ import pytest
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.shapes import Shape
-from calib_pin.report.surroundings import Thing, surroundings
+from calib_pin.report.surroundings import Thing, surroundings, touched_by
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
@@ -40,7 +40,7 @@ def around() -> Callable[..., dict[str, Thing]]:
         theta, rng = np.zeros(len(problem.parameters)), np.random.default_rng(0)
         rows = calib_pin.simulate(problem, theta, rng, count=6)
         points = np.zeros((len(rows), 3)) if near is None else np.asarray(near)
-        found = surroundings(problem.parts, rows, points, 1.2)
+        found = surroundings(problem.parts, touched_by(rows, points), 1.2)
         return {f"{thing.kind} {thing.name}": thing for thing in found}
 
     return make

@@ -32,7 +32,7 @@ from calib_pin.report.figures.raster import (
     widened,
 )
 from calib_pin.report.figures.strokes import thinned
-from calib_pin.report.surroundings import surroundings
+from calib_pin.report.surroundings import surroundings, touched_by
 from calib_pin.validation.result import CalibrationResult
 
 FINE = 2
@@ -121,8 +121,9 @@ def scene_of(
         for s in shapes
     ]
     clear: list[Solid] = []
+    touched = touched_by(rows, result.fitted.points)
     spots = [middle]
-    for thing in surroundings(result.model.parts, rows, result.fitted.points, reach):
+    for thing in surroundings(result.model.parts, touched, reach):
         place = T[thing.link][:3, :3] @ thing.origin + T[thing.link][:3, 3]
         # A measurement frame is a place where nothing needs to be.
         if thing.kind == "station" or np.linalg.norm(place - middle) > NEAR * radius:

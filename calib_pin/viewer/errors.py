@@ -84,7 +84,7 @@ def stage_errors(robot: Prepared, link: str) -> StageErrors:
 
 
 def things_around(robot: Prepared, reach: float) -> list[Thing]:
-    """What stands around a robot that is prepared for measurements, and on its tool.
+    """Instruments and targets around a robot that is prepared for measurements.
 
     Args:
         robot: The robot.

@@ -146,7 +146,7 @@ WAIT = 60.0
 """Time for a browser to draw a picture, also without a graphics card [s]."""
 
 VISIBLE = 0.2
-"""Length that the largest vector gets at first [m]."""
+"""Length that the largest vector gets at first, by the size of the robot."""
 
 
 def add_panel(controls: Controls, scene: Scene, stage: Stage) -> Player | None:
@@ -172,9 +172,14 @@ def add_panel(controls: Controls, scene: Scene, stage: Stage) -> Player | None:
     return Player(controls, scene.plan, joints, stage.path)
 
 
-def first_magnification(largest: float) -> int:
-    """The magnification that makes the largest vector [m] just not too long."""
-    fitting = [step for step in MAGNIFICATIONS if step * largest <= VISIBLE]
+def first_magnification(largest: float, size: float) -> int:
+    """The magnification that makes the largest vector just not too long.
+
+    Args:
+        largest: Its length [m].
+        size: Size of the robot [m].
+    """
+    fitting = [step for step in MAGNIFICATIONS if step * largest <= VISIBLE * size]
     return fitting[-1] if fitting else MAGNIFICATIONS[0]
 
 
@@ -208,7 +213,7 @@ def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
         largest.append(float(np.nanmax(lengths)))
     if not largest:
         return
-    first = MAGNIFICATIONS.index(first_magnification(max(largest)))
+    first = MAGNIFICATIONS.index(first_magnification(max(largest), stage.size))
     marks = tuple((k, str(MAGNIFICATIONS[k])) for k in (0, 3, 6, 9))
     with controls.gui.add_folder(
         "Errors, predicted minus measured" if vectors else "Corrections"

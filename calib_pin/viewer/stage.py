@@ -84,6 +84,27 @@ class RobotDrawing:
         """Poses of all links as they are drawn, shape (L, 4, 4)."""
         return self._placements
 
+    @property
+    def shown(self) -> dict[int, bool]:
+        """Whether each link is drawn, by its number."""
+        return {number: link.visible for number, link in self._links.items()}
+
+    def hide_equal(self, others: Floats, size: float) -> None:
+        """Show only links that another robot has elsewhere, as far as one can see.
+
+        Two surfaces in one place would be drawn as a mixture of both.
+
+        Args:
+            others: Poses of the links of the other robot, shape (L, 4, 4).
+            size: Size of the robot [m].
+        """
+        away = np.linalg.norm((others - self._placements)[:, :3, 3], axis=1)
+        turns = np.linalg.norm((others - self._placements)[:, :3, :3], axis=(1, 2))
+        apart = away + LEVER * size * turns > SEEN * size
+        for number, link in self._links.items():
+            if link.visible != apart[number]:
+                link.visible = bool(apart[number])
+
 
 class ThingsDrawing:
     """Instruments and targets, where the last robot carries them.
@@ -91,6 +112,7 @@ class ThingsDrawing:
     Attributes:
         root: Carries all of them.
         names: Carries their names.
+        frames: The frame of each link below either, by the name of that and the link.
     """
 
     def __init__(
@@ -102,7 +124,7 @@ class ThingsDrawing:
         }
         roots = [api.add_frame(name, show_axes=False) for name in ("/things", "/names")]
         self.root, self.names = roots
-        self._frames = {
+        self.frames = {
             (root.name, link): api.add_frame(f"{root.name}/{k}", show_axes=False)
             for root in roots
             for link, k in self._places.items()
@@ -126,7 +148,7 @@ class ThingsDrawing:
 
     def put(self, placements: Floats) -> None:
         """Put them in place, links having the poses (L, 4, 4)."""
-        for (_, link), frame in self._frames.items():
+        for (_, link), frame in self.frames.items():
             T = placements[self._places[link]]
             frame.position, frame.wxyz = T[:3, 3], _wxyz(T)
 
@@ -227,6 +249,9 @@ def _wxyz(T: Floats) -> Floats:
     return np.roll(to_quaternion(T[:3, :3]), 1)
 
 
+SEEN, LEVER = 0.004, 0.15
+"""Distance of links that is seen, and a lever for turns, by the size of the robot."""
+
 NAMED = ("station", "camera", "board")
 """Things whose kind tells more than their name."""
 
@@ -247,6 +272,7 @@ class Stage:
     """The drawn scene, and what can be changed of it.
 
     Attributes:
+        size: Size of the robot [m].
         robots: The robots by name.
         things: Instruments and targets, if there are any.
         rows: Measurements, if there are any.
@@ -259,7 +285,7 @@ class Stage:
         skeleton = scene.bodies[0].skeleton
         api, floor = server.scene, floor_height(skeleton, scene.shapes)
         robot = corners(skeleton, scene.shapes, scene.start)
-        size = float(np.ptp(robot, axis=0).max())
+        self.size = size = float(np.ptp(robot, axis=0).max())
         _light(api, size, floor)
         seen = [robot, np.array([[*robot.mean(axis=0)[:2], floor]])]
         if scene.rows is not None:
@@ -299,6 +325,8 @@ class Stage:
         with self._server.atomic():
             for robot in self.robots.values():
                 robot.pose(q, payload)
+            for other in [*self.robots.values()][:-1]:
+                other.hide_equal(robot.placements, self.size)
             if self.things is not None:
                 self.things.put(robot.placements)
 

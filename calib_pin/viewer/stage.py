@@ -264,8 +264,8 @@ CORNER = np.array([0.80, -0.52, 0.30])
 ANGLE = 0.7
 """Vertical angle of view [rad]."""
 
-ASPECT = 1.1
-"""Width of the view by its height; a window is mostly wider."""
+ASPECT = 0.95
+"""Width of the view by its height, beside the panel of a usual window."""
 
 
 class Stage:

@@ -58,6 +58,9 @@ ROOM = (WIDTH - 2 * LEFT - GAP) / 2.0, 3.3
 """Width and height of an image at most [inch]."""
 
 
+TRIANGLES = 1_500_000
+"""Triangles of a robot that are drawn in a few seconds; few robots have as many."""
+
 SMALLEST, LARGEST = 0.006, 0.013
 """Radius of balls by the extent of the scene."""
 
@@ -87,12 +90,15 @@ def robot_errors(
 
     Args:
         result: The result.
-        shapes: Shapes of the robot's links; simple solids where there are none.
+        shapes: Shapes of the robot's links; simple solids where there are none, or
+            where these would take too long to draw.
     """
     measured = _measured(result)
     if measured is None or not len(measured.points):
         return None
-    links = list(shapes) or stand_ins(result.model.chains.robot)
+    links = list(shapes)
+    if not 0 < sum(len(shape.surface.triangles) for shape in links) <= TRIANGLES:
+        links = stand_ins(result.model.chains.robot)
     scene = scene_of(result, links, measured.points)
     sizes = [measured.before, measured.after]
     chosen = thinned(len(measured.points), POINTS, sizes)

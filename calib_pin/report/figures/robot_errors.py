@@ -58,6 +58,9 @@ ROOM = (WIDTH - 2 * LEFT - GAP) / 2.0, 3.3
 """Width and height of an image at most [inch]."""
 
 
+BESIDE = 17.0
+"""Distance of the names of axes from the last line of the grid [px]."""
+
 TRIANGLES = 1_500_000
 """Triangles of a robot that are drawn in a few seconds; few robots have as many."""
 
@@ -227,11 +230,18 @@ def _ground(axes: Axes, view: View, scene: Scene) -> None:
             ends[:, k], ends[:, 1 - k] = value, (low[1 - k], high[1 - k])
             lines.append(view.project(ends)[0])
     axes.add_collection(LineCollection(lines, colors=GRID, linewidths=0.6, zorder=1.0))
-    for k in (0, 1):
-        ends = np.array([[0.0, 0.0, scene.floor]] * 2)
-        ends[1, k] = high[k] if high[k] > 0.5 * step else low[k]
-        spots = view.project(ends)[0]
-        axes.add_collection(LineCollection([spots], colors=MUTED, linewidths=0.9))
-        sign = "" if ends[1, k] > 0.0 else "-"
-        x, y = spots[1]
-        axes.text(x, y, f"{sign}{'xy'[k]}", color=MUTED, fontsize=8.5)
+    origin, _ = view.project(np.array([0.0, 0.0, scene.floor]))
+    for k, end in enumerate(scene.ends):
+        spot, _ = view.project(end)
+        axes.add_collection(
+            LineCollection([[origin, spot]], colors=MUTED, linewidths=0.9)
+        )
+        # Beside the last line of the grid, on which no letter can be read.
+        rim, _ = view.project(end + step * np.eye(3)[1 - k])
+        right, down = (rim - spot) / max(float(np.linalg.norm(rim - spot)), 1e-9)
+        beside = BESIDE * np.array([-down, right])
+        x, y = spot + math.copysign(1.0, beside @ (spot - origin)) * beside
+        name = f"{'' if end[k] > 0.0 else '-'}{'xy'[k]}"
+        axes.text(
+            x, y, name, color=MUTED, fontsize=8.0, ha="center", va="center_baseline"
+        )

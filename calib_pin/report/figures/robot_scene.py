@@ -89,6 +89,15 @@ class Scene:
     extent: float
     spots: Floats
 
+    @property
+    def ends(self) -> Floats:
+        """Ends of the axes x and y on the ground, where the grid ends, (2, 3) [m]."""
+        step, low, high = self.grid
+        found = np.array([[0.0, 0.0, self.floor]] * 2)
+        for k in (0, 1):
+            found[k, k] = high[k] if high[k] > 0.5 * step else low[k]
+        return found
+
 
 def scene_of(
     result: CalibrationResult, shapes: Sequence[Shape], points: Floats
@@ -183,10 +192,12 @@ def best_view(scene: Scene, points: Floats, radius: float, room: Floats) -> View
         radius: Their radius [m].
         room: Width and height of the image at most, shape (2,) [px].
     """
-    _, low, high = scene.grid
+    step, low, high = scene.grid
     ground = [(x, y, scene.floor) for x in (low[0], high[0]) for y in (low[1], high[1])]
     rims = [points + sign * radius * k for sign in (-1.0, 1.0) for k in np.eye(3)]
-    seen = np.concatenate([scene.frame, ground, *rims])
+    # The names of the axes stand beyond their ends.
+    names = scene.ends + 0.6 * step * np.sign(scene.ends) * [1.0, 1.0, 0.0]
+    seen = np.concatenate([scene.frame, ground, names, *rims])
     every = max(1, sum(len(s.surface.vertices) for s in scene.solids) // SAMPLES)
     spread = np.concatenate(
         [

@@ -114,7 +114,7 @@ def robot_errors(
     unit, factor = unit_of(measured.unit)
     high = _top(np.concatenate(sizes)) * factor
     shades = colormaps[COLORS](np.linspace(0.0, 1.0, LEVELS))[:, :3]
-    means = _means(result, measured)
+    *means, said = _means(result, measured)
     stages = (("before", BEFORE, sizes[0]), ("after", AFTER, sizes[1]))
     for k, (name, color, errors) in enumerate(stages):
         left = LEFT + k * (ROOM[0] + GAP) + 0.5 * (ROOM[0] - width)
@@ -126,7 +126,7 @@ def robot_errors(
         axes.imshow(drawn, interpolation="none", zorder=2.0)
         axes.set(xlim=(0, view.size[0]), ylim=(view.size[1], 0))
         axes.set_axis_off()
-        label = f"{name}: {significant(factor * means[k])} {unit} on average"
+        label = f"{name}: {significant(factor * means[k])} {unit} {said}"
         middle = LEFT + k * (ROOM[0] + GAP) + 0.5 * ROOM[0]
         note(figure, middle, 0.2, label, ha="center", va="center", color=color)
     clipped = (
@@ -180,19 +180,21 @@ def _size(points: Floats) -> float:
     return float(np.clip(0.17 / math.sqrt(apart), SMALLEST, LARGEST))
 
 
-def _means(result: CalibrationResult, measured: Measured) -> tuple[float, float]:
-    """Mean errors before and after: those of the report, on held-out measurements."""
+def _means(result: CalibrationResult, measured: Measured) -> tuple[float, float, str]:
+    """Mean errors before and after, those of the report, and what they are means of."""
     for stated in result.errors:
-        if stated.name == measured.name:
+        if stated.name == measured.name and stated.validation_after is not None:
             first = stated.validation_before or stated.before
-            return first.mean, (stated.validation_after or stated.after).mean
+            return first.mean, stated.validation_after.mean, "on average"
+        if stated.name == measured.name:
+            return stated.before.mean, stated.after.mean, "where fitted"
     before, after = (
         float(np.mean(sizes[np.isfinite(sizes)]))
         if np.isfinite(sizes).any()
         else math.inf
         for sizes in (measured.before, measured.after)
     )
-    return before, after
+    return before, after, "on average"
 
 
 def _first(sizes: Sequence[Floats]) -> Floats:

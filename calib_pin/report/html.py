@@ -15,6 +15,7 @@ from typing import Any
 from calib_pin.io.calibration_document import calibration_document, provenance
 from calib_pin.io.files import write_atomically
 from calib_pin.io.result_file import read_suggestions, read_written
+from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
 from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
@@ -47,6 +48,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "accuracy": (
         "Accuracy",
         (
+            "robot-errors",
             "errors-per-measurement",
             "errors-by-block",
             "error-vectors",
@@ -195,7 +197,8 @@ def report(
     else:
         result, document = read_written(result)
         suggested = read_suggestions(document)
-    figures = list(calibration_figures(result))
+    shapes = robot_shapes(result.model.chains.robot).parts
+    figures = list(calibration_figures(result, shapes))
     page = html_report(result, document, figures=figures, suggestions=suggested)
     write_atomically(Path(file), page, force=force)
 

@@ -17,6 +17,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from calib_pin.report.figures.palettes import with_palette
+
 SVG = "http://www.w3.org/2000/svg"
 
 ROUNDED = re.compile(r"-?\d+\.\d{3,}")
@@ -80,7 +82,7 @@ def _changed(
     if key == "id":
         return key, f"{name}-{value}"
     if key == "href":
-        embedded = value.replace("\n", "")
+        embedded = with_palette(value.replace("\n", ""))
         return key, f"#{name}-{value[1:]}" if value.startswith("#") else embedded
     if key == "clip-path":
         return key, REFERENCE.sub(f"url(#{name}-", value)

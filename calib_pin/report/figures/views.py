@@ -123,7 +123,7 @@ def colored(
             spots = points[level == k][:, side]
             for color, width in ((EDGE, size + 0.8), (to_hex(shades[k]), size)):
                 axes.add_artist(dots(spots, color, width, sides.scale))
-    _scale(figure, top + sides.height + FOOT, (low, high), f"{label}{remark}")
+    color_bar(figure, top + sides.height + FOOT, (low, high), f"{label}{remark}")
 
 
 def _range(values: Floats) -> tuple[float, float, bool]:
@@ -139,7 +139,9 @@ def _range(values: Floats) -> tuple[float, float, bool]:
     return low, max(high, low * (1.0 + 1e-3), low + 1e-12), clipped
 
 
-def _scale(figure: Figure, top: float, ends: tuple[float, float], label: str) -> None:
+def color_bar(
+    figure: Figure, top: float, ends: tuple[float, float], label: str
+) -> None:
     """The shades with some numbers below and what they mean at the left."""
     left, width, height = WIDTH - 3.6, 3.3, 0.13
     low, high = ends

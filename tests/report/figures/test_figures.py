@@ -206,7 +206,7 @@ def test_a_single_row_is_drawn(calibrated: CalibrationResult) -> None:
 def test_what_says_nothing_is_left_out(calibrated: CalibrationResult) -> None:
     found = [figure.name for figure in calibration_figures(without(calibrated))]
     assert found == [
-        *("errors-per-measurement", "error-vectors"),
+        *("robot-errors", "errors-per-measurement", "error-vectors"),
         *("residuals-over-order", "residuals-by-joint"),
     ]
 

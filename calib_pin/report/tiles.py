@@ -116,7 +116,7 @@ def change(before: float, after: float) -> str:
     if not (math.isfinite(before) and math.isfinite(after) and before > 0.0):
         return ""
     part = 100.0 * (after / before - 1.0)
-    if 0.0 < after and part < -99.0:
+    if after > 0.0 and part < -99.0:
         return f"{max(math.ceil(10.0 * part) / 10.0, -99.9):.1f} %"
     return f"{round(part):+d} %"
 

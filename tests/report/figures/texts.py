@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -63,7 +63,9 @@ def _found(figure: Figure, slack: float) -> Iterator[str]:
             yield f"{names[one]} is over {names[other]}"
     for artist, points in _data(figure):
         for text, box in texts.items():
-            # What labels a curve stands in its axes; no data may be under it either.
+            # What has a ground of its own is read over lines, but not under them.
+            if text.get_bbox_patch() and artist.get_zorder() < text.get_zorder():
+                continue
             inner = box.padded(-slack)
             if len(points) and inner.width > 0 and _crossed(points, inner):
                 yield f"{names[text]} is over data ({type(artist).__name__})"
@@ -141,9 +143,7 @@ def _points(artist: Artist) -> np.ndarray:
 def _dense(points: np.ndarray) -> np.ndarray:
     """Points along the lines between points."""
     points = points[np.isfinite(points).all(axis=1)]
-    parts = [
-        np.linspace(a, b, 60) for a, b in zip(points[:-1], points[1:], strict=True)
-    ]
+    parts = [np.linspace(a, b, 60) for a, b in pairwise(points)]
     return np.concatenate([points, *parts]) if len(points) < 2000 else points
 
 

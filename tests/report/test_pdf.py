@@ -59,7 +59,7 @@ def cover_of(**changed: object) -> Cover:
         facts=[("robot", "arm"), ("limit", "AP 0.5 mm"), ("operator", "")],
         numbers=Table("", columns("", ("found",)), [row_of("AP", "0.1")]),
         remark="A remark.",
-        figure=Drawn("f", "Figure", "Look at it.", Figure(figsize=(7.2, 3.0))),
+        figures=[Drawn("f", "Figure", "Look at it.", Figure(figsize=(7.2, 3.0)))],
         entries=entries,
     )
     return replace(plain, **changed)
@@ -114,7 +114,7 @@ def overlaps(sheet: Sequence[Item]) -> Iterator[tuple[Item, Item]]:
     "cover",
     [
         cover_of(),
-        cover_of(figure=None, remark="", facts=[]),
+        cover_of(figures=[], remark="", facts=[]),
         cover_of(
             robot=LONG,
             status="A VERDICT OF MANY WORDS THAT DO NOT FIT",

@@ -60,8 +60,8 @@ def plain(value: float) -> str:
     """A tick of an axis, as a power of ten where zeros would have to be counted.
 
     Example:
-        >>> plain(0.002), plain(-500.0), plain(1e-16), plain(2e7)
-        ('0.002', '−500', '10⁻¹⁶', '2·10⁷')
+        >>> plain(0.002), plain(500.0), plain(1e-16), plain(2e7)
+        ('0.002', '500', '10⁻¹⁶', '2·10⁷')
     """
     if value < 0.0:
         return f"\N{MINUS SIGN}{plain(-value)}"

@@ -91,7 +91,7 @@ def subject(result: CalibrationResult) -> Line:
 
 
 def taken(result: CalibrationResult) -> Facts:
-    """What was measured, with what, and who says so."""
+    """The measurements: of which robot, how, how many, and who took them."""
     system, stated, held_out = result.model, result.model.setup.report, result.held_out
     scopes = [part.scope for part in system.parts.values()]
     measured = f"{len(result.fitted)} measurements"
@@ -121,7 +121,7 @@ def taken(result: CalibrationResult) -> Facts:
         ("date", stated.date or ""),
         ("temperature", "" if degrees is None else f"{degrees:g} °C"),
     ]
-    return Facts("What was measured", [entry for entry in entries if entry[1]])
+    return Facts("Measurements", [entry for entry in entries if entry[1]])
 
 
 def chain_words(system: System) -> str:

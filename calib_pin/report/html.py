@@ -56,7 +56,7 @@ FIRST = ("robot-errors", "cumulative-errors")
 
 SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "frames": ("Tool, base, stations and cameras", ()),
-    "measured": ("What was measured", ()),
+    "measured": ("Measurements", ()),
     "findings": ("Outliers and findings", ("residuals-over-order",)),
     "accuracy": (
         "Accuracy",
@@ -255,7 +255,7 @@ def _known(
 
 
 def _findings(result: CalibrationResult, figures: Sequence[Drawn]) -> Iterator[Block]:
-    """What ails the result, all of it, and the measurements that do not fit."""
+    """All findings, and the measurements that do not fit."""
     before, _, behind = opening(result)
     drawn = {"", *(figure.name for figure in figures)}
     # A line leads to its figure, if that is there.

@@ -184,7 +184,7 @@ def _headline(sheets: Sheets, headline: Sequence[Tile]) -> None:
 
 
 def _card(sheets: Sheets, tile: Tile, left: float, right: float) -> None:
-    """What a size was and is, how much less that is, and what it is of."""
+    """Sizes before and after, their change, and remarks around them."""
     sheets.paragraph(tile.label, RUNNING, color=MUTED, left=left, right=right)
     for step in tile.steps:
         at = left

@@ -1,4 +1,4 @@
-"""The headline of a calibration: what it was, what it is, and how much less that is."""
+"""The headline of a calibration: errors before and after, and their change."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.result import CalibrationResult
 
 URDF, EVERYTHING = "the URDF alone", "with calib-pin compensate"
-"""What can be used of a calibration that is more than a URDF can hold."""
+"""The ways to use a calibration that is more than a URDF can hold."""
 
 UNUSED = {
     "no-gain": "not used: the URDF stays the nominal one",

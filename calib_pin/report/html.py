@@ -94,6 +94,16 @@ class _Section:
     parameters: Table | None = None
     statuses: Sequence[str] = ()
 
+    @property
+    def idle(self) -> Sequence[int]:
+        """Rows of parameters that say nothing: no deviation, and no or a zero value."""
+        rows = self.parameters.rows if self.parameters is not None else ()
+        return [
+            k
+            for k, (_, value, sigma, *_) in enumerate(rows)
+            if sigma.text == "-" and value.text.strip("-+0.") == ""
+        ]
+
 
 def html_report(
     result: CalibrationResult,

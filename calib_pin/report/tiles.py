@@ -20,7 +20,7 @@ URDF, EVERYTHING = "the URDF alone", "with calib-pin compensate"
 UNUSED = {
     "no-gain": "not used: the URDF stays the nominal one",
     "untrusted": "not to be trusted",
-    "unchecked": "not checked on other measurements",
+    "unchecked": "not confirmed by held-out measurements",
 }
 """Remarks on a headline that is no success, by the verdict."""
 

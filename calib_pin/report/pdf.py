@@ -109,14 +109,14 @@ def _first(sheets: Sheets, cover: Cover) -> None:
     if cover.remark:
         lines = broken(cover.remark, RIGHT - LEFT, RUNNING)
         foot -= LEADING * RUNNING * len(lines) + 6.0
-    first, *rest = [*cover.figures, None]
-    if first is not None and not _picture(sheets, first, foot - sheets.y - 12.0):
-        rest.insert(0, first)
+    rest = list(cover.figures)
+    if rest and _picture(sheets, rest[0], foot - sheets.y - 12.0):
+        del rest[0]
     sheets.y = foot
     if cover.remark:
         sheets.paragraph(cover.remark, RUNNING, color=MUTED)
     _signature(sheets)
-    _pictures(sheets, [figure for figure in rest if figure is not None])
+    _pictures(sheets, rest)
 
 
 def _verdict(sheets: Sheets, cover: Cover) -> None:

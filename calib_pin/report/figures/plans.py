@@ -198,8 +198,10 @@ def _way(axes: Axes, spots: Floats, scale: float) -> None:
             if near.all(axis=1).any() or crossed.all(axis=1).any():
                 continue
             told = np.concatenate([told, box[None]])
+            x, y = middle / scale
             axes.text(
-                *(middle / scale),
+                x,
+                y,
                 str(k + 1),
                 ha="center",
                 va="center",

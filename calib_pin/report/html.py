@@ -270,7 +270,7 @@ def _findings(result: CalibrationResult, figures: Sequence[Drawn]) -> Iterator[B
     drawn = {"", *(figure.name for figure in figures)}
     # A line leads to its figure, if that is there.
     found = [b for b in (*before, *behind) if getattr(b, "figure", "") in drawn]
-    yield from found or [Line("There is nothing else to say about the result.", "note")]
+    yield from found or [Line("There are no findings.", "note")]
     if result.statistics.outliers:
         count = len(result.statistics.outliers)
         yield Line(f"{count} of {len(result.fitted)} measurements are outliers.")

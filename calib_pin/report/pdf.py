@@ -102,7 +102,7 @@ def _first(sheets: Sheets, cover: Cover) -> None:
     _verdict(sheets, cover)
     _entries(sheets, cover)
     if cover.headline:
-        _headline(sheets, cover.headline)
+        _headline(sheets, cover)
     else:
         set_table(sheets, cover.numbers, 8.0, titled=False)
     foot = BOTTOM - SIGNED
@@ -164,9 +164,10 @@ def _entries(sheets: Sheets, cover: Cover) -> None:
     sheets.y = lowest + 10.0
 
 
-def _headline(sheets: Sheets, headline: Sequence[Tile]) -> None:
-    """The key numbers on cards side by side."""
-    count = min(len(headline), CARDS)
+def _headline(sheets: Sheets, cover: Cover) -> None:
+    """The key numbers on cards side by side; pale if they must not be trusted."""
+    headline, count = cover.headline, min(len(cover.headline), CARDS)
+    colors = (MUTED, MUTED) if cover.tone == "bad" else (BEFORE, AFTER)
     width = (RIGHT - LEFT - (count - 1) * INDENT) / count
     for first in range(0, len(headline), count):
         top, lowest = sheets.y, sheets.y
@@ -175,7 +176,7 @@ def _headline(sheets: Sheets, headline: Sequence[Tile]) -> None:
         ground = len(sheets.sheets[-1])
         for tile, left in zip(row, lefts, strict=True):
             sheets.y = top + 6.0
-            _card(sheets, tile, left + 8.0, left + width - 8.0)
+            _card(sheets, tile, left + 8.0, left + width - 8.0, colors)
             lowest = max(lowest, sheets.y + 5.0)
         # The cards are as high as the highest, and below what stands on them.
         cards = [Area(left, top, width, lowest - top, CARD) for left in lefts]
@@ -183,16 +184,18 @@ def _headline(sheets: Sheets, headline: Sequence[Tile]) -> None:
         sheets.y = lowest + 8.0
 
 
-def _card(sheets: Sheets, tile: Tile, left: float, right: float) -> None:
+def _card(
+    sheets: Sheets, tile: Tile, left: float, right: float, colors: tuple[str, str]
+) -> None:
     """Sizes before and after, their change, and remarks around them."""
     sheets.paragraph(tile.label, RUNNING, color=MUTED, left=left, right=right)
     for step in tile.steps:
         at = left
         change = f"{tile.unit} ({step.change})" if step.change else tile.unit
         for text, size, color in (
-            (step.before.text, LARGE, BEFORE),
+            (step.before.text, LARGE, colors[0]),
             ("→", SMALL, MUTED),
-            (step.after.text, LARGE, AFTER),
+            (step.after.text, LARGE, colors[1]),
             (change, SMALL, MUTED),
         ):
             face: Face = "B" if size == LARGE else ""

@@ -73,11 +73,15 @@ def tiles(result: CalibrationResult) -> Iterator[Tile]:
         before = error.validation_before if held_out else error.before
         after = error.validation_after if held_out else error.after
         assert before is not None and after is not None
-        steps = [_step("", before.mean, after.mean, factor)]
+        used = result.verdict == "good"
+        steps = [_step("", before.mean, after.mean, factor, used=used)]
         if (urdf := alone.get(error.name)) is not None:
             own = urdf.validation_after if held_out else urdf.after
             sizes = [(URDF, own or urdf.after), (EVERYTHING, after)]
-            steps = [_step(name, before.mean, a.mean, factor) for name, a in sizes]
+            steps = [
+                _step(name, before.mean, size.mean, factor, used=used)
+                for name, size in sizes
+            ]
         which = "held-out" if held_out else "fitted"
         yield Tile(
             label=f"mean {error.name} error of {which} measurements",
@@ -100,10 +104,15 @@ def tiles(result: CalibrationResult) -> Iterator[Tile]:
             )
 
 
-def _step(name: str, before: float, after: float, factor: float) -> Step:
-    """Sizes in SI units, with two significant digits in that of the factor."""
-    cells = [Cell(significant(factor * size), size) for size in (before, after)]
-    return Step(name, cells[0], cells[1], change(before, after))
+def _step(
+    name: str, before: float, after: float, factor: float, *, used: bool = True
+) -> Step:
+    """Sizes in SI units, with two significant digits in that of the factor.
+
+    No change is told of a result that is not used.
+    """
+    sizes = (Cell(significant(factor * size), size) for size in (before, after))
+    return Step(name, *sizes, change=change(before, after) if used else "")
 
 
 def change(before: float, after: float) -> str:

@@ -50,7 +50,7 @@ def test_what_is_not_good_says_so(held_out: CalibrationResult) -> None:
     """Predictions are those of a model that has to be right."""
     for verdict in ("no-gain", "unchecked", "untrusted"):
         (tile,) = tiles(replace(held_out, verdict=verdict))
-        assert "not" in tile.remark
+        assert "not" in tile.remark and tile.steps[0].change == ""
     fitted = replace(held_out.errors[0], validation_before=None, validation_after=None)
     tile, *_ = tiles(replace(held_out, errors=(fitted,)))
     assert "fitted" in tile.label

@@ -111,8 +111,8 @@ def _step(
 
     No change is told of a result that is not used.
     """
-    sizes = (Cell(significant(factor * size), size) for size in (before, after))
-    return Step(name, *sizes, change=change(before, after) if used else "")
+    first, last = (Cell(significant(factor * x), x) for x in (before, after))
+    return Step(name, first, last, change(before, after) if used else "")
 
 
 def change(before: float, after: float) -> str:

@@ -187,7 +187,7 @@ def _facts(
         ("robot", robot.name),
         ("serial number", entries.serial_number),
         ("file", Path(robot.file).name or robot.file),
-        ("SHA-256", f"{hashlib.sha256(robot.source).hexdigest()[:16]}…"),
+        ("SHA-256", hashlib.sha256(robot.source).hexdigest()),
         ("limit", ", ".join(limits) or NO_LIMIT),
         ("date", entries.date or ""),
         ("customer", entries.customer),

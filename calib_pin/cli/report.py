@@ -90,13 +90,8 @@ def report(
         contents = figure_contents(drawn, pictures)
         text = html_report(result, document, figures=drawn, suggestions=suggestions)
         if pdf is not None:
-            # It has one picture, of the errors before and after.
-            names = {figure.name: figure for figure in drawn}
-            cover = calibration_cover(
-                result,
-                dated(result.model.setup.report),
-                names.get("errors-per-measurement"),
-            )
+            stated = dated(result.model.setup.report)
+            cover = calibration_cover(result, stated, drawn)
             contents[pdf] = pdf_report(
                 cover, [*blocks(result, suggestions), *provenance_blocks(document)]
             )

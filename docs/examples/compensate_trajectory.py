@@ -44,8 +44,8 @@ def errors(q: np.ndarray) -> np.ndarray:
 
 nominal, compensated = errors(found.nominal), errors(found.q)
 sizes = [np.linalg.norm(e, axis=1).max() for e in (nominal, compensated)]
-print(f"largest deviation {sizes[0]:.2f} mm by nominal commands, {sizes[1]:.3f} mm ours")
-    f"largest deviation {sizes[0]:.2f} mm by nominal commands, {sizes[1]:.3f} by ours"
+print(
+    f"largest deviation {sizes[0]:.2f} mm by nominal commands, {sizes[1]:.3f} mm ours"
 )
 
 figure, axes = plt.subplots(figsize=(4.4, 4.2), layout="constrained")

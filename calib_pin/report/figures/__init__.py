@@ -13,6 +13,7 @@ from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.acceptance import Judged, poses_tested
 from calib_pin.report.figures.by_block import errors_by_block
 from calib_pin.report.figures.canvas import COLORS, Drawn, drawing
+from calib_pin.report.figures.cumulative import cumulative_errors
 from calib_pin.report.figures.estimates import parameter_intervals
 from calib_pin.report.figures.fleet import (
     Foreseen,
@@ -59,6 +60,7 @@ __all__ = [
 ]
 
 OF_CALIBRATION: tuple[Callable[[CalibrationResult], Drawn | None], ...] = (
+    cumulative_errors,
     errors_per_measurement,
     errors_by_block,
     error_vectors,
@@ -83,6 +85,7 @@ OF_PLAN: tuple[Callable[[Plan], Drawn | None], ...] = (
 NAMES: Mapping[str, tuple[str, ...]] = {
     "calibration": (
         "robot-errors",
+        "cumulative-errors",
         "errors-per-measurement",
         "errors-by-block",
         "error-vectors",

@@ -13,7 +13,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.report.figures.canvas import WIDTH, note, panel
+from calib_pin.report.figures.canvas import WIDTH, inches, note, panel
 from calib_pin.report.figures.strokes import dots
 
 SIDES = ((0, 1), (0, 2), (1, 2))
@@ -149,7 +149,7 @@ def color_bar(
     for k, shade in enumerate(colormaps[COLORS](np.linspace(0.0, 1.0, LEVELS))):
         place = (left + k * width / LEVELS, bottom)
         swatch = Rectangle(place, width / LEVELS, height, color=to_hex(shade))
-        swatch.set(linewidth=0.3, transform=figure.dpi_scale_trans)
+        swatch.set(linewidth=0.3, transform=inches(figure))
         figure.add_artist(swatch)
     note(figure, left - 0.1, top + 0.1 + height / 2.0, label, ha="right", va="center")
     for value in MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(low, high):

@@ -31,6 +31,7 @@ from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
 from calib_pin.validation.model_selection import select_model
 from calib_pin.validation.result import CalibrationResult, UrdfResult
+from calib_pin.validation.robot_errors import robot_errors
 from calib_pin.validation.shared import breakdown
 from calib_pin.validation.splits import FOLDS, split
 from calib_pin.validation.summaries import (
@@ -185,6 +186,7 @@ def _result(
         parameters=parameters,
         groups=groups,
         identifiability=fitted_ranks(fitted),
+        robot_errors=robot_errors(fitted.problem, fitted.structure, fitted),
         errors=judgement.errors,
         validation=Validation(
             method=held_out.method,

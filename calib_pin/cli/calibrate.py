@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import calib_pin.cli.options as options
-from calib_pin.cli.printing import notice, progress_bar, say_written, show
+from calib_pin.cli.printing import notice, progress_bar, say, say_written, show
 from calib_pin.cli.requests import Request, calibrated, opened
 from calib_pin.cli.results import (
     FigureFormat,
@@ -93,6 +93,7 @@ def calibrate(
             options.number(float, "--holdout", "a number between 0 and 1"),
         ),
     ] = None,
+    details: options.Details = False,
     figures: Figures = None,
     figure_format: FigureFormat = "png",
     seed: options.Seed = 0,
@@ -146,7 +147,10 @@ def calibrate(
         else write_results(result, files, contents, force=force)
     ):
         if not quiet:
-            show(report(result, found.suggestions))
+            show(report(result, found.suggestions, details=details))
+            if not details:
+                more = f"{files.report}, or --details" if files else "--details"
+                say(f"Statistics, all parameters and formulae: {more}\n")
     pictured = told_figures(found.pictures, pictures)
     if not quiet:
         written = [path for path in files or () if path in contents]

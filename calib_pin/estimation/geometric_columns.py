@@ -113,7 +113,8 @@ def geometric_columns(system: System, parameters: ParameterSet) -> Columns:
         parameters: Its parameters; those that are not free keep their directions.
     """
     count = len(parameters)
-    turned, labels, ranked = np.eye(count), dict[int, Label](), {}
+    turned, labels = np.eye(count), dict[int, Label]()
+    ranked = dict[int, tuple[int, int]]()
     for part in system.parts.values():
         chain = part.error.chain
         places = _places(chain)

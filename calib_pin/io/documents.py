@@ -267,7 +267,7 @@ def plan_document(plan: Plan) -> Json:
                 for p in plan.parameters
             ],
             "coupled": plain(plan.groups),
-            "robot_errors": plain(plan.robot_errors),
+            "robot_errors": plain(predicted.robot_errors),
         },
     }
 

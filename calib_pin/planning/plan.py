@@ -37,7 +37,7 @@ from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status
 from calib_pin.validation.assessment import estimates
-from calib_pin.validation.result import CoupledGroup, ParameterEstimate, RobotError
+from calib_pin.validation.result import CoupledGroup, ParameterEstimate
 from calib_pin.validation.robot_errors import robot_errors
 from calib_pin.workers import SERIAL, Workers
 
@@ -99,7 +99,6 @@ class Plan:
         predicted: The expected calibration result.
         parameters: Predicted standard deviations of the parameters.
         groups: Those of the coupled groups.
-        robot_errors: The same for people, each independent error once.
     """
 
     problem: Problem
@@ -120,7 +119,6 @@ class Plan:
     predicted: Predicted
     parameters: tuple[ParameterEstimate, ...]
     groups: tuple[CoupledGroup, ...]
-    robot_errors: tuple[RobotError, ...]
 
     @property
     def target(self) -> tuple[str, ...]:
@@ -273,6 +271,8 @@ def _finished(
         for _ in range(RANDOM_SETS)
     )
     predicted = predict(information, rows.basis, tests, problem.parameters)
+    told = robot_errors(problem, structure, predicted)
+    predicted = replace(predicted, robot_errors=told)
     parameters, groups = estimates(problem.parameters, structure, predicted)
     return Plan(
         problem=problem,
@@ -293,7 +293,6 @@ def _finished(
         predicted=predicted,
         parameters=parameters,
         groups=groups,
-        robot_errors=robot_errors(problem, structure, predicted),
     )
 
 

@@ -21,11 +21,16 @@ from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
 from calib_pin.report.breakdown import parts, told
 from calib_pin.report.cover import Cover, program
 from calib_pin.report.figures import Drawn, calibration_figures
-from calib_pin.report.identification import ranks, remedied, unknown
+from calib_pin.report.identification import (
+    named_errors,
+    ranks,
+    remedied,
+    unknown,
+)
 from calib_pin.report.places import frame_blocks
+from calib_pin.report.robot_errors import offsets
 from calib_pin.report.tables import (
     STATUS,
-    group_table,
     listed,
     outlier_table,
     parameter_overview,
@@ -211,6 +216,7 @@ def _sections(
             *accuracy(result),
             *parts(result),
             *moves(result),
+            *offsets(result, suggestions),
             *frame_blocks(result),
             *expected(result),
             *beyond(result),
@@ -239,8 +245,7 @@ def _known(
 ) -> Iterator[Block]:
     yield ranks(result, fitted=True)
     yield from told(result)
-    if result.groups:
-        yield group_table(result.groups)
+    yield from named_errors(result, fitted=True)
     yield from unknown(result)
     yield from remedied(result, suggestions)
     for remedy in suggestions:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import Directions
 from calib_pin.estimation.geometric_columns import (
@@ -104,7 +105,7 @@ def _error(
         elif np.isfinite(deviation):
             sigma = deviation
     sizes = np.array([expected_size(p.unit) for p in parameters])
-    least = max(sigma or 0.0, SMALL * sizes[lead])
+    least = max(sigma or 0.0, SMALL * float(sizes[lead]))
     alike = [
         columns.labels[k].of
         for k in columns.order
@@ -131,7 +132,7 @@ def _error(
 def _absorbed(
     pivots: Sequence[int],
     C: Floats,
-    order: Floats,
+    order: NDArray[np.intp],
     columns: Columns,
     parameters: ParameterSet,
 ) -> Iterator[RobotError]:

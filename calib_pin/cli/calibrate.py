@@ -150,7 +150,7 @@ def calibrate(
             show(report(result, found.suggestions, details=details))
             if not details:
                 more = f"{files.report}, or --details" if files else "--details"
-                say(f"Statistics, all parameters and formulae: {more}\n")
+                say(f"Statistics and all parameters: {more}\n")
     pictured = told_figures(found.pictures, pictures)
     if not quiet:
         written = [path for path in files or () if path in contents]

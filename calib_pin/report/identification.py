@@ -55,23 +55,18 @@ def named_errors(found: Identification, *, fitted: bool) -> Iterator[Block]:
     yield from held(found.robot_errors)
 
 
-def summary(result: Identification, suggestions: Sequence[Suggestion]) -> Facts:
-    """The identifiability in a few lines: how much is known, and what would help."""
+def summary(result: Identification, suggestions: Sequence[Suggestion]) -> Line:
+    """How much of the robot is known, and what would tell more."""
     found = result.identifiability
-    known = found.robot_rank - found.weak
-    entries = [
-        (
-            "known errors of the robot",
-            f"{known} of {found.robot_rank} that can be told in this way",
-        )
-    ]
+    said = f"Identifiability: {found.robot_rank - found.weak} of {found.robot_rank}"
+    said += " independent errors of the robot are known"
     if not found.scale_observable:
-        entries.append(("absolute scale", "unobservable; add a known length"))
+        said += "; its absolute scale is unobservable, add a known length"
     better = [s for s in suggestions if s.count > found.robot_rank]
     if better:
         best = max(better, key=lambda s: s.count)
-        entries.append(("to know more", f"{best.change} ({best.count} errors)"))
-    return Facts("Identifiability", entries)
+        said += f"; {best.count} would be if you {best.change}"
+    return Line(f"{said}.")
 
 
 def _in_full(found: Identification, *, fitted: bool) -> Iterator[Block]:

@@ -41,7 +41,7 @@ def offsets(
     found = joint_offsets(result)
     known = [offset for offset in found if offset.sigma is not None]
     stepped = any(offset.steps is not None for offset in known)
-    if known and result.verdict != "no-gain":
+    if known and result.geometry is not None:
         titles = ["offset", "std. dev.", "unit", *["steps"][:stepped]]
         of = (
             Column("", "name"),
@@ -121,19 +121,22 @@ def _of(error: RobotError) -> str:
     return f"sum of {', '.join(error.of)}"
 
 
+def offsets_alone(result: CalibrationResult) -> bool:
+    """Whether the offsets of the joints are all that is told of the robot."""
+    kinds = {error.kind for error in result.robot_errors}
+    return kinds == {"joint offset"} and bool(joint_offsets(result))
+
+
 def corrections(result: CalibrationResult) -> Iterator[Block]:
     """The errors that were found, those beyond their uncertainty, and the others."""
     if result.verdict == "no-gain":
         return
     known = [e for e in result.robot_errors if e.sigma is not None]
-    offsets_alone = {e.kind for e in known} == {"joint offset"} and joint_offsets(
-        result
-    )
     clear = [e for e in known if abs(e.value) >= CLEAR * (e.sigma or 0.0)]
-    if clear and not offsets_alone:
+    if clear and not offsets_alone(result):
         shown = ("value", "std. dev.", "unit")
         yield error_table(clear, "Errors of the robot that were found", shown)
-    if known and len(clear) < len(known):
+    if clear and len(clear) < len(known) and not offsets_alone(result):
         count = len(known) - len(clear)
         yield Line(
             f"{count} more {'is' if count == 1 else 'are'} smaller than {CLEAR:.0f} "

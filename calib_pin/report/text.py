@@ -11,7 +11,7 @@ from calib_pin.report.blocks import Block
 from calib_pin.report.breakdown import frames_told, parts, told
 from calib_pin.report.identification import identified, summary
 from calib_pin.report.places import frame_blocks
-from calib_pin.report.robot_errors import corrections, held, offsets
+from calib_pin.report.robot_errors import corrections, held, offsets, offsets_alone
 from calib_pin.report.tables import listed
 from calib_pin.report.terminal import plain_text
 from calib_pin.report.trust import (
@@ -65,7 +65,9 @@ def report(
     yield subject(result)
     yield from accuracy(result, details=details)
     yield from parts(result)
-    yield from moves(result)
+    alone = offsets_alone(result)
+    if details or not alone:
+        yield from moves(result)
     yield from beyond(result)
     yield from outliers(result)
     yield from offsets(result, suggestions)
@@ -85,6 +87,7 @@ def report(
         yield from correlated(result)
         return
     yield from frames_told(result)
-    yield summary(result, suggestions)
-    yield from held(result.robot_errors)
+    yield summary(result, () if alone else suggestions)
+    if not alone:
+        yield from held(result.robot_errors)
     yield from listed("at a bound", result.solver.at_bounds)

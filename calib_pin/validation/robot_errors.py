@@ -105,7 +105,7 @@ def _error(
         elif np.isfinite(deviation):
             sigma = deviation
     sizes = np.array([expected_size(p.unit) for p in parameters])
-    least = max(sigma or 0.0, SMALL * float(sizes[lead]))
+    least = max(sigma or 0.0, float(SMALL * sizes[lead]))
     alike = [
         columns.labels[k].of
         for k in columns.order

@@ -56,7 +56,7 @@ def named_errors(found: Identification, *, fitted: bool) -> Iterator[Block]:
 
 
 def summary(result: Identification, suggestions: Sequence[Suggestion]) -> Line:
-    """How much of the robot is known, and what would tell more."""
+    """How much of the robot is known, and how more would be."""
     found = result.identifiability
     said = f"Identifiability: {found.robot_rank - found.weak} of {found.robot_rank}"
     said += " independent errors of the robot are known"

@@ -99,7 +99,7 @@ def _error(
     value, sigma, status = 0.0, None, "identifiable"
     if fitted is not None:
         value = float(row @ fitted.theta)
-        deviation = float(np.sqrt(max(row @ fitted.covariance @ row, 0.0)))
+        deviation = float(np.sqrt(max(float(row @ fitted.covariance @ row), 0.0)))
         if fitted.directions.weak_part(row, parameters) > WEAK_PART:
             status = "weak"
         elif np.isfinite(deviation):

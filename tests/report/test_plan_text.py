@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import calib_pin
@@ -154,8 +155,7 @@ def test_what_a_fit_will_know(plan: Plan) -> None:
         shown = significant(
             {"m": 1e3, "rad": np.degrees(1.0)}[error.unit] * error.sigma
         )
-        (of,) = error.of
-        assert any(of in line and shown in line.split() for line in lines)
+        assert any(error.of[0] in line and shown in line.split() for line in lines)
     assert "std. dev." in report
     # Nothing has been estimated yet.
     assert "value" not in report.split("Expected calibration result")[1]

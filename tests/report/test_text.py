@@ -382,17 +382,9 @@ def test_structure_without_estimates():
     assert "practical rank" not in text
     assert re.search("structural rank +34 ", text)
     lines = section(text, "Identifiable errors of the robot")
-    assert len([x for x in lines[2:] if "placement" in x]) == 22
-    assert lines[2].split() == (
-        [
-            "joint",
-            "offset",
-            "joint_2",
-            "joint_2.placement.rz",
-            "+",
-            "joint_3.placement.ry",
-        ]
-    )
+    assert len([x for x in lines[2:] if ".placement." in x]) == 22
+    assert lines[2].split()[:3] == ["joint", "offset", "joint_2"]
+    assert lines[2].endswith(" joint_2.placement.rz + joint_3.placement.ry")
     assert max(map(len, text.splitlines())) <= 80
     assert "linear combinations" not in text
     text = plain_text(identified(found, fitted=False, details=True))

@@ -151,11 +151,16 @@ def model_words(system: System) -> str:
     return " + ".join(dict.fromkeys(key.model for key in system.parts))
 
 
-def accuracy(result: CalibrationResult) -> Iterator[Block]:
-    """Model selection, accuracy and known distances, and what they refer to."""
+def accuracy(result: CalibrationResult, *, details: bool = True) -> Iterator[Block]:
+    """Model selection, accuracy and known distances, and what they refer to.
+
+    Args:
+        result: The calibration.
+        details: Also the accuracy on fitted measurements, where others were held out.
+    """
     if result.model_selection is not None:
         yield ladder_table(result.model_selection)
-    yield accuracy_table(result.errors)
+    yield accuracy_table(result.errors, details=details)
     said = []
     if result.validation.method != "none":
         which = HELD_OUT.get(result.validation.method, FOLDS)

@@ -30,11 +30,16 @@ from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
 from calib_pin.report.breakdown import parts, told
 from calib_pin.report.cover import Cover, program
 from calib_pin.report.figures import Drawn, calibration_figures
-from calib_pin.report.identification import ranks, remedied, unknown
+from calib_pin.report.identification import (
+    named_errors,
+    ranks,
+    remedied,
+    unknown,
+)
 from calib_pin.report.places import frame_blocks
+from calib_pin.report.robot_errors import offsets
 from calib_pin.report.tables import (
     STATUS,
-    group_table,
     listed,
     outlier_table,
     parameter_overview,
@@ -62,7 +67,6 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "accuracy": (
         "Accuracy",
         (
-            "robot-errors",
             "errors-per-measurement",
             "errors-by-block",
             "error-vectors",
@@ -225,7 +229,8 @@ def _sections(
     suggestions: Sequence[Suggestion],
 ) -> Iterator[_Section]:
     blocks: dict[str, list[Block]] = {
-        "frames": list(frame_blocks(result)) or [Line(KNOWN, "note")],
+        "frames": [*offsets(result, suggestions), *frame_blocks(result)]
+        or [Line(KNOWN, "note")],
         "measured": [taken(result)],
         "findings": list(_findings(result, figures)),
         "accuracy": [
@@ -258,8 +263,7 @@ def _known(
 ) -> Iterator[Block]:
     yield ranks(result, fitted=True)
     yield from told(result)
-    if result.groups:
-        yield group_table(result.groups)
+    yield from named_errors(result, fitted=True)
     yield from unknown(result)
     yield from remedied(result, suggestions)
     for remedy in suggestions:

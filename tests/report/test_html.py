@@ -22,7 +22,8 @@ from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.blocks import Block, Cell, Table
 from calib_pin.report.figures import NAMES, calibration_figures
 from calib_pin.report.html import FIRST, LISTED, SECTIONS, html_report
-from calib_pin.report.tables import accuracy_table, group_table, parameter_overview
+from calib_pin.report.robot_errors import error_table
+from calib_pin.report.tables import accuracy_table, parameter_overview
 from calib_pin.report.terminal import plain_text
 from calib_pin.report.text import report
 from calib_pin.setup import Setup
@@ -172,10 +173,13 @@ def test_numbers_are_those_of_the_terminal_and_of_the_file(
             assert entry["value"] in values
         if entry["sigma"] is not None:
             assert entry["sigma"] in values
-    for group in document["identifiability"]["coupled"]:
-        assert {group["value"], group["sigma"]} <= values
-    text, shown = Page(content).text, plain_text(report(result))
-    for table in (accuracy_table(result.errors), group_table(result.groups)):
+    for error in document["identifiability"]["robot_errors"]:
+        if error["status"] == "identifiable":
+            assert {error["value"], error["sigma"]} <= values
+    text, shown = Page(content).text, plain_text(report(result, details=True))
+    known = [e for e in result.robot_errors if e.status == "identifiable"]
+    named = error_table(known, "", ("value", "std. dev.", "unit"))
+    for table in (accuracy_table(result.errors), named):
         for cell in cells([table]):
             assert cell.text in text
             if cell.value is not None:

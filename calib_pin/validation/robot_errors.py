@@ -82,8 +82,11 @@ def robot_errors(
             full[order] = row / row[pivot]
             found.append(_error(int(order[pivot]), full, columns, parameters, fitted))
     found += _absorbed(pivots, C, order, columns, parameters)
-    kinds = {kind: k for k, kind in enumerate(KINDS)}
-    return tuple(sorted(found, key=lambda e: kinds.get(e.kind, len(kinds))))
+    ranks = {name: k for k, name in enumerate((*KINDS, *system.chains.joints))}
+    last = len(ranks)
+    return tuple(
+        sorted(found, key=lambda e: [ranks.get(n, last) for n in (e.kind, e.of[0])])
+    )
 
 
 def _error(

@@ -204,10 +204,10 @@ def _best(
         look = best(found)
         if others := rivals(look, found):
             units = [other.units.items() for other in others]
-            ways = [", ".join(f"{name} [{u}]" for name, u in way) for way in units]
+            said = [", ".join(f"{name} [{u}]" for name, u in way) for way in units]
             raise InputError(
                 "the robot fits about as well with other units "
-                f"({'; '.join(way or 'rad and m' for way in ways)}); state the units "
+                f"({'; '.join(way or 'rad and m' for way in said)}); state the units "
                 "in the header, such as 'x [mm]', or in 'columns' of a setup file",
                 file=files[0],
             )

@@ -90,7 +90,11 @@ def report(
                 names.get("errors-per-measurement"),
             )
             contents[pdf] = pdf_report(
-                cover, [*blocks(result, suggestions), *provenance_blocks(document)]
+                cover,
+                [
+                    *blocks(result, suggestions, details=True, formulae=False),
+                    *provenance_blocks(document),
+                ],
             )
     with write_files({page: text, **contents}, force=force or own):
         if not quiet:

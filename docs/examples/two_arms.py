@@ -20,7 +20,7 @@ Path("arms.yaml").write_text(ARMS)
 words = (
     f"simulate {ROBOT} --setup arms.yaml --model pose --count 60 --noise 2e-4 --seed 6"
 )
-main([*words.split(), "--truth", "true.urdf", "-o", "hands.csv"])
+main([*words.split(), "--truth", "true.urdf", "--force", "-o", "hands.csv"])
 
 setup = calib_pin.read_setup("arms.yaml")
 names = ("left", "right")

@@ -26,7 +26,7 @@ main([*words.split(), "--truth", "true.urdf", "--force", "-o", file])
 chain = calib_pin.load_chain("space6", tip="tool")
 measurements = calib_pin.read_measurements(file, chain)
 result = calib_pin.calibrate(chain, measurements)
-calib_pin.write_urdf(result.model, "corrected.urdf")
+calib_pin.write_urdf(result.model, "corrected.urdf", force=True)
 print(
     f"{result.verdict}: {result.errors[0].validation_after.rms * 1e3:.3f} mm rms left"
 )

@@ -123,8 +123,6 @@ def told(output: str) -> dict[str, tuple[float, float, int, str]]:
     lines = output.split("\nJoint offsets\n")[1].splitlines()
     assert " ".join(lines[0].split()) == "offset std. dev. unit steps the joint stands"
     end = next(k for k, line in enumerate(lines) if line.startswith("A joint stands"))
-        "A joint stands where it says plus the offset: add the offset to the position"
-    )
     found = {}
     for line in lines[1:end]:
         joint, offset, sigma, unit, steps, *way = line.split()

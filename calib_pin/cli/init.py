@@ -28,9 +28,6 @@ AT_REST = 0.05
 """Scatter of a nominal robot's ball in its sockets, in parts of how far it moved, below
 which it was in sockets."""
 
-CLEAR = 0.5
-"""Part of the errors of another reading that the chosen one must leave."""
-
 SIGMA = 1e-5
 """Standard deviation of a distance between sockets [m]: they are gauged."""
 
@@ -196,7 +193,7 @@ def _best(
     Raises:
         CalibPinError: If the files cannot be read in any way.
     """
-    from calib_pin.io.first_look import best, looked, readings
+    from calib_pin.io.first_look import CLEAR, best, looked, readings, rivals
 
     def tried(model: str | None) -> Look:
         stated = replace(setup, model=model)
@@ -204,7 +201,17 @@ def _best(
         found = [
             looked(way, robot, files, station_per_file=station_per_file) for way in ways
         ]
-        return best(found)
+        look = best(found)
+        if others := rivals(look, found):
+            units = [other.units.items() for other in others]
+            said = [", ".join(f"{name} [{u}]" for name, u in way) for way in units]
+            raise InputError(
+                "the robot fits about as well with other units "
+                f"({'; '.join(way or 'rad and m' for way in said)}); state the units "
+                "in the header, such as 'x [mm]', or in 'columns' of a setup file",
+                file=files[0],
+            )
+        return look
 
     meanings = {ours for ours in ("x", "u", "distance") if _has(ours, columns)}
     if setup.model is not None or meanings & {"x", "u"}:
@@ -212,7 +219,7 @@ def _best(
     elif "distance" in meanings:
         looks = sorted(map(tried, LENGTHS), key=lambda look: look.share)
         look = looks[0]
-        if not look.share < CLEAR * looks[1].share:
+        if not look.share < looks[1].share / CLEAR:
             look = tried(_choose("of which kind is the distance", LENGTHS, "--model"))
     else:
         look = tried("fixed-point")

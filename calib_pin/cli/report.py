@@ -93,7 +93,11 @@ def report(
             stated = dated(result.model.setup.report)
             cover = calibration_cover(result, stated, drawn)
             contents[pdf] = pdf_report(
-                cover, [*blocks(result, suggestions), *provenance_blocks(document)]
+                cover,
+                [
+                    *blocks(result, suggestions, details=True, formulae=False),
+                    *provenance_blocks(document),
+                ],
             )
     with write_files({page: text, **contents}, force=force or own):
         if json:

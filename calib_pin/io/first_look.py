@@ -42,6 +42,10 @@ DATE = 1e11
 """Numbers from here on are dates with their digits in a row, and no seconds."""
 
 
+CLEAR = 2.0
+"""Errors of another reading, in those of the best one, from which it is wrong."""
+
+
 @dataclass(frozen=True)
 class Look:
     """A reading of measurement files.
@@ -242,3 +246,9 @@ def best(looks: Sequence[Look]) -> Look:
 
     whole = [look for look in looks if look.errors]
     return min(whole, key=order) if whole else looks[0]
+
+
+def rivals(chosen: Look, looks: Sequence[Look]) -> list[Look]:
+    """Readings with other units that fit nearly as well."""
+    near = [look for look in looks if look.share < CLEAR * chosen.share]
+    return [look for look in near if look.units != chosen.units]

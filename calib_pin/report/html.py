@@ -31,6 +31,7 @@ from calib_pin.report.breakdown import parts, told
 from calib_pin.report.cover import Cover, program
 from calib_pin.report.figures import Drawn, calibration_figures
 from calib_pin.report.identification import (
+    in_full,
     named_errors,
     ranks,
     remedied,
@@ -264,6 +265,7 @@ def _known(
     yield ranks(result, fitted=True)
     yield from told(result)
     yield from named_errors(result, fitted=True)
+    yield from in_full(result)
     yield from unknown(result)
     yield from remedied(result, suggestions)
     for remedy in suggestions:

@@ -55,6 +55,16 @@ def named_errors(found: Identification, *, fitted: bool) -> Iterator[Block]:
     yield from held(found.robot_errors)
 
 
+def in_full(found: Identification) -> Iterator[Line]:
+    """Where all combinations stand as formulae, where there are any."""
+    if found.groups:
+        yield Line(
+            "Combinations in full, by the numbers beside parameters and correlations: "
+            "identifiability.coupled in calibration.json.",
+            "note",
+        )
+
+
 def summary(result: Identification, suggestions: Sequence[Suggestion]) -> Line:
     """How much of the robot is known, and how more would be."""
     found = result.identifiability

@@ -52,13 +52,15 @@ def report(
     suggestions: Sequence[Suggestion] = (),
     *,
     details: bool = False,
+    formulae: bool = True,
 ) -> Iterator[Block]:
     """Verdict, accuracy, what was set aside and found, frames, identifiability.
 
     Args:
         result: The calibration.
         suggestions: Suggested measurements.
-        details: Also the statistics, and all parameters and combinations of them.
+        details: Also the statistics, and all errors of the robot.
+        formulae: With these also all parameters and combinations of them.
     """
     before, said, behind = opening(result)
     yield from (*before, said, *behind)
@@ -81,10 +83,11 @@ def report(
     if details:
         yield from told(result)
         yield from identified(
-            result, fitted=True, suggestions=suggestions, details=True
+            result, fitted=True, suggestions=suggestions, details=formulae
         )
         yield from listed("at a bound", result.solver.at_bounds)
-        yield from correlated(result)
+        if formulae:
+            yield from correlated(result)
         return
     yield from frames_told(result)
     yield summary(result, () if alone else suggestions)

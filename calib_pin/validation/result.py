@@ -75,7 +75,7 @@ class RobotError:
         kind: Such as `joint offset`, `link length`, `link offset`, `link twist`, `axis
             tilt`, `axis shift`, or the kind of a joint correction.
         of: Names of the joints, of the link for its length and twist; of several only
-            the sum is known.
+            the sum is known, of those with a minus sign subtracted.
         unit: Its unit.
         value: Estimate.
         sigma: Standard deviation; None where it is not known.

@@ -82,8 +82,11 @@ def robot_errors(
             full[order] = row / row[pivot]
             found.append(_error(int(order[pivot]), full, columns, parameters, fitted))
     found += _absorbed(pivots, C, order, columns, parameters)
-    kinds = {kind: k for k, kind in enumerate(KINDS)}
-    return tuple(sorted(found, key=lambda e: kinds.get(e.kind, len(kinds))))
+    ranks = {name: k for k, name in enumerate((*KINDS, *system.chains.joints))}
+    last = len(ranks)
+    return tuple(
+        sorted(found, key=lambda e: [ranks.get(n, last) for n in (e.kind, e.of[0])])
+    )
 
 
 def _error(
@@ -106,11 +109,11 @@ def _error(
             sigma = deviation
     sizes = np.array([expected_size(p.unit) for p in parameters])
     least = max(sigma or 0.0, float(SMALL * sizes[lead]))
-    alike = [
-        columns.labels[k].of
-        for k in columns.order
-        if columns.labels[k].kind == label.kind and abs(abs(full[k]) - 1.0) < EQUAL
-    ]
+    # A minus where the axis points the other way; what comes first says so.
+    signs: dict[str, str] = {}
+    for k in columns.order:
+        if columns.labels[k].kind == label.kind and abs(abs(full[k]) - 1.0) < EQUAL:
+            signs.setdefault(columns.labels[k].of, "-" if full[k] < 0.0 else "")
     kept = np.where(np.abs(row) * sizes >= least, row, 0.0)
     if not kept.any():
         kept = np.where(np.abs(row) * sizes >= 0.5 * sizes[lead], row, 0.0)
@@ -118,7 +121,7 @@ def _error(
     expression = Combination(terms, parameters[lead].unit).expression(parameters.names)
     return RobotError(
         kind=label.kind,
-        of=tuple(dict.fromkeys(alike)) or (label.of,),
+        of=tuple(f"{sign}{of}" for of, sign in signs.items()),
         unit=parameters[lead].unit,
         value=value,
         sigma=sigma,

@@ -239,6 +239,17 @@ def test_files_that_are_none(text: str, said: str, capsys):
     assert not Path("setup.yaml").exists()
 
 
+def test_units_that_nothing_tells_are_asked_for(capsys):
+    """Positions that have nothing to do with the joints fit in any unit."""
+    rng = np.random.default_rng(0)
+    header = ",".join([*(f"joint_{k}" for k in range(1, 7)), "x", "y", "z"])
+    rows = rng.uniform(-1.0, 1.0, (30, 9))
+    np.savetxt("any.csv", rows, delimiter=",", header=header, comments="")
+    assert run("init space6 any.csv -o setup.yaml") == 1
+    assert "state the units in the header" in capsys.readouterr().err
+    assert not Path("setup.yaml").exists()
+
+
 def test_an_existing_file_is_kept(capsys):
     words = "simulate space6 --model position --count 40 --noise 1e-4 --seed 1 -o a.csv"
     assert run(words) == 0

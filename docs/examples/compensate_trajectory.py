@@ -15,7 +15,7 @@ model: pose
 frames: {base: {estimate: false}, tool: {estimate: false}}
 """)
 words = "simulate pa10 --setup cell.yaml --count 40 --noise 5e-5 --seed 8"
-main([*words.split(), "--truth", "true.urdf", "-o", "poses.csv"])
+main([*words.split(), "--truth", "true.urdf", "--force", "-o", "poses.csv"])
 chain = calib_pin.load_chain("pa10")
 setup = calib_pin.read_setup("cell.yaml")
 rows = calib_pin.read_measurements("poses.csv", chain)
@@ -48,14 +48,14 @@ print(
     f"largest deviation {sizes[0]:.2f} mm by nominal commands, {sizes[1]:.3f} mm ours"
 )
 
-figure, axes = plt.subplots(figsize=(4.4, 4.2), layout="constrained")
+figure, axes = plt.subplots(figsize=(4.8, 4.2), layout="constrained")
 path = 1e3 * (targets[:, :2, 3] - targets[:, :2, 3].mean(0))
-axes.plot(*path.T, color="0.6", label="wanted")
 for name, error, color in (
     ("nominal commands", nominal, "#d55e00"),
     ("compensated", compensated, "#0072b2"),
 ):
     axes.plot(*(path + 10.0 * error[:, :2]).T, color=color, label=name)
+axes.plot(*path.T, "--", color="black", linewidth=1, label="wanted")
 axes.set(xlabel="x [mm], deviations x 10", ylabel="y [mm]", aspect="equal")
 axes.legend(frameon=False, loc="center")
 figure.savefig("compensate_trajectory.png", dpi=110)

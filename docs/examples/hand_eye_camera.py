@@ -19,7 +19,7 @@ camera: {mount: hand, focal: [905, 903], center: [641, 478], size: [1280, 960]}
 """
 Path("cell.yaml").write_text(CELL)
 words = "simulate pa10 --setup cell.yaml --count 20 --noise 0.2 --seed 5 -o pixels.csv"
-main(words.split())
+main([*words.split(), "--force"])
 
 # With images: calib-pin detect shots/*.png --board charuco:7x5:0.03:0.022
 #     --joints joints.csv -o pixels.csv --setup-output camera.yaml
@@ -51,5 +51,6 @@ for axes, title, errors in zip(
     axes.scatter(errors[:, 0], errors[:, 1], s=5, color="#0072b2", alpha=0.6)
     size = 1.1 * np.abs(errors).max()
     axes.set(title=title, xlim=(-size, size), ylim=(-size, size), aspect="equal")
+    axes.locator_params(nbins=5)
     axes.set(xlabel="error along u [px]", ylabel="error along v [px]")
 figure.savefig("hand_eye_camera.png", dpi=110)

@@ -58,7 +58,7 @@ if __name__ == "__main__":
     words = (
         "simulate space6 --model height --count 120 --noise 1e-5 --seed 9 -o plate.csv"
     )
-    main(words.split())
+    main([*words.split(), "--force"])
     chain = calib_pin.load_chain("space6")
     heights = calib_pin.read_measurements("plate.csv", chain)
     result = calib_pin.calibrate(chain, heights)

@@ -20,7 +20,7 @@ sockets:
 """
 Path("cell.yaml").write_text(CELL)
 words = "simulate space6 --setup cell.yaml --count 100 --noise 5e-5 --seed 4"
-main([*words.split(), "-o", "contacts.csv"])
+main([*words.split(), "--force", "-o", "contacts.csv"])
 
 # All that a user knows: which socket, and how far two sockets of a plate are apart.
 Path("sockets.yaml").write_text("""\

@@ -21,12 +21,12 @@ frames:
   tool: {xyz: [0.06, 0.02, 0.10]}
 """)
 words = "simulate space6 --setup cell.yaml --count 40 --noise 5e-5 --seed 1"
-main([*words.split(), "--truth", "true.urdf", "-o", file])
+main([*words.split(), "--truth", "true.urdf", "--force", "-o", file])
 
 chain = calib_pin.load_chain("space6", tip="tool")
 measurements = calib_pin.read_measurements(file, chain)
 result = calib_pin.calibrate(chain, measurements)
-calib_pin.write_urdf(result.model, "corrected.urdf")
+calib_pin.write_urdf(result.model, "corrected.urdf", force=True)
 print(
     f"{result.verdict}: {result.errors[0].validation_after.rms * 1e3:.3f} mm rms left"
 )
@@ -55,6 +55,6 @@ for name, sizes, color in (("before", before, "#d55e00"), ("after", after, "#007
 axes.set(
     xlabel="tool error anywhere in the workspace [mm]", ylabel="configurations [%]"
 )
-axes.set(xlim=(0, None), ylim=(0, 101))
+axes.set(xlim=(-0.2, None), ylim=(0, 101))  # Beside the axis, not on it.
 axes.legend(frameon=False, loc="lower right")
 figure.savefig("tracker.png", dpi=110)

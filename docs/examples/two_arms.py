@@ -20,7 +20,7 @@ Path("arms.yaml").write_text(ARMS)
 words = (
     f"simulate {ROBOT} --setup arms.yaml --model pose --count 60 --noise 2e-4 --seed 6"
 )
-main([*words.split(), "--truth", "true.urdf", "-o", "hands.csv"])
+main([*words.split(), "--truth", "true.urdf", "--force", "-o", "hands.csv"])
 
 setup = calib_pin.read_setup("arms.yaml")
 names = ("left", "right")
@@ -28,7 +28,7 @@ chains = calib_pin.load_chains(ROBOT, stated=setup.chains, names=names)
 hands = calib_pin.read_measurements("hands.csv", chains)
 result = calib_pin.calibrate(chains, hands, setup)
 print(f"{result.verdict}: {result.reason}")
-calib_pin.write_urdf(result.model, "corrected.urdf")
+calib_pin.write_urdf(result.model, "corrected.urdf", force=True)
 
 # A test that needs no tracker: how do the hands stand to each other?
 true = calib_pin.load_chains("true.urdf", stated=setup.chains, names=names)

@@ -280,6 +280,8 @@ def _with_distances(look: Look, stated: str | None) -> Look:
     for name in dict.fromkeys(names):
         places.setdefault(name.rpartition("/")[0], []).append(name)
     pairs = [names for names in places.values() if len(names) == 2]
+    if not pairs and stated is not None:
+        raise OptionError("no place has two sockets, called PLACE/0 and PLACE/1")
     if not pairs:
         return look
     if stated is None:

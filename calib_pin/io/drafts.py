@@ -90,9 +90,10 @@ class Draft:
                 yield yaml_text({key: document[key]})
         yield ""
         yield from self._frames(data.models)
-        yield "# State the noise of the instrument if you know it [m, rad, px]:"
         quantity = next(iter(look.errors))
-        yield f"# noise: {{{quantity}: 1.0e-4}}"
+        unit, usual = ("px", "0.3") if quantity == "pixel" else ("m", "1.0e-4")
+        yield f"# State the noise of the instrument if you know it [{unit}]:"
+        yield f"# noise: {{{quantity}: {usual}}}"
 
     def _fit(self) -> str:
         """How well the nominal robot fits to the measurements, in words."""

@@ -25,6 +25,7 @@ from calib_pin.io.foreign_headers import (
     measured,
     without_meaning,
 )
+from calib_pin.io.measured_columns import reserved
 from calib_pin.io.measurements import read_measurements
 from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.kinematics.chains import Chains
@@ -139,7 +140,7 @@ def chains_of(robot: Robot, base: str | None) -> dict[tuple[str, ...], list[str]
 def joint_columns(
     robot: Robot, base: str | None, tip: str | None, columns: Sequence[Foreign]
 ) -> list[Joints]:
-    """What may be the columns of the joints, likeliest first; empty if nothing may.
+    """Columns that may be those of the joints, likeliest first; empty if none may.
 
     Args:
         robot: The robot.
@@ -242,7 +243,7 @@ def readings(
                 stated[ours] = one.stated(unit)
         columns_of = {**stated, **setup.columns}
         read = replace(setup, columns=columns_of)
-        meant = {*used, *(one.name for one in names.values())}
+        meant = {*used, *(one.name for one in names.values()), *reserved()}
         rest = tuple(one.name for one in columns if one.name not in meant)
         yield Look(read, joints=found_joints, units=units, ignored=rest)
 

@@ -103,9 +103,10 @@ _HOMES = {
 
 def _figures(result: CalibrationResult) -> dict[str, Any]:
     """The method `CalibrationResult.figures`, whose room lies above that of results."""
+    from calib_pin.io.robot_shapes import robot_shapes
     from calib_pin.report.figures import figures_of
 
-    return figures_of(result)
+    return figures_of(result, robot_shapes(result.model.chains.robot).parts)
 
 
 upper["figures"] = _figures

@@ -26,11 +26,13 @@ from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings import explained
 from calib_pin.validation.findings.case import NONE, Others
 from calib_pin.validation.held_out import HeldOut, check
+from calib_pin.validation.joint_offsets import encoder_steps
 from calib_pin.validation.judgement import Judgement, judge, quantity_errors
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
 from calib_pin.validation.model_selection import select_model
 from calib_pin.validation.result import CalibrationResult, UrdfResult
+from calib_pin.validation.robot_errors import robot_errors
 from calib_pin.validation.shared import breakdown
 from calib_pin.validation.splits import FOLDS, split
 from calib_pin.validation.summaries import (
@@ -103,6 +105,7 @@ def calibrate(
     setup = replace(setup, reading=ReadingSetup())
     further = None if validation is None else Observations.of(validation)
     chains = chains_of(chains, data, *([] if further is None else [further]))
+    encoder_steps(setup, chains.joints)
     training, held, method = split(data, setup, further, holdout, seed)
     _require_ends(chains, setup, training, held)
     share = 1.0 if held is not None or not validate else 1.0 / (1 + FOLDS)
@@ -185,6 +188,7 @@ def _result(
         parameters=parameters,
         groups=groups,
         identifiability=fitted_ranks(fitted),
+        robot_errors=robot_errors(fitted.problem, fitted.structure, fitted),
         errors=judgement.errors,
         validation=Validation(
             method=held_out.method,

@@ -34,6 +34,7 @@ SHEET = {
         "right": {"xyz": [0.0, -0.08, 0.0], "estimate": False},
     },
     "noise": {"position": 5e-4},
+    "encoder_steps": {"*": 4096},
 }
 
 WEBCAM = {
@@ -52,6 +53,7 @@ WEBCAM = {
         "center": [639.5, 359.5],
         "size": [1280, 720],
     },
+    "encoder_steps": {"*": 4096},
 }
 
 
@@ -105,16 +107,62 @@ def seen(offsets: np.ndarray, seed: int) -> None:
     assert main(words.split()) == 0
 
 
-def table() -> dict[str, tuple[float, str, str]]:
-    """Offset [deg], standard deviation and status by joint."""
+def calibrated(capsys: pytest.CaptureFixture[str]) -> str:
+    """The output of the calibration, which is short."""
+    capsys.readouterr()
     words = f"calibrate {ROBOT} measured.csv --setup setup.yaml -o out"
     assert main(words.split()) == 0
+    printed = capsys.readouterr()
+    assert (printed.out + printed.err).count("\n") <= 40
+    assert "joint-offset.q" not in printed.out
+    return printed.out
+
+
+def told(output: str) -> dict[str, tuple[float, float, int, str]]:
+    """Offset and standard deviation [deg], motor steps and the way, by joint."""
+    lines = output.split("\nJoint offsets\n")[1].splitlines()
+    assert " ".join(lines[0].split()) == "offset std. dev. unit steps the joint stands"
+    end = next(k for k, line in enumerate(lines) if line.startswith("A joint stands"))
+    found = {}
+    for line in lines[1:end]:
+        joint, offset, sigma, unit, steps, *way = line.split()
+        assert unit == "deg"
+        found[joint] = float(offset), float(sigma), int(steps), " ".join(way)
+    return found
+
+
+def acceptable(found: tuple[float, float, int, str], true: float, joint: str) -> None:
+    """What is told of a joint, by the truth: where it stands minus what it shows."""
+    offset, sigma, steps, way = found
+    assert abs(offset - true) < min(CLOSE, 4.0 * sigma), joint
+    assert abs(steps * STEP - true) < CLOSE + STEP, joint
+    if abs(offset) >= 2.0 * sigma:
+        assert way == ("further" if true > 0.0 else "less far") + " than it says"
+
+
+def commanded(joints: dict[str, float], offsets: np.ndarray) -> None:
+    """Subtracted from a command, the offsets bring the arm where it should be."""
+    chain = calib_pin.load_chain(ROBOT, tip="gripper_frame_link")
+    rng = np.random.default_rng(1)
+    q = chain.random_configurations(20, rng)
+    own = np.deg2rad([joints.get(joint, 0.0) for joint in chain.joints])
+    stands = q - own + np.deg2rad(offsets)
+    gaps = [
+        chain.poses(x)[:, :3, 3] - chain.poses(q)[:, :3, 3]
+        for x in (stands, q + np.deg2rad(offsets))
+    ]
+    after, before = (np.linalg.norm(gap, axis=1).mean() for gap in gaps)
+    assert after < 0.1 * before
+
+
+def table() -> dict[str, tuple[str, str, str, str]]:
+    """Offset [deg], standard deviation, steps and status by joint."""
     words = "export out --format joint-offsets -o"
     assert main([*words.split(), "offsets.csv"]) == 0
     lines = Path("offsets.csv").read_text().splitlines()
     rows = csv.DictReader(line for line in lines if not line.startswith("#"))
     return {
-        row["joint"]: (float(row["offset"]), row["sigma"], row["status"])
+        row["joint"]: tuple(row[k] for k in ("offset", "sigma", "steps", "status"))
         for row in rows
     }
 
@@ -125,26 +173,63 @@ SEEDS = [0, 7, *SLOW]
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_printed_sheet_and_a_ruler_tell_all_offsets(seed):
+def test_a_printed_sheet_and_a_ruler_tell_all_offsets(seed, capsys):
     rng = np.random.default_rng(seed)
     offsets = rng.uniform(-5.0, 5.0, 5)
     Path("setup.yaml").write_text(yaml.safe_dump(SHEET))
     touched(offsets, rng)
-    for (offset, sigma, status), true in zip(table().values(), offsets, strict=True):
-        assert status == "identifiable" and abs(offset - true) < CLOSE
-        assert abs(offset - true) < 4.0 * float(sigma)
+    output = calibrated(capsys)
+    assert "not known" not in output
+    found = told(output)
+    for (joint, shown), true in zip(found.items(), offsets, strict=True):
+        acceptable(shown, true, joint)
+    commanded({joint: shown[0] for joint, shown in found.items()}, offsets)
+    for (joint, row), true in zip(table().items(), offsets, strict=True):
+        offset, sigma, steps, status = row
+        assert status == "identifiable" and abs(float(offset) - true) < CLOSE
+        assert abs(float(offset) - true) < 4.0 * float(sigma)
+        assert float(steps) == pytest.approx(float(offset) / STEP, abs=0.06)
+        assert found[joint][0] == pytest.approx(float(offset), abs=0.01)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_webcam_tells_all_but_the_roll_which_its_mount_hides(seed):
+def test_a_webcam_tells_all_but_the_roll_which_its_mount_hides(seed, capsys):
     offsets = np.random.default_rng(seed).uniform(-5.0, 5.0, 5)
     Path("setup.yaml").write_text(yaml.safe_dump(WEBCAM))
     seen(offsets, seed)
-    found = table()
-    *known, roll = found.items()
-    for (_, (offset, sigma, status)), true in zip(known, offsets, strict=False):
-        assert status == "identifiable" and abs(offset - true) < CLOSE
-        assert abs(offset - true) < 4.0 * float(sigma)
-    assert roll == ("wrist_roll", (0.0, "", "coupled"))
+    output = calibrated(capsys)
+    found = told(output)
+    assert [*found] == ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex"]
+    for (joint, shown), true in zip(found.items(), offsets, strict=False):
+        acceptable(shown, true, joint)
+    # No number for what is not known, but why, and how it becomes known.
+    (line,) = (x for x in output.splitlines() if x.startswith("wrist_roll"))
+    assert not any(letter.isdigit() for letter in line)
+    said = " ".join(output[output.index(line) :].split())
+    assert said.startswith("wrist_roll: not known, because it shows only together with")
+    assert "the tool frame" in said and "to know it, measure full poses" in said
+    *known, roll = table().items()
+    for (_, (offset, sigma, _, status)), true in zip(known, offsets, strict=False):
+        assert status == "identifiable" and abs(float(offset) - true) < CLOSE
+        assert abs(float(offset) - true) < 4.0 * float(sigma)
+    assert roll == ("wrist_roll", ("", "", "", "coupled"))
     said = Path("offsets.csv").read_text()
     assert "not known by themselves" in said and "wrist_roll (coupled)" in said
+
+
+def test_without_encoders_there_are_no_steps(capsys):
+    setup = {k: v for k, v in SHEET.items() if k != "encoder_steps"}
+    Path("setup.yaml").write_text(yaml.safe_dump(setup))
+    touched(np.zeros(5) + 2.0, np.random.default_rng(0))
+    assert "steps" not in calibrated(capsys)
+    assert all(row[2] == "" for row in table().values())
+
+
+def test_encoders_of_no_joint_are_refused(capsys):
+    setup = SHEET | {"encoder_steps": {"elbow_flx": 4096}}
+    Path("setup.yaml").write_text(yaml.safe_dump(setup))
+    touched(np.zeros(5), np.random.default_rng(0))
+    words = f"calibrate {ROBOT} measured.csv --setup setup.yaml -o out"
+    assert main(words.split()) == 1
+    said = capsys.readouterr().err
+    assert "there is no joint 'elbow_flx'" in said and "elbow_flex" in said

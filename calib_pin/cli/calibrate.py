@@ -100,6 +100,7 @@ def calibrate(
             options.number(float, "--holdout", "a number between 0 and 1"),
         ),
     ] = None,
+    details: options.Details = False,
     figures: Figures = None,
     figure_format: FigureFormat = "png",
     seed: options.Seed = 0,
@@ -159,7 +160,10 @@ def calibrate(
         elif json:
             say_json(calibration_document(result, suggestions=found.suggestions))
         elif not quiet:
-            show(report(result, found.suggestions))
+            show(report(result, found.suggestions, details=details))
+            if not details:
+                more = f"{files.report}, or --details" if files else "--details"
+                say(f"Statistics and all parameters: {more}\n")
     pictured = told_figures(found.pictures, pictures)
     if not quiet and not json:
         written = [path for path in files or () if path in contents]

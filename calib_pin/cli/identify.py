@@ -41,6 +41,7 @@ def identify(
     parameters: options.Parameters = None,
     station_per_file: options.StationPerFile = False,
     seed: options.Seed = 0,
+    details: options.Details = False,
     json: options.Json = False,
 ) -> int:
     """Print which parameters are identifiable, and which only in combinations.
@@ -103,6 +104,8 @@ def identify(
     else:
         said = judged(below(reason, faults), verdict)
         doubts = [] if verdict in TRUSTED else [said]
-        told = identified(found, fitted=bool(measurements), suggestions=better)
+        told = identified(
+            found, fitted=bool(measurements), suggestions=better, details=details
+        )
         show([*doubts, *findings(faults, reason), *told])
     return 0 if verdict in TRUSTED else 2

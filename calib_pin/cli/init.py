@@ -207,6 +207,12 @@ def _best(
             for way in readings(camera, robot, own, columns)
         ]
         found = best(looks)
+        if CLEAR * found.next_share <= found.share < inf:
+            raise InputError(
+                "the robot fits about as well with other units; state the units in the "
+                "header, such as 'x [mm]', or in 'columns' of a setup file",
+                file=files[0],
+            )
         ends = {found.setup.tip: found}
         for look in looks:
             if CLEAR * look.share < found.share < inf:

@@ -167,6 +167,10 @@ Degrees = Annotated[
     bool, output("--degrees", "Write joint angles in degrees, with their unit.")
 ]
 Json = Annotated[bool, output("--json", "Print JSON.")]
+Details = Annotated[
+    bool,
+    output("--details", "Print statistics, all parameters and formulae as well."),
+]
 
 
 def parse_limits(

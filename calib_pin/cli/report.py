@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import calib_pin.cli.options as options
-from calib_pin.cli.files import check_outputs
+from calib_pin.cli.files import check_outputs, require_folders
 from calib_pin.cli.options import dated
 from calib_pin.cli.printing import notice, progress_bar, say_json, say_written, show
 from calib_pin.cli.results import (
@@ -17,6 +17,7 @@ from calib_pin.cli.results import (
     draw_calibration,
     figure_contents,
     figure_files,
+    shapes_ahead,
     told_figures,
 )
 
@@ -41,13 +42,16 @@ def report(
     ] = None,
     figures: Figures = None,
     figure_format: FigureFormat = "png",
+    package_dir: options.PackageDirs = None,
     force: options.Force = False,
     quiet: options.Quiet = False,
     json: options.Json = False,
 ) -> int:
     """Write the page and the figures of a calibration again, from its files alone.
 
-    calibration.json, measurements.csv and the robot are all that it takes. Of a
+    calibration.json, measurements.csv and the robot are all that it takes. The robot is
+    drawn with its meshes where they are found as in the calibration, and with simple
+    shapes where the folder has been moved away from them. Of a
     calibration without measurements.csv, as older versions wrote it, there are no
     figures of single measurements. '--pdf' writes a report to be printed and signed;
     'report' in the setup of the calibration says whose robot it is. Exit status 2: the
@@ -65,6 +69,7 @@ def report(
 
     if pdf is not None:
         require_pdf()
+    require_folders(package_dir or [])
 
     file = document_file(calibration)
     result, document = read_written(file)
@@ -79,19 +84,20 @@ def report(
         notice(f"{file} has no {MEASUREMENTS}: nothing is known of single measurements")
     suggestions = read_suggestions(document)
     with progress_bar(quiet=quiet) as bar:
-        drawn = draw_calibration(result, bar)
+        robot = result.model.chains.robot
+        shapes = shapes_ahead(robot, package_dir or [])()
+        drawn = draw_calibration(result, bar, shapes)
         contents = figure_contents(drawn, pictures)
         text = html_report(result, document, figures=drawn, suggestions=suggestions)
         if pdf is not None:
-            # It has one picture, of the errors before and after.
-            names = {figure.name: figure for figure in drawn}
-            cover = calibration_cover(
-                result,
-                dated(result.model.setup.report),
-                names.get("errors-per-measurement"),
-            )
+            stated = dated(result.model.setup.report)
+            cover = calibration_cover(result, stated, drawn)
             contents[pdf] = pdf_report(
-                cover, [*blocks(result, suggestions), *provenance_blocks(document)]
+                cover,
+                [
+                    *blocks(result, suggestions, details=True, formulae=False),
+                    *provenance_blocks(document),
+                ],
             )
     with write_files({page: text, **contents}, force=force or own):
         if json:

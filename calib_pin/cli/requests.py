@@ -25,6 +25,7 @@ from calib_pin.cli.results import (
     figure_contents,
     result_contents,
     result_files,
+    shapes_ahead,
 )
 from calib_pin.workers import SERIAL, Workers
 
@@ -206,6 +207,9 @@ def calibrated(
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
 
     request, files = opened.request, opened.files
+    shown = (files is not None and page) or bool(pictures)
+    robot = opened.chains.robot
+    shapes = shapes_ahead(robot, request.package_dir) if shown else tuple
     start = time.perf_counter()
     result = calibrate(
         opened.chains,
@@ -232,8 +236,7 @@ def calibrated(
         result,
         seed=request.seed,
     )
-    shown = (files is not None and page) or bool(pictures)
-    drawn = draw_calibration(result, bar) if shown else []
+    drawn = draw_calibration(result, bar, shapes()) if shown else []
     drawings = figure_contents(drawn, pictures)
     contents = drawings
     if files is not None:

@@ -26,8 +26,10 @@ from calib_pin.errors import OptionError, require_known
 if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
     from calib_pin.observations import Observations
+    from calib_pin.report.surroundings import Thing
     from calib_pin.setup import Setup
     from calib_pin.validation.calibrated_model import CalibratedModel
+    from calib_pin.validation.evaluation import Prepared
     from calib_pin.viewer.scene import Rows, Scene
 
 window_option = partial(options.option, "Window")
@@ -122,9 +124,12 @@ def _open(
 ) -> Scene:
     """The scene to draw."""
     from calib_pin.io.measurements import read_configurations, read_names
+    from calib_pin.io.robot_shapes import robot_shapes
     from calib_pin.io.urdf import load_robot
-    from calib_pin.viewer.scene import Plan, Scene, bodies_of, drawn_link, tip_paths
-    from calib_pin.viewer.shapes import robot_shapes
+    from calib_pin.kinematics.skeleton import corners, drawn_link
+    from calib_pin.report.surroundings import surroundings
+    from calib_pin.viewer.errors import things_around
+    from calib_pin.viewer.scene import Plan, Scene, bodies_of, tip_paths
 
     model, chains, rows, planned = None, None, None, None
     if name.endswith(".json"):
@@ -140,8 +145,9 @@ def _open(
     else:
         robot = chains.robot
     with progress_bar() as bar:
+        known: Prepared | None = None
         if chains is not None and reading is not None:
-            chains, rows = _rows(model, chains, reading, setup, bar)
+            chains, rows, known = _rows(model, chains, reading, setup, bar)
         if chains is not None and not chains.names:
             named = () if plan is None else read_names(plan, "chain").distinct
             chains = chains.named(named or ("",))
@@ -152,8 +158,16 @@ def _open(
         shapes = robot_shapes(robot, package_dirs, stage(bar, "shapes"))
     if shapes.missing:
         _note_missing(shapes.missing)
-    bodies = bodies_of(robot, link, model)
-    return Scene(robot.name, shapes.parts, tuple(bodies), chains, rows, planned)
+    bodies = tuple(bodies_of(robot, link, model))
+    skeleton = bodies[0].skeleton
+    size = corners(skeleton, shapes.parts, skeleton.neutral)
+    reach = float((size.max(axis=0) - size.min(axis=0)).max())
+    things: Sequence[Thing] = ()
+    if known is not None:
+        things = things_around(known, reach)
+    elif model is not None:
+        things = surroundings(model.parts, {}, reach)
+    return Scene(robot.name, shapes.parts, bodies, chains, rows, planned, tuple(things))
 
 
 def _note_missing(meshes: Sequence[str]) -> None:
@@ -173,11 +187,16 @@ def _rows(
     reading: Reading,
     setup: Setup,
     bar: Bar | None,
-) -> tuple[Chains, Rows]:
-    """Measurements, and the errors of the nominal and of the calibrated robot."""
+) -> tuple[Chains, Rows, Prepared]:
+    """Measurements, and the errors of the nominal and of the calibrated robot.
+
+    Returns:
+        The chains, the measurements, and the last of these robots.
+    """
+    from calib_pin.kinematics.skeleton import drawn_link
     from calib_pin.validation.evaluation import prepared
     from calib_pin.viewer.errors import stage_errors
-    from calib_pin.viewer.scene import Rows, drawn_link
+    from calib_pin.viewer.scene import Rows
 
     known = {} if model is None else model.references
     sockets = (reference.name for reference in known.values())
@@ -188,7 +207,8 @@ def _rows(
     before = prepared(chains, rows, setup)
     if before.reason:
         notice(f"the errors before cannot be trusted: {before.reason}")
-    stages = {"before": stage_errors(before, link)}
+    stages, last = {"before": stage_errors(before, link)}, before
     if model is not None:
-        stages["after"] = stage_errors(prepared(model, rows), link)
-    return chains, Rows(rows, stages)
+        last = prepared(model, rows)
+        stages["after"] = stage_errors(last, link)
+    return chains, Rows(rows, stages), last

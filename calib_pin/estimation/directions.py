@@ -58,6 +58,19 @@ class Directions:
         """Number of directions that are moved."""
         return int(self.nuisances.shape[1] + self.robot.shape[1])
 
+    def weak_part(self, row: Floats, parameters: ParameterSet) -> float:
+        """Part of a sum of robot parameters that lies in directions held at nominal.
+
+        Args:
+            row: Coefficients of the sum, shape (P,).
+            parameters: The parameters.
+        """
+        scaled = np.where(parameters.nuisance, 0.0, row * parameters.scales)
+        length = np.linalg.norm(scaled)
+        if length == 0.0:
+            return 0.0
+        return float(np.linalg.norm(self.weak.T @ scaled) / length)
+
 
 def nuisance_basis(parameters: ParameterSet) -> Floats:
     """The free parameters of base, tool and instrument by their scales, (P, f)."""

@@ -150,8 +150,9 @@ def combinations(A: Floats, rank: int) -> tuple[list[int], Floats]:
     """Independent columns in their given order and how the others follow from them.
 
     Elimination without pivoting: a column that depends on columns before it is folded
-    into them. The order is the reader's, so the sums are predictable; pivoting would
-    pick other columns at every change of a number.
+    into them, and one that nearly does unless the rank needs it. The order is the
+    reader's, so the sums are predictable; pivoting would pick other columns at every
+    change of a number.
 
     Args:
         A: Matrix of full row rank, shape (r, P).
@@ -163,21 +164,22 @@ def combinations(A: Floats, rank: int) -> tuple[list[int], Floats]:
     """
     norms = np.linalg.norm(A, axis=0)
     absent = norms <= 1e-11 * norms.max(initial=0.0)
-    # An independent column keeps 1e-6 or more of its length, a dependent one 1e-12.
-    # The threshold moves only if the count shows that it fell on the wrong side.
-    for threshold in (1e-7, 1e-8, 1e-6, 1e-9, 1e-5, 1e-10, 1e-4):
-        pivots: list[int] = []
-        basis = np.empty((len(A), len(A)), order="F")
+    pivots: list[int] = []
+    basis = np.empty((len(A), len(A)), order="F")
+    # Columns that are clearly independent first: rounded angles in a URDF leave a
+    # dependent one 1e-6 of its length, and sums about such a column are all alike.
+    for threshold in (1e-3, 1e-5, 1e-7, 1e-9, 1e-10):
         for k in np.flatnonzero(~absent):
+            if len(pivots) == min(rank, len(A)):
+                break
             Q = basis[:, : len(pivots)]
             rest = A[:, k] - Q @ (Q.T @ A[:, k])
             rest -= Q @ (Q.T @ rest)
             length = np.linalg.norm(rest)
-            if length > threshold * norms[k] and len(pivots) < len(A):
+            if length > threshold * norms[k]:
                 basis[:, len(pivots)] = rest / length
                 pivots.append(int(k))
-        if len(pivots) == rank:
-            break
+    pivots.sort()
     C = np.zeros((0, A.shape[1]))
     if pivots:
         C = np.asarray(np.linalg.lstsq(A[:, pivots], A, rcond=None)[0])

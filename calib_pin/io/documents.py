@@ -191,6 +191,7 @@ def identification_parts(
         "identifiability": {
             **plain(found.identifiability),
             "coupled": plain(found.groups),
+            "robot_errors": plain(found.robot_errors),
             "remedies": plain(suggestions),
         },
     }
@@ -266,6 +267,7 @@ def plan_document(plan: Plan) -> Json:
                 for p in plan.parameters
             ],
             "coupled": plain(plan.groups),
+            "robot_errors": plain(predicted.robot_errors),
         },
     }
 

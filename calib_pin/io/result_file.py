@@ -45,6 +45,7 @@ from calib_pin.validation.result import (
     FoundDistance,
     Identifiability,
     ParameterEstimate,
+    RobotError,
     UrdfResult,
 )
 from calib_pin.validation.summaries import (
@@ -145,6 +146,9 @@ def _result(
         parameters=parameters,
         groups=groups,
         identifiability=typed(Identifiability, sections["identifiability"]),
+        robot_errors=typed(
+            tuple[RobotError, ...], document["identifiability"].get("robot_errors", ())
+        ),
         model=model,
         reference=reference_of(document, model),
         verdict=verdict["status"],

@@ -38,6 +38,7 @@ from calib_pin.setup import Setup
 from calib_pin.solvers import Status
 from calib_pin.validation.assessment import estimates
 from calib_pin.validation.result import CoupledGroup, ParameterEstimate
+from calib_pin.validation.robot_errors import robot_errors
 from calib_pin.workers import SERIAL, Workers
 
 CRITERION_NAMES = (*CRITERIA, "prediction")
@@ -270,6 +271,8 @@ def _finished(
         for _ in range(RANDOM_SETS)
     )
     predicted = predict(information, rows.basis, tests, problem.parameters)
+    told = robot_errors(problem, structure, predicted)
+    predicted = replace(predicted, robot_errors=told)
     parameters, groups = estimates(problem.parameters, structure, predicted)
     return Plan(
         problem=problem,

@@ -35,6 +35,7 @@ from calib_pin.planning.rows import IdentificationRows, LookRows
 from calib_pin.planning.workspace import Candidates
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import registration_reason
+from calib_pin.validation.result import RobotError
 
 STRUCTURE = 300
 """Candidates that show what can be identified at all."""
@@ -241,6 +242,7 @@ class Predicted:
         position: Root-mean-square error of the tip over the test poses that noise
             leaves [m].
         orientation: The same of its orientation [rad].
+        robot_errors: The expected estimates for people, each independent error once.
     """
 
     theta: Floats
@@ -248,6 +250,7 @@ class Predicted:
     directions: Directions
     position: float
     orientation: float
+    robot_errors: tuple[RobotError, ...] = ()
 
     @property
     def rank(self) -> int:

@@ -10,7 +10,7 @@ import pinocchio as pin
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.estimation.system import System
 from calib_pin.parameterizations import beyond_geometry
-from calib_pin.report.blocks import Block, Cell, Line, Table, columns
+from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
 from calib_pin.report.tables import (
     SIZES,
     accuracy_table,
@@ -35,6 +35,8 @@ HELD_OUT = {
 
 FOLDS = "each fold, predicted by a fit to the other folds"
 """The validation measurements of a cross-validation."""
+
+KNOWN = "Frames and instrument are known; nothing is registered."
 
 LISTED_OWNERS = 3
 """Members of one kind, such as sockets, up to which each is named."""
@@ -88,6 +90,40 @@ def subject(result: CalibrationResult) -> Line:
     )
 
 
+def taken(result: CalibrationResult) -> Facts:
+    """The measurements: of which robot, how, how many, and who took them."""
+    system, stated, held_out = result.model, result.model.setup.report, result.held_out
+    scopes = [part.scope for part in system.parts.values()]
+    measured = f"{len(result.fitted)} measurements"
+    if aside := int((result.fitted.rows.weight == 0.0).sum()):
+        measured += f", {aside} of them set aside"
+    checked = "none: nothing but the fitted measurements is known"
+    if held_out is not None:
+        which = HELD_OUT.get(result.validation.method, FOLDS)
+        checked = f"{len(held_out)} measurements: {which}"
+    degrees = stated.temperature
+    entries = [
+        ("robot", chain_words(system)),
+        ("serial number", stated.serial_number),
+        ("measured as", model_words(system)),
+        ("instrument", stated.instrument),
+        ("fitted", measured),
+        ("held out", checked),
+        *(
+            (f"{kind}s", ", ".join(names))
+            for kind in ("station", "tool")
+            if len(names := sorted({getattr(scope, kind) or "-" for scope in scopes}))
+            > 1
+        ),
+        ("files", ", ".join(result.files)),
+        ("operator", stated.operator),
+        ("customer", stated.customer),
+        ("date", stated.date or ""),
+        ("temperature", "" if degrees is None else f"{degrees:g} °C"),
+    ]
+    return Facts("Measurements", [entry for entry in entries if entry[1]])
+
+
 def chain_words(system: System) -> str:
     """The robot and the ends of its chains, for the line below a verdict."""
     chains = system.chains
@@ -115,11 +151,16 @@ def model_words(system: System) -> str:
     return " + ".join(dict.fromkeys(key.model for key in system.parts))
 
 
-def accuracy(result: CalibrationResult) -> Iterator[Block]:
-    """Model selection, accuracy and known distances, and what they refer to."""
+def accuracy(result: CalibrationResult, *, details: bool = True) -> Iterator[Block]:
+    """Model selection, accuracy and known distances, and what they refer to.
+
+    Args:
+        result: The calibration.
+        details: Also the accuracy on fitted measurements, where others were held out.
+    """
     if result.model_selection is not None:
         yield ladder_table(result.model_selection)
-    yield accuracy_table(result.errors)
+    yield accuracy_table(result.errors, details=details)
     said = []
     if result.validation.method != "none":
         which = HELD_OUT.get(result.validation.method, FOLDS)
@@ -143,7 +184,7 @@ def _registered(result: CalibrationResult) -> Iterator[str]:
             owner, kind, _ = parameter.name.rsplit(".", 2)
             owners.setdefault(kind, {})[owner] = None
     if not owners:
-        yield "Frames and instrument are known; nothing is registered."
+        yield KNOWN
         return
     told = [
         f"{len(names)} {kind}s"

@@ -95,12 +95,7 @@ def _plain(name: str) -> str:
 
 def told(found: Breakdown) -> Iterator[Block]:
     """Rank that each block adds, and the frames that hang together through it."""
-    for chain in found.chains:
-        if chain.still:
-            of_chain = f" of chain {chain.name}" if chain.name else ""
-            joints = f"joint{'s' if len(chain.still) > 1 else ''} "
-            joints += f"{', '.join(chain.still)}{of_chain}"
-            yield Line(f"No measurement moves {joints}: held at nominal.", "note")
+    yield from stills(found)
     if len(found.blocks) < 2:
         return
     names = block_names(keys_of(found))
@@ -129,3 +124,21 @@ def told(found: Breakdown) -> Iterator[Block]:
     if found.coupled_frames:
         sentences = [coupled.sentence for coupled in found.coupled_frames]
         yield Names("Frames that cannot be told apart", sentences)
+
+
+def frames_told(found: Breakdown) -> Iterator[Block]:
+    """Joints that never moved, and frames that cannot be told apart."""
+    yield from stills(found)
+    if found.coupled_frames:
+        sentences = [coupled.sentence for coupled in found.coupled_frames]
+        yield Names("Frames that cannot be told apart", sentences)
+
+
+def stills(found: Breakdown) -> Iterator[Line]:
+    """Joints that no measurement moves."""
+    for chain in found.chains:
+        if chain.still:
+            of_chain = f" of chain {chain.name}" if chain.name else ""
+            joints = f"joint{'s' if len(chain.still) > 1 else ''} "
+            joints += f"{', '.join(chain.still)}{of_chain}"
+            yield Line(f"No measurement moves {joints}: held at nominal.", "note")

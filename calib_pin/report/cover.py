@@ -6,17 +6,16 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from itertools import islice
 from pathlib import Path
 
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.kinematics.chain import Robot
 from calib_pin.report.acceptance_text import PATH, TONES, ends, limit_lines
 from calib_pin.report.accuracy import verdict
-from calib_pin.report.blocks import Cell, Column, Line, Table, Tone, columns
+from calib_pin.report.blocks import Cell, Line, Table, Tone, columns
 from calib_pin.report.figures import Drawn
 from calib_pin.report.tables import amount, quantity
-from calib_pin.report.tiles import tiles
+from calib_pin.report.tiles import Tile, tiles
 from calib_pin.setup import LimitSetup, ReportSetup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.acceptance import Acceptance, judged, measured, worst
@@ -46,6 +45,9 @@ QUANTITIES = {
     "orientation": "orientation accuracy, worst axis",
 }
 
+PICTURES = ("robot-errors", "cumulative-errors", "errors-per-measurement")
+"""Figures of a calibration that a customer gets."""
+
 ROBOTS = {"nominal": "before", "calibrated": "after"}
 
 
@@ -63,8 +65,9 @@ class Cover:
             value is filled in by hand.
         numbers: The key numbers, before and after.
         remark: A sentence below everything else; empty for none.
-        figure: The picture; None where there is none.
+        figures: The pictures; those for which there is no room stand behind it.
         entries: What the user stated; it has a date.
+        headline: Key numbers in large letters, instead of a table.
     """
 
     title: str
@@ -75,8 +78,9 @@ class Cover:
     facts: Sequence[tuple[str, str]]
     numbers: Table
     remark: str
-    figure: Drawn | None
+    figures: Sequence[Drawn]
     entries: ReportSetup
+    headline: Sequence[Tile] = ()
 
     @property
     def day(self) -> str:
@@ -135,16 +139,17 @@ def acceptance_cover(
         facts=_facts(robot, entries, limit, PATH if path else {}),
         numbers=_tested(found, limit, path),
         remark=f"{about} {CERTIFIED}",
-        figure=figure,
+        figures=[] if figure is None else [figure],
         entries=entries,
     )
 
 
 def calibration_cover(
-    result: CalibrationResult, entries: ReportSetup, figure: Drawn | None = None
+    result: CalibrationResult, entries: ReportSetup, drawn: Sequence[Drawn] = ()
 ) -> Cover:
     """The first page of a calibration."""
     robot, limit = result.model.chains.robot, result.model.setup.limit
+    figures = {figure.name: figure for figure in drawn}
     line = verdict(result)
     status, _, reason = line.text.partition(": ")
     said = [Line(reason[:1].upper() + reason[1:])]
@@ -159,10 +164,11 @@ def calibration_cover(
         said=said,
         robot=robot.name,
         facts=_facts(robot, entries, limit),
-        numbers=_calibrated(result),
+        numbers=Table("Results", (), ()),
         remark="",
-        figure=figure,
+        figures=[figures[name] for name in PICTURES if name in figures],
         entries=entries,
+        headline=[*tiles(result)],
     )
 
 
@@ -181,7 +187,7 @@ def _facts(
         ("robot", robot.name),
         ("serial number", entries.serial_number),
         ("file", Path(robot.file).name or robot.file),
-        ("SHA-256", f"{hashlib.sha256(robot.source).hexdigest()[:16]}…"),
+        ("SHA-256", hashlib.sha256(robot.source).hexdigest()),
         ("limit", ", ".join(limits) or NO_LIMIT),
         ("date", entries.date or ""),
         ("customer", entries.customer),
@@ -229,15 +235,3 @@ def _tested(found: Mapping[str, Acceptance], limit: LimitSetup, path: bool) -> T
         "status",
     )
     return Table("Results", columns("", titles), rows)
-
-
-def _calibrated(result: CalibrationResult) -> Table:
-    # Predictions are those of a model that has to be right.
-    shown = None if result.verdict in TRUSTED else len(result.errors)
-    rows = [
-        [Cell(tile.label), tile.before, tile.after, Cell(tile.unit), Cell(tile.remark)]
-        for tile in islice(tiles(result), shown)
-    ]
-    titles = ("before", "after", "unit")
-    of = (*columns("", titles), Column("", "remark"))
-    return Table("Results", of, rows)

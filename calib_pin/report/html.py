@@ -15,17 +15,32 @@ from typing import Any
 from calib_pin.io.calibration_document import calibration_document, provenance
 from calib_pin.io.files import write_atomically
 from calib_pin.io.result_file import read_suggestions, read_written
+from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
-from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
+from calib_pin.report.accuracy import (
+    KNOWN,
+    accuracy,
+    beyond,
+    moves,
+    opening,
+    subject,
+    taken,
+)
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
 from calib_pin.report.breakdown import parts, told
 from calib_pin.report.cover import Cover, program
 from calib_pin.report.figures import Drawn, calibration_figures
-from calib_pin.report.identification import ranks, remedied, unknown
+from calib_pin.report.identification import (
+    in_full,
+    named_errors,
+    ranks,
+    remedied,
+    unknown,
+)
 from calib_pin.report.places import frame_blocks
+from calib_pin.report.robot_errors import offsets
 from calib_pin.report.tables import (
     STATUS,
-    group_table,
     listed,
     outlier_table,
     parameter_overview,
@@ -43,7 +58,13 @@ from calib_pin.validation.result import CalibrationResult
 LISTED = 200
 """Outliers and correlated pairs that the page lists; the file has all of them."""
 
+FIRST = ("robot-errors", "cumulative-errors")
+"""Figures of the first screen."""
+
 SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "frames": ("Tool, base, stations and cameras", ()),
+    "measured": ("Measurements", ()),
+    "findings": ("Outliers and findings", ("residuals-over-order",)),
     "accuracy": (
         "Accuracy",
         (
@@ -51,26 +72,22 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
             "errors-by-block",
             "error-vectors",
             "errors-in-workspace",
+            "tip-accuracy-in-workspace",
             "model-ladder",
         ),
     ),
-    "residuals": (
-        "Noise and outliers",
-        ("residuals", "residuals-over-order", "residuals-by-joint"),
-    ),
     "identifiability": (
         "Identifiability",
-        (
-            "singular-values",
-            "correlations",
-            "tip-error-by-count",
-            "tip-accuracy-in-workspace",
-        ),
+        ("singular-values", "correlations", "tip-error-by-count"),
     ),
     "parameters": ("Parameters", ("parameter-intervals",)),
+    "residuals": ("Noise and statistics", ("residuals", "residuals-by-joint")),
     "provenance": ("Provenance", ("convergence",)),
 }
-"""Title and figures of each section, by its key."""
+"""Title and figures of each section behind the first screen, by its key.
+
+First what a customer takes home, then what a statistician asks for.
+"""
 
 
 @dataclass(frozen=True)
@@ -83,6 +100,16 @@ class _Section:
     figures: Sequence[Drawn]
     parameters: Table | None = None
     statuses: Sequence[str] = ()
+
+    @property
+    def idle(self) -> Sequence[int]:
+        """Rows of parameters that say nothing: no deviation, and no or a zero value."""
+        rows = self.parameters.rows if self.parameters is not None else ()
+        return [
+            k
+            for k, (_, value, sigma, *_) in enumerate(rows)
+            if sigma.text == "-" and value.text.strip("-+0.") == ""
+        ]
 
 
 def html_report(
@@ -97,21 +124,16 @@ def html_report(
     The document is its `calibration.json`, which knows the files and their hashes.
     """
     name = result.model.chains.robot.name
-    before, verdict, behind = opening(result)
-    drawn = {"", *(figure.name for figure in figures)}
-
-    def shown(block: Block) -> bool:
-        """Whether there is the figure that a line leads to."""
-        return getattr(block, "figure", "") in drawn
-
+    urgent, verdict, _ = opening(result)
     return rendered(
         "report.html",
         title=f"Calibration of {name}",
         subject=subject(result).text,
-        before=[block for block in before if shown(block)],
         verdict=verdict,
-        behind=[block for block in behind if shown(block)],
+        # Lines to copy stand with the findings, as remarks do.
+        urgent=[line for line in urgent if isinstance(line, Line) and not line.figure],
         tiles=list(tiles(result)),
+        figures=[figure for figure in figures if figure.name in FIRST],
         sections=list(_sections(result, document, figures, suggestions)),
         version=document["provenance"]["calib_pin"],
         run=document.get("run", ""),
@@ -195,7 +217,8 @@ def report(
     else:
         result, document = read_written(result)
         suggested = read_suggestions(document)
-    figures = list(calibration_figures(result))
+    shapes = robot_shapes(result.model.chains.robot).parts
+    figures = list(calibration_figures(result, shapes))
     page = html_report(result, document, figures=figures, suggestions=suggested)
     write_atomically(Path(file), page, force=force)
 
@@ -207,26 +230,28 @@ def _sections(
     suggestions: Sequence[Suggestion],
 ) -> Iterator[_Section]:
     blocks: dict[str, list[Block]] = {
+        "frames": [*offsets(result, suggestions), *frame_blocks(result)]
+        or [Line(KNOWN, "note")],
+        "measured": [taken(result)],
+        "findings": list(_findings(result, figures)),
         "accuracy": [
             *accuracy(result),
             *parts(result),
             *moves(result),
-            *frame_blocks(result),
             *expected(result),
             *beyond(result),
         ],
         "identifiability": list(_known(result, suggestions)),
         "parameters": list(listed("at a bound", result.solver.at_bounds)),
-        "residuals": list(_residuals(result)),
+        "residuals": [*noise(result), *statistics(result)],
         "provenance": list(provenance_blocks(document)),
     }
-    places = {name: key for key, (_, names) in SECTIONS.items() for name in names}
-    for key, (title, _) in SECTIONS.items():
+    for key, (title, names) in SECTIONS.items():
         yield _Section(
             key=key,
             title=title,
             blocks=blocks[key],
-            figures=[f for f in figures if places[f.name] == key],
+            figures=[figure for figure in figures if figure.name in names],
             parameters=parameter_overview(result.parameters)
             if key == "parameters"
             else None,
@@ -239,8 +264,8 @@ def _known(
 ) -> Iterator[Block]:
     yield ranks(result, fitted=True)
     yield from told(result)
-    if result.groups:
-        yield group_table(result.groups)
+    yield from named_errors(result, fitted=True)
+    yield from in_full(result)
     yield from unknown(result)
     yield from remedied(result, suggestions)
     for remedy in suggestions:
@@ -248,18 +273,21 @@ def _known(
     yield from correlated(result, LISTED)
 
 
-def _residuals(result: CalibrationResult) -> Iterator[Block]:
-    yield from noise(result)
+def _findings(result: CalibrationResult, figures: Sequence[Drawn]) -> Iterator[Block]:
+    """All findings, and the measurements that do not fit."""
+    before, _, behind = opening(result)
+    drawn = {"", *(figure.name for figure in figures)}
+    # A line leads to its figure, if that is there.
+    found = [b for b in (*before, *behind) if getattr(b, "figure", "") in drawn]
+    yield from found or [Line("There are no findings.", "note")]
     if result.statistics.outliers:
         count = len(result.statistics.outliers)
         yield Line(f"{count} of {len(result.fitted)} measurements are outliers.")
         yield outlier_table(result, LISTED)
-        if len(result.statistics.outliers) > LISTED:
-            more = len(result.statistics.outliers) - LISTED
-            yield Line(f"{more} more are in calibration.json.", "note")
+        if count > LISTED:
+            yield Line(f"{count - LISTED} more are in calibration.json.", "note")
     else:
         yield Line("No measurement is an outlier.")
-    yield from statistics(result)
 
 
 def provenance_blocks(document: Mapping[str, Any]) -> Iterator[Block]:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from calib_pin.planning.suggestions import LARGEST, Suggestion
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Names, Table
+from calib_pin.report.robot_errors import error_table, held
 from calib_pin.report.tables import (
     ESTIMATE,
     STATUS,
@@ -22,10 +23,64 @@ REMARKS = {"weak": " (held wholly or partly at nominal)"}
 
 
 def identified(
-    found: Identification, *, fitted: bool, suggestions: Sequence[Suggestion] = ()
+    found: Identification,
+    *,
+    fitted: bool,
+    suggestions: Sequence[Suggestion] = (),
+    details: bool = False,
 ) -> Iterator[Block]:
-    """Ranks, parameters by status, combinations as formulae, suggested measurements."""
+    """Ranks, the errors of the robot, what is not known, suggested measurements.
+
+    Args:
+        found: The identifiability of a robot.
+        fitted: Whether there are estimates.
+        suggestions: Suggested measurements.
+        details: Also the parameters, and all combinations of them in full.
+    """
     yield ranks(found, fitted=fitted)
+    yield from named_errors(found, fitted=fitted)
+    if details or not found.robot_errors:
+        yield from _in_full(found, fitted=fitted)
+    yield from unknown(found)
+    yield from remedied(found, suggestions)
+
+
+def named_errors(found: Identification, *, fitted: bool) -> Iterator[Block]:
+    """The identifiable errors of the robot by kind, and those that are not known."""
+    known = [e for e in found.robot_errors if e.status == "identifiable"]
+    if known:
+        shown = ("value", "std. dev.", "unit") if fitted else ("formula",)
+        title = "Identifiable errors of the robot"
+        yield error_table(known, title if fitted else f"{title} (SI units)", shown)
+    yield from held(found.robot_errors)
+
+
+def in_full(found: Identification) -> Iterator[Line]:
+    """Where all combinations stand as formulae, where there are any."""
+    if found.groups:
+        yield Line(
+            "Combinations in full, by the numbers beside parameters and correlations: "
+            "identifiability.coupled in calibration.json.",
+            "note",
+        )
+
+
+def summary(result: Identification, suggestions: Sequence[Suggestion]) -> Line:
+    """How much of the robot is known, and how more would be."""
+    found = result.identifiability
+    said = f"Identifiability: {found.robot_rank - found.weak} of {found.robot_rank}"
+    said += " independent errors of the robot are known"
+    if not found.scale_observable:
+        said += "; its absolute scale is unobservable, add a known length"
+    better = [s for s in suggestions if s.count > found.robot_rank]
+    if better:
+        best = max(better, key=lambda s: s.count)
+        said += f"; {best.count} would be if you {best.change}"
+    return Line(f"{said}.")
+
+
+def _in_full(found: Identification, *, fitted: bool) -> Iterator[Block]:
+    """Parameters that are known alone, and combinations as formulae."""
     identifiable = [p for p in found.parameters if p.status == "identifiable"]
     if identifiable and fitted:
         yield parameter_table(identifiable)
@@ -40,8 +95,6 @@ def identified(
             "or fixed reference point; see calibration.json or `identify --json`.",
             "note",
         )
-    yield from unknown(found)
-    yield from remedied(found, suggestions)
 
 
 def of_place(group: CoupledGroup) -> bool:

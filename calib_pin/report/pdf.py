@@ -6,12 +6,14 @@ Like `terminal` and `html` it only lays out the blocks, so the numbers are the s
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from matplotlib.image import imread
 
 from calib_pin.report.blocks import Block, Code, Line, Names, Table, Tone
 from calib_pin.report.cover import Cover
+from calib_pin.report.figures import Drawn
+from calib_pin.report.figures.canvas import AFTER, BEFORE
 from calib_pin.report.sheets import (
     BOTTOM,
     CARD,
@@ -23,6 +25,7 @@ from calib_pin.report.sheets import (
     MUTED,
     RIGHT,
     TOP,
+    Area,
     Face,
     Sheets,
     broken,
@@ -30,6 +33,7 @@ from calib_pin.report.sheets import (
     width_of,
 )
 from calib_pin.report.table_sheets import set_table
+from calib_pin.report.tiles import Tile
 
 COLORS: dict[Tone, str] = {
     "plain": INK,
@@ -59,8 +63,11 @@ SIGNED = 86.0
 SENTENCES = 6
 """Lines of the verdict's sentences on the first page; the annex has all of them."""
 
-LEAST = 150.0
+LEAST = 200.0
 """Least height that a picture and its words need [pt]."""
+
+LARGE, CARDS = 12.5, 3
+"""Size of the headline [pt], and its cards side by side."""
 
 
 def pdf_report(cover: Cover, blocks: Iterable[Block]) -> bytes:
@@ -94,16 +101,22 @@ def _first(sheets: Sheets, cover: Cover) -> None:
     sheets.y += 38.0
     _verdict(sheets, cover)
     _entries(sheets, cover)
-    set_table(sheets, cover.numbers, 8.0, titled=False)
+    if cover.headline:
+        _headline(sheets, cover)
+    else:
+        set_table(sheets, cover.numbers, 8.0, titled=False)
     foot = BOTTOM - SIGNED
     if cover.remark:
         lines = broken(cover.remark, RIGHT - LEFT, RUNNING)
         foot -= LEADING * RUNNING * len(lines) + 6.0
-    _picture(sheets, cover, foot - sheets.y - 12.0)
+    rest = list(cover.figures)
+    if rest and _picture(sheets, rest[0], foot - sheets.y - 12.0):
+        del rest[0]
     sheets.y = foot
     if cover.remark:
         sheets.paragraph(cover.remark, RUNNING, color=MUTED)
     _signature(sheets)
+    _pictures(sheets, rest)
 
 
 def _verdict(sheets: Sheets, cover: Cover) -> None:
@@ -151,16 +164,71 @@ def _entries(sheets: Sheets, cover: Cover) -> None:
     sheets.y = lowest + 10.0
 
 
-def _picture(sheets: Sheets, cover: Cover, height: float) -> None:
-    """The picture and its title, as large as there is room for them."""
-    if cover.figure is None or height < LEAST:
-        return
+def _headline(sheets: Sheets, cover: Cover) -> None:
+    """The key numbers on cards side by side; pale if they must not be trusted."""
+    headline, count = cover.headline, min(len(cover.headline), CARDS)
+    colors = (MUTED, MUTED) if cover.tone == "bad" else (BEFORE, AFTER)
+    width = (RIGHT - LEFT - (count - 1) * INDENT) / count
+    for first in range(0, len(headline), count):
+        top, lowest = sheets.y, sheets.y
+        row = headline[first : first + count]
+        lefts = [LEFT + k * (width + INDENT) for k in range(len(row))]
+        ground = len(sheets.sheets[-1])
+        for tile, left in zip(row, lefts, strict=True):
+            sheets.y = top + 6.0
+            _card(sheets, tile, left + 8.0, left + width - 8.0, colors)
+            lowest = max(lowest, sheets.y + 5.0)
+        # The cards are as high as the highest, and below what stands on them.
+        cards = [Area(left, top, width, lowest - top, CARD) for left in lefts]
+        sheets.sheets[-1][ground:ground] = cards
+        sheets.y = lowest + 8.0
+
+
+def _card(
+    sheets: Sheets, tile: Tile, left: float, right: float, colors: tuple[str, str]
+) -> None:
+    """Sizes before and after, their change, and remarks around them."""
+    sheets.paragraph(tile.label, RUNNING, color=MUTED, left=left, right=right)
+    for step in tile.steps:
+        at = left
+        change = f"{tile.unit} ({step.change})" if step.change else tile.unit
+        for text, size, color in (
+            (step.before.text, LARGE, colors[0]),
+            ("→", SMALL, MUTED),
+            (step.after.text, LARGE, colors[1]),
+            (change, SMALL, MUTED),
+        ):
+            face: Face = "B" if size == LARGE else ""
+            width = width_of(text, size, face)
+            if at + width > right and at > left:
+                sheets.y += LEADING * LARGE
+                at = left
+            sheets.write(text, at, size, face, color, down=LARGE - size)
+            at += width + 4.0
+        sheets.y += LEADING * LARGE
+        if step.name:
+            sheets.paragraph(step.name, RUNNING, color=MUTED, left=left, right=right)
+    sheets.paragraph(tile.remark, RUNNING, color=MUTED, left=left, right=right)
+
+
+def _pictures(sheets: Sheets, figures: Sequence[Drawn]) -> None:
+    """The pictures that have no room on the first sheet, on others behind it."""
+    for figure in figures:
+        if figure is figures[0] or not _picture(sheets, figure, sheets.room):
+            sheets.turn()
+            _picture(sheets, figure, sheets.room)
+
+
+def _picture(sheets: Sheets, figure: Drawn, height: float) -> bool:
+    """A picture, its title and words, if there is room; whether there was."""
+    if height < LEAST:
+        return False
     sheets.y += 12.0
-    sheets.write(cover.figure.title, LEFT, SIZE, "B")
+    sheets.write(figure.title, LEFT, SIZE, "B")
     sheets.y += 16.0
-    png = cover.figure.bare("png")
+    png = figure.bare("png")
     down, across = imread(io.BytesIO(png)).shape[:2]
-    reading = broken(cover.figure.reading, RIGHT - LEFT, RUNNING)
+    reading = broken(figure.reading, RIGHT - LEFT, RUNNING)
     below = LEADING * RUNNING * len(reading)
     scale = min((RIGHT - LEFT) / across, (height - 28.0 - below) / down)
     width = scale * across
@@ -169,6 +237,7 @@ def _picture(sheets: Sheets, cover: Cover, height: float) -> None:
     for line in reading:
         sheets.write(line, LEFT, RUNNING, color=MUTED)
         sheets.y += LEADING * RUNNING
+    return True
 
 
 def _signature(sheets: Sheets) -> None:

@@ -21,8 +21,13 @@ DIGITS = 9
 """Decimals of lines to be copied [m, rad]: beyond any measurement."""
 
 
-def frame_blocks(result: CalibrationResult) -> Iterator[Block]:
-    """Frames and cameras of which something was estimated, and lines to copy."""
+def frame_blocks(result: CalibrationResult, *, lines: bool = True) -> Iterator[Block]:
+    """Frames and cameras of which something was estimated.
+
+    Args:
+        result: The calibration.
+        lines: Also the same as lines of a setup file, to be copied.
+    """
     stations = [frame for frame in result.stations if frame.estimated]
     tools = [frame for frame in result.tools if frame.estimated]
     seen = {name: of for name, of in result.model.cameras.items() if of.estimate}
@@ -41,8 +46,9 @@ def frame_blocks(result: CalibrationResult) -> Iterator[Block]:
     sigmas = {p.name: p.sigma for p in result.parameters}
     for name, camera in seen.items():
         yield _camera(name, camera, sigmas)
-    lines = yaml_text(_lines(stations, tools, seen))
-    yield Code("The same as lines of a setup file (m, rad, px)", lines)
+    if lines:
+        written = yaml_text(_lines(stations, tools, seen))
+        yield Code("The same as lines of a setup file (m, rad, px)", written)
 
 
 def _camera(

@@ -8,13 +8,12 @@ from collections.abc import Iterator
 from calib_pin.planning.plan import Plan, Step
 from calib_pin.report.accuracy import chain_words, model_words
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
+from calib_pin.report.robot_errors import error_table
 from calib_pin.report.tables import (
     STATUS,
     amount,
-    group_table,
     listed,
     number,
-    parameter_table,
     quantity,
 )
 from calib_pin.solvers import Status
@@ -27,15 +26,13 @@ SHOWN = 12
 def plan_report(plan: Plan) -> Iterator[Block]:
     """The plan, its accuracy against the number of configurations, its estimates."""
     shown = ("std. dev.", "unit")
-    identifiable = [p for p in plan.parameters if p.status == "identifiable"]
     weak = [p.name for p in plan.parameters if p.status == "weak"]
     yield from _subject(plan)
     yield _steps(plan)
     yield _tip(plan)
-    if identifiable:
-        yield parameter_table(identifiable, shown)
-    if plan.groups:
-        yield group_table(plan.groups, shown)
+    known = [e for e in plan.predicted.robot_errors if e.status == "identifiable"]
+    if known:
+        yield error_table(known, "Expected errors of the robot", shown)
     yield from listed(f"{STATUS['weak']} (held at nominal)", weak)
 
 

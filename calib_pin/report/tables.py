@@ -92,14 +92,19 @@ def known(value: float, unit: str) -> Cell:
     return Cell("-") if math.isnan(value) else quantity(value, unit)
 
 
-def accuracy_table(errors: Sequence[QuantityErrors]) -> Table:
-    """Accuracy before and after, on fitted and on validation measurements."""
+def accuracy_table(errors: Sequence[QuantityErrors], *, details: bool = True) -> Table:
+    """Accuracy before and after, on fitted and on validation measurements.
+
+    Args:
+        errors: The accuracy by quantity.
+        details: Also on fitted ones where there are validation measurements.
+    """
     rows = []
     for error in errors:
         pairs = [("fitted", error.before, error.after)]
         if error.validation_before and error.validation_after:
             held_out = error.validation_before, error.validation_after
-            pairs.append(("validation", *held_out))
+            pairs = [*pairs[: int(details)], ("validation", *held_out)]
         name = error.name
         for which, before, after in pairs:
             for robot, accuracy in (("nominal", before), ("calibrated", after)):

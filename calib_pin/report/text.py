@@ -8,9 +8,10 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block
-from calib_pin.report.breakdown import parts, told
-from calib_pin.report.identification import identified
+from calib_pin.report.breakdown import frames_told, parts, told
+from calib_pin.report.identification import identified, summary
 from calib_pin.report.places import frame_blocks
+from calib_pin.report.robot_errors import corrections, held, offsets, offsets_alone
 from calib_pin.report.tables import listed
 from calib_pin.report.terminal import plain_text
 from calib_pin.report.trust import (
@@ -24,8 +25,12 @@ from calib_pin.validation.result import CalibrationResult
 
 
 @serial_blas
-def format_report(result: CalibrationResult) -> str:
+def format_report(result: CalibrationResult, *, details: bool = False) -> str:
     """The report of a calibration as plain text of at most 80 columns.
+
+    Args:
+        result: The calibration.
+        details: Also the statistics, and all parameters and combinations of them.
 
     Example:
         >>> import calib_pin
@@ -39,26 +44,53 @@ def format_report(result: CalibrationResult) -> str:
         >>> print(next(line for line in lines if line.startswith("GOOD")))
         GOOD: position error 0.0922 mm rms instead of 25.3 mm on 40 independent held-out
     """
-    return plain_text(report(result))
+    return plain_text(report(result, details=details))
 
 
 def report(
-    result: CalibrationResult, suggestions: Sequence[Suggestion] = ()
+    result: CalibrationResult,
+    suggestions: Sequence[Suggestion] = (),
+    *,
+    details: bool = False,
+    formulae: bool = True,
 ) -> Iterator[Block]:
-    """Verdict, accuracy, noise and outliers, then identifiability and parameters."""
+    """Verdict, accuracy, what was set aside and found, frames, identifiability.
+
+    Args:
+        result: The calibration.
+        suggestions: Suggested measurements.
+        details: Also the statistics, and all errors of the robot.
+        formulae: With these also all parameters and combinations of them.
+    """
     before, said, behind = opening(result)
     yield from (*before, said, *behind)
     yield subject(result)
-    yield from accuracy(result)
+    yield from accuracy(result, details=details)
     yield from parts(result)
-    yield from moves(result)
-    yield from frame_blocks(result)
-    yield from expected(result)
+    alone = offsets_alone(result)
+    if details or not alone:
+        yield from moves(result)
     yield from beyond(result)
-    yield from noise(result)
-    yield from statistics(result)
     yield from outliers(result)
-    yield from told(result)
-    yield from identified(result, fitted=True, suggestions=suggestions)
+    yield from offsets(result, suggestions)
+    if details:
+        yield from expected(result)
+        yield from noise(result)
+        yield from statistics(result)
+    else:
+        yield from corrections(result)
+    yield from frame_blocks(result, lines=details)
+    if details:
+        yield from told(result)
+        yield from identified(
+            result, fitted=True, suggestions=suggestions, details=formulae
+        )
+        yield from listed("at a bound", result.solver.at_bounds)
+        if formulae:
+            yield from correlated(result)
+        return
+    yield from frames_told(result)
+    yield summary(result, () if alone else suggestions)
+    if not alone:
+        yield from held(result.robot_errors)
     yield from listed("at a bound", result.solver.at_bounds)
-    yield from correlated(result)

@@ -1,53 +1,135 @@
-"""The key numbers of a calibration."""
+"""The headline of a calibration: errors before and after, and their change."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.report.blocks import Cell
-from calib_pin.report.tables import quantity
+from calib_pin.report.tables import significant
 from calib_pin.report.trust import percent
 from calib_pin.units import DISPLAY
+from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.result import CalibrationResult
+
+URDF, EVERYTHING = "the URDF alone", "with calib-pin compensate"
+"""The ways to use a calibration that is more than a URDF can hold."""
+
+UNUSED = {
+    "no-gain": "not used: the URDF stays the nominal one",
+    "untrusted": "not to be trusted",
+    "unchecked": "not confirmed by held-out measurements",
+}
+"""Remarks on a headline that is no success, by the verdict."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A size before and after.
+
+    Attributes:
+        name: What has to be used for it; empty where there is only one.
+        before: The size of the nominal robot.
+        after: That of the calibrated one.
+        change: Of the size, such as `-47 %`; empty where there is none to tell.
+    """
+
+    name: str
+    before: Cell
+    after: Cell
+    change: str
 
 
 @dataclass(frozen=True)
 class Tile:
-    """The accuracy of one quantity in large letters."""
+    """The accuracy of one quantity in large letters.
+
+    Attributes:
+        label: What it is a size of.
+        steps: One, or that of the URDF alone and that of everything.
+        unit: The unit of all sizes.
+        remark: A sentence below.
+    """
 
     label: str
-    before: Cell
-    after: Cell
+    steps: tuple[Step, ...]
     unit: str
     remark: str
 
 
 def tiles(result: CalibrationResult) -> Iterator[Tile]:
-    """Accuracy before and after: of every quantity, and over the workspace."""
+    """Accuracy before and after: of every quantity, and over the workspace.
+
+    Predictions are those of a model that has to be right: of one that must not be
+    trusted there are none.
+    """
+    apart = result.urdf if result.verdict != "no-gain" else None
+    alone = {} if apart is None else {e.name: e for e in apart.errors}
     for error in result.errors:
-        before, after, which = error.before, error.after, "fitted"
-        if error.validation_before and error.validation_after:
-            before, after = error.validation_before, error.validation_after
-            which = "validation"
-        unit = error.unit
+        unit, factor = DISPLAY[error.unit]
+        held_out = error.validation_before and error.validation_after
+        before = error.validation_before if held_out else error.before
+        after = error.validation_after if held_out else error.after
+        assert before is not None and after is not None
+        used = result.verdict == "good"
+        steps = [_step("", before.mean, after.mean, factor, used=used)]
+        if (urdf := alone.get(error.name)) is not None:
+            own = urdf.validation_after if held_out else urdf.after
+            sizes = [(URDF, own or urdf.after), (EVERYTHING, after)]
+            steps = [
+                _step(name, before.mean, size.mean, factor, used=used)
+                for name, size in sizes
+            ]
+        which = "held-out" if held_out else "fitted"
         yield Tile(
-            label=f"mean {error.name} error, {which} measurements",
-            before=quantity(before.mean, unit),
-            after=quantity(after.mean, unit),
-            unit=DISPLAY[unit][0],
-            remark=f"95 % below {quantity(after.p95, unit).text}, "
-            f"largest {quantity(after.max, unit).text} {DISPLAY[unit][0]}",
+            label=f"mean {error.name} error of {which} measurements",
+            steps=tuple(steps),
+            unit=unit,
+            remark=UNUSED.get(result.verdict) or _spread(after, factor, unit),
         )
+    if result.verdict not in TRUSTED or result.verdict == "no-gain":
+        return
+    unit, factor = DISPLAY["m"]
     for chain, tool in result.accuracies.items():
-        found = tool.workspace
-        if found is not None and result.verdict != "no-gain":
+        if (found := tool.workspace) is not None:
             several = len(result.accuracies) > 1
             of = f" of {chain or 'the robot'}" if several else ""
             yield Tile(
                 label=f"expected tool-point error{of} over the workspace, rms",
-                before=quantity(found.nominal[0], "m"),
-                after=quantity(found.calibrated[0], "m"),
-                unit=DISPLAY["m"][0],
-                remark=f"better than nominal: {percent(found.better)}",
+                steps=(_step("", found.nominal[0], found.calibrated[0], factor),),
+                unit=unit,
+                remark=f"better than nominal with probability {percent(found.better)}",
             )
+
+
+def _step(
+    name: str, before: float, after: float, factor: float, *, used: bool = True
+) -> Step:
+    """Sizes in SI units, with two significant digits in that of the factor.
+
+    No change is told of a result that is not used.
+    """
+    first, last = (Cell(significant(factor * x), x) for x in (before, after))
+    return Step(name, first, last, change(before, after) if used else "")
+
+
+def change(before: float, after: float) -> str:
+    """How much more or less a size is, in percent; never all of it by rounding.
+
+    Example:
+        >>> change(0.76, 0.40), change(25.3, 0.09), change(1.0, 1.2), change(0.0, 1.0)
+        ('-47 %', '-99.6 %', '+20 %', '')
+    """
+    if not (math.isfinite(before) and math.isfinite(after) and before > 0.0):
+        return ""
+    part = 100.0 * (after / before - 1.0)
+    if after > 0.0 and part < -99.0:
+        return f"{max(math.ceil(10.0 * part) / 10.0, -99.9):.1f} %"
+    return f"{round(part):+d} %"
+
+
+def _spread(found: Accuracy, factor: float, unit: str) -> str:
+    p95, largest = (significant(factor * size) for size in (found.p95, found.max))
+    return f"95 % below {p95} {unit}, largest {largest} {unit}"

@@ -233,6 +233,8 @@ class MeasurementSetup(Section):
         columns: What columns with foreign names are: ours to theirs, which may state
             the unit in square brackets.
         joints: Joint map by file column; empty where columns are URDF joint names.
+        encoder_steps: Joint name or glob to the steps of its encoder per turn; offsets
+            are then told in steps as well.
         reading: How files are to be read where they are not as their columns say.
     """
 
@@ -248,6 +250,9 @@ class MeasurementSetup(Section):
     distances: tuple[DistanceSetup, ...] = ()
     columns: Mapping[str, Text] = field(default_factory=dict)
     joints: Mapping[str, JointMap] = field(default_factory=dict)
+    encoder_steps: Mapping[str, Annotated[float, Positive()]] = field(
+        default_factory=dict
+    )
     reading: ReadingSetup = field(default_factory=ReadingSetup)
 
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
 from calib_pin.estimation.directions import (
-    Directions,
     half_covariance,
     practical_directions,
     robot_singular_values,
@@ -36,12 +34,10 @@ from calib_pin.validation.result import (
     ParameterEstimate,
     Term,
 )
+from calib_pin.validation.robot_errors import WEAK_PART, Estimated, robot_errors
 
 CORRELATED = 0.95
 """Absolute correlation above which two estimates are reported as a pair."""
-
-WEAK_PART = 0.1
-"""Part of a parameter in directions held at nominal from which it counts as weak."""
 
 
 def identify(
@@ -74,7 +70,8 @@ def identify(
     parameters, groups = estimates(problem.parameters, found)
     values, count = found.robot, found.configurations
     ranks = _ranks(problem, found, values, count)
-    return Identification(parameters, groups, ranks)
+    errors = robot_errors(problem, found)
+    return Identification(parameters, groups, ranks, robot_errors=errors)
 
 
 def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
@@ -98,22 +95,6 @@ def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
     return "" if result.status.success else result.status.advice
 
 
-class Estimated(Protocol):
-    """Estimates of parameters, those of a fit or of a plan for one."""
-
-    @property
-    def theta(self) -> Floats:
-        """Parameter values, shape (P,)."""
-
-    @property
-    def covariance(self) -> Floats:
-        """Their covariance, shape (P, P)."""
-
-    @property
-    def directions(self) -> Directions:
-        """The directions that are estimated and those held at nominal."""
-
-
 def estimates(
     parameters: ParameterSet, structure: Structure, fitted: Estimated | None = None
 ) -> tuple[tuple[ParameterEstimate, ...], tuple[CoupledGroup, ...]]:
@@ -134,7 +115,7 @@ def estimates(
         row = combination.row(len(parameters))
         known, sigma = True, None
         if fitted is not None:
-            known = _weak_part(fitted, parameters, row) <= WEAK_PART
+            known = fitted.directions.weak_part(row, parameters) <= WEAK_PART
             deviation = float(np.sqrt(row @ fitted.covariance @ row))
             sigma = deviation if known and np.isfinite(deviation) else None
         if len(combination.terms) == 1:
@@ -245,15 +226,6 @@ def _ranks(
     )
 
 
-def _weak_part(fitted: Estimated, parameters: ParameterSet, row: Floats) -> float:
-    """Part of a sum of robot parameters that lies in directions held at nominal."""
-    scaled = np.where(parameters.nuisance, 0.0, row * parameters.scales)
-    length = np.linalg.norm(scaled)
-    if length == 0.0:
-        return 0.0
-    return float(np.linalg.norm(fitted.directions.weak.T @ scaled) / length)
-
-
 def _correlated(fitted: Fit) -> Iterator[Correlation]:
     """Pairs of identifiable sums of the robot whose estimates move together."""
     parameters = fitted.problem.parameters
@@ -262,7 +234,7 @@ def _correlated(fitted: Fit) -> Iterator[Correlation]:
         row = combination.row(len(parameters))
         if parameters[combination.terms[0][0]].nuisance:
             continue
-        if _weak_part(fitted, parameters, row) <= WEAK_PART:
+        if fitted.directions.weak_part(row, parameters) <= WEAK_PART:
             rows.append(row)
             names.append(combination.expression(parameters.names))
     if not rows or not np.isfinite(fitted.covariance).all():

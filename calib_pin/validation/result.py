@@ -67,6 +67,37 @@ class CoupledGroup:
     terms: tuple[Term, ...]
 
 
+@dataclass(frozen=True)
+class RobotError:
+    """An error of the robot as a person names it.
+
+    Attributes:
+        kind: Such as `joint offset`, `link length`, `link offset`, `link twist`, `axis
+            tilt`, `axis shift`, or the kind of a joint correction.
+        of: Names of the joints, of the link for its length and twist; of several only
+            the sum is known, of those with a minus sign subtracted.
+        unit: Its unit.
+        value: Estimate.
+        sigma: Standard deviation; None where it is not known.
+        status: `identifiable`; `weak` where it is held at nominal; `absorbed` where a
+            frame or the instrument takes it along, so that nothing is known of it.
+        within: Owner and kind of those, such as `tool.frame`.
+        expression: The linear combination of parameters, without the terms that matter
+            less than its standard deviation; empty where it is absorbed.
+        terms: The same as terms.
+    """
+
+    kind: str
+    of: tuple[str, ...]
+    unit: str
+    value: float
+    sigma: float | None
+    status: str
+    within: tuple[str, ...]
+    expression: str
+    terms: tuple[Term, ...]
+
+
 class Correlation(NamedTuple):
     """Two estimates that move together; a combination is named by its formula."""
 
@@ -147,11 +178,13 @@ class Identification:
         parameters: Every parameter with its status and, after a fit, its estimate.
         groups: Coupled groups.
         identifiability: Ranks and observability.
+        robot_errors: The same for people: each independent error of the robot once.
     """
 
     parameters: tuple[ParameterEstimate, ...]
     groups: tuple[CoupledGroup, ...]
     identifiability: Identifiability
+    robot_errors: tuple[RobotError, ...] = field(default=(), kw_only=True)
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,8 @@ PATH: RGB = (0, 158, 115)
 ROBOT: RGB = (225, 222, 214)
 """Of a robot whose URDF states none."""
 
-GHOST: RGB = (120, 120, 125)
-"""Of the nominal robot beside the corrected one."""
+BODIES: dict[str, RGB] = {"nominal": (213, 94, 0), "corrected": (70, 150, 205)}
+"""Of robots beside each other, those of their errors; the second one in more light."""
 
 MAP = "viridis"
 """Colormap of sizes: perceptually uniform, and of growing lightness."""
@@ -42,6 +42,12 @@ def scaled(sizes: Floats) -> NDArray[np.uint8]:
     if len(sizes) and np.ptp(sizes) > 0.0:
         parts = (sizes - sizes.min()) / np.ptp(sizes)
     return np.asarray(colormaps[MAP](parts, bytes=True)[:, :3])
+
+
+def pale(color: RGB) -> RGB:
+    """A color of a link that is not measured."""
+    red, green, blue = ((part + 2 * 255) // 3 for part in color)
+    return red, green, blue
 
 
 def css(color: tuple[int, ...]) -> str:

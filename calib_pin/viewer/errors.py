@@ -6,15 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.estimation.measured import Block
 from calib_pin.estimation.problem import error_table
-from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.skeleton import base_poses
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.kinematics.tree import Configurations, link_frame
 from calib_pin.measurement_models.tool_point import PointModel
+from calib_pin.report.surroundings import Thing, surroundings
 from calib_pin.validation.evaluation import Prepared
 
 
@@ -65,7 +64,7 @@ def stage_errors(robot: Prepared, link: str) -> StageErrors:
     points, vectors = np.zeros((len(data), 3)), np.full((len(data), 3), np.nan)
     for block in problem.blocks:
         q, base = data.q[block.rows], block.part.error.base.inverse().homogeneous
-        seen = base @ _tool_poses(block, theta)
+        seen = _in_base(block, theta)
         to_link = base_poses(problem.chains, block.part.key.chain, link, q)
         points[block.rows] = (to_link @ seen)[:, :3, 3]
         turn = to_link[:, :3, :3] @ base[:3, :3]
@@ -84,6 +83,27 @@ def stage_errors(robot: Prepared, link: str) -> StageErrors:
     return StageErrors(points, vectors, sizes)
 
 
+def things_around(robot: Prepared, reach: float) -> list[Thing]:
+    """Instruments and targets around a robot that is prepared for measurements.
+
+    Args:
+        robot: The robot.
+        reach: Its size [m].
+    """
+    problem, theta = robot.problem.rebased(robot.theta)
+    touched = {
+        block.part.key: (block.data.target, _in_base(block, theta)[:, :3, 3])
+        for block in problem.blocks
+    }
+    return surroundings(problem.parts, touched, reach)
+
+
+def _in_base(block: Block, theta: Floats) -> Floats:
+    """Poses of the tool at the measured points, in the base link, (N, 4, 4)."""
+    base = block.part.error.base.inverse().homogeneous
+    return np.asarray(base @ _tool_poses(block, theta))
+
+
 def _tool_poses(block: Block, theta: Floats) -> Floats:
     """Poses of the tool at the measured points, in the measurement frame, (N, 4, 4).
 
@@ -99,25 +119,3 @@ def _tool_poses(block: Block, theta: Floats) -> Floats:
         offset = np.array([*offsets, np.zeros(3)])[label]
         T[:, :3, 3] += np.einsum("nij,nj->ni", T[:, :3, :3], offset)
     return np.asarray(T)
-
-
-def base_poses(chains: Chains, name: str, link: str, q: Floats) -> Floats:
-    """Poses (N, 4, 4) of the base of a chain in a link, as the nominal robot has them.
-
-    Args:
-        chains: The chains.
-        name: Name of the chain.
-        link: The link.
-        q: Positions of the joints of all chains, shape (N, n) [rad, m].
-    """
-    result = np.tile(np.eye(4), (len(q), 1, 1))
-    if chains[name].base == link:
-        return result
-    model = chains.robot.model
-    data = model.createData()
-    base, other = (link_frame(model, k) for k in (chains[name].base, link))
-    joints = [model.getJointId(joint) for joint in chains.joints]
-    for k, configuration in enumerate(Configurations(model, joints)(q)):
-        pin.framesForwardKinematics(model, data, configuration)
-        result[k] = data.oMf[other].actInv(data.oMf[base]).homogeneous
-    return result

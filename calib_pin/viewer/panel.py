@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import html
+import io
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.breakdown import block_names
 from calib_pin.units import DISPLAY
-from calib_pin.viewer.controls import STAGES, Controls, put, scale, swatch, text
+from calib_pin.viewer.controls import BODIES, STAGES, Controls, put, scale, swatch, text
 from calib_pin.viewer.errors import StageErrors
 from calib_pin.viewer.scene import Plan, Rows, Scene
 from calib_pin.viewer.stage import RowsDrawing, Stage
@@ -139,8 +142,11 @@ class Player:
 MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Magnifications of the error vectors."""
 
+WAIT = 60.0
+"""Time for a browser to draw a picture, also without a graphics card [s]."""
+
 VISIBLE = 0.2
-"""Length that the largest vector gets at first [m]."""
+"""Length that the largest vector gets at first, by the size of the robot."""
 
 
 def add_panel(controls: Controls, scene: Scene, stage: Stage) -> Player | None:
@@ -148,20 +154,32 @@ def add_panel(controls: Controls, scene: Scene, stage: Stage) -> Player | None:
     with controls.gui.add_folder("Robot"):
         for name, robot in stage.robots.items():
             controls.switch(name, robot.root)
+        if len(stage.robots) > 1:
+            swatches = (swatch(BODIES[name], name) for name in stage.robots)
+            controls.gui.add_html(text("".join(swatches)))
+        if stage.things is not None:
+            controls.switch("instruments and targets", stage.things.root)
+            controls.switch("their names", stage.things.names, False)
+        _add_picture(controls, scene.title)
     joints = Joints(controls, scene, stage)
     if scene.rows is not None and stage.rows is not None:
         _add_rows(controls, scene.rows, stage.rows, joints)
-        if stage.rows.vectors:
-            _add_vectors(controls, scene.rows, stage.rows)
+    _add_magnifier(controls, scene, stage)
+    if scene.rows is not None and stage.rows is not None:
         _add_map(controls, scene.rows, stage.rows)
     if scene.plan is None or stage.path is None:
         return None
     return Player(controls, scene.plan, joints, stage.path)
 
 
-def first_magnification(largest: float) -> int:
-    """The magnification that makes the largest vector [m] just not too long."""
-    fitting = [step for step in MAGNIFICATIONS if step * largest <= VISIBLE]
+def first_magnification(largest: float, size: float) -> int:
+    """The magnification that makes the largest vector just not too long.
+
+    Args:
+        largest: Its length [m].
+        size: Size of the robot [m].
+    """
+    fitting = [step for step in MAGNIFICATIONS if step * largest <= VISIBLE * size]
     return fitting[-1] if fitting else MAGNIFICATIONS[0]
 
 
@@ -185,29 +203,65 @@ def _add_rows(
     show(1)
 
 
-def _add_vectors(controls: Controls, rows: Rows, drawing: RowsDrawing) -> None:
-    lengths = [np.linalg.norm(e.vectors, axis=1) for e in rows.stages.values()]
-    first = MAGNIFICATIONS.index(first_magnification(float(np.nanmax(lengths))))
+def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
+    """One slider for error vectors and the geometry, if there are any of these."""
+    vectors = {} if stage.rows is None else stage.rows.vectors
+    largest = [scene.largest_move] if len(scene.bodies) > 1 else []
+    if vectors and scene.rows is not None:
+        errors = scene.rows.stages.values()
+        lengths = [np.linalg.norm(e.vectors, axis=1) for e in errors]
+        largest.append(float(np.nanmax(lengths)))
+    if not largest:
+        return
+    first = MAGNIFICATIONS.index(first_magnification(max(largest), stage.size))
     marks = tuple((k, str(MAGNIFICATIONS[k])) for k in (0, 3, 6, 9))
-    with controls.gui.add_folder("Errors, predicted minus measured"):
-        for name, handle in drawing.vectors.items():
+    with controls.gui.add_folder(
+        "Errors, predicted minus measured" if vectors else "Corrections"
+    ):
+        for name, handle in vectors.items():
             controls.switch(name, handle)
         # Of one value: the plain slider would write the number of the step beside it.
         slider = controls.gui.add_multi_slider(
             "magnified", 0, len(MAGNIFICATIONS) - 1, 1, (first,), marks=marks
         )
         legend = controls.gui.add_html("")
+    what = ["errors, from the measured point"] * bool(vectors)
+    what += ["corrections of the robot"] * (len(scene.bodies) > 1)
 
     def magnify(value: tuple[int, ...]) -> None:
         factor = MAGNIFICATIONS[value[0]]
-        drawing.magnify(factor)
-        swatches = "".join(swatch(STAGES[name], name) for name in drawing.vectors)
-        legend.content = text(
-            f"{swatches}<br>magnified {factor} times, from the measured point"
-        )
+        stage.magnify(factor)
+        swatches = "".join(swatch(STAGES[name], name) for name in vectors)
+        told = f"magnified {factor} times: {'; '.join(what)}"
+        legend.content = text(f"{swatches}<br>{told}" if swatches else told)
 
     controls.on(slider, magnify)
     magnify((first,))
+
+
+def _add_picture(controls: Controls, title: str) -> None:
+    """A button that saves the view of whoever presses it as a picture."""
+    button = controls.gui.add_button("save picture")
+
+    @button.on_click
+    def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+        if event.client is not None:
+            save_picture(event.client, title)
+
+
+def save_picture(client: viser.ClientHandle, title: str) -> None:
+    """Have a browser draw its view once more, and save that as a PNG file.
+
+    Nothing is drawn behind the scene, so that the picture fits on any page.
+    """
+    camera = client.camera
+    image = client.get_render(
+        camera.image_height, camera.image_width, transport_format="png", timeout=WAIT
+    )
+    stream = io.BytesIO()
+    Image.fromarray(image).save(stream, format="png")
+    name = re.sub(r"[^\w.-]+", "_", title) or "robot"
+    client.send_file_download(f"{name}.png", stream.getvalue(), save_immediately=True)
 
 
 def _add_map(controls: Controls, rows: Rows, drawing: RowsDrawing) -> None:

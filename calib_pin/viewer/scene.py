@@ -10,7 +10,7 @@ place of the tool only.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -21,97 +21,22 @@ from calib_pin.io.urdf_origins import edit_origins
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.spatial import Floats, invert
+from calib_pin.kinematics.shapes import Shape
+from calib_pin.kinematics.skeleton import Skeleton, base_poses, chain_links
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.report.breakdown import block_names
+from calib_pin.report.surroundings import Thing
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
-from calib_pin.viewer.errors import StageErrors, base_poses
-from calib_pin.viewer.shapes import Shape, box
-
-
-class Skeleton:
-    """Forward kinematics of a whole robot in one of its links.
-
-    A joint that mimics another follows it, as commanded; one with several degrees of
-    freedom, such as that of a floating base, stays at its neutral position.
-
-    Args:
-        robot: The robot; its model is not changed.
-        base: Link in whose frame the others are.
-
-    Attributes:
-        links: Names of all L links.
-        joints: Names of the K joints with a position of their own.
-        revolute: True for those that turn, shape (K,).
-        lower: Lower position limits, shape (K,) [rad, m].
-        upper: Upper position limits, shape (K,) [rad, m]; half a turn or 1 m to either
-            side where there is none.
-    """
-
-    def __init__(self, robot: Robot, base: str) -> None:
-        """Find out which joints there are."""
-        model = robot.model
-        self._model = model
-        self._data = model.createData()
-        self.links = robot.links
-        self._base = robot.links.index(base)
-        self._frames = [model.getFrameId(k, pin.FrameType.BODY) for k in self.links]
-        single = [j for j in range(1, model.njoints) if model.nvs[j] == 1]
-        still = {*robot.mimics, *robot.refused}
-        own = [joint for joint in single if model.names[joint] not in still]
-        self.joints: tuple[str, ...] = tuple(str(model.names[j]) for j in own)
-        # By joint: the place of the one whose position it takes, factor, and offset.
-        self._driven = {joint: (k, 1.0, 0.0) for k, joint in enumerate(self.joints)}
-        for name, mimic in robot.mimics.items():
-            place = self.joints.index(mimic.leader)
-            self._driven[name] = place, mimic.factor, mimic.offset
-        kinds = [model.joints[j].shortname() for j in own]
-        self.revolute = np.array(["JointModelP" not in kind for kind in kinds], bool)
-        start = [model.idx_qs[j] for j in own]
-        lower, upper = model.lowerPositionLimit[start], model.upperPositionLimit[start]
-        continuous = np.array([model.nqs[j] == 2 for j in own], bool)
-        limited = ~continuous & (upper > lower) & (np.abs(upper - lower) < 1e6)
-        half = np.where(self.revolute, np.pi, 1.0)
-        self.lower: Floats = np.where(limited, lower, -half)
-        self.upper: Floats = np.where(limited, upper, half)
-
-    @property
-    def neutral(self) -> Floats:
-        """Zero, or the limit next to it, of every joint, shape (K,) [rad, m]."""
-        return np.asarray(np.clip(0.0, self.lower, self.upper))
-
-    def positions(self, joints: Sequence[str], q: Floats) -> Floats:
-        """Positions (n,) of joints, also of those that follow others, at q (K,)."""
-        driven = (self._driven[joint] for joint in joints)
-        return np.array([factor * q[k] + offset for k, factor, offset in driven])
-
-    def placements(self, q: Floats) -> Floats:
-        """Poses of all links in the base link at q (K,) [rad, m], shape (L, 4, 4)."""
-        model, data = self._model, self._data
-        full = pin.neutral(model)
-        positions = self.positions(tuple(self._driven), q)
-        for name, position in zip(self._driven, positions, strict=True):
-            joint = model.getJointId(name)
-            start = model.idx_qs[joint]
-            if model.nqs[joint] == 2:  # A continuous joint has cosine and sine.
-                full[start : start + 2] = np.cos(position), np.sin(position)
-            else:
-                full[start] = position
-        pin.framesForwardKinematics(model, data, full)
-        T = np.array([data.oMf[frame].homogeneous for frame in self._frames])
-        return np.asarray(invert(T[self._base]) @ T)
-
+from calib_pin.viewer.errors import StageErrors
 
 STEPS = 20
 """Points of the tip's path from one configuration to the next."""
 
 LONGEST = 5000
 """Points from which on a path has fewer between configurations."""
-
-LEGS = 0.15
-"""How far below what stands still a robot must reach to count as standing there [m]."""
 
 
 @dataclass(frozen=True)
@@ -123,11 +48,23 @@ class Body:
         skeleton: Where its links are.
         model: Calibrated model that corrects the commanded joints; None where
             nothing does.
+        factor: Magnification of all corrections.
     """
 
     name: str
     skeleton: Skeleton
     model: CalibratedModel | None = None
+    factor: float = 1.0
+
+    def magnified(self, factor: float) -> Body:
+        """The same with its corrections magnified; it stays as it is without any.
+
+        Links hang together: screws of joint origins and angles of joints are
+        multiplied, so that a small error of a link is magnified as much.
+        """
+        if self.model is None:
+            return self
+        return corrected(self.model, self.skeleton.base, factor)
 
     def placements(self, q: Floats, payload: str = "") -> Floats:
         """Poses of all links in the base link, shape (L, 4, 4).
@@ -149,6 +86,7 @@ class Body:
             (turned,) = _carrying(chain, payload).joint_positions(
                 commanded, chain.theta
             )
+            turned = commanded[0] + self.factor * (turned - commanded[0])
             for joint, position in zip(joints, turned, strict=True):
                 if joint in own:  # One that follows another follows it as it is.
                     moved[own[joint]] = position
@@ -211,6 +149,7 @@ class Scene:
         chains: The chains that measurements and plan move, if there are any.
         rows: Measurements, if there are any.
         plan: Planned configurations, if there are any.
+        things: Instruments and targets that stand around or that the tool carries.
     """
 
     title: str
@@ -219,6 +158,26 @@ class Scene:
     chains: Chains | None = None
     rows: Rows | None = None
     plan: Plan | None = None
+    things: tuple[Thing, ...] = ()
+
+    @cached_property
+    def highlighted(self) -> frozenset[str]:
+        """The links of the chains that measurements and plan move, or all links."""
+        if self.chains is None:
+            return frozenset(self.bodies[0].skeleton.links)
+        return chain_links(self.chains)
+
+    @property
+    def largest_move(self) -> float:
+        """How far the origin of any link is moved by corrections at the start [m]."""
+        first, *others = (body.placements(self.start) for body in self.bodies)
+        return max(
+            (
+                float(np.linalg.norm((T - first)[:, :3, 3], axis=1).max())
+                for T in others
+            ),
+            default=0.0,
+        )
 
     @cached_property
     def moved(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -243,28 +202,24 @@ class Scene:
             q[places] = self.plan.q[0, columns]
         return q
 
-    def corners(self, q: Floats) -> Floats:
-        """Corners (S, 3) [m] of boxes around all shapes in the base link at q."""
-        skeleton = self.bodies[0].skeleton
-        T = dict(zip(skeleton.links, skeleton.placements(q), strict=True))
-        return np.concatenate([_corners(shape, T[shape.link]) for shape in self.shapes])
-
 
 def bodies_of(robot: Robot, base: str, model: CalibratedModel | None) -> list[Body]:
     """The robot by itself, or as it is nominally and as its calibration corrects it."""
     if model is None:
         return [Body("robot", Skeleton(robot, base))]
-    corrected = edit_origins(robot.source, model.urdf_corrections(), robot.file)
-    return [
-        Body("nominal", Skeleton(robot, base)),
-        Body("corrected", Skeleton(parse_robot(corrected, robot.file), base), model),
-    ]
+    return [Body("nominal", Skeleton(robot, base)), corrected(model, base)]
 
 
-def drawn_link(chains: Chains) -> str:
-    """The link in which everything is drawn: the base of the chains, or the root."""
-    bases = {chains[name].base for name in chains.names if chains[name].joints}
-    return bases.pop() if len(bases) == 1 else chains.robot.root
+def corrected(model: CalibratedModel, base: str, factor: float = 1.0) -> Body:
+    """The robot as its calibration corrects it, so many times over."""
+    robot = model.chains.robot
+    origins = {
+        joint: pin.exp6(factor * pin.log6(correction))
+        for joint, correction in model.urdf_corrections().items()
+    }
+    written = edit_origins(robot.source, origins, robot.file)
+    skeleton = Skeleton(parse_robot(written, robot.file), base)
+    return Body("corrected", skeleton, model, factor)
 
 
 def tip_paths(
@@ -292,36 +247,7 @@ def tip_paths(
     return paths
 
 
-def floor_height(scene: Scene) -> float:
-    """Height of the ground under a robot in its base link [m].
-
-    It lies under the links that stand still, or under the feet of a robot that reaches
-    well below these.
-    """
-    skeleton = scene.bodies[0].skeleton
-    neutral = skeleton.neutral
-    # No joint stands at the same angle in both, nor a whole turn away.
-    other = skeleton.lower + 0.37 * (skeleton.upper - skeleton.lower)
-    ends = skeleton.placements(neutral), skeleton.placements(other)
-    moves = np.abs(ends[0] - ends[1]).max(axis=(1, 2))
-    fixed = {skeleton.links[k] for k in np.flatnonzero(moves < 1e-9)}
-    lowest = float(scene.corners(neutral)[:, 2].min())
-    standing = replace(scene, shapes=tuple(s for s in scene.shapes if s.link in fixed))
-    if not standing.shapes:
-        return lowest
-    under = float(standing.corners(neutral)[:, 2].min())
-    return under if lowest > under - LEGS else lowest
-
-
 def _carrying(model: CalibratedChain, payload: str) -> ErrorModel:
     """The error model with a payload; of several, no name means no payload."""
     several = len(model.setup.payloads) > 1
     return model.error.carrying(payload or (NOTHING if several else ""))
-
-
-def _corners(shape: Shape, T: Floats) -> Floats:
-    vertices = shape.surface.vertices
-    least, most = vertices.min(axis=0), vertices.max(axis=0)
-    corners = box(most - least).vertices + 0.5 * (least + most)
-    pose = T @ shape.placement
-    return np.asarray(corners @ pose[:3, :3].T + pose[:3, 3])

@@ -8,31 +8,41 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.kinematics.shapes import Surface, creased
+from calib_pin.kinematics.skeleton import corners, floor_height
 from calib_pin.kinematics.spatial import Floats, to_quaternion
-from calib_pin.viewer.controls import GHOST, MARK, MEASURED, PATH, ROBOT, STAGES, scaled
+from calib_pin.report.surroundings import Thing
+from calib_pin.viewer.controls import (
+    BODIES,
+    MARK,
+    MEASURED,
+    PATH,
+    ROBOT,
+    STAGES,
+    pale,
+    scaled,
+)
 from calib_pin.viewer.errors import ErrorSizes, StageErrors
-from calib_pin.viewer.scene import Body, Rows, Scene, floor_height
-from calib_pin.viewer.shapes import Shape
+from calib_pin.viewer.scene import Body, Rows, Scene
 
 if TYPE_CHECKING:
     import viser
 
-OPACITY = 0.3
-"""Of the nominal robot beside the corrected one."""
+OPACITY, FAINT = 0.35, 0.1
+"""Of the nominal robot beside the corrected one, and of what was not measured of it."""
 
 
 class RobotDrawing:
-    """A robot; the nominal one is a ghost.
+    """A robot; beside the corrected one the nominal one is a ghost.
 
     Attributes:
         root: Carries all of it.
+        body: The robot; another one of the same links may take its place.
     """
 
-    def __init__(
-        self, api: viser.SceneApi, body: Body, shapes: Sequence[Shape]
-    ) -> None:
+    def __init__(self, api: viser.SceneApi, body: Body, scene: Scene) -> None:
         """Draw the links; they are not in place yet."""
-        self._body = body
+        self.body, shapes = body, scene.shapes
         self._placements = np.zeros((len(body.skeleton.links), 4, 4))
         name, ghost = f"/{body.name}", body.name == "nominal"
         self.root = api.add_frame(name, show_axes=False)
@@ -43,13 +53,16 @@ class RobotDrawing:
             for link in dict.fromkeys(shape.link for shape in shapes)
         }
         for k, shape in enumerate(shapes):
+            own = shape.link in scene.highlighted
             color = ROBOT if shape.color is None else _bytes(shape.color)
+            if own and body.name in BODIES:
+                color = BODIES[body.name]
+            color = color if own else pale(color)
             api.add_mesh_simple(
                 f"{name}/{number[shape.link]}/{k}",
-                shape.surface.vertices.astype(np.float32),
-                shape.surface.triangles.astype(np.uint32),
-                color=GHOST if ghost else color,
-                opacity=OPACITY if ghost else None,
+                *_arrays(shape.surface),
+                color=color,
+                opacity=(OPACITY if own else FAINT) if ghost else None,
                 cast_shadow=not ghost,
                 receive_shadow=not ghost,
                 position=shape.placement[:3, 3],
@@ -58,13 +71,86 @@ class RobotDrawing:
 
     def pose(self, q: Floats, payload: str) -> None:
         """Put the links in place; arguments as for `Body.placements`."""
-        placements = self._body.placements(q, payload)
+        placements = self.body.placements(q, payload)
         moved = (placements != self._placements).any(axis=(1, 2))
         self._placements = placements
         for number, link in self._links.items():
             if moved[number]:  # To tell a browser takes longer than to compute it.
                 link.position = placements[number, :3, 3]
                 link.wxyz = _wxyz(placements[number])
+
+    @property
+    def placements(self) -> Floats:
+        """Poses of all links as they are drawn, shape (L, 4, 4)."""
+        return self._placements
+
+    @property
+    def shown(self) -> dict[int, bool]:
+        """Whether each link is drawn, by its number."""
+        return {number: link.visible for number, link in self._links.items()}
+
+    def hide_equal(self, others: Floats, size: float) -> None:
+        """Show only links that another robot has elsewhere, as far as one can see.
+
+        Two surfaces in one place would be drawn as a mixture of both.
+
+        Args:
+            others: Poses of the links of the other robot, shape (L, 4, 4).
+            size: Size of the robot [m].
+        """
+        away = np.linalg.norm((others - self._placements)[:, :3, 3], axis=1)
+        turns = np.linalg.norm((others - self._placements)[:, :3, :3], axis=(1, 2))
+        apart = away + LEVER * size * turns > SEEN * size
+        for number, link in self._links.items():
+            if link.visible != apart[number]:
+                link.visible = bool(apart[number])
+
+
+class ThingsDrawing:
+    """Instruments and targets, where the last robot carries them.
+
+    Attributes:
+        root: Carries all of them.
+        names: Carries their names.
+        frames: The frame of each link below either, by the name of that and the link.
+    """
+
+    def __init__(
+        self, api: viser.SceneApi, body: Body, things: Sequence[Thing]
+    ) -> None:
+        """Draw them; they are not in place yet."""
+        self._places = {
+            link: body.skeleton.links.index(link) for link in {t.link for t in things}
+        }
+        roots = [api.add_frame(name, show_axes=False) for name in ("/things", "/names")]
+        self.root, self.names = roots
+        self.frames = {
+            (root.name, link): api.add_frame(f"{root.name}/{k}", show_axes=False)
+            for root in roots
+            for link, k in self._places.items()
+        }
+        for number, thing in enumerate(things):
+            place = self._places[thing.link]
+            label = thing.name.rpartition("/")[2] or thing.kind
+            if thing.kind in NAMED:
+                label = thing.kind
+            api.add_label(f"/names/{place}/{number}", label, position=thing.origin)
+            for k, shape in enumerate(thing.shapes):
+                api.add_mesh_simple(
+                    f"/things/{place}/{number}-{k}",
+                    *_arrays(shape.surface),
+                    color=ROBOT if shape.color is None else _bytes(shape.color),
+                    opacity=None if shape.opacity == 1.0 else shape.opacity,
+                    side="double",
+                    position=shape.placement[:3, 3],
+                    wxyz=_wxyz(shape.placement),
+                )
+
+    def put(self, placements: Floats) -> None:
+        """Put them in place, links having the poses (L, 4, 4)."""
+        for (_, link), frame in self.frames.items():
+            T = placements[self._places[link]]
+            frame.position, frame.wxyz = T[:3, 3], _wxyz(T)
 
 
 class RowsDrawing:
@@ -148,6 +234,12 @@ def lines(errors: StageErrors, factor: float) -> NDArray[np.float32]:
     return ends[np.isfinite(ends).all(axis=(1, 2))].astype(np.float32)
 
 
+def _arrays(surface: Surface) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Vertices and triangles with sharp edges, as the browser takes them."""
+    sharp = creased(surface)
+    return sharp.vertices.astype(np.float32), sharp.triangles.astype(np.uint32)
+
+
 def _bytes(color: tuple[float, float, float]) -> tuple[int, int, int]:
     red, green, blue = (round(255 * part) for part in color)
     return red, green, blue
@@ -157,21 +249,32 @@ def _wxyz(T: Floats) -> Floats:
     return np.roll(to_quaternion(T[:3, :3]), 1)
 
 
+SEEN, LEVER = 0.004, 0.15
+"""Distance of links that is seen, and a lever for turns, by the size of the robot."""
+
+NAMED = ("station", "camera", "board")
+"""Things whose kind tells more than their name."""
+
+CLOSE = 3.0
+"""Distance of things that are seen at first, by the size of the robot."""
+
 CORNER = np.array([0.80, -0.52, 0.30])
 """Direction from the robot to the camera: from its front, its right and above."""
 
 ANGLE = 0.7
 """Vertical angle of view [rad]."""
 
-ASPECT = 1.1
-"""Width of the view by its height; a window is mostly wider."""
+ASPECT = 0.95
+"""Width of the view by its height, beside the panel of a usual window."""
 
 
 class Stage:
     """The drawn scene, and what can be changed of it.
 
     Attributes:
+        size: Size of the robot [m].
         robots: The robots by name.
+        things: Instruments and targets, if there are any.
         rows: Measurements, if there are any.
         path: The paths of all tips, if there is a plan.
     """
@@ -179,19 +282,27 @@ class Stage:
     def __init__(self, server: viser.ViserServer, scene: Scene) -> None:
         """Draw everything."""
         self._server = server
-        api, floor = server.scene, floor_height(scene)
-        corners = scene.corners(scene.start)
-        size = float(np.ptp(corners, axis=0).max())
+        skeleton = scene.bodies[0].skeleton
+        api, floor = server.scene, floor_height(skeleton, scene.shapes)
+        robot = corners(skeleton, scene.shapes, scene.start)
+        self.size = size = float(np.ptp(robot, axis=0).max())
         _light(api, size, floor)
-        seen = [corners, np.array([[*corners.mean(axis=0)[:2], floor]])]
+        seen = [robot, np.array([[*robot.mean(axis=0)[:2], floor]])]
         if scene.rows is not None:
             seen += [errors.points for errors in scene.rows.stages.values()]
+        # A tracker may stand far away.
+        near = [thing.origin for thing in scene.things]
+        near = [spot for spot in near if np.linalg.norm(spot) < CLOSE * size]
+        seen += [np.array(near).reshape(-1, 3)]
         camera = server.initial_camera
         camera.fov, camera.up = ANGLE, (0.0, 0.0, 1.0)
         camera.position, camera.look_at = sight(np.concatenate(seen))
         self.robots = {
-            body.name: RobotDrawing(api, body, scene.shapes) for body in scene.bodies
+            body.name: RobotDrawing(api, body, scene) for body in scene.bodies
         }
+        last = scene.bodies[-1]
+        self.things = ThingsDrawing(api, last, scene.things) if scene.things else None
+        self._posture = scene.start, ""
         self.rows = None if scene.rows is None else RowsDrawing(api, scene.rows, size)
         self.path = None
         if scene.plan is not None:
@@ -210,9 +321,22 @@ class Stage:
             q: Positions of the skeleton's joints, shape (K,) [rad, m].
             payload: Name of what is carried.
         """
+        self._posture = q.copy(), payload
         with self._server.atomic():
             for robot in self.robots.values():
                 robot.pose(q, payload)
+            for other in [*self.robots.values()][:-1]:
+                other.hide_equal(robot.placements, self.size)
+            if self.things is not None:
+                self.things.put(robot.placements)
+
+    def magnify(self, factor: float) -> None:
+        """Magnify error vectors and all corrections of the robot by a factor."""
+        for robot in self.robots.values():
+            robot.body = robot.body.magnified(factor)
+        self.pose(*self._posture)
+        if self.rows is not None:
+            self.rows.magnify(factor)
 
 
 def sight(points: Floats) -> tuple[Floats, Floats]:

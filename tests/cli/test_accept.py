@@ -192,7 +192,7 @@ def test_a_calibration_is_printed(visits, run, drawn):
     for words in ("Calibration report", "GOOD", "KR 7", "before", "after"):
         assert words in first
     assert "no limit was stated" in first
-    assert any("Identifiable parameters" in text for text in annex)
+    assert any("Identifiable errors of the robot" in text for text in annex)
     assert "exists already" in run("report c --pdf c.pdf").err
     assert "input of this run" in run("report c --pdf c/calibration.json --force").err
     before = Path("c.pdf").read_bytes()

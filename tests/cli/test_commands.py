@@ -633,7 +633,7 @@ def test_gears_and_compliance_from_simulation_to_evaluation(tmp_path, monkeypatc
     assert (result.status, result.err) == (0, "")
     text = " ".join(result.out.split())
     assert "A URDF cannot hold transmission and compliance" in text
-    assert "urad/Nm" in text and "joint_4.compliance.k" in text
+    assert "urad/Nm" in text and "joint_4 k" in text
     found = document("out")
     check_form(found, CONTRACT)
     units = {p["name"]: p["unit"] for p in found["parameters"]}

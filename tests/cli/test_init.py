@@ -329,7 +329,8 @@ def test_what_fits_no_robot_is_said(capsys):
 
     def noise(header: list[str], rows: list[list[str]]):
         drawn = rng.normal(size=(len(rows), 3)).tolist()
-        return header[:9], [
+        names = [f"{name} [rad]" for name in header[:6]]
+        return [*names, "x [m]", "y [m]", "z [m]"], [
             [*row[:6], *map(repr, xyz)] for row, xyz in zip(rows, drawn, strict=True)
         ]
 
@@ -379,6 +380,17 @@ def test_files_that_are_none(text: str, said: str, capsys):
     assert run("init space6 foreign.csv -o setup.yaml") == 1
     found = capsys.readouterr()
     assert said in found.err and found.err.count("\n") == 1 and found.out == ""
+    assert not Path("setup.yaml").exists()
+
+
+def test_units_that_nothing_tells_are_asked_for(capsys):
+    """Positions that have nothing to do with the joints fit in any unit."""
+    rng = np.random.default_rng(0)
+    header = ",".join([*(f"joint_{k}" for k in range(1, 7)), "x", "y", "z"])
+    rows = rng.uniform(-1.0, 1.0, (30, 9))
+    np.savetxt("any.csv", rows, delimiter=",", header=header, comments="")
+    assert run("init space6 any.csv -o setup.yaml") == 1
+    assert "state the units in the header" in capsys.readouterr().err
     assert not Path("setup.yaml").exists()
 
 

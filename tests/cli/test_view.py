@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from calib_pin.viewer.scene import Scene
@@ -78,6 +79,8 @@ def test_a_calibration(
     scene, bare = opened
     assert [body.name for body in scene.bodies] == ["nominal", "corrected"]
     assert scene.rows is not None and bare.rows is None
+    assert [thing.kind for thing in scene.things] == ["station"]
+    np.testing.assert_allclose(scene.things[0].origin, bare.things[0].origin, atol=0.01)
     before, after = scene.rows.stages.values()
     sizes = [e.quantities["position"].sizes.mean() for e in (before, after)]
     assert sizes[0] > 5.0 * sizes[1]

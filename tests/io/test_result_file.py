@@ -64,6 +64,7 @@ def test_all_comes_back(document, result):
     found = read_result(stored(document))
     assert found.parameters == result.parameters
     assert found.groups == result.groups
+    assert found.robot_errors == result.robot_errors != ()
     assert found.errors == result.errors
     assert found.accuracy.tip.rms == result.accuracy.tip.rms
     assert found.accuracy.tip.of_robot == result.accuracy.tip.of_robot

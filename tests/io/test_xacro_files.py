@@ -14,8 +14,8 @@ from calib_pin.errors import InputError, OptionError, RobotError
 from calib_pin.io import children, xacro_files
 from calib_pin.io.meshes import STL
 from calib_pin.io.packages import locate_mesh
+from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_chain, load_robot
-from calib_pin.viewer.shapes import robot_shapes
 
 HEAD = '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">'
 

@@ -85,7 +85,7 @@ def test_coefficients_are_printed_with_the_report(
 ) -> None:
     rows = exact_rows(problem, preset)
     result = calib_pin.calibrate(problem.only.error.chain, rows, problem.setup)
-    printed = " ".join(calib_pin.format_report(result).split())
+    printed = " ".join(calib_pin.format_report(result, details=True).split())
     assert "+ 0.76" in printed and "- 0.76" in printed
     third = next(g for g in result.groups if len(g.terms) == 3)
     assert [c for _, c in third.terms] == pytest.approx([1.0, 1.0, 0.76], abs=1e-12)

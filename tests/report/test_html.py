@@ -6,7 +6,6 @@ import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,8 +21,9 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.blocks import Block, Cell, Table
 from calib_pin.report.figures import NAMES, calibration_figures
-from calib_pin.report.html import LISTED, SECTIONS, html_report
-from calib_pin.report.tables import accuracy_table, group_table, parameter_overview
+from calib_pin.report.html import FIRST, LISTED, SECTIONS, html_report
+from calib_pin.report.robot_errors import error_table
+from calib_pin.report.tables import accuracy_table, parameter_overview
 from calib_pin.report.terminal import plain_text
 from calib_pin.report.text import report
 from calib_pin.setup import Setup
@@ -125,16 +125,20 @@ def page(arm: tuple[Chain, CalibrationResult]) -> tuple[bytes, dict[str, Any]]:
 # --- content -----------------------------------------------------------------------
 
 
+FIRST_SCREEN = ("verdict", "figure-cumulative-errors")
+"""Ids before the sections."""
+
+
 def test_sections_in_order(page: tuple[bytes, dict[str, Any]]) -> None:
     found = [
         attributes["id"]
         for tag, attributes in Page(page[0]).tags
-        if attributes.get("id") in ("verdict", "accuracy", "identifiability")
-        or attributes.get("id") in ("parameters", "residuals", "provenance")
+        if tag == "section" or attributes.get("id") in FIRST_SCREEN
     ]
     assert found == [
-        *("verdict", "accuracy", "residuals", "identifiability"),
-        *("parameters", "provenance"),
+        *FIRST_SCREEN,
+        *("frames", "measured", "findings", "accuracy"),
+        *("identifiability", "parameters", "residuals", "provenance"),
     ]
 
 
@@ -169,10 +173,13 @@ def test_numbers_are_those_of_the_terminal_and_of_the_file(
             assert entry["value"] in values
         if entry["sigma"] is not None:
             assert entry["sigma"] in values
-    for group in document["identifiability"]["coupled"]:
-        assert {group["value"], group["sigma"]} <= values
-    text, shown = Page(content).text, plain_text(report(result))
-    for table in (accuracy_table(result.errors), group_table(result.groups)):
+    for error in document["identifiability"]["robot_errors"]:
+        if error["status"] == "identifiable":
+            assert {error["value"], error["sigma"]} <= values
+    text, shown = Page(content).text, plain_text(report(result, details=True))
+    known = [e for e in result.robot_errors if e.status == "identifiable"]
+    named = error_table(known, "", ("value", "std. dev.", "unit"))
+    for table in (accuracy_table(result.errors), named):
         for cell in cells([table]):
             assert cell.text in text
             if cell.value is not None:
@@ -308,105 +315,7 @@ def test_many_rows_make_a_small_page(
     assert said is None or f"of {count} measurements" in said[0]
 
 
-# --- in a browser ------------------------------------------------------------------
-
-
-@pytest.fixture
-def opened(page: tuple[bytes, dict[str, Any]], tmp_path: Path, browser: Any) -> Any:
-    """The page as a tab, with what it complains about and asks for."""
-    file = tmp_path / "report.html"
-    file.write_bytes(page[0])
-    context = browser.new_context(viewport={"width": 1280, "height": 900})
-    tab = context.new_page()
-    tab.complaints, tab.asked = [], []
-    tab.on("console", lambda message: tab.complaints.append(message.text))
-    tab.on("pageerror", lambda error: tab.complaints.append(str(error)))
-    tab.on("request", lambda request: tab.asked.append(request.url))
-    tab.goto(file.as_uri())
-    yield tab
-    assert tab.complaints == []
-    assert [url for url in tab.asked if not url.startswith("data:")] == [file.as_uri()]
-    context.close()
-
-
-def column(tab: Any, number: int) -> list[str]:
-    rows = "#parameter-table tbody tr:not([hidden])"
-    return list(
-        tab.eval_on_selector_all(
-            rows, f"rows => rows.map(row => row.cells[{number}].textContent)"
-        )
-    )
-
-
-@SLOW
-def test_tables_are_sorted_and_filtered(
-    opened: Any, arm: tuple[Chain, CalibrationResult]
-) -> None:
-    parameters = arm[1].parameters
-    assert column(opened, 0) == [p.name for p in parameters]
-    head = opened.locator("#parameter-table th", has_text="std. dev.")
-    head.locator("button").click()
-    assert head.get_attribute("aria-sort") == "ascending"
-    # Millimeters and degrees do not mix.
-    known = [
-        sigma
-        for unit in ("rad", "m")
-        for sigma in sorted(p.sigma for p in parameters if p.sigma and p.unit == unit)
-    ]
-    first = "#parameter-table tbody tr td:nth-child(3)"
-    values = opened.eval_on_selector_all(first, "c => c.map(c => c.dataset.value)")
-    assert [float(v) for v in values if v is not None] == known
-    assert values[len(known) :] == [None] * (len(parameters) - len(known))
-    head.locator("button").click()
-    assert head.get_attribute("aria-sort") == "descending"
-    opened.fill("#filter", "LIFT rx")
-    assert column(opened, 0) == ["lift.placement.rx"]
-    assert opened.inner_text("#count") == f"1 of {len(parameters)}"
-    opened.fill("#filter", "")
-    opened.select_option("#status", "coupled")
-    assert set(column(opened, 4)) == {"coupled"}
-
-
 def test_every_figure_has_a_section() -> None:
-    placed = [name for _, names in SECTIONS.values() for name in names]
-    assert sorted(placed) == sorted(NAMES["calibration"])
-
-
-@SLOW
-def test_every_figure_is_there_and_seen(opened: Any, arm: Any) -> None:
-    drawn = [figure.name for figure in calibration_figures(arm[1])]
-    others = {"convergence", "model-ladder", "errors-in-workspace", "errors-by-block"}
-    assert set(drawn) == set(NAMES["calibration"]) - others
-    for name in drawn:
-        box = opened.locator(f"#figure-{name} svg").bounding_box()
-        assert box["width"] > 400 and box["height"] > 150
-        assert opened.locator(f"#figure-{name} figcaption").inner_text()
-
-
-@SLOW
-@pytest.mark.parametrize("width", [1280, 400])
-def test_nothing_sticks_out(opened: Any, width: int) -> None:
-    opened.set_viewport_size({"width": width, "height": 900})
-    assert opened.evaluate("document.documentElement.scrollWidth") <= width
-
-
-@SLOW
-def test_light_dark_and_paper(opened: Any) -> None:
-    """By the system's choice, by the button, and always light on paper."""
-
-    def shade(what: str, selector: str = "body") -> float:
-        code = f"e => getComputedStyle(e).{what}.match(/\\d+/g).map(Number)"
-        return sum(opened.eval_on_selector(selector, code)[:3]) / 3
-
-    ink = "#figure-errors-per-measurement svg text"
-    assert shade("backgroundColor") > 230 and shade("fill", ink) < 90
-    opened.click("#theme")
-    assert shade("backgroundColor") < 50 and shade("fill", ink) > 200
-    opened.click("#theme")
-    opened.emulate_media(color_scheme="dark")
-    opened.reload()
-    assert shade("backgroundColor") < 50 and shade("color") > 200
-    opened.asked.pop()
-    opened.emulate_media(media="print", color_scheme="dark")
-    assert shade("backgroundColor") > 230 and shade("color") < 50
-    assert not opened.locator("#theme").is_visible()
+    placed = [*FIRST, *(name for _, names in SECTIONS.values() for name in names)]
+    assert len(set(placed)) == len(placed)
+    assert set(NAMES["calibration"]) <= set(placed)

@@ -37,6 +37,7 @@ from calib_pin.report.sheets import (
     broken,
     width_of,
 )
+from calib_pin.report.tiles import Step, Tile
 from calib_pin.setup import ReportSetup
 
 LONG = "left_arm_shoulder_lift_joint_with_a_name_of_sixty_characters"
@@ -59,7 +60,7 @@ def cover_of(**changed: object) -> Cover:
         facts=[("robot", "arm"), ("limit", "AP 0.5 mm"), ("operator", "")],
         numbers=Table("", columns("", ("found",)), [row_of("AP", "0.1")]),
         remark="A remark.",
-        figure=Drawn("f", "Figure", "Look at it.", Figure(figsize=(7.2, 3.0))),
+        figures=[Drawn("f", "Figure", "Look at it.", Figure(figsize=(7.2, 3.0)))],
         entries=entries,
     )
     return replace(plain, **changed)
@@ -114,7 +115,7 @@ def overlaps(sheet: Sequence[Item]) -> Iterator[tuple[Item, Item]]:
     "cover",
     [
         cover_of(),
-        cover_of(figure=None, remark="", facts=[]),
+        cover_of(figures=[], remark="", facts=[]),
         cover_of(
             robot=LONG,
             status="A VERDICT OF MANY WORDS THAT DO NOT FIT",
@@ -134,6 +135,35 @@ def test_nothing_overlaps_or_leaves_its_page(cover):
             left, top, right, bottom = box_of(item)
             assert LEFT - 0.1 <= left <= right <= RIGHT + 0.1
             assert 20.0 <= top <= bottom <= HEIGHT - 20.0
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5])
+def test_the_headline_is_on_cards(count):
+    sizes = [
+        Step(name, Cell("0.76"), Cell("0.40"), "-47 %") for name in ("alone", "all")
+    ]
+    tile = Tile("mean error " * 3, (sizes[0],), "mm", "95 % below 0.7 mm")
+    taller = replace(tile, steps=tuple(sizes))
+    cover = cover_of(headline=[tile, taller, *[tile] * 3][:count], robot=LONG)
+    (first, *_) = laid_out(cover, []).sheets
+    assert [*overlaps(first)] == []
+    texts = [item.text for item in first if isinstance(item, Words)]
+    steps = count + (count > 1)
+    assert texts.count("0.76") == texts.count("mm (-47 %)") == steps
+    for item in first:
+        left, _, right, _ = box_of(item)
+        assert LEFT - 0.1 <= left <= right <= RIGHT + 0.1
+
+
+def test_all_pictures_have_room_somewhere():
+    pictures = [
+        Drawn(name, name, "Look. " * 40, Figure(figsize=(7.2, 4.2))) for name in "abc"
+    ]
+    sheets = laid_out(cover_of(figures=pictures), BLOCKS).sheets
+    found = [k for k, s in enumerate(sheets) for i in s if isinstance(i, Picture)]
+    assert len(found) == 3 and found == sorted(found)
+    for sheet in sheets:
+        assert [*overlaps(sheet)] == []
 
 
 def test_nothing_is_cut():

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import calib_pin
 from calib_pin.planning.plan import Plan, Step
 from calib_pin.report.plan_text import plan_report
+from calib_pin.report.tables import significant
 from calib_pin.report.terminal import plain_text
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.solvers import Status
@@ -145,10 +147,15 @@ def test_what_a_fit_will_know(plan: Plan) -> None:
     position = f"{1e3 * plan.predicted.position:.4f} mm"
     assert position in report
     assert f"{plan.predicted.rank} of {plan.predicted.rank}" in report
-    identifiable = [p for p in plan.parameters if p.status == "identifiable"]
-    assert identifiable
-    for parameter in identifiable:
-        assert f"\n{parameter.name} " in report
+    errors = plan.predicted.robot_errors
+    identifiable = [e for e in errors if e.status == "identifiable"]
+    assert len(identifiable) == plan.predicted.directions.robot.shape[1]
+    lines = report.splitlines()
+    for error in identifiable:
+        shown = significant(
+            {"m": 1e3, "rad": np.degrees(1.0)}[error.unit] * error.sigma
+        )
+        assert any(error.of[0] in line and shown in line.split() for line in lines)
     assert "std. dev." in report
     # Nothing has been estimated yet.
     assert "value" not in report.split("Expected calibration result")[1]

@@ -69,6 +69,11 @@ def result() -> CalibrationResult:
     return solve(setup=Setup(fixed=("base.frame.r*",)))
 
 
+def full_report(result: CalibrationResult) -> str:
+    """The report with all details."""
+    return format_report(result, details=True)
+
+
 def section(text: str, title: str) -> list[str]:
     """The lines from a title to the next empty line."""
     lines = text.splitlines()
@@ -81,7 +86,7 @@ def section(text: str, title: str) -> list[str]:
 
 
 def test_plain_text_of_80_columns(result):
-    text = format_report(result)
+    text = full_report(result)
     assert text.isascii()
     assert "\x1b" not in text
     assert text.endswith("\n")
@@ -98,28 +103,28 @@ def test_colors_on_a_terminal(result):
 
 @pytest.mark.parametrize("variable", ["FORCE_COLOR", "TTY_COMPATIBLE"])
 def test_plain_whatever_the_environment_says(result, variable, monkeypatch):
-    expected = format_report(result)
+    expected = full_report(result)
     monkeypatch.setenv(variable, "1")
     monkeypatch.setenv("COLUMNS", "40")
-    assert format_report(result) == expected
+    assert full_report(result) == expected
 
 
 def test_in_a_notebook_the_text_is_returned(result, monkeypatch):
-    expected = format_report(result)
+    expected = full_report(result)
     monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
-    assert format_report(result) == expected
+    assert full_report(result) == expected
 
 
 def test_names_are_neither_markup_nor_emoji():
     names = ("[bold]a[/red]", ":robot:", "[b")
-    text = format_report(solve(names))
+    text = full_report(solve(names))
     for name in names:
         assert f"{name}.placement.x" in text
 
 
 def test_long_names_are_wrapped_and_not_cut():
     names = tuple(f"left_arm_{'very_' * k}long_{k}_joint" for k in (1, 7, 20))
-    text = format_report(solve(names, setup=Setup(parameters=("dh",))))
+    text = full_report(solve(names, setup=Setup(parameters=("dh",))))
     assert max(map(len, text.splitlines())) <= 80
     assert "…" not in text
     solid = re.sub(r"\s+", "", text)
@@ -143,7 +148,7 @@ def changed(result: CalibrationResult, **changes: Any) -> CalibrationResult:
 
 def opening(result: CalibrationResult, **changes: object) -> list[str]:
     """Verdict and subject."""
-    text = format_report(changed(result, **changes))
+    text = full_report(changed(result, **changes))
     *verdict, subject = text.split("\n\n")[0].splitlines()
     return [" ".join(verdict), subject]
 
@@ -177,7 +182,7 @@ def test_the_subject(result):
 
 
 def test_accuracy_in_millimeters_and_degrees(result):
-    lines = section(format_report(result), "Accuracy")
+    lines = section(full_report(result), "Accuracy")
     assert len(lines) == 1 + 1 + 2 * 2 * 2 + 3
     position = next(e for e in result.errors if e.name == "position")
     words = lines[2].split()
@@ -199,7 +204,7 @@ def test_accuracy_in_millimeters_and_degrees(result):
 
 
 def test_how_far_the_robot_moves(result):
-    line = section(format_report(result), "Accuracy")[-1]
+    line = section(full_report(result), "Accuracy")[-1]
     found = re.fullmatch(
         r"Largest correction of a joint origin: ([\d.]+) mm \((\w+)\), ([\d.]+) deg "
         r"\((\w+)\)\.",
@@ -220,7 +225,7 @@ def test_how_far_the_robot_moves(result):
 
 def test_without_frames_nothing_is_registered():
     known = Setup(fixed=("base.frame.*", "tool.frame.*"), parameters=("joint-offset",))
-    text = format_report(solve(setup=known))
+    text = full_report(solve(setup=known))
     assert "Frames and instrument are known; nothing is registered." in text
 
 
@@ -230,9 +235,7 @@ def test_planes_are_fitted_in_either_case():
         fixed=("tool.frame.*",),
         parameters=("joint-offset",),
     )
-    lines = section(
-        format_report(solve(model="plane-distance", setup=setup)), "Accuracy"
-    )
+    lines = section(full_report(solve(model="plane-distance", setup=setup)), "Accuracy")
     said = "Registered for both (nominal and calibrated): wall plane."
     assert said in " ".join(lines)
     assert lines[2].split()[0] == "distance"
@@ -256,12 +259,12 @@ def test_planes_are_fitted_in_either_case():
 def test_numbers(result, value, shown):
     size = Accuracy(value, value, value, value)
     errors = (replace(result.errors[0], before=size),)
-    text = format_report(replace(result, errors=errors))
+    text = full_report(replace(result, errors=errors))
     assert section(text, "Accuracy")[2].split()[-5:] == [shown] * 4 + ["mm"]
 
 
 def test_ranks(result):
-    lines = section(format_report(result), "Identifiability")
+    lines = section(full_report(result), "Identifiability")
     text = " ".join(" ".join(lines).split())
     ranks = result.identifiability
     known = sum(p.status == "identifiable" for p in result.parameters)
@@ -276,7 +279,7 @@ def test_ranks(result):
 
 
 def test_every_parameter_is_listed_with_its_status(result):
-    text = format_report(result)
+    text = full_report(result)
     lines = section(text, "Identifiable parameters")[2:]
     names = [line.split()[0] for line in lines]
     known = [p for p in result.parameters if p.status == "identifiable"]
@@ -298,7 +301,7 @@ def test_every_parameter_is_listed_with_its_status(result):
 
 
 def test_groups_are_formulae(result):
-    lines = section(format_report(result), "Identifiable linear combinations")
+    lines = section(full_report(result), "Identifiable linear combinations")
     for group in result.groups:
         # A long sum goes on in the next lines, the value stands beside the first.
         first, _ = group.terms[0]
@@ -323,7 +326,7 @@ def test_groups_are_formulae(result):
 def test_weak_and_unidentifiable_parameters():
     # A tracker that is far worse than the robot tells nothing of its joints.
     result = solve(model="position", setup=Setup(noise={"position": 0.05}))
-    text = format_report(result)
+    text = full_report(result)
     weak = section(text, "weakly observable (held wholly or partly at nominal)")
     assert any("placement" in line for line in weak)
     assert "directions held at nominal" in text
@@ -334,7 +337,7 @@ def test_weak_and_unidentifiable_parameters():
 def test_parameters_at_a_bound():
     result = solve(setup=Setup(bounds={"j2.placement.*": 1e-5}))
     assert result.solver.at_bounds
-    lines = section(format_report(result), "at a bound:")
+    lines = section(full_report(result), "at a bound:")
     assert all(line.startswith("  j2.placement.") for line in lines[1:])
 
 
@@ -343,11 +346,11 @@ def test_parameters_at_a_bound():
 )
 def test_chi_square(result, factor, where):
     chi2 = factor * result.statistics.dof
-    text = format_report(changed(result, chi2=chi2, stated_sigma=True))
+    text = full_report(changed(result, chi2=chi2, stated_sigma=True))
     lines = section(text, "Statistics")
     assert f"with {result.statistics.dof} dof" in lines[1]
     assert f"{where} its 95 % interval" in lines[2]
-    assumed = format_report(changed(result, chi2=chi2, stated_sigma=False))
+    assumed = full_report(changed(result, chi2=chi2, stated_sigma=False))
     assert f"{where} its 95 % interval" in assumed
     assert "times the assumed sigma" in assumed
 
@@ -356,7 +359,7 @@ def test_correlations_and_outliers_are_counted(result):
     pairs = tuple((f"a{k}", f"b{k}", -0.99) for k in range(8))
     rows = tuple(Outlier(f"rows.csv:{k}", k, 1234.6 - k) for k in range(7))
     ranks = replace(result.identifiability, correlated=pairs)
-    text = format_report(changed(result, identifiability=ranks, outliers=rows))
+    text = full_report(changed(result, identifiability=ranks, outliers=rows))
     lines = section(text, "Correlations, abs(rho) > 0.95")
     assert lines[1] == "  -0.990  a0  |  b0"
     assert lines[-1] == "  and 3 more pairs in calibration.json"
@@ -365,19 +368,28 @@ def test_correlations_and_outliers_are_counted(result):
     assert lines[2].split() == ["rows.csv:0", "1234.6", "1.0"]
     assert lines[-1] == "  and 2 more in calibration.json"
     none = replace(result.identifiability, correlated=())
-    text = format_report(changed(result, identifiability=none, outliers=()))
+    text = full_report(changed(result, identifiability=none, outliers=()))
     assert "Correlations" not in text
     assert "Outliers" not in text
 
 
 def test_structure_without_estimates():
     chain = Chain(load_robot("pa10"))
-    text = plain_text(identified(identify(chain, "pose"), fitted=False))
+    found = identify(chain, "pose")
+    text = plain_text(identified(found, fitted=False))
     assert text.startswith("Identifiability\n")
     assert "std. dev." not in text
     assert "practical rank" not in text
     assert re.search("structural rank +34 ", text)
+    lines = section(text, "Identifiable errors of the robot")
+    assert len([x for x in lines[2:] if ".placement." in x]) == 22
+    assert lines[2].split()[:3] == ["joint", "offset", "joint_2"]
+    assert lines[2].endswith(" joint_2.placement.rz + joint_3.placement.ry")
+    assert max(map(len, text.splitlines())) <= 80
+    assert "linear combinations" not in text
+    text = plain_text(identified(found, fitted=False, details=True))
     assert section(text, "identifiable:")[1] == "  joint_2.placement.x|rx"
+    assert section(text, "Identifiable linear combinations")
     assert max(map(len, text.splitlines())) <= 80
 
 
@@ -399,7 +411,7 @@ def test_a_search_and_what_it_reveals() -> None:
     """The line under the verdict names the solver; the ranks say what is new."""
     result = solve()
     ranks = replace(result.identifiability, revealed=1)
-    text = format_report(
+    text = full_report(
         changed(
             result,
             solver=replace(
@@ -414,5 +426,5 @@ def test_a_search_and_what_it_reveals() -> None:
     )
     assert "hybrid, 1234 evaluations (kernel)" in " ".join(text.split())
     assert "(1 observable only at the calibrated geometry)" in text
-    plain = format_report(result)
+    plain = full_report(result)
     assert "evaluations" not in plain and "observable only" not in plain

@@ -59,6 +59,11 @@ EVIDENCE: dict[str, Any] = {
 }
 
 
+def full_report(result: CalibrationResult) -> str:
+    """The report with all details."""
+    return format_report(result, details=True)
+
+
 @pytest.fixture(scope="module")
 def result() -> CalibrationResult:
     chain = calib_pin.load_chain("space7")
@@ -82,7 +87,7 @@ def changed(result: CalibrationResult, **changes: Any) -> CalibrationResult:
 
 
 def words(result: CalibrationResult, **changes: Any) -> str:
-    return " ".join(format_report(changed(result, **changes)).split())
+    return " ".join(full_report(changed(result, **changes)).split())
 
 
 def test_urgent_findings_come_first(result: CalibrationResult) -> None:
@@ -131,7 +136,7 @@ def test_errors_come_first_with_lines_to_copy(result: CalibrationResult) -> None
         setup={"reading": {"shift": 1}},
         figure="residuals-over-order",
     )
-    text = format_report(changed(result, findings=(*result.findings, shift)))
+    text = full_report(changed(result, findings=(*result.findings, shift)))
     lines = text.splitlines()
     first, second = (
         next(k for k, line in enumerate(lines) if line.startswith(tone))
@@ -144,7 +149,7 @@ def test_errors_come_first_with_lines_to_copy(result: CalibrationResult) -> None
 
 
 def test_two_accuracies(result: CalibrationResult) -> None:
-    lines = format_report(result).splitlines()
+    lines = full_report(result).splitlines()
     start = lines.index("Expected tool-point error (rms)")
     cells = [line.split() for line in lines[start + 1 : start + 6]]
     assert cells[0] == [
@@ -169,14 +174,14 @@ def test_two_accuracies(result: CalibrationResult) -> None:
 
 def test_accuracies_of_chains(result: CalibrationResult) -> None:
     both = {"left": result.accuracy, "right": result.accuracy}
-    text = format_report(replace(result, accuracies=both))
+    text = full_report(replace(result, accuracies=both))
     for chain in both:
         assert f"{chain}, measured" in text and f"{chain}, workspace" in text
     assert max(map(len, text.splitlines())) <= 80
 
 
 def test_noise(result: CalibrationResult) -> None:
-    lines = format_report(result).splitlines()
+    lines = full_report(result).splitlines()
     start = lines.index("Noise (1 sigma of a component)")
     cells = [line.split() for line in lines[start + 1 : start + 4]]
     assert cells[0] == [
@@ -200,7 +205,7 @@ def test_noise(result: CalibrationResult) -> None:
 
 
 def test_outliers(result: CalibrationResult) -> None:
-    lines = format_report(result).splitlines()
+    lines = full_report(result).splitlines()
     start = lines.index(f"Outliers (3 of {len(result.fitted)})")
     cells = [line.split() for line in lines[start + 1 : start + 5]]
     assert cells[0] == ["normalized", "residual", "weight", "cause"]

@@ -13,10 +13,12 @@ import pytest
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.system import assembled
 from calib_pin.io.results import write_urdf
+from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.skeleton import Skeleton, drawn_link, floor_height
 from calib_pin.kinematics.spatial import invert
 from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.plane_distance import PlaneDistance
@@ -28,19 +30,15 @@ from calib_pin.setup import ChainSetup, Payload, Setup
 from calib_pin.simulation import simulate
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.evaluation import Prepared, prepared
-from calib_pin.viewer.errors import stage_errors
+from calib_pin.viewer.errors import stage_errors, things_around
 from calib_pin.viewer.panel import MAGNIFICATIONS, first_magnification
 from calib_pin.viewer.scene import (
     Plan,
     Rows,
     Scene,
-    Skeleton,
     bodies_of,
-    drawn_link,
-    floor_height,
     tip_paths,
 )
-from calib_pin.viewer.shapes import robot_shapes
 from calib_pin.viewer.stage import sight
 
 MIMICS = {"panda_finger_joint2": "panda_finger_joint1"}
@@ -133,6 +131,59 @@ def test_joint_corrections_turn_the_links(
         found[payload] = corrected.placements(q, payload)[tip]
         np.testing.assert_allclose(found[payload], expected, atol=1e-9)
     assert np.abs(found["heavy"] - found[""]).max() > 1e-4
+
+
+def test_corrections_are_magnified_and_links_hang_together(
+    panda: Chain, calibrated: Callable[..., CalibratedModel]
+) -> None:
+    """Small ones as many times as it is said; no link leaves its joint."""
+    model = calibrated(panda, Position(), "placement", "compliance")
+    small = replace(model, theta=1e-3 * model.theta)
+    nominal, once = bodies_of(panda.robot, panda.base, small)
+    assert nominal.magnified(50.0) is nominal
+    q = nominal.skeleton.neutral + 0.3
+    first = nominal.placements(q)
+    moved = once.placements(q) - first
+    for factor in (0.0, 1.0, 50.0):
+        found = once.magnified(factor).placements(q) - first
+        np.testing.assert_allclose(found, factor * moved, atol=2e-5 * factor)
+    assert 1e-6 < np.abs(moved[:, :3, 3]).max() < 1e-4
+    # Of a large one as well, the joints are where the links end.
+    large = once.magnified(2000.0)
+    T = dict(zip(large.skeleton.links, large.placements(q), strict=True))
+    one, other = T["panda_leftfinger"][:3, 3], T["panda_rightfinger"][:3, 3]
+    start = dict(zip(nominal.skeleton.links, first, strict=True))
+    gap = start["panda_leftfinger"][:3, 3] - start["panda_rightfinger"][:3, 3]
+    assert np.linalg.norm(one - other) == pytest.approx(np.linalg.norm(gap), abs=1e-9)
+
+
+def test_the_measured_chain_is_highlighted() -> None:
+    robot = load_robot("example:talos_reduced")
+    bodies = tuple(bodies_of(robot, robot.root, None))
+    alone = Scene("", (), bodies)
+    assert alone.highlighted == {*robot.links} and alone.largest_move == 0.0
+    chains = Chains(robot, base="torso_2_link", names=("arm_left_7_link",))
+    own = replace(alone, chains=chains).highlighted
+    assert {"torso_2_link", "arm_left_4_link", "gripper_left_base_link"} <= own
+    assert own.isdisjoint({"arm_right_1_link", "leg_left_3_link", "head_2_link"})
+
+
+def test_instruments_stand_where_the_measurements_put_them(
+    panda: Chain,
+    calibrated: Callable[..., CalibratedModel],
+    measured_rows: Callable[..., Observations],
+) -> None:
+    planes = (Plane("wall", np.array([0.0, 0.6, 0.8]), -0.7),)
+    model = calibrated(panda, PlaneDistance(planes))
+    ready = prepared(model, measured_rows(model, 8, ("wall",) * 8))
+    (wall,) = things_around(ready, 1.0)
+    assert (wall.kind, wall.name, wall.link) == ("plane", "wall", panda.base)
+    base = model.of().error.base
+    (patch,) = wall.shapes
+    corners = patch.surface.vertices @ patch.placement[:3, :3].T
+    corners += patch.placement[:3, 3]
+    heights = [planes[0].normal @ base.act(corner) - 0.7 for corner in corners]
+    np.testing.assert_allclose(heights, 0.0, atol=1e-3)
 
 
 def test_fingers_follow_those_that_they_mimic(urdf_of: Callable[..., str]) -> None:
@@ -327,12 +378,13 @@ def test_all_is_in_view() -> None:
 )
 def test_the_floor_is_under_the_robot(name: str, height: float) -> None:
     robot = load_robot(name)
-    bodies = bodies_of(robot, robot.root, None)
-    scene = Scene("", robot_shapes(robot).parts, tuple(bodies))
-    assert floor_height(scene) == pytest.approx(height, abs=0.01)
+    skeleton = Skeleton(robot, robot.root)
+    found = floor_height(skeleton, robot_shapes(robot).parts)
+    assert found == pytest.approx(height, abs=0.01)
 
 
 def test_first_magnification() -> None:
-    assert first_magnification(0.004) == 50
-    assert first_magnification(1e-6) == MAGNIFICATIONS[-1] == 1000
-    assert first_magnification(3.0) == MAGNIFICATIONS[0] == 1
+    assert first_magnification(0.004, 1.0) == 50
+    assert first_magnification(0.004, 0.25) == 10
+    assert first_magnification(1e-6, 1.0) == MAGNIFICATIONS[-1] == 1000
+    assert first_magnification(3.0, 1.0) == MAGNIFICATIONS[0] == 1

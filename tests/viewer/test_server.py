@@ -2,33 +2,39 @@
 
 from __future__ import annotations
 
+import io
 import re
 import signal
 import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
 import viser
+from PIL import Image
 
 from calib_pin.cli import main
+from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.shapes import Shape, Surface
 from calib_pin.measurement_models.position import Position
+from calib_pin.report.surroundings import Thing
 from calib_pin.validation.evaluation import prepared
 from calib_pin.viewer import server
 from calib_pin.viewer.controls import STAGES, Controls, scaled
 from calib_pin.viewer.errors import stage_errors
-from calib_pin.viewer.panel import Joints, Player
+from calib_pin.viewer.panel import Joints, Player, save_picture
 from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, tip_paths
 from calib_pin.viewer.server import Window
-from calib_pin.viewer.shapes import Shape, Surface, robot_shapes
 from calib_pin.viewer.stage import Stage, lines
 
 SETUP = """base: panda_link0
@@ -133,6 +139,9 @@ def test_a_calibration_in_the_browser(
     text = looked_at(browser, view.url, "panda_joint1")
     for label in ("panda", "nominal", "corrected", "measurement", "before", "after"):
         assert f"{label}\n" in text
+    for label in ("instruments and targets", "save picture"):
+        assert f"{label}\n" in text
+    assert "corrections of the robot" in text
     for label in ("magnified", "Residual map", "Plan", "play", "path of the tip"):
         assert f"{label}\n" in text
     assert "\nrows.csv:3\nposition: before" in text
@@ -322,6 +331,74 @@ def test_the_plan_is_played(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> No
     player.tick(0.5)
     np.testing.assert_array_equal(shown[-1], scene.plan.q[2])
     server.stop()
+
+
+def test_one_slider_magnifies_vectors_and_links(scene: Scene) -> None:
+    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
+    stage = Stage(server, scene)
+    stage.pose(scene.start, "")
+    corrected, (tip,) = stage.robots["corrected"], _tips(scene)
+    placed = {}
+    for factor in (0.0, 1.0, 5.0):
+        stage.magnify(factor)
+        placed[factor] = corrected.placements[tip, :3, 3]
+    move = placed[1.0] - placed[0.0]
+    assert np.linalg.norm(move) > 1e-4
+    np.testing.assert_allclose(
+        placed[5.0] - placed[0.0], 5.0 * move, atol=0.05 * np.linalg.norm(5.0 * move)
+    )
+    assert stage.rows is not None and scene.rows is not None
+    np.testing.assert_array_equal(
+        stage.rows.vectors["after"].points, lines(scene.rows.stages["after"], 5.0)
+    )
+    # What is in one place is drawn once.
+    base = scene.bodies[0].skeleton.links.index("panda_link0")
+    ghost = stage.robots["nominal"]
+    assert not ghost.shown[base] and ghost.shown[tip]
+    stage.magnify(0.0)
+    assert not any(ghost.shown.values())
+    server.stop()
+
+
+def _tips(scene: Scene) -> list[int]:
+    """The last link that is drawn."""
+    return [scene.bodies[0].skeleton.links.index(scene.shapes[-1].link)]
+
+
+def test_instruments_are_drawn_with_what_carries_them(scene: Scene) -> None:
+    board = Thing("board", "tool.frame", np.zeros(3), (scene.shapes[-1],))
+    frame = Thing("station", "base.frame", np.ones(3), (scene.shapes[0],))
+    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
+    stage = Stage(server, replace(scene, things=(board, frame)))
+    assert stage.things is not None
+    (tip,) = _tips(scene)
+    q = scene.start + 0.1
+    stage.pose(q, "")
+    carried = stage.things.frames["/things", board.link].position
+    np.testing.assert_allclose(
+        carried, stage.robots["corrected"].placements[tip, :3, 3], atol=1e-6
+    )
+    server.stop()
+
+
+def test_a_picture_is_sent_to_whoever_asks_for_it() -> None:
+    sent = {}
+
+    class Client:
+        camera = SimpleNamespace(image_height=3, image_width=5)
+
+        def get_render(self, height: int, width: int, **options: Any) -> Any:
+            assert options["transport_format"] == "png"
+            return np.full((height, width, 4), 7, np.uint8)
+
+        def send_file_download(self, name: str, data: bytes, **options: Any) -> None:
+            sent[name] = data
+
+    save_picture(Client(), "my arm/2")  # type: ignore[arg-type]
+    ((name, data),) = sent.items()
+    assert name == "my_arm_2.png"
+    image = np.asarray(Image.open(io.BytesIO(data)))
+    assert image.shape == (3, 5, 4) and (image == 7).all()
 
 
 def test_colors() -> None:

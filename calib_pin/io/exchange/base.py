@@ -18,6 +18,7 @@ from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import JointMap
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
+from calib_pin.validation.joint_offsets import joint_columns
 from calib_pin.validation.result import CalibrationResult
 
 EXACT = 1e-9
@@ -190,10 +191,7 @@ class Exported:
     @property
     def columns(self) -> dict[str, tuple[str, JointMap]]:
         """The measured column of each joint, and how it becomes its position."""
-        stated = self.result.model.setup.joints
-        by_joint = {given.joint: (column, given) for column, given in stated.items()}
-        plain = ((joint, JointMap(joint)) for joint in self.nominal.joints)
-        return {joint: by_joint.get(joint, (joint, given)) for joint, given in plain}
+        return joint_columns(self.result.model.setup, self.nominal.joints)
 
 
 @dataclass(frozen=True)

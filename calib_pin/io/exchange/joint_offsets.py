@@ -5,10 +5,13 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+import numpy as np
+
 from calib_pin.errors import OutputError, enumerated
 from calib_pin.io.exchange.base import Encoded, Exported, Format, JointErrors
 from calib_pin.io.measurements import encode_table
 from calib_pin.units import DISPLAY
+from calib_pin.validation.joint_offsets import encoder_steps
 from calib_pin.validation.result import ParameterEstimate
 
 ENOUGH = 1e-6
@@ -79,6 +82,7 @@ def encode(exported: Exported, _: Path | None) -> Encoded:
     offsets, known = column_offsets(exported), estimates(exported)
     left = *remarks(exported.offsets), *doubts(exported)
     rows = []
+    stepped = encoder_steps(exported.result.model.setup, exported.nominal.joints)
     revolute = exported.nominal.revolute
     for (joint, (column, offset)), turns in zip(offsets.items(), revolute, strict=True):
         si = "rad" if turns else "m"
@@ -89,17 +93,23 @@ def encode(exported: Exported, _: Path | None) -> Encoded:
             status = estimate.status
         if estimate is not None and estimate.sigma is not None:
             sigma = f"{factor * estimate.sigma / abs(given.gear):.6f}"
-        shown = f"{factor * offset:+z.6f}", sigma, unit, status
-        rows.append((joint, column, *shown, offset, si))
+        shown, steps, exact = f"{factor * offset:+z.6f}", "", repr(offset)
+        if turns and joint in stepped:
+            steps = f"{offset * stepped[joint] / (2.0 * np.pi):+z.1f}"
+        if status not in ("", "identifiable", "fixed"):
+            # A zero would pass for a result.
+            shown = steps = exact = ""
+        rows.append((joint, column, shown, sigma, unit, steps, status, exact, si))
     headers = (
-        *("joint", "column", "offset", "sigma", "unit", "status"),
+        *("joint", "column", "offset", "sigma", "unit", "steps", "status"),
         *("offset_si", "unit_si"),
     )
     table = dict(zip(headers, zip(*rows, strict=True), strict=True))
     data = encode_table(table, [*USE, *left])
     lines = [line for line in data.decode().splitlines() if line[:1] != "#"]
     for row in csv.DictReader(lines):
-        if float(row["offset_si"]) != offsets[row["joint"]][1]:
+        exact = row["offset_si"]
+        if exact and float(exact) != offsets[row["joint"]][1]:
             raise OutputError(f"the offset of '{row['joint']}' does not read back")
     return Encoded(data, left)
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import TypeVar
 
 from matplotlib.figure import Figure
 
+from calib_pin.kinematics.shapes import Shape
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.acceptance import Judged, poses_tested
 from calib_pin.report.figures.by_block import errors_by_block
 from calib_pin.report.figures.canvas import COLORS, Drawn, drawing
+from calib_pin.report.figures.cumulative import cumulative_errors
 from calib_pin.report.figures.estimates import parameter_intervals
 from calib_pin.report.figures.fleet import (
     Foreseen,
@@ -29,6 +32,7 @@ from calib_pin.report.figures.residuals_along import (
     residuals_by_joint,
     residuals_over_order,
 )
+from calib_pin.report.figures.robot_errors import robot_errors
 from calib_pin.report.figures.searches import convergence, model_ladder
 from calib_pin.report.figures.workspace import (
     drift_in_workspace,
@@ -56,6 +60,7 @@ __all__ = [
 ]
 
 OF_CALIBRATION: tuple[Callable[[CalibrationResult], Drawn | None], ...] = (
+    cumulative_errors,
     errors_per_measurement,
     errors_by_block,
     error_vectors,
@@ -79,6 +84,8 @@ OF_PLAN: tuple[Callable[[Plan], Drawn | None], ...] = (
 
 NAMES: Mapping[str, tuple[str, ...]] = {
     "calibration": (
+        "robot-errors",
+        "cumulative-errors",
         "errors-per-measurement",
         "errors-by-block",
         "error-vectors",
@@ -105,14 +112,25 @@ NAMES: Mapping[str, tuple[str, ...]] = {
 _Subject = TypeVar("_Subject")
 
 
-def calibration_figures(result: CalibrationResult) -> Iterator[Drawn]:
-    """Figures of a calibration, those for which there is something to show."""
+def calibration_figures(
+    result: CalibrationResult, shapes: Sequence[Shape] = ()
+) -> Iterator[Drawn]:
+    """Figures of a calibration, those for which there is something to show.
+
+    Args:
+        result: The calibration.
+        shapes: Shapes of the robot's links, see `io.robot_shapes`; simple solids where
+            there are none.
+    """
+    yield from _drawn((partial(robot_errors, shapes=shapes),), result)
     yield from _drawn(OF_CALIBRATION, result)
 
 
-def figures_of(result: CalibrationResult) -> dict[str, Figure]:
+def figures_of(
+    result: CalibrationResult, shapes: Sequence[Shape] = ()
+) -> dict[str, Figure]:
     """The same as matplotlib figures by name, see `CalibrationResult.figures`."""
-    return {drawn.name: drawn.figure for drawn in calibration_figures(result)}
+    return {drawn.name: drawn.figure for drawn in calibration_figures(result, shapes)}
 
 
 def plan_figures(plan: Plan) -> Iterator[Drawn]:

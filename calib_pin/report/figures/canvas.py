@@ -16,6 +16,9 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.transforms import Affine2D, Transform
+
+from calib_pin.report.figures.palettes import with_palette
 
 SVG = "http://www.w3.org/2000/svg"
 
@@ -80,7 +83,7 @@ def _changed(
     if key == "id":
         return key, f"{name}-{value}"
     if key == "href":
-        embedded = value.replace("\n", "")
+        embedded = with_palette(value.replace("\n", ""))
         return key, f"#{name}-{value[1:]}" if value.startswith("#") else embedded
     if key == "clip-path":
         return key, REFERENCE.sub(f"url(#{name}-", value)
@@ -220,17 +223,23 @@ class Drawn:
 
     def picture(self, kind: str) -> bytes:
         """A file of its own, one of `KINDS`, on white, with its heading and caption."""
+        with self.worded():
+            # Cut to what is there: the words stand outside of the figure.
+            return self._saved(kind, PAPER, bbox_inches="tight", pad_inches=0.12)
+
+    @contextmanager
+    def worded(self) -> Iterator[None]:
+        """The figure with its heading above and its caption below it."""
         figure, apart = self.figure, 0.12 / self.figure.get_figheight()
         with drawing():
             title = figure.text(0.01, 1.0 + apart, self.title, va="bottom", size=11)
             below = fill(self.reading, LINE)
             reading = figure.text(0.01, -apart, below, va="top", color=MUTED)
-            try:
-                # Cut to what is there: the words stand outside of the figure.
-                return self._saved(kind, PAPER, bbox_inches="tight", pad_inches=0.12)
-            finally:
-                title.remove()
-                reading.remove()
+        try:
+            yield
+        finally:
+            title.remove()
+            reading.remove()
 
     def bare(self, kind: str) -> bytes:
         """The same without heading and caption, which whoever places it writes."""
@@ -264,10 +273,19 @@ def marks(
     return {**style, "linestyle": "none"}
 
 
+def inches(figure: Figure) -> Transform:
+    """From inches, measured from the lower left corner of a figure, to its pixels.
+
+    A file is cut to what is there. Then the axes move with the figure, as this does
+    and `Figure.dpi_scale_trans` does not.
+    """
+    return Affine2D().scale(*(1.0 / figure.get_size_inches())) + figure.transFigure
+
+
 def note(figure: Figure, left: float, top: float, text: str, **more: Any) -> None:
     """Text at a place that is measured from the upper left corner [inch]."""
     place = (left, figure.get_figheight() - top)
-    figure.text(*place, text, transform=figure.dpi_scale_trans, **more)
+    figure.text(*place, text, transform=inches(figure), **more)
 
 
 def panels(

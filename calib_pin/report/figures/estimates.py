@@ -31,6 +31,9 @@ from calib_pin.validation.result import (
     ParameterEstimate,
 )
 
+NAME = 32
+"""Letters of a name that has room beside a panel."""
+
 Terms = Sequence[tuple[str, float]]
 """Names of parameters and their coefficients."""
 
@@ -66,7 +69,7 @@ def of_robot(
     own = {parameter.name for parameter in given if not parameter.nuisance}
     place = {parameter.name: k for k, parameter in enumerate(parameters)}
     found: list[tuple[str, ParameterEstimate | CoupledGroup, Terms]] = [
-        (shortened(p.name), p, ((p.name, 1.0),))
+        (shortened(p.name, NAME), p, ((p.name, 1.0),))
         for p in parameters
         if p.status == "identifiable"
     ]

@@ -21,6 +21,8 @@ from calib_pin.report.figures.canvas import (
     MUTED,
     WIDTH,
     Drawn,
+    inches,
+    key,
     marks,
     note,
     panel,
@@ -41,11 +43,12 @@ def singular_values(result: CalibrationResult) -> Drawn | None:
     )
     if not structural and not practical:
         return None
-    figure = Figure(figsize=(WIDTH, 3.0))
-    row = panels(figure, structural + practical, 0.35, 2.1, gap=0.8)
+    head = 0.62 if structural else 0.35
+    figure = Figure(figsize=(WIDTH, head + 2.65))
+    row = panels(figure, structural + practical, head, 2.1, gap=0.8)
     said = []
     if structural:
-        _structural(row[0], ranks)
+        key(figure, _structural(row[0], ranks), 0.75)
         dropped = len(ranks.structural_values) - ranks.structural_rank
         said.append(
             f"Structure: {ranks.structural_rank} directions are identifiable and "
@@ -64,21 +67,24 @@ def singular_values(result: CalibrationResult) -> Drawn | None:
     return Drawn("singular-values", "Singular values", " ".join(said), figure)
 
 
-def _structural(axes: Axes, ranks: Identifiability) -> None:
+def _structural(axes: Axes, ranks: Identifiability) -> dict[str, dict[str, Any]]:
+    """Draw the values of the structure; returns their signs by what they stand for."""
     values, kept = np.array(ranks.structural_values), ranks.structural_rank
-    known = {**marks(AFTER, "o", 5.0), "label": f"{kept} identifiable"}
-    low = _values(axes, values, slice(kept), known)
+    signs = {f"{kept} identifiable": marks(AFTER, "o", 5.0)}
+    low = _values(axes, values, slice(kept), *signs.values())
+    title = "structure"
     if kept < len(values):
-        label = f"{len(values) - kept} numerically zero"
-        zero = {**marks(MUTED, "x", 4.5, hollow=True), "label": label}
+        zero = marks(MUTED, "x", 4.5, hollow=True)
+        signs[f"{len(values) - kept} numerically zero"] = zero
         _values(axes, values, slice(kept, None), zero)
     if 0 < kept < len(values):
-        ends = max(values[kept], low), max(values[kept - 1], low)
-        _gap(axes, kept + 0.5, *ends, ranks.gap)
-    axes.set_title("structure")
+        _gap(axes, kept + 0.5, max(values[kept], low), max(values[kept - 1], low))
+        known = math.isfinite(ranks.gap)
+        title += f": gap {plain(ranks.gap)}" if known else ": the rest is zero"
+    axes.set_title(title)
     axes.set_xlabel("direction")
     axes.set_ylabel("singular value, scaled")
-    axes.legend(loc="lower left")
+    return signs
 
 
 def _values(
@@ -93,7 +99,7 @@ def _values(
     return limits[0]
 
 
-def _gap(axes: Axes, at: float, low: float, high: float, gap: float) -> None:
+def _gap(axes: Axes, at: float, low: float, high: float) -> None:
     """A double arrow between the last value kept and the first that is zero."""
     axes.annotate(
         "",
@@ -101,8 +107,6 @@ def _gap(axes: Axes, at: float, low: float, high: float, gap: float) -> None:
         xytext=(at, low),
         arrowprops={"arrowstyle": "<->", "color": INK, "shrinkA": 0, "shrinkB": 0},
     )
-    told = f"gap {plain(gap)}" if math.isfinite(gap) else "the rest is zero"
-    axes.text(at, math.sqrt(low * high), f"{told}  ", ha="right", va="center")
 
 
 MOST = 40
@@ -213,7 +217,7 @@ def _shades(figure: Figure) -> None:
     place.translate(WIDTH - 1.2, figure.get_figheight() - 0.2)
     for level in (*range(-STEPS, 0), *range(1, STEPS + 1)):
         square = _squares(np.array([level]), np.zeros(1), level)
-        square.set_transform(place + figure.dpi_scale_trans)
+        square.set_transform(place + inches(figure))
         figure.add_artist(square)
     for level, told in ((-STEPS, "\N{MINUS SIGN}1"), (0, "0"), (STEPS, "+1")):
         left = WIDTH - 1.2 + 0.085 * level

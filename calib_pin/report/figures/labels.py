@@ -57,15 +57,17 @@ def unit_of(unit: str) -> tuple[str, float]:
 
 
 def plain(value: float) -> str:
-    """A tick of a log axis, as a power of ten where zeros would have to be counted.
+    """A tick of an axis, as a power of ten where zeros would have to be counted.
 
     Example:
         >>> plain(0.002), plain(500.0), plain(1e-16), plain(2e7)
         ('0.002', '500', '10⁻¹⁶', '2·10⁷')
     """
-    if not math.isfinite(value) or value == 0.0 or 1e-4 < abs(value) < 99999.5:
+    if value < 0.0:
+        return f"\N{MINUS SIGN}{plain(-value)}"
+    if not math.isfinite(value) or value == 0.0 or 1e-4 < value < 99999.5:
         return f"{value:g}"
-    exponent = math.floor(math.log10(abs(value)) + 1e-9)
+    exponent = math.floor(math.log10(value) + 1e-9)
     factor = f"{value / 10.0**exponent:.2g}"
     power = f"10{str(exponent).translate(SUPERSCRIPT)}"
     return power if factor == "1" else f"{factor}·{power}"

@@ -15,6 +15,7 @@ from calib_pin.report.figures.canvas import (
     BEFORE,
     INK,
     MUTED,
+    PAPER,
     WIDTH,
     Drawn,
     marks,
@@ -139,8 +140,11 @@ def _deviations(listed: Listed) -> None:
     axes.set_xlabel(f"standard deviation [{listed.unit}]")
 
 
-ROOM = np.array([0.22, 0.13])
-"""Width and height of a number; one that would stand on another is left out [inch]."""
+AWAY = np.array([(1.0, 0.6), (-1.0, 0.6), (1.0, -0.6), (-1.0, -0.6)])
+"""Sides of a stop on which its number can stand; it is left out if none is free."""
+
+AROUND = 0.06
+"""Distance of a number from the middle of a stop [inch]."""
 
 
 def planned_positions(plan: Plan) -> Drawn | None:
@@ -181,18 +185,28 @@ def _way(axes: Axes, spots: Floats, scale: float) -> None:
     The scale is in inches per meter.
     """
     axes.plot(*spots.T, color=MUTED, linewidth=0.7, alpha=0.5)
-    axes.plot(*spots.T, **marks(AFTER, "o", 4.5))
-    axes.plot(*spots[:1].T, **marks(BEFORE, "s", 6.5))
-    told: list[Floats] = []
-    for k, spot in enumerate(spots):
-        if any((np.abs(spot - other) * scale < ROOM).all() for other in told):
-            continue
-        told.append(spot)
-        axes.annotate(
-            str(k + 1),
-            spot,
-            xytext=(3.0, 2.5),
-            textcoords="offset points",
-            fontsize=7.5,
-            color=INK,
-        )
+    axes.plot(*spots.T, **marks(AFTER, "o", 4.5), zorder=4.0)
+    axes.plot(*spots[:1].T, **marks(BEFORE, "s", 6.5), zorder=4.0)
+    stops, told = spots * scale, np.empty((0, 2, 2))
+    for k, stop in enumerate(stops):
+        half = np.array([0.036 * len(str(k + 1)) + 0.01, 0.065])
+        for away in AWAY:
+            middle = stop + away * (half + AROUND)
+            box = np.array([middle - half, middle + half])
+            near = np.abs(stops - middle) < half + 0.5 * AROUND
+            crossed = (box[0] < told[:, 1]) & (told[:, 0] < box[1])
+            if near.all(axis=1).any() or crossed.all(axis=1).any():
+                continue
+            told = np.concatenate([told, box[None]])
+            x, y = middle / scale
+            axes.text(
+                x,
+                y,
+                str(k + 1),
+                ha="center",
+                va="center",
+                fontsize=7.5,
+                # The way passes below the number.
+                bbox={"facecolor": PAPER, "edgecolor": "none", "pad": 0.5},
+            )
+            break

@@ -129,7 +129,7 @@ def _normal_plot(
     axes.plot(line, line, color=INK, linewidth=1.0, label="normal", zorder=1.5)
     axes.set_xlabel("normal value of the same rank")
     axes.set_ylabel("residual / sigma", labelpad=2.0)
-    axes.legend(loc="upper left")
+    axes.legend(loc="best")
 
 
 def _shown_ranks(count: int) -> NDArray[np.intp]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
@@ -20,7 +21,7 @@ from calib_pin.report.figures.canvas import (
     marks,
     panels,
 )
-from calib_pin.report.figures.labels import shortened, stations_of, unit_of
+from calib_pin.report.figures.labels import plain, shortened, stations_of, unit_of
 from calib_pin.report.figures.strokes import Marks, thinned, thinning
 from calib_pin.validation.measurement_errors import AXES, MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
@@ -36,6 +37,9 @@ FEWEST = 8
 
 HEAD, PANEL, FOOT = 0.45, 1.25, 0.55
 """Heights of the key, of a panel, and of the labels below it [inch]."""
+
+LEFT = 0.85
+"""Room for the labels at the left [inch]."""
 
 SIDE = 3
 """Panels of joints side by side."""
@@ -58,7 +62,7 @@ def residuals_over_order(result: CalibrationResult) -> Drawn | None:
     figure = Figure(figsize=(WIDTH, HEAD + count * (PANEL + 0.2) + FOOT - 0.2))
     drawn = _drawn(rows, values)
     for k, name in enumerate(names):
-        (axes,) = panels(figure, 1, HEAD + k * (PANEL + 0.2), PANEL)
+        (axes,) = panels(figure, 1, HEAD + k * (PANEL + 0.2), PANEL, left=LEFT)
         for g, color in zip(range(len(groups)), OF_STATIONS, strict=False):
             own = drawn[of[drawn] == g]
             _points(axes, place[own], values[own, k], color)
@@ -69,7 +73,7 @@ def residuals_over_order(result: CalibrationResult) -> Drawn | None:
     axes.set_xlabel("place in the files")
     colors = zip(groups, OF_STATIONS, strict=False)
     entries = {shortened(g, 16): marks(c, "o") for g, c in colors if g}
-    key(figure, {**entries, "moving mean": {"color": INK}}, 0.75)
+    key(figure, {**entries, "moving mean": {"color": INK}}, LEFT)
     return Drawn(
         "residuals-over-order",
         "Residuals over the order of the measurements",
@@ -95,7 +99,8 @@ def residuals_by_joint(result: CalibrationResult) -> Drawn | None:
     drawn = _drawn(rows, values)
     for j, joint in enumerate(chains.joints):
         line, side = divmod(j, SIDE)
-        row = panels(figure, SIDE, HEAD + 0.2 + line * apart, PANEL, gap=0.3)
+        top = HEAD + 0.2 + line * apart
+        row = panels(figure, SIDE, top, PANEL, left=LEFT, gap=0.3)
         for other in row[:side] + row[side + 1 :]:
             other.remove()
         axes = row[side]
@@ -103,13 +108,13 @@ def residuals_by_joint(result: CalibrationResult) -> Drawn | None:
         for k, color in zip(range(len(names)), GROUPS, strict=False):
             _points(axes, factor * q[drawn, j], values[drawn, k], color)
         _limit(axes, values, rows.rows.weight)
-        axes.set_title(shortened(joint, 24))
+        axes.set_title(shortened(joint, 19))
         axes.set_xlabel(f"position [{shown}]")
         axes.tick_params(labelleft=side == 0)
         if side == 0:
             axes.set_ylabel(f"residual [{unit}]")
     colors = zip(names, GROUPS, strict=False)
-    key(figure, {name: marks(color, "o") for name, color in colors}, 0.75)
+    key(figure, {name: marks(color, "o") for name, color in colors}, LEFT)
     return Drawn(
         "residuals-by-joint",
         "Residuals by joint",
@@ -175,4 +180,6 @@ def _limit(axes: Axes, values: Floats, weight: Floats) -> None:
     for line in axes.get_lines():
         line.set_ydata(np.clip(np.asarray(line.get_ydata(), float), -edge, edge))
     axes.set_ylim(-1.02 * edge, 1.02 * edge)
+    axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: plain(value)))
     axes.autoscale_view(scaley=False)

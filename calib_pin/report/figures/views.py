@@ -13,7 +13,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.report.figures.canvas import WIDTH, note, panel
+from calib_pin.report.figures.canvas import WIDTH, inches, note, panel
 from calib_pin.report.figures.strokes import dots
 
 SIDES = ((0, 1), (0, 2), (1, 2))
@@ -123,7 +123,7 @@ def colored(
             spots = points[level == k][:, side]
             for color, width in ((EDGE, size + 0.8), (to_hex(shades[k]), size)):
                 axes.add_artist(dots(spots, color, width, sides.scale))
-    _scale(figure, top + sides.height + FOOT, (low, high), f"{label}{remark}")
+    color_bar(figure, top + sides.height + FOOT, (low, high), f"{label}{remark}")
 
 
 def _range(values: Floats) -> tuple[float, float, bool]:
@@ -139,7 +139,9 @@ def _range(values: Floats) -> tuple[float, float, bool]:
     return low, max(high, low * (1.0 + 1e-3), low + 1e-12), clipped
 
 
-def _scale(figure: Figure, top: float, ends: tuple[float, float], label: str) -> None:
+def color_bar(
+    figure: Figure, top: float, ends: tuple[float, float], label: str
+) -> None:
     """The shades with some numbers below and what they mean at the left."""
     left, width, height = WIDTH - 3.6, 3.3, 0.13
     low, high = ends
@@ -147,7 +149,7 @@ def _scale(figure: Figure, top: float, ends: tuple[float, float], label: str) ->
     for k, shade in enumerate(colormaps[COLORS](np.linspace(0.0, 1.0, LEVELS))):
         place = (left + k * width / LEVELS, bottom)
         swatch = Rectangle(place, width / LEVELS, height, color=to_hex(shade))
-        swatch.set(linewidth=0.3, transform=figure.dpi_scale_trans)
+        swatch.set(linewidth=0.3, transform=inches(figure))
         figure.add_artist(swatch)
     note(figure, left - 0.1, top + 0.1 + height / 2.0, label, ha="right", va="center")
     for value in MaxNLocator(4, steps=[1, 2, 5, 10]).tick_values(low, high):

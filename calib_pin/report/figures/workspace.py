@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -15,6 +16,8 @@ from calib_pin.report.figures.canvas import (
     MUTED,
     WIDTH,
     Drawn,
+    inches,
+    key,
     marks,
     note,
     panels,
@@ -103,7 +106,7 @@ def _scale_arrow(figure: Figure, scale: float, factor: float) -> None:
     shown = factor * length * scale
     start = np.array([[WIDTH - 0.2 - shown, figure.get_figheight() - 0.2]])
     arrow = arrows(start, start + np.array([shown, 0.0]), INK, 1.0)
-    arrow.set_transform(figure.dpi_scale_trans)
+    arrow.set_transform(inches(figure))
     figure.add_artist(arrow)
     told = f"error of {plain(1e3 * length)} mm, magnified {plain(factor)} times"
     note(figure, WIDTH - 0.28 - shown, 0.2, told, ha="right", va="center")
@@ -147,29 +150,23 @@ def tip_by_count(result: CalibrationResult) -> Drawn | None:
     limits, ends = log_limits(errors), log_limits(counts)
     if len(counts) < 2 or limits is None or ends is None:
         return None
-    figure = Figure(figsize=(WIDTH, 2.8))
-    (axes,) = panels(figure, 1, 0.15, 2.15, left=0.75)
+    figure = Figure(figsize=(WIDTH, 3.1))
+    (axes,) = panels(figure, 1, 0.45, 2.15, left=0.75)
+    falling = errors[-1] * np.sqrt(counts[-1] / counts)
     last = f"{counts[-1]:.0f} measured: {number(errors[-1])} {unit}"
-    axes.plot(
-        counts,
-        errors[-1] * np.sqrt(counts[-1] / counts),
-        color=MUTED,
-        linestyle="--",
-        linewidth=1.0,
-        label="∝ 1/√n",
-    )
-    style = {**marks(AFTER, "o", 5.0), "linestyle": "-"}
-    axes.plot(counts, errors, **style, label="part of the measurements")
-    axes.plot(
-        *(counts[-1:], errors[-1:]),
-        **marks(INK, "o", 10.0, hollow=True),
-        label=last,
-    )
+    signs: dict[str, dict[str, Any]] = {
+        "∝ 1/√n": {"color": MUTED, "linestyle": "--", "linewidth": 1.0},
+        "part of the measurements": {**marks(AFTER, "o", 5.0), "linestyle": "-"},
+        last: marks(INK, "o", 10.0, hollow=True),
+    }
+    curves = (counts, falling), (counts, errors), (counts[-1:], errors[-1:])
+    for curve, style in zip(curves, signs.values(), strict=True):
+        axes.plot(*curve, **style)
     log_axis(axes, "x", ends)
     log_axis(axes, "y", limits)
     axes.set_xlabel("number of measurements")
     axes.set_ylabel(f"tool-point uncertainty [{unit}]")
-    axes.legend(loc="upper right")
+    key(figure, signs, 0.75)
     return Drawn(
         "tip-error-by-count",
         "Accuracy against number of measurements",

@@ -58,10 +58,11 @@ def test_tip_errors_are_in_millimeters(
     counts, errors = tip.by_count.curve
     drawn = draw(tip_by_count, calibrated)
     (axes,) = drawn.figure.axes
-    curve = next(x for x in axes.lines if x.get_label() == "part of the measurements")
+    _, curve, own = axes.lines
     np.testing.assert_allclose(curve.get_xdata(), counts)
     np.testing.assert_allclose(curve.get_ydata(), 1e3 * errors)
-    own = next(x for x in axes.lines if str(x.get_label()).startswith("40 measured"))
+    (legend,) = drawn.figure.legends
+    assert legend.get_texts()[2].get_text().startswith("40 measured")
     assert np.asarray(own.get_xdata()).tolist() == [40]
     ticks = [label.get_text() for label in axes.get_yticklabels()]
     assert "0.1" in ticks and not any("10" in tick for tick in ticks)

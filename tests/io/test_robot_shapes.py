@@ -8,16 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_robot
-from calib_pin.viewer.shapes import (
-    Surface,
-    ball,
-    box,
-    capsule,
-    creased,
-    cylinder,
-    robot_shapes,
-)
+from calib_pin.kinematics.shapes import Surface
+from calib_pin.kinematics.stand_ins import JOINT
 
 ARM = """<robot name="arm">
   <material name="red"><color rgba="1 0 0 1"/></material>
@@ -48,48 +42,17 @@ def volume(surface: Surface) -> float:
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 
 
-def turned(surface: Surface, sharp: float) -> int:
-    """Edges that two triangles share by their vertices at an angle above `sharp`."""
-    corners = surface.vertices[surface.triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    sizes = np.linalg.norm(normals, axis=1)
-    owners: dict[tuple[int, int], list[int]] = {}
-    for k in np.flatnonzero(sizes > 1e-12):
-        a, b, c = surface.triangles[k]
-        for edge in ((a, b), (b, c), (c, a)):
-            owners.setdefault((min(edge), max(edge)), []).append(k)
-    pairs = [pair for pair in owners.values() if len(pair) == 2]
-    unit = normals / np.maximum(sizes, 1e-12)[:, None]
-    return sum(float(unit[a] @ unit[b]) < np.cos(sharp) for a, b in pairs)
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[str, str], Path]:
+    """Write a file in a temporary folder: `write(name, text)`."""
 
+    def make(name: str, text: str) -> Path:
+        file = tmp_path / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text)
+        return file
 
-@pytest.mark.parametrize(
-    ("surface", "size", "content", "within"),
-    [
-        (box(np.array([1.0, 2.0, 3.0])), (1, 2, 3), 6.0, 1e-12),
-        (cylinder(0.5, 2.0), (1, 1, 2), np.pi / 2, 0.02),
-        (ball(0.5), (1, 1, 1), np.pi / 6, 0.03),
-        (capsule(0.5, 1.0), (1, 1, 2), np.pi / 4 + np.pi / 6, 0.03),
-    ],
-)
-def test_solids(
-    surface: Surface, size: tuple[float, ...], content: float, within: float
-) -> None:
-    assert np.ptp(surface.vertices, axis=0) == pytest.approx(size, rel=0.01)
-    assert surface.vertices.mean(axis=0) == pytest.approx([0, 0, 0], abs=1e-9)
-    assert volume(surface) == pytest.approx(content, rel=within)
-    sharp = creased(surface)
-    assert volume(sharp) == pytest.approx(volume(surface))
-    assert turned(sharp, np.radians(40.0)) == 0
-
-
-def test_sharp_edges_get_vertices_of_their_own() -> None:
-    solid = box(np.ones(3))
-    assert turned(solid, np.radians(40.0)) == 12
-    assert len(creased(solid).vertices) == 24
-    smooth = ball(1.0)
-    # But for the poles, where triangles without an area meet.
-    assert len(creased(smooth).vertices) <= len(smooth.vertices) + 2 * 32
+    return make
 
 
 def test_visuals_come_before_collisions(write: Callable[[str, str], Path]) -> None:
@@ -125,7 +88,7 @@ def test_meshes_are_read_once(write: Callable[[str, str], Path], package: str) -
     first, second = shapes.parts
     assert first.surface is second.surface
     assert volume(first.surface) == pytest.approx(0.4**3 / 6)
-    assert len(first.surface.vertices) == 12  # Three faces meet at every corner.
+    assert len(first.surface.vertices) == 4
     assert parts == [0.0, 1 / 3, 2 / 3]
 
 
@@ -150,11 +113,14 @@ def test_solids_stand_in_for_what_is_missing(
     file = write("arm.urdf", arm(good, good + visual(bad), visual(bad)))
     shapes = robot_shapes(load_robot(file))
     assert len(shapes.missing) == 1
-    base, upper, tool = shapes.parts
-    assert [shape.link for shape in (base, upper, tool)] == ["base", "upper", "tool"]
+    links = [shape.link for shape in shapes.parts]
+    assert links == ["base", "upper", "upper", "tool"]
+    _, joint, upper, tool = shapes.parts
+    assert joint.color == JOINT
     # From the shoulder to the flange, along x of the link.
     points = upper.surface.vertices @ upper.placement[:3, :3].T + upper.placement[:3, 3]
-    radius = 0.12 * 0.3
+    radius = np.ptp(upper.surface.vertices[:, 0]) / 2.0
+    assert 0.006 <= radius < 0.03
     assert points.min(axis=0) == pytest.approx([-radius] * 3, rel=0.02)
     assert points.max(axis=0) == pytest.approx([0.3 + radius, radius, radius], rel=0.02)
     assert np.ptp(tool.surface.vertices, axis=0).max() < 0.06
@@ -164,7 +130,7 @@ def test_solids_stand_in_for_what_is_missing(
 def test_a_robot_without_any_shapes(write: Callable[[str, str], Path]) -> None:
     shapes = robot_shapes(load_robot(write("arm.urdf", arm())))
     assert shapes.missing == ()
-    assert [shape.link for shape in shapes.parts] == ["base", "upper", "tool"]
+    assert {shape.link for shape in shapes.parts} == {"base", "upper", "tool"}
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,170 @@
+"""Errors of the robot as people name them, and the offsets of its joints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from calib_pin.errors import enumerated
+from calib_pin.planning.suggestions import Suggestion
+from calib_pin.report.blocks import Block, Cell, Column, Line, Table
+from calib_pin.report.tables import uncertain
+from calib_pin.units import DISPLAY
+from calib_pin.validation.joint_offsets import FoundOffset, joint_offsets
+from calib_pin.validation.result import CalibrationResult, RobotError
+
+CLEAR = 2.0
+"""Standard deviations from which a correction is told as one."""
+
+USE = (
+    "A joint stands where it says plus the offset: add the offset to the position "
+    "that you read, subtract it from the position that you command."
+)
+"""How offsets are used."""
+
+CAUSES = {
+    "coupled": "it shows only together with other errors",
+    "weak": "these measurements hardly show it",
+    "unidentifiable": "nothing that was measured depends on it",
+}
+"""Why an offset is not known, by the status of its parameter."""
+
+
+def offsets(
+    result: CalibrationResult, suggestions: Sequence[Suggestion] = ()
+) -> Iterator[Block]:
+    """Offsets of the joints, in degrees and in steps of their encoders.
+
+    Args:
+        result: The calibration.
+        suggestions: Suggested measurements, which say how an unknown offset is found.
+    """
+    found = joint_offsets(result)
+    known = [offset for offset in found if offset.sigma is not None]
+    stepped = any(offset.steps is not None for offset in known)
+    if known and result.geometry is not None:
+        titles = ["offset", "std. dev.", "unit", *["steps"][:stepped]]
+        of = (
+            Column("", "name"),
+            *(Column(t, "word" if t == "unit" else "number") for t in titles),
+            Column("the joint stands", "remark"),
+        )
+        yield Table("Joint offsets", of, [_offset(o, stepped) for o in known])
+        yield Line(USE, "note")
+    for offset in found:
+        if offset.sigma is None:
+            yield Line(_unknown(offset, suggestions), "strong")
+
+
+def _offset(offset: FoundOffset, stepped: bool) -> list[Cell]:
+    unit, factor = DISPLAY[offset.unit]
+    cells = [*uncertain(offset.value, offset.sigma, factor), Cell(unit)]
+    if stepped:
+        steps = "-"
+        if offset.steps is not None:
+            # Whole steps are what a motor can store.
+            steps = f"{round(offset.steps * offset.value):+d}"
+        cells.append(Cell(steps))
+    way = "further than it says" if offset.value > 0.0 else "less far than it says"
+    if abs(offset.value) < CLEAR * (offset.sigma or 0.0):
+        way = "where it says"
+    name = offset.joint
+    if offset.column != name:
+        name = f"{name} (column {offset.column})"
+    return [Cell(name), *cells, Cell(way)]
+
+
+def _unknown(offset: FoundOffset, suggestions: Sequence[Suggestion]) -> str:
+    """A joint whose offset is not known, why, and what would tell it."""
+    why = CAUSES.get(offset.status, "nothing tells it")
+    if offset.within:
+        frames = enumerated([_frame(name) for name in offset.within])
+        why = f"it shows only together with {frames}, which is estimated as well"
+    name = f"{offset.joint}.joint-offset.q"
+    ways = [s.change for s in suggestions if name in s.parameters]
+    advice = f"; to know it, {ways[0]}" if ways else ""
+    return f"{offset.joint}: not known, because {why}{advice}."
+
+
+def _frame(name: str) -> str:
+    """A frame or an instrument in a sentence, by owner and kind."""
+    owner, _, kind = name.rpartition(".")
+    return f"the {owner} frame" if kind == "frame" else f"the {kind} '{owner}'"
+
+
+def error_table(found: Sequence[RobotError], title: str, shown: Sequence[str]) -> Table:
+    """Errors of the robot, grouped by their kind.
+
+    Args:
+        found: The errors.
+        title: Title of the table.
+        shown: Some of `value`, `std. dev.`, `unit` and `formula`.
+    """
+    rows, before = [], ""
+    for error in found:
+        unit, factor = DISPLAY.get(error.unit, (error.unit, 1.0))
+        value, sigma = uncertain(error.value, error.sigma, factor)
+        cells = {"value": value, "std. dev.": sigma, "unit": Cell(unit)}
+        cells["formula"] = Cell(error.expression)
+        kind = "" if error.kind == before else error.kind
+        before = error.kind
+        rows.append((Cell(kind), Cell(_of(error)), *(cells[key] for key in shown)))
+    kinds = {"unit": "word", "formula": "name"}
+    of = [Column("", "word"), Column("", "name")]
+    of += [Column(key, kinds.get(key, "number")) for key in shown]  # type: ignore[arg-type]
+    return Table(title, of, rows)
+
+
+def _of(error: RobotError) -> str:
+    """The joint or link of an error, or those of which only the sum is known."""
+    if len(error.of) == 1:
+        return error.of[0]
+    return f"sum of {', '.join(error.of)}"
+
+
+def offsets_alone(result: CalibrationResult) -> bool:
+    """Whether the offsets of the joints are all that is told of the robot."""
+    kinds = {error.kind for error in result.robot_errors}
+    return kinds == {"joint offset"} and bool(joint_offsets(result))
+
+
+def corrections(result: CalibrationResult) -> Iterator[Block]:
+    """The errors that were found, those beyond their uncertainty, and the others."""
+    if result.verdict == "no-gain":
+        return
+    known = [e for e in result.robot_errors if e.sigma is not None]
+    clear = [e for e in known if abs(e.value) >= CLEAR * (e.sigma or 0.0)]
+    if clear and not offsets_alone(result):
+        shown = ("value", "std. dev.", "unit")
+        yield error_table(clear, "Errors of the robot that were found", shown)
+    if clear and len(clear) < len(known) and not offsets_alone(result):
+        count = len(known) - len(clear)
+        yield Line(
+            f"{count} more {'is' if count == 1 else 'are'} smaller than {CLEAR:.0f} "
+            "standard deviations.",
+            "note",
+        )
+
+
+def held(found: Sequence[RobotError]) -> Iterator[Line]:
+    """Errors that stay at nominal, and those that frames take along."""
+    weak = [error for error in found if error.status == "weak"]
+    if weak:
+        yield Line(f"Held at nominal, hardly observable: {_listed(weak)}.", "note")
+    together: dict[tuple[str, ...], list[RobotError]] = {}
+    for error in found:
+        if error.status == "absorbed":
+            together.setdefault(error.within, []).append(error)
+    for within, errors in together.items():
+        frames = enumerated([_frame(name) for name in within])
+        yield Line(f"Part of {frames}: {_listed(errors)}.", "note")
+
+
+def _listed(errors: Sequence[RobotError]) -> str:
+    """Errors by joint, such as `joint offset and link offset of wrist_3_joint`."""
+    by_owner: dict[str, dict[str, None]] = {}
+    for error in errors:
+        by_owner.setdefault(_of(error), {})[error.kind] = None
+    return "; ".join(
+        f"{enumerated([*kinds]) if len(kinds) < 4 else 'the placement'} of {owner}"
+        for owner, kinds in by_owner.items()
+    )

@@ -1,0 +1,81 @@
+"""Simple solids between the joints look like the robot that they stand in for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib_pin.io.urdf import load_robot
+from calib_pin.kinematics.shapes import Shape
+from calib_pin.kinematics.skeleton import Skeleton, corners
+from calib_pin.kinematics.stand_ins import JOINT, stand_ins
+
+
+def spread(shape: Shape) -> np.ndarray:
+    """Vertices of a shape in its link."""
+    R, p = shape.placement[:3, :3], shape.placement[:3, 3]
+    return np.asarray(shape.surface.vertices @ R.T + p)
+
+
+@pytest.mark.parametrize("name", ["space6", "space7", "pa10", "heavy6"])
+def test_every_joint_is_drawn_and_all_hangs_together(name: str) -> None:
+    robot = load_robot(name)
+    skeleton = Skeleton(robot, robot.root)
+    shapes = stand_ins(robot)
+    joints = [shape for shape in shapes if shape.color == JOINT]
+    assert {s.link for s in joints} >= {
+        robot.model.frames[k].name
+        for k in range(robot.model.nframes)
+        if robot.model.frames[k].name in robot.links
+        and robot.model.frames[robot.model.frames[k].parentFrame].name
+        in skeleton.joints
+    }
+    T = dict(zip(skeleton.links, skeleton.placements(skeleton.neutral), strict=True))
+    clouds = [
+        spread(shape) @ T[shape.link][:3, :3].T + T[shape.link][:3, 3]
+        for shape in shapes
+    ]
+    # From any part the others are reached over parts that touch.
+    boxes = [(cloud.min(axis=0), cloud.max(axis=0)) for cloud in clouds]
+    reached, rest = {0}, set(range(1, len(boxes)))
+    while True:
+        more = {
+            k
+            for k in rest
+            if any(
+                (boxes[k][0] <= boxes[j][1] + 1e-9).all()
+                and (boxes[j][0] <= boxes[k][1] + 1e-9).all()
+                for j in reached
+            )
+        }
+        if not more:
+            break
+        reached |= more
+        rest -= more
+    assert not rest
+
+
+def test_a_link_follows_the_axes_of_its_joints() -> None:
+    """Of the UR10: the shoulder beside its column, the wrists at right angles."""
+    robot = load_robot("example:ur10_robot")
+    (joint, *tubes) = stand_ins(robot, "upper_arm_link")
+    assert joint.color == JOINT and len(tubes) == 2
+    straight, aside = (np.ptp(spread(tube), axis=0) for tube in tubes)
+    radius = float(np.ptp(tubes[0].surface.vertices[:, 0])) / 2.0
+    # 0.612 m along the arm, then 0.1719 m along the axis of the elbow.
+    assert straight == pytest.approx(2.0 * radius + np.array([0, 0, 0.612]), rel=0.02)
+    assert aside == pytest.approx(2.0 * radius + np.array([0, 0.1719, 0]), rel=0.02)
+    axis = joint.placement[:3, 2]
+    assert np.abs(axis) == pytest.approx([0.0, 1.0, 0.0])
+
+
+def test_tubes_get_thinner_and_sizes_are_those_of_the_robot() -> None:
+    robot = load_robot("example:ur10_robot")
+    radii = [
+        float(np.ptp(stand_ins(robot, link)[1].surface.vertices[:, 0])) / 2.0
+        for link in ("shoulder_link", "upper_arm_link", "forearm_link", "wrist_1_link")
+    ]
+    assert radii == sorted(radii, reverse=True)
+    skeleton = Skeleton(robot, robot.root)
+    size = np.ptp(corners(skeleton, stand_ins(robot), skeleton.neutral), axis=0).max()
+    assert 1.1 < size < 1.8

@@ -1,0 +1,193 @@
+"""The page of a calibration in a browser: alive, readable at any width, on paper."""
+
+from __future__ import annotations
+
+import io
+import re
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pypdf
+import pytest
+from matplotlib.figure import Figure
+
+from calib_pin.io.calibration_document import calibration_document
+from calib_pin.kinematics.chain import Chain
+from calib_pin.report.figures import NAMES, Drawn, calibration_figures
+from calib_pin.report.html import html_report
+from calib_pin.validation.result import CalibrationResult
+from tests.report.test_html import PROVENANCE, SLOW, arm, page
+
+__all__ = ["arm", "page"]
+
+
+@pytest.fixture
+def opened(page: tuple[bytes, dict[str, Any]], tmp_path: Path, browser: Any) -> Any:
+    """The page as a tab, with what it complains about and asks for."""
+    file = tmp_path / "report.html"
+    file.write_bytes(page[0])
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    tab = context.new_page()
+    tab.complaints, tab.asked = [], []
+    tab.on("console", lambda message: tab.complaints.append(message.text))
+    tab.on("pageerror", lambda error: tab.complaints.append(str(error)))
+    tab.on("request", lambda request: tab.asked.append(request.url))
+    tab.goto(file.as_uri())
+    yield tab
+    assert tab.complaints == []
+    assert [url for url in tab.asked if not url.startswith("data:")] == [file.as_uri()]
+    context.close()
+
+
+def column(tab: Any, number: int) -> list[str]:
+    rows = "#parameter-table tbody tr:not([hidden])"
+    return list(
+        tab.eval_on_selector_all(
+            rows, f"rows => rows.map(row => row.cells[{number}].textContent)"
+        )
+    )
+
+
+@SLOW
+def test_tables_are_sorted_and_filtered(
+    opened: Any, arm: tuple[Chain, CalibrationResult]
+) -> None:
+    parameters = arm[1].parameters
+    assert column(opened, 0) == [p.name for p in parameters]
+    head = opened.locator("#parameter-table th", has_text="std. dev.")
+    head.locator("button").click()
+    assert head.get_attribute("aria-sort") == "ascending"
+    # Millimeters and degrees do not mix.
+    known = [
+        sigma
+        for unit in ("rad", "m")
+        for sigma in sorted(p.sigma for p in parameters if p.sigma and p.unit == unit)
+    ]
+    first = "#parameter-table tbody tr td:nth-child(3)"
+    values = opened.eval_on_selector_all(first, "c => c.map(c => c.dataset.value)")
+    assert [float(v) for v in values if v is not None] == known
+    assert values[len(known) :] == [None] * (len(parameters) - len(known))
+    head.locator("button").click()
+    assert head.get_attribute("aria-sort") == "descending"
+    opened.fill("#filter", "LIFT rx")
+    assert column(opened, 0) == ["lift.placement.rx"]
+    assert opened.inner_text("#count") == f"1 of {len(parameters)}"
+    opened.fill("#filter", "")
+    opened.select_option("#status", "coupled")
+    assert set(column(opened, 4)) == {"coupled"}
+
+
+OVERLAPS = """figures => figures.flatMap(svg => {
+  const texts = [...svg.querySelectorAll("text")];
+  const boxes = texts.map(text => text.getBoundingClientRect());
+  return texts.flatMap((text, i) => texts.slice(i + 1).flatMap((other, k) => {
+    const [a, b] = [boxes[i], boxes[i + 1 + k]];
+    const across = Math.min(a.right, b.right) - Math.max(a.left, b.left);
+    const down = Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top);
+    // A box is as high as a line of the font, letters are not.
+    return across > 1 && down > 0.35 * Math.min(a.height, b.height)
+      ? [`${text.textContent} | ${other.textContent}`] : [];
+  }));
+})"""
+
+
+@SLOW
+@pytest.mark.parametrize("width", [1280, 400])
+def test_texts_of_figures_do_not_overlap(opened: Any, width: int) -> None:
+    """With the font of the page, which is not that of the pictures."""
+    opened.set_viewport_size({"width": width, "height": 900})
+    assert opened.eval_on_selector_all("figure svg", OVERLAPS) == []
+    opened.evaluate(
+        "document.querySelectorAll('figure svg text')"
+        ".forEach(text => text.setAttribute('transform', 'translate(50 50)'))"
+    )
+    assert opened.eval_on_selector_all("figure svg", OVERLAPS)
+
+
+@SLOW
+def test_the_first_screen(
+    arm: tuple[Chain, CalibrationResult], tmp_path: Path, browser: Any
+) -> None:
+    """Verdict, headline and both figures, without scrolling."""
+    _, result = arm
+    document = calibration_document(result, PROVENANCE)
+    drawn = {figure.name: figure for figure in calibration_figures(result)}
+    robot = Drawn("robot-errors", "Robot", "Balls. " * 30, Figure(figsize=(7.2, 4.2)))
+    file = tmp_path / "report.html"
+    shown = [robot, drawn["cumulative-errors"]]
+    file.write_bytes(html_report(result, document, figures=shown))
+    tab = browser.new_page(viewport={"width": 1280, "height": 900})
+    tab.goto(file.as_uri())
+    boxes = [
+        tab.locator(name).first.bounding_box()
+        for name in ("#verdict", ".tiles", "#figure-robot-errors", "nav")
+    ]
+    for above, below in pairwise(boxes):
+        assert above["y"] + above["height"] <= below["y"]
+    assert boxes[-1]["y"] < 900
+    curves = tab.locator("#figure-cumulative-errors").bounding_box()
+    assert curves["y"] == boxes[2]["y"] and curves["x"] > boxes[2]["x"]
+    tab.close()
+
+
+@SLOW
+def test_what_scrolls_has_a_shade_at_its_edge(opened: Any) -> None:
+    shaded = "e => getComputedStyle(e).backgroundImage.includes('gradient')"
+    opened.set_viewport_size({"width": 400, "height": 900})
+    found = opened.eval_on_selector_all(
+        ".scroll, pre",
+        f"all => all.filter(e => e.scrollWidth > e.clientWidth).map({shaded})",
+    )
+    assert len(found) > 5 and all(found)
+
+
+@SLOW
+def test_paper_has_page_numbers_and_no_zeros(opened: Any) -> None:
+    data = opened.pdf(prefer_css_page_size=True)
+    pages = [page.extract_text() for page in pypdf.PdfReader(io.BytesIO(data)).pages]
+    for k, text in enumerate(pages):
+        assert f"{k + 1} / {len(pages)}" in text
+    text = "".join(pages)
+    assert not re.search(r"\n\S+ [-+]?0\.0000 - (mm|deg)", text)
+    assert "without an estimate of their own" in text
+
+
+@SLOW
+def test_every_figure_is_there_and_seen(opened: Any, arm: Any) -> None:
+    drawn = [figure.name for figure in calibration_figures(arm[1])]
+    others = {"convergence", "model-ladder", "errors-in-workspace", "errors-by-block"}
+    assert set(drawn) == set(NAMES["calibration"]) - others
+    for name in drawn:
+        box = opened.locator(f"#figure-{name} svg").bounding_box()
+        assert box["width"] > 400 and box["height"] > 150
+        assert opened.locator(f"#figure-{name} figcaption").inner_text()
+
+
+@SLOW
+@pytest.mark.parametrize("width", [1280, 400])
+def test_nothing_sticks_out(opened: Any, width: int) -> None:
+    opened.set_viewport_size({"width": width, "height": 900})
+    assert opened.evaluate("document.documentElement.scrollWidth") <= width
+
+
+@SLOW
+def test_light_dark_and_paper(opened: Any) -> None:
+    """By the system's choice, by the button, and always light on paper."""
+
+    def shade(what: str, selector: str = "body") -> float:
+        code = f"e => getComputedStyle(e).{what}.match(/\\d+/g).map(Number)"
+        return sum(opened.eval_on_selector(selector, code)[:3]) / 3
+
+    ink = "#figure-errors-per-measurement svg text"
+    assert shade("backgroundColor") > 230 and shade("fill", ink) < 90
+    opened.click("#theme")
+    assert shade("backgroundColor") < 50 and shade("fill", ink) > 200
+    opened.click("#theme")
+    opened.emulate_media(color_scheme="dark")
+    opened.reload()
+    assert shade("backgroundColor") < 50 and shade("color") > 200
+    opened.asked.pop()
+    opened.emulate_media(media="print", color_scheme="dark")
+    assert shade("backgroundColor") > 230 and shade("color") < 50
+    assert not opened.locator("#theme").is_visible()

@@ -1,0 +1,179 @@
+"""Errors of the robot as people name them: each direction once, and right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.estimation.directions import robot_values
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.nominal import analyze_structure
+from calib_pin.kinematics.chain import Chain
+from calib_pin.report.robot_errors import corrections, held
+from calib_pin.report.terminal import plain_text
+from calib_pin.setup import FrameSetup, Setup
+from calib_pin.validation.assessment import identify
+from calib_pin.validation.result import CalibrationResult, RobotError
+from calib_pin.validation.robot_errors import robot_errors
+
+ARM = "example:so101"
+TIP = "gripper_frame_link"
+
+
+@pytest.fixture(scope="module")
+def chain() -> Chain:
+    return calib_pin.load_chain(ARM, tip=TIP)
+
+
+@pytest.fixture(scope="module")
+def result(chain: Chain) -> CalibrationResult:
+    """The printed arm, its geometry measured with full poses."""
+    problem = nominal_problem(chain, "pose", Setup())
+    rng = np.random.default_rng(3)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, theta, rng, count=60)
+    return calib_pin.calibrate(chain, rows)
+
+
+def known(errors: tuple[RobotError, ...]) -> list[RobotError]:
+    return [error for error in errors if error.status == "identifiable"]
+
+
+def rows_of(errors: list[RobotError], result: CalibrationResult) -> np.ndarray:
+    """Coefficients by the names of the parameters, scaled and of length 1."""
+    given = result.model.given
+    rows = [given.vector(dict(error.terms)) * given.scales for error in errors]
+    return np.array([row / np.linalg.norm(row) for row in rows])
+
+
+def test_each_direction_is_told_once(result):
+    """Its nearly parallel axes gave 23 sums, of which nine were one direction."""
+    errors = known(result.robot_errors)
+    assert len(errors) == result.identifiability.robot_rank == 14
+    names = [(error.kind, error.of) for error in errors]
+    assert len(set(names)) == len(names)
+    rows = rows_of(errors, result)
+    alike = np.abs(rows @ rows.T - np.eye(len(rows)))
+    assert alike.max() < 0.95
+    assert np.linalg.matrix_rank(rows, tol=1e-2) == len(rows)
+
+
+def test_what_a_denavit_hartenberg_table_says(result):
+    """Length and twist of every link, offsets of the inner joints, parallel axes."""
+    found = {}
+    for error in known(result.robot_errors):
+        found.setdefault(error.kind, []).append(error.of)
+    links = [(f"{name}_link",) for name in ("shoulder", "upper_arm", "lower_arm")]
+    links.append(("wrist_link",))
+    inner = ("shoulder_lift", "elbow_flex", "wrist_flex")
+    assert found == {
+        "joint offset": [(joint,) for joint in inner],
+        "link length": links,
+        "link offset": [inner],
+        "link twist": links,
+        "axis tilt": [("elbow_flex",), ("wrist_flex",)],
+    }
+
+
+def test_combinations_in_full_are_all_different(result):
+    """Not one of them is about a column that only rounding makes independent."""
+    given = result.model.given
+    rows = [given.vector(dict(g.terms)) * given.scales for g in result.groups]
+    rows = np.array([row / np.linalg.norm(row) for row in rows])
+    assert np.abs(rows @ rows.T - np.eye(len(rows))).max() < 0.999
+
+
+def test_values_and_deviations_are_those_of_the_full_sum(chain):
+    """Of 14 errors nearly all lie within two standard deviations of the truth."""
+    problem = nominal_problem(chain, "pose", Setup())
+    zero = np.zeros(len(problem.parameters))
+    misses = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        theta = calib_pin.draw_errors(problem.parameters, rng)
+        rows = calib_pin.simulate(problem, theta, rng, count=40)
+        result = calib_pin.calibrate(chain, rows, validate=False)
+        structure, _ = analyze_structure(problem, zero, np.random.default_rng(0))
+        exact = {(e.kind, e.of): e for e in robot_errors(problem, structure)}
+        for error in known(result.robot_errors):
+            terms = exact[error.kind, error.of].terms
+            true = sum(theta[problem.parameters.index(n)] * c for n, c in terms)
+            misses.append((error.value - true) / error.sigma)
+    # Second-order terms of the errors add to the noise of these 42.
+    assert np.sqrt(np.mean(np.square(misses))) < 2.0
+
+
+def test_terms_that_matter_less_than_their_uncertainty_are_dropped(result):
+    """A formula keeps what moves it by more than its standard deviation."""
+    given = result.model.given
+    for error in known(result.robot_errors):
+        for name, coefficient in error.terms:
+            size = {"m": 1e-3, "rad": 3e-3}[given[given.index(name)].unit]
+            assert abs(coefficient) * size >= error.sigma
+    exact = identify(result.model.of().error.chain, "pose").robot_errors
+    told, whole = (sum(len(e.terms) for e in es) for es in (result.robot_errors, exact))
+    assert told < whole
+
+
+def test_frames_take_what_they_can(result):
+    absorbed = [e for e in result.robot_errors if e.status == "absorbed"]
+    assert {(e.of, e.within) for e in absorbed} == {
+        (("shoulder_pan",), ("base.frame",)),
+        (("wrist_roll",), ("tool.frame",)),
+    }
+    text = " ".join(plain_text(held(result.robot_errors)).split())
+    assert "Part of the base frame: the placement of shoulder_pan." in text
+    assert "Part of the tool frame: joint offset, link offset of wrist_roll." in text
+
+
+def test_no_frame_hides_the_ends_of_the_arm_when_both_are_known(chain):
+    known_frames = Setup(
+        base_frame=FrameSetup((0, 0, 0), (0, 0, 0), estimate=False),
+        tool_frame=FrameSetup((0, 0, 0), (0, 0, 0), estimate=False),
+    )
+    found = identify(chain, "pose", known_frames)
+    assert all(e.status == "identifiable" for e in found.robot_errors)
+    offsets = [e.of[0] for e in found.robot_errors if e.kind == "joint offset"]
+    assert offsets == list(chain.joints)
+
+
+@pytest.mark.parametrize(
+    ("robot", "model", "parameters"),
+    [
+        ("pa10", "pose", ("placement",)),
+        ("space6", "position", ("placement",)),
+        ("heavy6", "pose", ("dh",)),
+        ("space7", "pose", ("link-transform",)),
+        ("pa10", "pose", ("joint-offset",)),
+        ("heavy6", "pose", ("placement", "transmission")),
+    ],
+)
+def test_as_many_errors_as_the_robot_has(robot, model, parameters):
+    setup = Setup(parameters=parameters)
+    chain = calib_pin.load_chain(robot)
+    problem = nominal_problem(chain, model, setup)
+    zero = np.zeros(len(problem.parameters))
+    found, J = analyze_structure(problem, zero, np.random.default_rng(0))
+    errors = robot_errors(problem, found)
+    assert len(known(errors)) == len(robot_values(J, problem.parameters))
+    # All of them lie in what can be known.
+    free = problem.parameters.free
+    _, _, Vt = np.linalg.svd(found.relations, full_matrices=False)
+    for error in known(errors):
+        row = problem.parameters.vector(dict(error.terms)) * problem.parameters.scales
+        row = row[free] / np.linalg.norm(row)
+        assert np.linalg.norm(row - Vt.T @ (Vt @ row)) < 0.01
+
+
+def test_small_corrections_are_counted_and_not_listed(result):
+    errors = tuple(
+        replace(e, value=0.5 * e.sigma) if e.kind == "link length" else e
+        for e in result.robot_errors
+    )
+    text = plain_text(corrections(replace(result, robot_errors=errors)))
+    assert "link twist" in text and "link length" not in text
+    small = sum(abs(e.value) < 2.0 * e.sigma for e in known(errors))
+    assert f"{small} more are smaller than 2 standard deviations." in text

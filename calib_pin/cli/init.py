@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,12 +13,13 @@ import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, require_distinct, require_folders
-from calib_pin.cli.printing import say, say_json, say_written, told_command
+from calib_pin.cli.printing import notice, say, say_json, say_written, told_command
 from calib_pin.errors import InputError, OptionError, enumerated
 
 if TYPE_CHECKING:
-    from calib_pin.io.first_look import Look
+    from calib_pin.io.first_look import Joints, Look
     from calib_pin.io.foreign_headers import Foreign
+    from calib_pin.io.table import Table
     from calib_pin.kinematics.chain import Robot
     from calib_pin.setup import Setup
 
@@ -51,7 +53,14 @@ def init(
     package_dir: options.PackageDirs = None,
     model: options.Model = None,
     base: options.Base = None,
-    tip: options.Tip = None,
+    tip: Annotated[
+        str | None,
+        options.robot(
+            "--tip LINK",
+            "Last link of the chain; of chains that the measurements name, "
+            "NAME=LINK,...",
+        ),
+    ] = None,
     distance: Annotated[
         str | None,
         options.robot(
@@ -75,7 +84,7 @@ def init(
     """
     from calib_pin.io.drafts import Draft
     from calib_pin.io.files import write_files
-    from calib_pin.io.foreign_headers import foreign
+    from calib_pin.io.foreign_headers import foreign, measured
     from calib_pin.io.setup import setup_document
     from calib_pin.io.table import read_table
     from calib_pin.io.urdf import load_robot
@@ -88,16 +97,20 @@ def init(
     table = read_table(measurements[0])
     columns = foreign(table.columns)
     start = Setup(base=base, tip=tip, model=model)
-    joints, links = _joints(loaded, start, columns, measurements[0])
-    start = _ends(start, loaded, joints, links, table)
-    if {"u", "v"} <= {*table.columns} and model in (None, "camera"):
-        start = _with_camera(start, table, board)
+    start, joints = _ends(start, loaded, columns, table)
+    corners = {"u", "v"} <= measured(columns).keys() and model in (None, "camera")
+    if corners:
+        start = _with_camera(start, measured(columns), board)
+    elif board is not None:
+        raise OptionError("--board is that of a camera, and there are no columns u, v")
     look = _best(start, loaded, joints, columns, measurements, station_per_file)
     if look.data is not None and "fixed-point" in look.data.models:
         look = _with_distances(look, distance)
     elif distance is not None:
         raise OptionError("--distance is that of sockets (fixed-point)")
-    text = Draft(loaded, look, links).text(told_command(context))
+    text = Draft(loaded, look).text(told_command(context))
+    if not look.fits:
+        notice("no reading of the columns fits the robot; see the draft")
     files = {} if output is None else {output: text.encode()}
     with write_files(files, force=force):
         pass
@@ -110,52 +123,41 @@ def init(
     return 0
 
 
-def _joints(
-    robot: Robot, setup: Setup, columns: Sequence[Foreign], file: Path
-) -> tuple[dict[str, Foreign], list[str]]:
-    """The columns of the joints, and the links that they may belong to."""
-    from calib_pin.io.first_look import joint_columns
+def _ends(
+    setup: Setup, robot: Robot, columns: Sequence[Foreign], table: Table
+) -> tuple[Setup, list[Joints]]:
+    """The setup with the chains that a column names, and what may be the joints."""
+    from calib_pin.io.first_look import joint_columns, named_chains
+    from calib_pin.io.foreign_headers import measured
+    from calib_pin.setup import ChainSetup
+    from calib_pin.setup.references import WORLD
 
-    joints, links = joint_columns(robot, setup.base, setup.tip, columns)
+    named = measured(columns).get("chain")
+    tips = dict(word.partition("=")[::2] for word in (setup.tip or "").split(","))
+    if named is None or (setup.tip is not None and "=" not in setup.tip):
+        joints = joint_columns(robot, setup.base, setup.tip, columns)
+    else:
+        names = table.texts([named[0].name])[named[0].name].distinct
+        own = [name for name in names if name not in ("", WORLD, *robot.links)]
+        chains = dict[str, ChainSetup]()
+        all_joints, links = named_chains(robot, setup.base, own, columns)
+        for name in own:
+            link = tips.get(name) or _choose(
+                f"which link is the tip of chain '{name}'",
+                links[name] or robot.links,
+                f"--tip {name}=LINK",
+            )
+            chains[name] = ChainSetup(tip=link)
+        setup = replace(setup, tip=None, chains=chains)
+        joints = [all_joints] if all_joints.columns else []
     if not joints:
-        names = [n for n in robot.model.names if n != "universe"]
+        every = [name for name in robot.model.names if name != "universe"]
         raise InputError(
             "no columns are found for the joints of the robot; map them with 'columns' "
-            f"in a setup file (joints: {enumerated(names)})",
-            file=file,
+            f"in a setup file (joints: {enumerated(every)})",
+            file=table.file,
         )
-    return joints, links
-
-
-def _ends(
-    setup: Setup,
-    robot: Robot,
-    joints: dict[str, Foreign],
-    links: list[str],
-    table: object,
-) -> Setup:
-    """The setup with the tip, or with the chains that a column names."""
-    from calib_pin.io.table import Table
-    from calib_pin.kinematics.chain import Chain
-    from calib_pin.setup import ChainSetup
-
-    assert isinstance(table, Table)
-    if setup.tip is not None:
-        return setup
-    if "chain" in table:
-        chains = {}
-        for name in table.texts(["chain"])["chain"].distinct:
-            if name and name not in robot.links and name != "world":
-                found = [link for link in robot.links if name.lower() in link.lower()]
-                tip = _choose(f"which link is the tip of chain '{name}'", found, "")
-                chains[name] = ChainSetup(tip=tip)
-        return replace(setup, chains=chains)
-    moved = {frozenset(Chain(robot, setup.base, link).joints) for link in links}
-    if not links:
-        raise OptionError("no link is moved by the joints of the file; state --tip")
-    if len(moved) > 1:
-        return replace(setup, tip=_choose("which link was measured", links, "--tip"))
-    return replace(setup, tip=links[0])
+    return setup, joints
 
 
 def _choose(question: str, choices: Sequence[str], option: str) -> str:
@@ -183,7 +185,7 @@ def _choose(question: str, choices: Sequence[str], option: str) -> str:
 def _best(
     setup: Setup,
     robot: Robot,
-    joints: dict[str, Foreign],
+    joints: Sequence[Joints],
     columns: Sequence[Foreign],
     files: Sequence[Path],
     station_per_file: bool,
@@ -193,33 +195,40 @@ def _best(
     Raises:
         CalibPinError: If the files cannot be read in any way.
     """
-    from calib_pin.io.first_look import CLEAR, best, looked, readings, rivals
+    from calib_pin.io.first_look import CLEAR, best, looked, readings
+    from calib_pin.io.foreign_headers import measured
 
     def tried(model: str | None) -> Look:
         stated = replace(setup, model=model)
-        ways = readings(stated, robot, joints, columns)
-        found = [
-            looked(way, robot, files, station_per_file=station_per_file) for way in ways
+        looks = [
+            looked(way, robot, files, station_per_file=station_per_file)
+            for own in joints
+            for camera in _mounts(stated)
+            for way in readings(camera, robot, own, columns)
         ]
-        look = best(found)
-        if others := rivals(look, found):
-            units = [other.units.items() for other in others]
-            said = [", ".join(f"{name} [{u}]" for name, u in way) for way in units]
+        found = best(looks)
+        if CLEAR * found.next_share <= found.share < inf:
             raise InputError(
-                "the robot fits about as well with other units "
-                f"({'; '.join(way or 'rad and m' for way in said)}); state the units "
-                "in the header, such as 'x [mm]', or in 'columns' of a setup file",
+                "the robot fits about as well with other units; state the units in the "
+                "header, such as 'x [mm]', or in 'columns' of a setup file",
                 file=files[0],
             )
-        return look
+        ends = {found.setup.tip: found}
+        for look in looks:
+            if CLEAR * look.share < found.share < inf:
+                ends.setdefault(look.setup.tip, look)
+        if len(ends) == 1:
+            return found
+        tip = _choose("which link was measured", [end or "" for end in ends], "--tip")
+        return best([look for look in looks if look.setup.tip == tip])
 
-    meanings = {ours for ours in ("x", "u", "distance") if _has(ours, columns)}
+    meanings = measured(columns).keys()
     if setup.model is not None or meanings & {"x", "u"}:
         look = tried(setup.model)
     elif "distance" in meanings:
         looks = sorted(map(tried, LENGTHS), key=lambda look: look.share)
         look = looks[0]
-        if not look.share < looks[1].share / CLEAR:
+        if not look.share < CLEAR * looks[1].share:
             look = tried(_choose("of which kind is the distance", LENGTHS, "--model"))
     else:
         look = tried("fixed-point")
@@ -236,30 +245,20 @@ def _best(
     return look
 
 
-def _has(ours: str, columns: Sequence[Foreign]) -> bool:
-    from calib_pin.io.foreign_headers import measured
-
-    return ours in measured(columns)
-
-
-def _with_camera(setup: Setup, table: object, board: str | None) -> Setup:
+def _with_camera(
+    setup: Setup, found: Mapping[str, Sequence[Foreign]], board: str | None
+) -> Setup:
     """The setup with a board and a camera to start from."""
     from calib_pin.io.boards import board_of
-    from calib_pin.io.table import Table
     from calib_pin.setup import CameraSetup
 
-    assert isinstance(table, Table)
     if board is None:
         raise OptionError(
             "the points that the camera saw must be known: state --board",
             allowed="such as charuco:7x5:0.03:0.022, lengths in m",
         )
-    width, height = (
-        max(side for side in sides)
-        for sides in (
-            [100.0 * -(-table.columns[axis].numbers.max() // 100.0)] for axis in "uv"
-        )
-    )
+    # The image is a little larger than where corners were seen.
+    width, height = (100.0 * -(-found[axis][0].largest // 100.0) for axis in "uv")
     camera = CameraSetup(
         mount="hand",
         focal=(width, width),
@@ -267,6 +266,14 @@ def _with_camera(setup: Setup, table: object, board: str | None) -> Setup:
         estimate=True,
     )
     return replace(setup, model="camera", board=board_of(board), camera=camera)
+
+
+def _mounts(setup: Setup) -> list[Setup]:
+    """The setup with a camera on the hand, and with one that looks at the robot."""
+    if setup.camera is None:
+        return [setup]
+    world = replace(setup.camera, mount="world")
+    return [setup, replace(setup, camera=world)]
 
 
 def _with_distances(look: Look, stated: str | None) -> Look:
@@ -279,6 +286,8 @@ def _with_distances(look: Look, stated: str | None) -> Look:
     for name in dict.fromkeys(names):
         places.setdefault(name.rpartition("/")[0], []).append(name)
     pairs = [names for names in places.values() if len(names) == 2]
+    if not pairs and stated is not None:
+        raise OptionError("no place has two sockets, called PLACE/0 and PLACE/1")
     if not pairs:
         return look
     if stated is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import inf
 
 from calib_pin.io.first_look import Look
 from calib_pin.io.setup import setup_document, yaml_text
@@ -16,7 +17,7 @@ WIDTH = 88
 """Longest line of a comment."""
 
 SHOWN = 6
-"""Further links that a comment names."""
+"""Links and columns that a comment names."""
 
 FAMILIES = (
     "Six errors at every joint, the usual choice. Others: joint-offset for zeros "
@@ -31,14 +32,10 @@ class Draft:
     Attributes:
         robot: The robot.
         look: The reading of the measurements.
-        tips: Links that might be the tip, that of the setup first.
-        said: Sentences for the head of the file.
     """
 
     robot: Robot
     look: Look
-    tips: Sequence[str] = ()
-    said: Sequence[str] = ()
 
     def text(self, command: str) -> str:
         """The file.
@@ -56,8 +53,8 @@ class Draft:
         model = "+".join(data.models)
         yield f"# Setup file of calib-pin, drafted by: {command}"
         yield f"# {len(data)} measurements of {self.robot.name}. {self._fit()}"
-        for sentence in self.said:
-            yield f"# {sentence}"
+        if look.ignored:
+            yield f"# Columns without a meaning: {_few(look.ignored)}."
         if "base" in document:
             yield _line("base", document, "the chain starts here")
         if "tip" in document:
@@ -93,26 +90,35 @@ class Draft:
                 yield yaml_text({key: document[key]})
         yield ""
         yield from self._frames(data.models)
-        yield "# State the noise of the instrument if you know it [m, rad, px]:"
         quantity = next(iter(look.errors))
-        yield f"# noise: {{{quantity}: 1.0e-4}}"
+        unit, usual = ("px", "0.3") if quantity == "pixel" else ("m", "1.0e-4")
+        yield f"# State the noise of the instrument if you know it [{unit}]:"
+        yield f"# noise: {{{quantity}: {usual}}}"
 
     def _fit(self) -> str:
         """How well the nominal robot fits to the measurements, in words."""
-        told = []
-        for quantity, size in self.look.errors.items():
+        look, told = self.look, []
+        for quantity, size in look.errors.items():
             unit = "rad" if quantity == "orientation" else "m"
             unit = "px" if quantity == "pixel" else unit
             shown, factor = DISPLAY[unit]
             told.append(f"{factor * size:.3g} {shown} ({quantity})")
-        return f"Nominal, it fits to {', '.join(told)}, rms."
+        text = f"The nominal robot fits to {', '.join(told)} rms so"
+        if look.next_share < inf:
+            part, other = (f"{100 * k:.2g} %" for k in (look.share, look.next_share))
+            text += f": {part} of its motion; in other units it is {other}"
+        if look.fits:
+            return f"{text}."
+        return (
+            f"{text}. That is NO fit: a column has another meaning, or these are not "
+            "measurements of this robot. Correct what is wrong below."
+        )
 
     def _about_tip(self) -> Iterator[str]:
-        others = [link for link in self.tips if link != self.look.setup.tip]
+        others = [link for link in self.look.joints.tips if link != self.look.setup.tip]
         if others:
-            more = f" and {len(others) - SHOWN} more" if len(others) > SHOWN else ""
-            names = ", ".join(others[:SHOWN]) + more
-            yield f"# The link that carries the tool. The same joints move {names}."
+            more = f"The same joints move {_few(others)}."
+            yield f"# The link that carries the tool. {more}"
         else:
             yield "# The link that carries the tool."
 
@@ -127,6 +133,11 @@ class Draft:
         else:
             yield "# Tool and instrument are estimated; the base link is the frame of"
             yield "# reference. State 'frames', 'targets' or 'planes' that you know."
+
+
+def _few(names: Sequence[str]) -> str:
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(names[:SHOWN]) + more
 
 
 def _line(key: str, document: dict[str, object], comment: str = "") -> str:

@@ -16,9 +16,16 @@ from pathlib import Path
 
 import numpy as np
 
-from calib_pin.errors import CalibPinError
-from calib_pin.estimation.problem import Problem, error_table
-from calib_pin.io.foreign_headers import Foreign, joints_by_name, measured, numbered
+from calib_pin.errors import CalibPinError, InputError
+from calib_pin.estimation.problem import Problem, distinct_values, error_table
+from calib_pin.io.foreign_headers import (
+    Foreign,
+    families,
+    joints_by_name,
+    measured,
+    without_meaning,
+)
+from calib_pin.io.measured_columns import reserved
 from calib_pin.io.measurements import read_measurements
 from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.kinematics.chains import Chains
@@ -37,13 +44,32 @@ DROPPED = 0.17
 """Orientation errors of the nominal robot from which an orientation is read wrongly, as
 one of another convention [rad]."""
 
+CLEAR = 0.5
+"""Part of the errors of another reading that a less likely one must leave, at most."""
+
+FITS = 0.2
+"""Errors of the registered nominal robot, in parts of how far the tool moved, from
+which a reading is none: a robot is off by a tenth at most, a wrong reading by all."""
+
+FEWEST = 3
+"""Joints that are found without their names."""
 
 DATE = 1e11
 """Numbers from here on are dates with their digits in a row, and no seconds."""
 
 
-CLEAR = 2.0
-"""Errors of another reading, in those of the best one, from which it is wrong."""
+@dataclass(frozen=True)
+class Joints:
+    """The columns of joints, and where on the robot they end.
+
+    Attributes:
+        columns: Column by joint.
+        tips: Links that these joints move, and no others, likeliest first; empty where
+            the measurements name their chains.
+    """
+
+    columns: Mapping[str, Foreign]
+    tips: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -59,8 +85,10 @@ class Look:
         share: The first of them as a part of how far the tool moved, or the points
             moved in an image: a wrong unit can make both of them small.
         fault: Why not; None where they can.
-        guessed: Ours to theirs: foreign names whose meaning was read off their words.
+        joints: The columns of the joints.
         units: Column to unit, where nobody stated it.
+        ignored: Names of columns without a meaning.
+        next_share: The share in other units; infinite where there are none.
     """
 
     setup: Setup
@@ -68,50 +96,51 @@ class Look:
     errors: Mapping[str, float] = field(default_factory=dict)
     share: float = inf
     fault: CalibPinError | None = None
-    guessed: Mapping[str, str] = field(default_factory=dict)
+    joints: Joints = field(default_factory=lambda: Joints({}))
     units: Mapping[str, str] = field(default_factory=dict)
+    ignored: Sequence[str] = ()
+    next_share: float = inf
+
+    @property
+    def fits(self) -> bool:
+        """Whether the nominal robot moves as the measurements say."""
+        return self.share < FITS
 
 
-def tips(robot: Robot, base: str | None, joints: Sequence[str]) -> list[str]:
-    """Links that the most of some joints move, and no others.
-
-    Those that are usual for a tool come first, then leaves, in the order of the file.
-    """
-    moved = dict[str, int]()
-    for link in robot.links:
-        try:
-            chain = Chain(robot, base, link)
-        except CalibPinError:
-            continue
-        if chain.joints and {*chain.joints} <= {*joints}:
-            moved[link] = len(chain.joints)
-    most = max(moved.values(), default=0)
+def likely_tip(links: Sequence[str], robot: Robot) -> list[str]:
+    """Links ordered: those usual for a tool first, then leaves, as in the file."""
 
     def order(link: str) -> tuple[int, bool]:
         parts = re.split(r"[^a-z0-9]+", link.lower())
         ranks = (k for k, part in enumerate(USUAL) if part in parts)
         return next(ranks, len(USUAL)), link not in robot.leaves
 
-    return sorted((link for link, count in moved.items() if count == most), key=order)
+    return sorted(links, key=order)
 
 
-def serial_tips(robot: Robot, base: str | None, count: int) -> list[str]:
-    """Links that so many joints move, those usual for a tool first."""
-    joints = list[str]()
+def chains_of(robot: Robot, base: str | None) -> dict[tuple[str, ...], list[str]]:
+    """The links that joints move, by these joints, the likeliest tips first.
+
+    Raises:
+        InputError: If there is no such base.
+    """
+    found = dict[tuple[str, ...], list[str]]()
     for link in robot.links:
         try:
             chain = Chain(robot, base, link)
         except CalibPinError:
+            if base is not None and base not in robot.links:
+                raise
             continue
-        if len(chain.joints) == count:
-            joints += [joint for joint in chain.joints if joint not in joints]
-    return tips(robot, base, joints) if len(joints) == count else []
+        if chain.joints:
+            found.setdefault(tuple(chain.joints), []).append(link)
+    return {joints: likely_tip(links, robot) for joints, links in found.items()}
 
 
 def joint_columns(
     robot: Robot, base: str | None, tip: str | None, columns: Sequence[Foreign]
-) -> tuple[dict[str, Foreign], list[str]]:
-    """The column of every joint, and the links that they may belong to.
+) -> list[Joints]:
+    """Columns that may be those of the joints, likeliest first; empty if none may.
 
     Args:
         robot: The robot.
@@ -119,36 +148,69 @@ def joint_columns(
         tip: Link at which the chain ends, if it is known.
         columns: Those of a file.
 
-    Returns:
-        Columns by joint, empty where none are found, and the tips, likeliest first.
+    Raises:
+        InputError: If there is no such base or tip.
     """
+    if tip is None:
+        chains = chains_of(robot, base)
+    else:
+        chains = {tuple(Chain(robot, base, tip).joints): [tip]}
     every = [name for name in robot.model.names if name != "universe"]
     named = joints_by_name(columns, every)
-    if tip is not None:
-        joints = Chain(robot, base, tip).joints
-        if {*joints} <= {*named}:
-            return {joint: named[joint] for joint in joints}, [tip]
-        for family in numbered(columns):
-            if len(family) == len(joints):
-                return dict(zip(joints, family, strict=True)), [tip]
-        return {}, [tip]
-    if named:
-        return named, tips(robot, base, list(named))
-    for family in numbered(columns):
-        links = serial_tips(robot, base, len(family))
-        if links:
-            joints = Chain(robot, base, links[0]).joints
-            return dict(zip(joints, family, strict=True)), links
-    return {}, []
+    whole = [joints for joints in chains if {*joints} <= {*named}]
+    longest = [one for one in whole if not any({*one} < {*other} for other in whole)]
+    if longest:
+        return [Joints({j: named[j] for j in one}, chains[one]) for one in longest]
+    found = []
+    ordered = without_meaning(columns)
+    for family in [*families(columns), ordered]:
+        # Columns behind those of the longest chain are those of external axes.
+        most = max((len(one) for one in chains if len(one) <= len(family)), default=0)
+        if family is ordered and len(family) != most:
+            break
+        for one in chains:
+            if len(one) == most >= FEWEST:
+                own = dict(zip(one, family, strict=False))
+                found.append(Joints(own, chains[one]))
+    return found
+
+
+def named_chains(
+    robot: Robot, base: str | None, names: Sequence[str], columns: Sequence[Foreign]
+) -> tuple[Joints, dict[str, list[str]]]:
+    """The columns of all joints, and the links that may be the tip of each chain.
+
+    A name is that of a link, or a word in the names of links; of these the ones count
+    that the most of the joints of the file move.
+    """
+    every = [name for name in robot.model.names if name != "universe"]
+    joints, found = joints_by_name(columns, every), dict[str, list[str]]()
+    chains = chains_of(robot, base)
+    for name in names:
+        words = {*re.split(r"[^a-z0-9]+", name.lower())}
+        alike = dict[tuple[str, ...], list[str]]()
+        for one, links in chains.items():
+            same = [k for k in links if words <= {*re.split(r"[^a-z0-9]+", k.lower())}]
+            if same and {*one} <= {*joints}:
+                alike[one] = same
+        most = max(map(len, alike), default=0)
+        longest = [links for one, links in alike.items() if len(one) == most]
+        # Of links that the same joints move, one is as good as another.
+        alone = len(longest) == 1
+        found[name] = longest[0][:1] if alone else [k for own in longest for k in own]
+    return Joints(joints), found
 
 
 def readings(
     setup: Setup,
     robot: Robot,
-    joints: Mapping[str, Foreign],
+    found_joints: Joints,
     columns: Sequence[Foreign],
 ) -> Iterator[Look]:
     """Readings of a file that its names and numbers allow, likeliest first."""
+    joints = found_joints.columns
+    if setup.tip is None and found_joints.tips:
+        setup = replace(setup, tip=found_joints.tips[0])
     used = {one.name for one in joints.values()}
     found = measured([one for one in columns if one.name not in used])
     names = dict[str, Foreign]()
@@ -169,7 +231,7 @@ def readings(
     unstated = [one for one in lengths if one.unit is None]
     scales = ["m", "mm"] if unstated else [""]
     for way, angle, length in product(ways, angles if free else [""], scales):
-        stated, guessed, units = dict[str, str](), dict[str, str](), dict[str, str]()
+        stated, units = dict[str, str](), dict[str, str]()
         for ours, one in [*joints.items(), *way.items()]:
             unit = one.unit
             if unit is None and one in turning and angle == "deg":
@@ -179,10 +241,11 @@ def readings(
             foreign = one.name != ours or (unit is not None and one.column.unit is None)
             if foreign or unit not in (None, one.column.unit):
                 stated[ours] = one.stated(unit)
-            if one.name != ours:
-                guessed[ours] = one.name
         columns_of = {**stated, **setup.columns}
-        yield Look(replace(setup, columns=columns_of), guessed=guessed, units=units)
+        read = replace(setup, columns=columns_of)
+        meant = {*used, *(one.name for one in names.values()), *reserved()}
+        rest = tuple(one.name for one in columns if one.name not in meant)
+        yield Look(read, joints=found_joints, units=units, ignored=rest)
 
 
 def _angular(robot: Robot) -> set[str]:
@@ -213,6 +276,16 @@ def looked(
         )
         chains = chains.named(tuple(key.chain for key in data.keys))
         ready = prepared(chains, some_of(data)[0], setup)
+        known = distinct_values(ready.problem)
+        parameters = ready.problem.parameters
+        unknown = int(np.sum(parameters.free & parameters.nuisance))
+        if known <= unknown:
+            count = f"{len(data)} measurement" + "s" * (len(data) > 1)
+            reason = (
+                f"{count} ({known} numbers) are too few: where instrument and tool are "
+                f"takes {unknown} already"
+            )
+            raise InputError(reason, file=files[0])
     except CalibPinError as error:
         return replace(look, fault=error)
     residual = error_table(ready.problem, ready.theta)
@@ -239,16 +312,20 @@ def _scatter(problem: Problem, *, pixels: bool) -> float:
 
 
 def best(looks: Sequence[Look]) -> Look:
-    """The reading that fits best; no orientation where none fits."""
+    """The likeliest of the readings that fit best; no orientation where none fits.
 
-    def order(look: Look) -> tuple[bool, float]:
-        return look.errors.get("orientation", 0.0) > DROPPED, look.share
-
+    Args:
+        looks: Readings, the likeliest first.
+    """
     whole = [look for look in looks if look.errors]
-    return min(whole, key=order) if whole else looks[0]
-
-
-def rivals(chosen: Look, looks: Sequence[Look]) -> list[Look]:
-    """Readings with other units that fit nearly as well."""
-    near = [look for look in looks if look.share < CLEAR * chosen.share]
-    return [look for look in near if look.units != chosen.units]
+    if not whole:
+        return looks[0]
+    turned = [k for k in whole if k.errors.get("orientation", 0.0) <= DROPPED] or whole
+    least = min(look.share for look in turned)
+    chosen = next(look for look in turned if CLEAR * look.share <= least)
+    others = (
+        look.share
+        for look in whole
+        if look.joints is chosen.joints and look.units != chosen.units
+    )
+    return replace(chosen, next_share=min(others, default=inf))

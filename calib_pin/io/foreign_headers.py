@@ -1,14 +1,14 @@
 """The meaning of columns with foreign names, by their words, numbers and units.
 
-A file of another software says `J1 (deg)`, `TCP_x` or `Achse 3 [Grad]`. The meaning is
-read off the last word, the unit off brackets or an ending; several columns of the same
-meaning are told apart by words such as *measured* and *goal*.
+A file of another software says `J1 (deg)`, `TCP_x`, `X_ist` or `Achse 3 [Grad]`. The
+meaning is read off the last word or the first, the unit off brackets or an ending;
+several columns of the same meaning are told apart by words such as *measured*.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,21 +31,29 @@ UNITS = {
 
 MEANINGS: Mapping[str, str] = {
     **{axis: rf"(?:pos|p|t|position|tcp)?{axis}" for axis in "xyz"},
-    **{f"q{axis}": rf"(?:quat(?:ernion)?|q){axis}" for axis in "xyzw"},
+    **{f"q{axis}": rf"(?:quat(?:ernion)?|orientation|q){axis}" for axis in "xyzw"},
     **{f"r{axis}": rf"(?:rot|rv|r){axis}" for axis in "xyz"},
     **{name: name for name in ("roll", "pitch", "yaw")},
     "distance": "distance|dist|abstand|entfernung|range|length",
     **{axis: rf"(?:pixel|px|p)?{axis}" for axis in "uv"},
-    "target": "target|point|punkt|ziel|socket|marker|corner|feature|targetid|pointid",
-    "station": "station|standpunkt|setupid",
+    "target": "target|point|punkt|ziel|socket|pfanne|marker|corner|ecke|feature|ball|"
+    "kugel",
+    "station": "station|standpunkt|setup",
     "tool": "tool|werkzeug",
-    "chain": "chain|arm|kette",
+    "chain": "chain|arm|kette|limb|side",
     "payload": "payload|nutzlast",
     "time": "time|timestamp|zeit|stamp|times",
     "temperature": "temperature|temperatur|temp|temperaturec|tempc",
     "set": "set",
 }
-"""Last words, without spaces, of headers with a meaning, as patterns."""
+"""A word of a header, or two joined, that has a meaning, as patterns."""
+
+NAMES = ("target", "station", "tool", "chain", "payload", "set")
+"""Meanings of columns that hold names."""
+
+SHARED = 3
+"""Measurements of each name of a column with a foreign name, on the average, from which
+it names what they have in common; one that numbers the measurements names nothing."""
 
 VECTORS = (
     ("x", "y", "z"),
@@ -56,17 +64,24 @@ VECTORS = (
 )
 """Columns that mean something together only."""
 
-SPREAD = re.compile(r"(?:sigma|std|stdev|dev|var|cov|err|diff|delta)")
-"""Beginning of names that are those of uncertainties and differences."""
+OTHER = re.compile(
+    r"(?:^|[ _.\-])(?:sigma|std|dev|var|err|abw|diff|delta|vel|speed|acc|force|torque|"
+    r"moment|effort|(?:cov|d|qd|dq|dot|tau|temp|lim|min|max)(?![a-z]))"
+)
+"""Words of uncertainties, differences, speeds, forces and the like."""
 
-MEASURED = re.compile(r"meas|mess|track|actual|observ|\bist\b|real|reflector|smr")
+TURNED = re.compile(r"quat|orient|rot|angle|normal|euler|^[qr]$")
+"""Words with which an x is none of a position."""
+
+LABEL = re.compile(r"(?:id|no|nr|num|number|nummer|name|label|index)?")
+"""Words that say no more than that a column has names."""
+
+MEASURED = re.compile(r"meas|mess|track|actual|observ|(?:\b|_)ist|real|reflector|smr")
 COMMANDED = re.compile(
-    r"goal|soll|nominal|cmd|command|desired|\bset|ref|target|diff?\b"
+    r"goal|soll|nominal|cmd|command|desired|(?:\b|_)set|ref|target|diff?\b"
 )
 
-NUMBERED = re.compile(
-    r"^(.*?)[ _.\-#]*(\d+)(?:[ _.\-]*(?:pos|position|angle|winkel))?$"
-)
+NUMBERED = re.compile(r"^(.*?)[ _.\-#]*(\d+)(\D*)$")
 JOINTED = re.compile(r"j|a|q|theta|axis|axe|achse|gelenk|joint|phi|motor|servo")
 
 
@@ -131,26 +146,46 @@ def _unit(text: str) -> str | None:
 def measured(columns: Sequence[Foreign]) -> dict[str, list[Foreign]]:
     """The columns that may be each of ours, the likeliest first.
 
-    Vectors are whole, and their columns are alike but for the last word.
+    Vectors are whole, and their columns are alike but for the word of the axis.
     """
-    found = dict[str, list[Foreign]]()
-    columns = [one for one in columns if not SPREAD.match(one.words)]
-    for ours, pattern in MEANINGS.items():
-        ending = re.compile(rf"(?:^|.*[^a-z])(?:{pattern})$")
-        alike = [one for one in columns if ending.match(one.words)]
-        found[ours] = sorted(alike, key=_likelihood)
+    found = dict[str, dict[str, Foreign]]()
+    for ours in MEANINGS:
+        ordered = sorted(columns, key=lambda one: (one.name != ours, _likelihood(one)))
+        found[ours] = {}
+        for one in ordered:
+            stem = _stem(one, ours)
+            if stem is not None and (ours not in NAMES or _names(one, ours)):
+                found[ours].setdefault(stem, one)
     for vector in VECTORS:
-        sets = [dict(_by_stem(found[ours])) for ours in vector]
-        whole = [stem for stem in sets[0] if all(stem in one for one in sets)]
-        for ours, by_stem in zip(vector, sets, strict=True):
-            found[ours] = [by_stem[stem] for stem in whole]
-    return {ours: choices for ours, choices in found.items() if choices}
+        stems = [*found[vector[0]]]
+        whole = [stem for stem in stems if all(stem in found[v] for v in vector)]
+        for ours in vector:
+            found[ours] = {stem: found[ours][stem] for stem in whole}
+    return {ours: [*choices.values()] for ours, choices in found.items() if choices}
 
 
-def _by_stem(columns: Sequence[Foreign]) -> Iterator[tuple[str, Foreign]]:
-    """Columns by their name without the last letters, which name the axis."""
-    for one in columns:
-        yield re.sub(r"[a-z]{1,5}$", "", one.words).strip(" _-."), one
+def _stem(one: Foreign, ours: str) -> str | None:
+    """The words of a header beside one of our meanings; None if it has another."""
+    if one.name == ours:
+        return ""
+    parts = re.findall(r"[^\W_]+", one.words)
+    single = any(ours in vector for vector in VECTORS)
+    ways = [(parts[:-2], "".join(parts[-2:])), (parts[:-1], "".join(parts[-1:]))]
+    for rest, word in [*ways, (parts[1:], "".join(parts[:1]))]:
+        stem = " ".join(rest)
+        alike = re.fullmatch(MEANINGS[ours], word) and not OTHER.search(stem)
+        turned = ours in ("x", "y", "z") and TURNED.search(stem)
+        first = rest == parts[1:] and len(parts) > 1
+        if alike and not turned and (single or not first or LABEL.fullmatch(stem)):
+            return stem
+    return None
+
+
+def _names(one: Foreign, ours: str) -> bool:
+    """Whether a column says what several measurements have in common."""
+    numbers = one.column.numbers
+    count = len(one.column.words) + len(np.unique(numbers[np.isfinite(numbers)]))
+    return one.name == ours or len(numbers) >= SHARED * max(count, 1)
 
 
 def _likelihood(one: Foreign) -> int:
@@ -172,19 +207,19 @@ def _plain(text: str) -> str:
     return re.sub(r"[^a-z0-9]", "", text.lower())
 
 
-def numbered(columns: Sequence[Foreign]) -> list[list[Foreign]]:
-    """Families of columns with the same name and numbers one after the other.
+def families(columns: Sequence[Foreign]) -> list[list[Foreign]]:
+    """Columns with the same name and numbers one after the other, likeliest first.
 
     Those whose name is that of joints come first, then measured before commanded ones.
     """
-    families = dict[str, dict[int, Foreign]]()
-    for one in columns:
-        match = NUMBERED.match(one.words)
-        if match and one.column.numbers.size:
-            families.setdefault(match[1].strip(" _-."), {})[int(match[2])] = one
+    found = dict[tuple[str, str], dict[int, Foreign]]()
+    for one in _numeric(columns):
+        if match := NUMBERED.match(one.words):
+            key = match[1].strip(" _-."), match[3].strip(" _-.")
+            found.setdefault(key, {})[int(match[2])] = one
     whole = [
         (stem, [family[k] for k in sorted(family)])
-        for stem, family in families.items()
+        for (stem, _), family in found.items()
         if len(family) > 1 and max(family) - min(family) == len(family) - 1
     ]
 
@@ -194,3 +229,18 @@ def numbered(columns: Sequence[Foreign]) -> list[list[Foreign]]:
         return not JOINTED.fullmatch(word), _likelihood(family[0])
 
     return [family for _, family in sorted(whole, key=order)]
+
+
+def without_meaning(columns: Sequence[Foreign]) -> list[Foreign]:
+    """All columns of numbers that mean nothing else: joints by their order alone."""
+    meant = [one for choices in measured(columns).values() for one in choices]
+    return [one for one in _numeric(columns) if one not in meant]
+
+
+def _numeric(columns: Sequence[Foreign]) -> list[Foreign]:
+    return [
+        one
+        for one in columns
+        if len(one.column.numbers) and not one.column.words
+        if not OTHER.search(one.words)
+    ]

@@ -80,16 +80,14 @@ def test_semicolons_decimal_commas_and_names_of_another_language():
     assert run(words) == 0
 
     def german(header: list[str], rows: list[list[str]]):
-        names = [f"Achse {k} [Grad]" for k in range(1, 7)]
+        names = ["Punkt", *(f"Achse {k} [Grad]" for k in range(1, 7))]
         names += [f"Istposition {axis} (mm)" for axis in "XYZ"]
         kept = [header.index(name) for name in (*header[:6], "x", "y", "z")]
         scales = np.array([180.0 / np.pi] * 6 + [1e3] * 3)
+        numbers = np.array([[float(row[k]) for k in kept] for row in rows]) * scales
         cells = [
-            [
-                f"{scale * float(row[k]):.6f}"
-                for k, scale in zip(kept, scales, strict=True)
-            ]
-            for row in rows
+            [f"P{number}", *(f"{value:.6f}" for value in row)]
+            for number, row in enumerate(numbers)
         ]
         return names, cells
 
@@ -99,6 +97,8 @@ def test_semicolons_decimal_commas_and_names_of_another_language():
     columns = read_setup("setup.yaml").columns
     assert columns["joint_1"] == "Achse 1 [deg]"
     assert columns["x"] == "Istposition X (mm) [mm]"
+    # A number of its own for every measurement names nothing that they share.
+    assert "target" not in columns
 
 
 def test_degrees_without_a_unit():
@@ -155,20 +155,20 @@ def test_three_chains():
     )
     words = "simulate example:talos_reduced --setup arms.yaml --model pose --count 40"
     assert run(f"{words} --noise 2e-4 --seed 2 -o a.csv") == 0
-
-    def links(header: list[str], rows: list[list[str]]):
-        column = header.index("chain")
-        names = {"left": "arm_left_7_link", "right": "arm_right_7_link"}
-        names["head"] = "head_2_link"
-        return header, [
-            [names.get(c, c) if k == column else c for k, c in enumerate(row)]
-            for row in rows
-        ]
-
-    before, after = held_out(
-        calibrated("example:talos_reduced", rewritten("a.csv", links))
-    )
+    before, after = held_out(calibrated("example:talos_reduced", "a.csv"))
     assert after < 0.8e-3 < before
+    chains = read_setup("setup.yaml").chains
+    for name, link in (
+        ("left", "arm_left_7_link"),
+        ("right", "arm_right_7_link"),
+        ("head", "head_2_link"),
+    ):
+        # Of links that the same joints move any may be the tip.
+        tip, known = (
+            calib_pin.load_chain("example:talos_reduced", tip=end)
+            for end in (chains[name].tip, link)
+        )
+        assert tip.joints == known.joints
 
 
 def test_a_camera_and_its_board():
@@ -201,25 +201,165 @@ def test_sockets():
     assert after < 1e-3 < before
 
 
-def test_a_terminal_is_asked(monkeypatch: pytest.MonkeyPatch, capsys):
-    """Both arms move: which was measured cannot be known."""
-    chain = calib_pin.load_chain("example:talos_reduced", tip="arm_left_7_link")
-    other = calib_pin.load_chain("example:talos_reduced", tip="arm_right_7_link")
-    joints = list(dict.fromkeys([*chain.joints, *other.joints]))
-    rng = np.random.default_rng(0)
-    q = {joint: rng.uniform(-0.5, 0.5, 40) for joint in joints}
-    points = chain.poses(np.column_stack([q[j] for j in chain.joints]))[:, :3, 3]
-    rows = np.column_stack([*(q[j] for j in joints), points])
-    text = ",".join([*joints, "x", "y", "z"]) + "\n"
-    Path("both.csv").write_text(
-        text + "\n".join(",".join(map(repr, row)) for row in rows.tolist()) + "\n"
+LIMB = """<link name="{side}_{k}"/>
+<joint name="{side}_joint_{k}" type="revolute"><origin xyz="{xyz}"/>
+<parent link="{parent}"/><child link="{side}_{k}"/><axis xyz="{axis}"/>
+<limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
+"""
+
+
+def twins(mirror: float) -> Path:
+    """A robot with two arms that make the same motions, and a file of one of them.
+
+    Args:
+        mirror: -1 for a right arm that is the mirror image of the left one, 1 for the
+            same arm once more.
+    """
+    parts = []
+    for side, sign in (("left", 1.0), ("right", mirror)):
+        shift = 0.4 if side == "left" else -0.4
+        places = [f"0.1 {shift} 0.3", f"0 {0.1 * sign} 0.2"]
+        places += [f"0.4 {0.05 * sign} 0", f"0.3 {0.1 * sign} 0.05"]
+        parent = "base"
+        for k, xyz in enumerate(places):
+            axis = ("0 0 1", "1 0 0", "0 1 0", "0 0 1")[k]
+            parts.append(LIMB.format(side=side, k=k, xyz=xyz, parent=parent, axis=axis))
+            parent = f"{side}_{k}"
+    text = f'<robot name="twins"><link name="base"/>{"".join(parts)}</robot>'
+    Path("twins.urdf").write_text(text)
+    chain = calib_pin.load_chain("twins.urdf", tip="left_3")
+    q = np.random.default_rng(0).uniform(-1.5, 1.5, (40, 4))
+    points = chain.poses(q)[:, :3, 3]
+    header = ",".join(
+        f"{side}_joint_{k}" for side in ("left", "right") for k in range(4)
     )
-    assert run("init example:talos_reduced both.csv") == 1
+    np.savetxt(
+        "both.csv",
+        np.hstack([q, q, points]),
+        "%.9f",
+        ",",
+        header=f"{header},x,y,z",
+        comments="",
+    )
+    return Path("both.csv")
+
+
+def test_the_arm_that_fits_is_the_one_that_was_measured():
+    twins(mirror=-1.0)
+    assert run("init twins.urdf both.csv -o setup.yaml") == 0
+    assert read_setup("setup.yaml").tip == "left_3"
+
+
+def test_a_terminal_is_asked(monkeypatch: pytest.MonkeyPatch, capsys):
+    """Which of two arms was measured that are the same and move alike?"""
+    twins(mirror=1.0)
+    assert run("init twins.urdf both.csv") == 1
     assert "which link was measured? state --tip" in capsys.readouterr().err
     monkeypatch.setattr(module.sys.stdin, "isatty", lambda: True, raising=False)
-    monkeypatch.setattr(module.typer, "prompt", lambda *_, **__: "arm_left_7_link")
-    assert run("init example:talos_reduced both.csv") == 0
-    assert "\ntip: arm_left_7_link\n" in capsys.readouterr().out
+    monkeypatch.setattr(module.typer, "prompt", lambda *_, **__: "right_3")
+    assert run("init twins.urdf both.csv") == 0
+    assert "\ntip: right_3\n" in capsys.readouterr().out
+
+
+HEADERS = {
+    "numbers": ([f"J{k} (deg)" for k in range(1, 7)], "measurement_x", "mm"),
+    "kuka": ([f"A{k}" for k in range(1, 7)], "X", "mm"),
+    "spaces": ([f"Joint {k}" for k in range(1, 7)], "TCP_x", "m"),
+    "from zero": ([f"q{k}" for k in range(6)], "px", "m"),
+    "motoman": ([*"SLURBT"], "X_meas", "mm"),
+    "words": (
+        ["base", "shoulder", "elbow", "wrist1", "wrist2", "wrist3"],
+        "x Ist",
+        "mm",
+    ),
+}
+"""Headers of joints, that of x, and the unit of lengths; angles are in degrees."""
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_headers_of_other_software(name: str):
+    joints, x, unit = HEADERS[name]
+    words = "simulate space6 --model position --count 40 --noise 1e-4 --seed 1 -o a.csv"
+    assert run(words) == 0
+    last = x.lower().rindex("x")
+
+    def renamed(header: list[str], rows: list[list[str]]):
+        axes = [
+            x[:last] + (a if x[last] == "x" else a.upper()) + x[last + 1 :]
+            for a in "xyz"
+        ]
+        # What was commanded is not what was measured, a speed is no position.
+        names = [
+            *(f"qd{k}" for k in range(1, 7)),
+            *joints,
+            *axes,
+            "X_cmd",
+            "Y_cmd",
+            "Z_cmd",
+        ]
+        kept = [header.index(name) for name in (*header[:6], "x", "y", "z")]
+        cells = []
+        for row in rows:
+            numbers = np.array([float(row[k]) for k in kept])
+            numbers *= [180.0 / np.pi] * 6 + [1e3 if unit == "mm" else 1.0] * 3
+            speeds, goals = 0.1 * numbers[::-1][:6], numbers[6:] + 20.0 * numbers[:3]
+            cells.append([f"{v:.9f}" for v in (*speeds, *numbers, *goals)])
+        return names, cells
+
+    before, after = held_out(calibrated("space6", rewritten("a.csv", renamed)))
+    assert after < 0.3e-3 < 1e-3 < before
+
+
+def test_measured_joints_and_not_commanded_ones():
+    words = "simulate space6 --model position --count 40 --noise 1e-4 --seed 1 -o a.csv"
+    assert run(words) == 0
+
+    def both(header: list[str], rows: list[list[str]]):
+        names = [f"q{k}_{what}" for what in ("cmd", "actual") for k in range(1, 7)]
+        return [*names, *header[6:]], [[*row[:6], *row] for row in rows]
+
+    assert run(["init", "space6", rewritten("a.csv", both), "-o", "setup.yaml"]) == 0
+    assert read_setup("setup.yaml").columns["joint_3"] == "q3_actual"
+
+
+def test_what_fits_no_robot_is_said(capsys):
+    words = "simulate space6 --model position --count 40 --noise 1e-4 --seed 1 -o a.csv"
+    assert run(words) == 0
+    rng = np.random.default_rng(0)
+
+    def noise(header: list[str], rows: list[list[str]]):
+        drawn = rng.normal(size=(len(rows), 3)).tolist()
+        names = [f"{name} [rad]" for name in header[:6]]
+        return [*names, "x [m]", "y [m]", "z [m]"], [
+            [*row[:6], *map(repr, xyz)] for row, xyz in zip(rows, drawn, strict=True)
+        ]
+
+    assert run(["init", "space6", rewritten("a.csv", noise)]) == 0
+    found = capsys.readouterr()
+    assert "That is NO fit" in " ".join(found.out.split())
+    assert found.err == (
+        "calib-pin: note: no reading of the columns fits the robot; see the draft\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--board charuco:7x5:0.03:0.022", "--board is that of a camera"),
+        ("--distance 5mm", "--distance is that of sockets"),
+        ("--tip nolink", "no link 'nolink'"),
+        ("--base nolink", "no link 'nolink'"),
+        ("--model camera", "u, v"),
+        ("-o a.csv", "is an input of this run"),
+    ],
+)
+def test_options_that_do_not_fit(words: str, said: str, capsys):
+    made = "simulate space6 --model position --count 12 --noise 1e-4 --seed 1 -o a.csv"
+    assert run(made) == 0
+    capsys.readouterr()
+    assert run(f"init space6 a.csv {words}") == 1
+    found = capsys.readouterr()
+    assert said in found.err and found.err.count("\n") == 1 and found.out == ""
 
 
 @pytest.mark.parametrize(
@@ -229,6 +369,10 @@ def test_a_terminal_is_asked(monkeypatch: pytest.MonkeyPatch, capsys):
         ("a,b\n1,2\n", "no columns are found for the joints of the robot"),
         ("\x00\x01\x02", "foreign.csv"),
         (",".join(f"joint_{k}" for k in range(1, 7)) + "\n", "foreign.csv"),
+        (
+            ",".join(f"joint_{k}" for k in range(1, 7)) + ",x,y,z\n" + "0," * 8 + "0\n",
+            "1 measurement (3 numbers) are too few",
+        ),
     ],
 )
 def test_files_that_are_none(text: str, said: str, capsys):

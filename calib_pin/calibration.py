@@ -89,7 +89,7 @@ def calibrate(
         OptionError: If a name in the setup does not exist, the holdout is not
             between 0 and 1, or measurements are too few to learn from.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> chain = calib_pin.load_chain("space7")
         >>> setup = calib_pin.read_setup(calib_pin.robot_file("space7", "setup.yaml"))

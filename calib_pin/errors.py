@@ -34,7 +34,7 @@ _QUOTED = re.compile(r"(?<!\w)'[^']*'(?!\w)")
 def printable(text: str) -> str:
     r"""A text with control and bidirectional characters as escapes, but for line ends.
 
-    Example:
+    Examples:
         >>> printable("\x1b[2J\u202egnp.exe")
         '\\x1b[2J\\u202egnp.exe'
     """
@@ -53,7 +53,7 @@ def one_line(message: str) -> str:
 def enumerated(names: Iterable[str], room: int = ALLOWED) -> str:
     """Names with commas between them, and the number of those that find no room.
 
-    Example:
+    Examples:
         >>> enumerated(["elbow", "wrist", "flange"], room=15)
         'elbow, wrist and 1 more'
     """
@@ -170,7 +170,7 @@ def nearest(name: str, candidates: Iterable[str]) -> str:
         `` (did you mean 'x'?)`` with a leading space, or an empty string when
         nothing is close.
 
-    Example:
+    Examples:
         >>> nearest("elbow_jiont", ["elbow_joint", "wrist_joint"])
         " (did you mean 'elbow_joint'?)"
     """

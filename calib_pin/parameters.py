@@ -58,7 +58,7 @@ class ParameterSet:
     Raises:
         OptionError: If two parameters have one name.
 
-    Example:
+    Examples:
         >>> names = ["elbow.placement.x", "elbow.placement.y"]
         >>> both = ParameterSet(tuple(Parameter(n, "m", 1e-3) for n in names))
         >>> both.with_fixed(["*.x"]).free.tolist()
@@ -212,7 +212,7 @@ class ParameterSet:
 def matching(pattern: str, names: Sequence[str]) -> list[int]:
     """Positions of the names that a name or glob of a setup file means.
 
-    Example:
+    Examples:
         >>> matching("arm[1]", ["arm[1]", "arm1"]), matching("arm*", ["arm[1]", "leg"])
         ([0], [0])
     """

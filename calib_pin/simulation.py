@@ -100,7 +100,7 @@ def simulate(
         InputError: If the only instrument cannot measure at a configuration, or one of
             several at none.
 
-    Example:
+    Examples:
         >>> import numpy as np, calib_pin
         >>> from calib_pin.estimation.formulation import nominal_problem
         >>> chain = calib_pin.load_chain("pa10")

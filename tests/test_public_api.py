@@ -65,6 +65,7 @@ def test_functions_name_their_errors_and_arguments(name: str) -> None:
     arguments = [p for p in inspect.signature(function).parameters if p != "self"]
     if "Args:" in text:
         section = text.split("Args:")[1].split("Returns:")[0].split("Raises:")[0]
+        section = section.split("Example")[0]
         described = re.findall(r"^    (\w+):", section, re.MULTILINE)
         assert described == arguments
 

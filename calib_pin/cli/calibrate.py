@@ -121,7 +121,6 @@ def calibrate(
     <robot name>.urdf is written.
     """
     from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.calibration_document import calibration_document
     from calib_pin.io.files import write_files
     from calib_pin.report.text import report
 
@@ -158,6 +157,8 @@ def calibrate(
         if json and files is not None:
             say(contents[files.json].decode())
         elif json:
+            from calib_pin.io.calibration_document import calibration_document
+
             say_json(calibration_document(result, suggestions=found.suggestions))
         elif not quiet:
             show(report(result, found.suggestions, details=details))

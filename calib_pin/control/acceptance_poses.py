@@ -97,7 +97,7 @@ def acceptance_poses(
     Raises:
         OptionError: If there is none of the smallest edge.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> found = acceptance_poses(calib_pin.load_chain("space6"), np.eye(4))
         >>> found.edge in EDGES, found.q.shape

@@ -173,7 +173,7 @@ def commands(
         point: The point that shall reach them.
         orientation: Whether orientations count; else only positions do.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> chain = calib_pin.load_chain("space6")
         >>> setup = calib_pin.read_setup(calib_pin.robot_file("space6", "setup.yaml"))
@@ -262,7 +262,7 @@ def compensate(
         free: Where nothing touches; where something does, other solutions are sought.
         progress: Told the part that is done, 0 to 1.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> chain = calib_pin.load_chain("space6")
         >>> setup = calib_pin.read_setup(calib_pin.robot_file("space6", "setup.yaml"))

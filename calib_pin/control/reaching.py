@@ -72,7 +72,7 @@ def reach(
         joints: Limits, which are never left, and which joints follow others.
         orientation: Whether orientations count; else only positions do.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> from calib_pin.parameterizations.error_model import ErrorModel
         >>> chain = calib_pin.load_chain("space6")
@@ -128,7 +128,7 @@ def search(
         nominal: Kinematics that are nearly the same, on which the first search is done.
         orientation: Whether orientations count; else only positions do.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> from calib_pin.parameterizations.error_model import ErrorModel
         >>> chain = calib_pin.load_chain("space6")

@@ -32,7 +32,7 @@ class PopulationCost:
         evaluator: `kernel`, or `loop` where the members are evaluated one by one: the
             measurement model has no batch form, or something was learned.
 
-    Example:
+    Examples:
         >>> import numpy as np, calib_pin
         >>> from calib_pin.estimation.formulation import nominal_problem
         >>> from calib_pin.setup import Setup

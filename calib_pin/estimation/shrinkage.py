@@ -72,7 +72,7 @@ def expected_size(values: Floats, variances: Floats) -> tuple[float, Floats]:
         The most likely size, and the middles of `PARTS` equally likely parts of its
         distribution, ascending.
 
-    Example:
+    Examples:
         >>> round(expected_size(np.zeros(0), np.zeros(0))[0], 9)
         1.0
     """

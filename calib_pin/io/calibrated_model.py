@@ -57,7 +57,7 @@ Blocks = Mapping[BlockKey, Sequence[str]]
 def frame_key(place: str) -> str:
     """Key under `frames` of a frame, by the owner and the kind of its parameters.
 
-    Example:
+    Examples:
         >>> frame_key("base.frame"), frame_key("day1.station")
         ('base', 'day1.station')
     """

@@ -69,7 +69,7 @@ def load_collisions(
         RobotError: If a mesh of the URDF is missing or cannot be read.
         InputError: If the SRDF, or the mesh of an obstacle, cannot be used.
 
-    Example:
+    Examples:
         >>> from calib_pin.io.urdf import load_chain
         >>> table = Obstacle(box=(1.0, 1.0, 0.02), xyz=(0.0, 0.0, -0.02))
         >>> collisions = load_collisions(load_chain("space7"), [table])

@@ -39,7 +39,7 @@ def write_files(contents: Mapping[Path, bytes], *, force: bool) -> Iterator[None
         OptionError: If one exists and `force` is false.
         OutputError: If one cannot be written.
 
-    Example:
+    Examples:
         >>> import tempfile
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     file = Path(folder, "a", "b.csv")
@@ -228,7 +228,7 @@ def read_bytes(path: str | Path, largest: int = DATA) -> bytes:
     Raises:
         InputError: If there is no such file, or it is too large or cannot be read.
 
-    Example:
+    Examples:
         >>> read_bytes("/no/such/arm.urdf")
         Traceback (most recent call last):
         calib_pin.errors.InputError: /no/such/arm.urdf: no such file
@@ -293,7 +293,7 @@ def write_atomically(path: Path, data: bytes, *, force: bool) -> None:
         OptionError: If the file exists and `force` is false.
         OutputError: If it cannot be written.
 
-    Example:
+    Examples:
         >>> import tempfile
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     write_atomically(Path(folder, "a", "b.csv"), b"x,y", force=False)

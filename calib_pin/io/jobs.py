@@ -60,7 +60,7 @@ def read_jobs(
     Raises:
         InputError: If the table cannot be used; names the first such line.
 
-    Example:
+    Examples:
         >>> import tempfile
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     file = Path(folder) / "jobs.csv"

@@ -29,7 +29,7 @@ def signals_deferred() -> Iterator[None]:
 
     Python handles signals in the main thread alone; elsewhere nothing has to wait.
 
-    Example:
+    Examples:
         >>> seen = []
         >>> before = signal.signal(signal.SIGTERM, lambda *_: seen.append("signal"))
         >>> with signals_deferred():
@@ -113,7 +113,7 @@ def temporary(path: Path, kind: str = "new") -> Path:
 
     It is short whatever the name, and always the same, so that nothing piles up.
 
-    Example:
+    Examples:
         >>> temporary(Path("out", "arm.urdf")).parent.name
         'out'
     """

@@ -96,7 +96,7 @@ def read_measurements(
             and, where it can, the line, the column and the value.
         OptionError: If there is no measurement model of that name.
 
-    Example:
+    Examples:
         >>> import calib_pin, tempfile
         >>> chain = calib_pin.load_chain("space6")
         >>> text = ",".join([*chain.joints, "x [mm]", "y [mm]", "z [mm]"])
@@ -199,7 +199,7 @@ def read_configurations(
     Raises:
         InputError: As `read_measurements` does.
 
-    Example:
+    Examples:
         >>> import calib_pin, tempfile
         >>> chain = calib_pin.load_chain("space6")
         >>> with tempfile.TemporaryDirectory() as folder:
@@ -255,7 +255,7 @@ def encode_configurations(
         InputError: If the joint map cannot be undone.
         OutputError: If a name would not read back.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> chain = calib_pin.load_chain("space6")
         >>> encode_configurations(chain, np.array([[0, 0, 0, 0.5, 0, 0.0]])).split()[1]
@@ -298,7 +298,7 @@ def write_measurements(
         OutputError: If a name or a relative distance would not read back, or the file
             cannot be written.
 
-    Example:
+    Examples:
         >>> import tempfile
         >>> data = Measurements(
         ...     ("lift",), np.array([[0.25]]), "plane-distance", np.array([[1.5]])

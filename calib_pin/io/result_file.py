@@ -92,7 +92,7 @@ def read_result(path: str | Path) -> CalibrationResult:
         OutputError: If another program keeps the folder locked.
         RobotError: If the robot cannot be found.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> calib_pin.read_result("/no/such/folder/calibration.json")
         Traceback (most recent call last):

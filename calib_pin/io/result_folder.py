@@ -146,7 +146,7 @@ PICTURES = (".png", ".pdf", ".svg")
 def urdf_name(robot: str) -> str:
     """Name of the corrected URDF of a robot.
 
-    Example:
+    Examples:
         >>> urdf_name("ur 10"), urdf_name("Nominal"), urdf_name("../arm")
         ('ur_10.urdf', 'Nominal-corrected.urdf', '_arm.urdf')
     """

@@ -31,7 +31,7 @@ def read_true_errors(
         InputError: If the file is not such a mapping, or names a parameter that does
             not exist; names the line.
 
-    Example:
+    Examples:
         >>> import tempfile
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     file = Path(folder) / "errors.yaml"
@@ -85,7 +85,7 @@ def read_setup(path: str | Path) -> Setup:
         InputError: If the file is not YAML, or a key or value cannot be used; names
             the first such line.
 
-    Example:
+    Examples:
         >>> import tempfile
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     file = Path(folder) / "setup.yaml"
@@ -141,7 +141,7 @@ def read_setup(path: str | Path) -> Setup:
 def setup_document(setup: Setup) -> dict[str, Any]:
     """A setup as plain data with the keys of a setup file; defaults are left out.
 
-    Example:
+    Examples:
         >>> setup_document(Setup(tip="tool0", fixed=("*.placement.z",)))
         {'tip': 'tool0', 'parameters': ['placement'], 'fixed': ['*.placement.z']}
     """
@@ -165,7 +165,7 @@ def setup_document(setup: Setup) -> dict[str, Any]:
 def yaml_text(lines: Mapping[str, Any]) -> str:
     """Lines of a setup file, given as plain data.
 
-    Example:
+    Examples:
         >>> print(yaml_text({"tip": "tool0", "reading": {"axes": ["y", "x", "z"]}}))
         tip: tool0
         reading:
@@ -187,7 +187,7 @@ def setup_of(document: Mapping[str, Any]) -> Setup:
     Raises:
         ValueError: If it is not such a document.
 
-    Example:
+    Examples:
         >>> setup_of(setup_document(Setup(tip="tool0"))).tip
         'tool0'
     """

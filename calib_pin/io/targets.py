@@ -90,7 +90,7 @@ def read_target_file(
             invalid; names the file and, where it can, the line, the column and the
             value.
 
-    Example:
+    Examples:
         >>> import calib_pin, tempfile
         >>> chain = calib_pin.load_chain("space6")
         >>> with tempfile.TemporaryDirectory() as folder:
@@ -178,7 +178,7 @@ def encode_commands(
         InputError: If the joint map cannot be undone.
         OutputError: If a name would not read back.
 
-    Example:
+    Examples:
         >>> import calib_pin, tempfile
         >>> chain = calib_pin.load_chain("space6")
         >>> with tempfile.TemporaryDirectory() as folder:

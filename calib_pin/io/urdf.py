@@ -30,7 +30,7 @@ def bundled_robots() -> dict[str, Path]:
     Returns:
         Path of each robot's URDF by name, sorted.
 
-    Example:
+    Examples:
         >>> all(path.is_file() for path in bundled_robots().values())
         True
     """
@@ -44,7 +44,7 @@ def bundled_robots() -> dict[str, Path]:
 def known_robots() -> dict[str, Path]:
     """The bundled robots, and those of example-robot-data, by the names of both.
 
-    Example:
+    Examples:
         >>> "pa10" in known_robots()
         True
     """
@@ -69,7 +69,7 @@ def robot_file(robot: str, name: str) -> Path:
     Raises:
         RobotError: If there is no such robot or file.
 
-    Example:
+    Examples:
         >>> robot_file("space7", "setup.yaml").name
         'setup.yaml'
     """
@@ -104,7 +104,7 @@ def load_chain(
     Raises:
         RobotError: If the robot or a link cannot be used.
 
-    Example:
+    Examples:
         >>> load_chain("example:ur10_robot", tip="wrist_3_link").joints[0]
         'shoulder_pan_joint'
     """
@@ -135,7 +135,7 @@ def load_chains(
     Raises:
         RobotError: If the robot, a chain or a link cannot be used.
 
-    Example:
+    Examples:
         >>> hands = ("arm_left_7_link", "arm_right_7_link")
         >>> chains = load_chains("example:talos_reduced", names=hands)
         >>> len(chains.joints), len(chains["arm_left_7_link"].joints)
@@ -166,7 +166,7 @@ def load_robot(
         OptionError: If the extra for xacro is missing, or another file has arguments.
         RobotError: If there is no such robot, or its URDF cannot be used.
 
-    Example:
+    Examples:
         >>> load_robot("example:panda").root
         'panda_link0'
     """
@@ -242,7 +242,7 @@ def locate_robot(name: str) -> Path:
     Raises:
         RobotError: If example-robot-data has no such robot.
 
-    Example:
+    Examples:
         >>> locate_robot("pa10").name, locate_robot("my/arm.urdf").name
         ('robot.urdf', 'arm.urdf')
     """

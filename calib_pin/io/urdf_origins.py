@@ -36,7 +36,7 @@ def edit_origins(
         RobotError: If the URDF cannot be read or has no such joint.
         OutputError: If a correction is not finite.
 
-    Example:
+    Examples:
         >>> urdf = b'<robot><joint name="j"><origin xyz="1 0 .5"/></joint></robot>'
         >>> shift = pin.SE3(np.eye(3), np.array([0.25, 0.0, 0.0]))
         >>> edit_origins(urdf, {"j": shift}).decode()

@@ -67,7 +67,7 @@ def parse_robot(source: bytes, file: str) -> Robot:
     Raises:
         RobotError: If the URDF cannot be used.
 
-    Example:
+    Examples:
         >>> parse_robot(b'<robot name="r"><link name="a"/></robot>', "r.urdf").leaves
         ('a',)
     """

@@ -35,7 +35,7 @@ def encode_visits(
         InputError: If the joint map cannot be undone.
         OutputError: If a name would not read back.
 
-    Example:
+    Examples:
         >>> import calib_pin, numpy as np
         >>> from calib_pin.control.acceptance_poses import acceptance_poses
         >>> chain = calib_pin.load_chain("space6")

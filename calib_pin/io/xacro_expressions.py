@@ -152,7 +152,7 @@ def evaluate(
     Raises:
         Refused: If it cannot be evaluated.
 
-    Example:
+    Examples:
         >>> evaluate("2 * r if kind == 'arm' else pi", {"r": 3, "kind": "arm"}, {})
         6
     """

@@ -25,7 +25,7 @@ def split_arguments(robot: str) -> tuple[str, dict[str, str]]:
     Args:
         robot: The word.
 
-    Example:
+    Examples:
         >>> split_arguments("my arm.urdf.xacro size:=10 name:=my arm")
         ('my arm.urdf.xacro', {'size': '10', 'name': 'my arm'})
     """

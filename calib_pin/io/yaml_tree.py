@@ -87,7 +87,7 @@ def read_tree(path: str | Path) -> Tree:
         InputError: If it is not such YAML, or uses an anchor, an alias, a tag, the
             same key twice or a key that is not a plain name.
 
-    Example:
+    Examples:
         >>> import tempfile
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     file = Path(folder) / "errors.yaml"

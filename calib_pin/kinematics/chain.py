@@ -95,7 +95,7 @@ class Chain:
         RobotError: If a frame is unknown, the tip is ambiguous, there is no moving
             joint between two links, or one with several degrees of freedom.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> chain = calib_pin.load_chain("space6")
         >>> len(chain.joints)

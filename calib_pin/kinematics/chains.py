@@ -43,7 +43,7 @@ class Chains:
         RobotError: If there is no chain or link of a name, a stated chain is called
             `WORLD`, or a chain cannot be used.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> head = calib_pin.load_chain("example:talos_reduced", tip="head_2_link")
         >>> both = Chains(head.robot, names=("arm_left_7_link", "head_2_link", "world"))

@@ -54,7 +54,7 @@ class Collisions:
             several solids stands in several pairs.
         clearances: Distance that each of them keeps, shape (number of pairs,) [m].
 
-    Example:
+    Examples:
         >>> from calib_pin.io.collision import load_collisions
         >>> from calib_pin.io.urdf import load_chain
         >>> collisions = load_collisions(load_chain("space7"))

@@ -12,7 +12,7 @@ def robot_type(chains: Chains) -> RobotType:
     Where base and tip are belongs to how it is mounted and measured, and a file may say
     more than geometry: neither counts.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> from calib_pin.kinematics.chains import Chains
         >>> [robot_type(Chains.of(calib_pin.load_chain(r))).name for r in ["space6"]]

@@ -34,7 +34,7 @@ def shortest_turns(
         revolute: The joints of which whole turns move nothing, shape (n,).
         start: Where the joints are before the first, shape (n,).
 
-    Example:
+    Examples:
         >>> q = np.array([[1.0], [3.0], [-3.0]])
         >>> limit = np.array([6.0])
         >>> shortest_turns(q, -limit, limit, np.array([True])).round(3).tolist()

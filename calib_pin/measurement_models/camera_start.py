@@ -221,7 +221,7 @@ def pose_of_points(points: Floats, rays: Floats) -> Floats | None:
         The pose (R, t) of their frame in the camera, shape (4, 4), or None where they
         are too few, lie on a line, or cannot all be in front of the camera.
 
-    Example:
+    Examples:
         >>> board = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]])
         >>> pose = pose_of_points(board, board[:, :2] / 2.0)
         >>> np.allclose(pose[:3, 3], [0, 0, 2])

@@ -25,7 +25,7 @@ def split_names(
         target: Target of each row.
         sites: Whether there are places; else a name is that of a point.
 
-    Example:
+    Examples:
         >>> split_names(["wall", "ball@wall"], True)
         (('', 'ball'), ('wall', 'wall'))
     """

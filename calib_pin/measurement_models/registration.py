@@ -53,7 +53,7 @@ def register_points(
         Rotation R (3, 3) and translation b (3,) of the base in the measurement frame,
         and the points t (J, 3) [m]; NaN where no row sees one that is unknown.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> chain = calib_pin.load_chain("space6")
         >>> q = chain.random_configurations(9, np.random.default_rng(0))
@@ -108,7 +108,7 @@ def register_poses(
     Returns:
         B and X, each of shape (4, 4).
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> chain = calib_pin.load_chain("space6")
         >>> q = chain.random_configurations(9, np.random.default_rng(0))

@@ -192,7 +192,7 @@ def owner(joint: str) -> str:
 
     The words `base` and `tool` belong to the two frames.
 
-    Example:
+    Examples:
         >>> owner("elbow"), owner("tool")
         ('elbow', 'joint:tool')
     """

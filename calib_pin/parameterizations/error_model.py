@@ -87,7 +87,7 @@ class ErrorModel:
         learned: Learned correction beside the parameters, None for none.
         payload: Payload where measurements name none.
 
-    Example:
+    Examples:
         >>> import numpy as np, calib_pin
         >>> from calib_pin.parameterizations.error_model import ErrorModel
         >>> model = ErrorModel.create(calib_pin.load_chain("space6"), ["placement"])

@@ -45,7 +45,7 @@ def shortest_order(
         The order, shape (K,), and the places in it to which the move is blocked, the
         one from `start` included.
 
-    Example:
+    Examples:
         >>> order, _ = shortest_order(np.array([[0.0], [2.0], [1.0], [3.0]]))
         >>> order.tolist() in ([0, 2, 1, 3], [3, 1, 2, 0])
         True

@@ -186,7 +186,7 @@ def plan(
             that cross, or too few configurations.
         InputError: If no configuration may be measured.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> chain = calib_pin.load_chain("space6")
         >>> found = calib_pin.plan(chain, "position", 12, method="exchange")

@@ -32,7 +32,7 @@ KINDS: Mapping[str, Kind] = {"quantity": "word", "measurements": "number"}
 def block_names(keys: Sequence[Sequence[str]]) -> list[str]:
     """Names of blocks: as few parts of their keys as tell them apart.
 
-    Example:
+    Examples:
         >>> block_names([("pose", "", "day1", "ball"), ("pose", "", "day2", "ball")])
         ['day1', 'day2']
     """

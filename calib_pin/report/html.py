@@ -190,7 +190,7 @@ def report(
         OptionError: If the page exists and `force` is false.
         OutputError: If it cannot be written.
 
-    Example:
+    Examples:
         >>> import calib_pin, tempfile
         >>> chain = calib_pin.load_chain("space7")
         >>> setup = calib_pin.read_setup(calib_pin.robot_file("space7", "setup.yaml"))

@@ -59,7 +59,7 @@ def significant(value: float, digits: int = 2) -> str:
 def decimals(value: float, digits: int = 2) -> int:
     """Decimal places that show so many significant digits; fewer than none for tens.
 
-    Example:
+    Examples:
         >>> decimals(0.0123), decimals(0.0996), decimals(1234.0), decimals(0.0)
         (3, 2, -2, 0)
     """

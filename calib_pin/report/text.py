@@ -32,7 +32,7 @@ def format_report(result: CalibrationResult, *, details: bool = False) -> str:
         result: The calibration.
         details: Also the statistics, and all parameters and combinations of them.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> chain = calib_pin.load_chain("space7")
         >>> setup = calib_pin.read_setup(calib_pin.robot_file("space7", "setup.yaml"))

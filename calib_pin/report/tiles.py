@@ -118,7 +118,7 @@ def _step(
 def change(before: float, after: float) -> str:
     """How much more or less a size is, in percent; never all of it by rounding.
 
-    Example:
+    Examples:
         >>> change(0.76, 0.40), change(25.3, 0.09), change(1.0, 1.2), change(0.0, 1.0)
         ('-47 %', '-99.6 %', '+20 %', '')
     """

@@ -209,7 +209,7 @@ class Region(Section):
         Returns:
             True for those within, shape (N,).
 
-        Example:
+        Examples:
             >>> table = Region(box=((0.0, 0.0, 0.0), (1.0, 1.0, 0.5)))
             >>> table.contains(np.array([[0.5, 0.5, 0.2], [0.5, 0.5, 0.7]])).tolist()
             [True, False]

@@ -339,7 +339,7 @@ def differential_evolution(
         OptionError: If the bounds or x0 cannot be used, or `costs` does not give one
             number per member.
 
-    Example:
+    Examples:
         >>> def costs(x):  # A bent valley with its lowest point at (1, 1).
         ...     return 100 * (x[:, 1] - x[:, 0] ** 2) ** 2 + (1 - x[:, 0]) ** 2
         >>> bounds = np.array([[-2.0, 2.0], [-2.0, 2.0]])

@@ -132,7 +132,7 @@ def genetic_selection(
         OptionError: If size, count or x0 cannot be used, or `costs` does not give one
             number per member.
 
-    Example:
+    Examples:
         >>> values = np.array([3.0, 1.0, 4.0, 1.5, 5.0, 9.0, 2.0, 6.0])
         >>> result = genetic_selection(
         ...     lambda x: -values[x].sum(axis=1), 8, 3, np.random.default_rng(0)

@@ -130,7 +130,7 @@ def projected_descent(
         OptionError: If the bounds, x0 or memory cannot be used, or `function` or
             `allowed` answers in the wrong shape.
 
-    Example:
+    Examples:
         >>> def valley(x):
         ...     e = x - [2.0, 0.5]
         ...     return float((e**2).sum()), 2 * e

@@ -154,7 +154,7 @@ def particle_swarm(
         OptionError: If the bounds or x0 cannot be used, or `costs` does not give one
             number per particle.
 
-    Example:
+    Examples:
         >>> def costs(x):  # Waves with their lowest point at (1, 1).
         ...     return ((x - 1) ** 2 - np.cos(5 * (x - 1))).sum(axis=1) + 2
         >>> bounds = np.array([[-3.0, 3.0], [-3.0, 3.0]])

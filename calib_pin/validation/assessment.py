@@ -58,7 +58,7 @@ def identify(
     Raises:
         OptionError: If a name does not exist, or the instrument lacks a reference.
 
-    Example:
+    Examples:
         >>> import calib_pin
         >>> found = calib_pin.identify(calib_pin.load_chain("pa10"), "pose")
         >>> found.identifiability.rank, found.identifiability.everett

@@ -210,7 +210,7 @@ def by_urgency(rows: Iterable[FleetRow]) -> tuple[FleetRow, ...]:
 def fleet_columns(rows: Iterable[FleetRow]) -> dict[str, list[object]]:
     """The columns of `fleet.csv`; what is unknown is empty.
 
-    Example:
+    Examples:
         >>> list(fleet_columns([FleetRow("a")]))[-6:-2]
         ['drift_beyond', 'joint_name', 'joint_spreads', 'joint_significant']
     """

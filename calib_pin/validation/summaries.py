@@ -25,7 +25,7 @@ class NamedArray(np.ndarray):
         rows: Names of the rows.
         columns: Names of the columns.
 
-    Example:
+    Examples:
         >>> found = NamedArray.of(np.eye(2), ("a", "b"), ("x", "y"))
         >>> found.columns, found[1].columns, float(found[found.rows.index("b"), 1])
         (('x', 'y'), (), 1.0)

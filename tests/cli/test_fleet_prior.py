@@ -31,7 +31,7 @@ def bench(fleet, tmp_path, monkeypatch) -> Path:
 
 def test_few_measurements_are_enough(bench, run) -> None:
     """Verdict, page and folder: the latter holds the prior and tells fleets no more."""
-    result = run(CALIBRATE)
+    result = run(f"{CALIBRATE} --details")
     assert result.status == 0 and "by 16 robots of this type" in result.out
     document = json.loads(Path("out/calibration.json").read_text())
     assert document["verdict"]["status"] == "good"

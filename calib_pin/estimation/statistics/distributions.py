@@ -29,7 +29,7 @@ def chi_square_quantile(dof: float, tail: float) -> float:
         dof: Degrees of freedom, positive, whole or not.
         tail: That probability, between 0 and 1.
 
-    Example:
+    Examples:
         >>> round(chi_square_quantile(3, 0.05), 6)
         7.814728
     """
@@ -62,7 +62,7 @@ def chi_square_tail(x: float, dof: float) -> float:
         x: The value.
         dof: Degrees of freedom, positive, whole or not.
 
-    Example:
+    Examples:
         >>> round(chi_square_tail(7.814728, 3), 6)
         0.05
     """
@@ -80,7 +80,7 @@ def f_tail(x: float, above: float, below: float) -> float:
         above: Degrees of freedom of the numerator, positive, whole or not.
         below: Those of the denominator.
 
-    Example:
+    Examples:
         >>> round(f_tail(4.964603, 1, 10), 6)
         0.05
     """
@@ -169,7 +169,7 @@ def student_tail(t: float, dof: int) -> float:
         t: The value.
         dof: Degrees of freedom, 1 or more.
 
-    Example:
+    Examples:
         >>> round(student_tail(2.0, 10), 6)
         0.036694
     """
@@ -193,7 +193,7 @@ def share_interval(found: int, count: int) -> tuple[float, float, float]:
         found: Number of successes.
         count: Number of trials; without any nothing is known (NaN).
 
-    Example:
+    Examples:
         >>> [round(value, 3) for value in share_interval(19, 20)]
         [0.95, 0.764, 0.991]
     """

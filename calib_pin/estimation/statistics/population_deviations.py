@@ -134,7 +134,7 @@ def discoveries(chances: Floats, rate: float = RATE) -> NDArray[np.bool_]:
         chances: Probability by chance of each, shape (n,).
         rate: Part of those told apart that may be chance.
 
-    Example:
+    Examples:
         >>> discoveries(np.array([0.001, 0.04, 0.6, 0.024])).tolist()
         [True, False, False, True]
     """

@@ -268,7 +268,7 @@ def _median_noise(evidences: Sequence[RobotEvidence]) -> Mapping[str, float]:
 def _widening(dof: float) -> float:
     """Variance of the normal distribution that covers as much as Student's t.
 
-    Example:
+    Examples:
         >>> round(_widening(10.0), 3), round(_widening(200.0), 3)
         (1.292, 1.012)
     """

@@ -42,7 +42,7 @@ def along(point: Floats, axis: Floats, near: pin.SE3) -> pin.SE3:
         axis: Unit vector, shape (3,).
         near: The other.
 
-    Example:
+    Examples:
         >>> frame = along(np.array([1.0, 0, 5]), np.array([0, 0, 1.0]), pin.SE3(1))
         >>> frame.translation.tolist(), frame.rotation.tolist() == np.eye(3).tolist()
         ([1.0, 0.0, 0.0], True)

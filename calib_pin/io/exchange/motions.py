@@ -51,7 +51,7 @@ def speed_limits(chain: Chain, part: float) -> Floats:
 def moving_times(q: Floats, limits: Floats) -> Floats:
     """When each command is reached at these speeds, the first at zero, shape (N,) [s].
 
-    Example:
+    Examples:
         >>> moving_times(np.array([[0.0, 0.0], [1.0, 3.0]]), np.array([1.0, 2.0]))
         array([0. , 1.5])
     """

@@ -27,7 +27,7 @@ def shortened(name: str, length: int = 40) -> str:
     A character that does not print, breaks the line or turns the text direction is
     replaced: not even all of it may stand in XML.
 
-    Example:
+    Examples:
         >>> shortened("left_arm_shoulder_lift_joint.placement.rx", 20)
         'left_arm_…acement.rx'
     """
@@ -59,7 +59,7 @@ def unit_of(unit: str) -> tuple[str, float]:
 def plain(value: float) -> str:
     """A tick of an axis, as a power of ten where zeros would have to be counted.
 
-    Example:
+    Examples:
         >>> plain(0.002), plain(500.0), plain(1e-16), plain(2e7)
         ('0.002', '500', '10⁻¹⁶', '2·10⁷')
     """

@@ -230,7 +230,8 @@ def test_any_errors_can_be_drawn(
 
 
 def test_many_rows_stay_small(many: Callable[[int], CalibrationResult]) -> None:
-    of_rows = islice(calibration_figures(many(10_000)), 1, 4)
+    names = ("errors-per-measurement", "error-vectors", "residuals")
+    of_rows = [f for f in calibration_figures(many(10_000)) if f.name in names]
     svgs = [figure.svg() for figure in of_rows]
     assert sum(map(len, svgs)) < 1_000_000
     assert "<image" in svgs[0], "thousands of points are a picture"

@@ -51,7 +51,7 @@ class TipByCount:
             workspace, shape (N, 3, p).
         order: Place of each measurement when they are counted, shape (N,).
         weight: Standard deviation of unit weight.
-        last: Number of all measurements, and the error with them [m].
+        total: Number of all measurements.
     """
 
     problem: Problem
@@ -61,7 +61,7 @@ class TipByCount:
     of_tip: Floats
     order: NDArray[np.int64]
     weight: float
-    last: tuple[int, float]
+    total: int
 
     @cached_property
     def curve(self) -> tuple[Floats, Floats]:
@@ -71,7 +71,7 @@ class TipByCount:
         """
         with serial_blas:
             found = list(self._found())
-        counts, errors = zip(*found, self.last, strict=True)
+        counts, errors = zip(*found, strict=True) if found else ((), ())
         return np.array(counts, float), np.array(errors)
 
     def _found(self) -> Iterator[tuple[int, float]]:
@@ -89,11 +89,13 @@ class TipByCount:
         # The measurements in the order in which they are counted.
         place = self.order[row]
         least = max(2, basis.shape[1] * rows // len(row))
-        for count in np.unique(np.geomspace(least, rows, COUNTS).round().astype(int)):
+        counts = np.geomspace(least, rows, COUNTS).round().astype(int)
+        for count in np.unique([*counts, self.total]):
             some = own[place < count]
-            M = known + some.T @ some
+            # Those beyond the rows at hand tell what these do on average.
+            M = known + some.T @ some * max(1.0, count / rows)
             lengths = np.sqrt(np.diag(M))
-            if count >= self.last[0] or not lengths.all():
+            if not lengths.all():
                 continue
             # Of columns of unit length, so that rounding shows as what it is.
             squares, V = np.linalg.eigh(M / np.outer(lengths, lengths))
@@ -146,7 +148,7 @@ def tip_accuracy(
             of_tip=J[:, :3],
             order=np.argsort(rng.permutation(len(rows))),
             weight=fitted.unit,
-            last=(len(problem.data), rms(position)),
+            total=len(problem.data),
         ),
     )
 

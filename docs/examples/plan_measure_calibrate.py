@@ -1,5 +1,7 @@
 """Plan, measure, calibrate: twelve good configurations against twelve random ones."""
 
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -33,18 +35,9 @@ def csv(name: str, q: np.ndarray) -> str:
 
 def campaign(configurations: str, seed: int) -> float:
     """The tool error over the workspace [mm] after measuring these configurations."""
-    words = f"simulate space6 --setup cell.yaml --seed {seed} --configurations"
-    main(
-        [
-            *words.split(),
-            configurations,
-            "--truth",
-            "true.urdf",
-            "--force",
-            "-o",
-            "m.csv",
-        ]
-    )
+    words = f"simulate space6 --setup cell.yaml --seed {seed} --truth true.urdf --force"
+    with redirect_stdout(StringIO()):  # It says what it writes, sixteen times.
+        main([*words.split(), "--configurations", configurations, "-o", "m.csv"])
     rows = calib_pin.read_measurements("m.csv", chain)
     model = calib_pin.calibrate(chain, rows, setup, validate=False).model.of()
     q = chain.random_configurations(300, np.random.default_rng(0))

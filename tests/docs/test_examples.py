@@ -46,7 +46,8 @@ CLAIMS: dict[str, Callable[[str], bool]] = {
         < 0.8 * sizes[1]
     ),
     "sockets": lambda said: (
-        abs(numbers(r"front/1: ([\d.]+) mm")(said)[0] - 80.0) < 0.01
+        (sizes := numbers(r"were ([\d.]+) mm off and are ([\d.]+)")(said))[1]
+        < 0.05 * sizes[0]
     ),
     "hand_eye_camera": lambda said: (
         abs(numbers(r"focal lengths ([\d.]+)")(said)[0] - 905.0) < 1.5

@@ -17,7 +17,7 @@ from calib_pin.cli.files import (
     require_distinct,
     require_file,
 )
-from calib_pin.cli.printing import progress_bar, show, stage
+from calib_pin.cli.printing import notice, progress_bar, show, stage
 from calib_pin.errors import require_known
 
 
@@ -54,6 +54,7 @@ def evaluate(
 
     from calib_pin.io.documents import evaluation_document
     from calib_pin.io.json_text import encode
+    from calib_pin.io.result_file import used_files
     from calib_pin.kinematics.chains import Chains
     from calib_pin.report.accuracy import evaluated
     from calib_pin.validation.calibrated_model import CalibratedModel
@@ -69,6 +70,8 @@ def evaluate(
         sockets = [reference.name for reference in subject.references.values()]
         if chain is not None:
             require_known("chain", chain, subject.measured_chains)
+        for file in used_files(robot, measurements):
+            notice(f"{file}: the calibration has used it already, to fit or to check")
     else:
         chains, sockets = open_chains(robot, stated, chain, package_dir), []
     require_distinct(measurements)

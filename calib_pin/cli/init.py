@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -119,7 +120,9 @@ def init(
         say_json(found, files)
     else:
         say(text)
-        say_written(f"wrote {file}" for file in files)
+        files_of = " ".join(map(shlex.quote, map(str, measurements)))
+        after = f"next: calib-pin calibrate {robot} {files_of} --setup {output} -o out"
+        say_written([*(f"wrote {file}" for file in files), *([after] if files else [])])
     return 0
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from reprlib import repr
 from typing import Any, get_type_hints
@@ -21,7 +21,9 @@ from calib_pin.estimation.evidence import (
 )
 from calib_pin.io.calibrated_model import model_of, reference_of
 from calib_pin.io.calibration_document import BREAKDOWN, CURVE, SAMPLES
-from calib_pin.io.json_text import Json, typed
+from calib_pin.io.files import read_bytes
+from calib_pin.io.journal import sha256
+from calib_pin.io.json_text import Json, decode, typed
 from calib_pin.io.measurement_errors import SETS, decode_errors, unknown_errors
 from calib_pin.io.result_folder import (
     DOCUMENT,
@@ -118,6 +120,19 @@ def read_written(path: str | Path) -> tuple[CalibrationResult, Json]:
             result = _result(document, model, str(file), read)
             read_suggestions(document)
     return result, document
+
+
+def used_files(path: str | Path, files: Sequence[Path]) -> list[Path]:
+    """Those of some files whose content a calibration has used, to fit or to check.
+
+    Args:
+        path: A `calibration.json`, which can be read.
+        files: Measurement files; what is no file, such as a pipe, is left alone.
+    """
+    document = decode(read_bytes(path))
+    known = {entry["sha256"] for entry in document["measurements"]["files"]}
+    there = [file for file in files if file.is_file()]
+    return [file for file in there if sha256(read_bytes(file)) in known]
 
 
 def read_suggestions(document: Json) -> tuple[Suggestion, ...]:

@@ -174,7 +174,11 @@ def yaml_text(lines: Mapping[str, Any]) -> str:
     import yaml
 
     text = yaml.safe_dump(
-        plain(lines), sort_keys=False, default_flow_style=None, width=WIDTH
+        plain(lines),
+        sort_keys=False,
+        default_flow_style=None,
+        width=WIDTH,
+        allow_unicode=True,
     )
     return str(text).rstrip("\n")
 

@@ -174,7 +174,7 @@ def tip_by_count(result: CalibrationResult) -> Drawn | None:
         f"{number(errors[-1])} {unit} with all {counts[-1]:.0f} measurements. Far "
         "above the dashed line the measurements are too few to determine all "
         "parameters; along it, four times as many halve the uncertainty. "
-        f"{_left_out(result)}",
+        "It is that of noise alone, in the frame of the instrument.",
         figure,
     )
 
@@ -188,16 +188,17 @@ def tip_in_workspace(result: CalibrationResult) -> Drawn | None:
     return Drawn(
         "tip-accuracy-in-workspace",
         "Tool-point accuracy over the workspace",
-        f"Predicted tool-point uncertainty (1 sigma) {words}. {_left_out(result)}",
+        f"Predicted tool-point uncertainty (1 sigma) {words}, in the frame of the "
+        f"instrument. {_left_out(result)}",
         figure,
     )
 
 
 def _left_out(result: CalibrationResult) -> str:
     """The limits of the prediction, as a sentence."""
-    said = "It excludes unmodeled errors"
+    said = "Of unmodeled errors it has what they do to the fit, not what they add"
     if weak := result.identifiability.weak:
-        said += f" and the {weak} directions held at nominal"
+        said += f"; it excludes the {weak} directions held at nominal"
     if (
         result.statistics.stated_sigma
         and result.statistics.chi2 > chi2_interval(result.statistics.dof)[1]

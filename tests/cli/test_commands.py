@@ -1021,3 +1021,15 @@ def test_no_urdf_that_is_worse_than_the_nominal_one(tmp_path, monkeypatch, run):
         result.out.split()
     )
     assert not Path("bare/pa10.urdf").exists()
+
+
+def test_measurements_that_were_used_are_told(tmp_path, monkeypatch, run):
+    monkeypatch.chdir(tmp_path)
+    words = "simulate space6 --model position --noise 1e-4 --seed 1"
+    assert run(f"{words} --count 40 -o fitted.csv").status == 0
+    assert run("plan space6 --model position --count 10 -o plan.csv").status == 0
+    assert run(f"{words} --configurations plan.csv -o other.csv").status == 0
+    assert run("calibrate space6 fitted.csv --model position -o out").status == 0
+    words = "evaluate out/calibration.json"
+    assert "fitted.csv: the calibration has used it" in run(f"{words} fitted.csv").err
+    assert run(f"{words} other.csv").err == ""

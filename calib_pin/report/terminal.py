@@ -49,6 +49,8 @@ def laid_out(blocks: Iterable[Block]) -> RenderableType:
     """The blocks below each other; an empty line before whatever has a heading."""
     parts: list[RenderableType] = []
     for block in blocks:
+        if isinstance(block, Line) and block.figure:
+            continue  # It leads to a figure, and there are none here.
         if parts and not isinstance(block, Line):
             parts.append("")
         parts += _rendered(block)

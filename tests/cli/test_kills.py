@@ -58,7 +58,7 @@ class Figure:
         return f"{self.name} {self.content} {kind}".encode() * 10_000
 
 
-def figures(result: Any, _: object) -> list[Figure]:
+def figures(result: Any, *_: object) -> list[Figure]:
     names = [name for name in NAMES["calibration"] if name != "model-ladder"]
     return [Figure(name, repr(result.statistics.chi2)) for name in names]
 

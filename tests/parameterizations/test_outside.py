@@ -116,7 +116,9 @@ def test_every_command_takes_it(
     )
     run(f"plan space6 {words} --count 12 -o plan.csv")
     assert "joint_3.poe.wx" in run(f"identify space6 {words} rows.csv --json")
-    assert "joint_3.poe" in run("calibrate space6 rows.csv --setup setup.yaml -o done")
+    assert "joint_3.poe" in run(
+        "calibrate space6 rows.csv --setup setup.yaml --details -o done"
+    )
     assert "poe" in Path("done/report.html").read_text()
     document = json.loads(Path("done/calibration.json").read_text())
     assert document["setup"]["parameters"] == ["poe"]

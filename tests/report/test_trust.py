@@ -15,8 +15,10 @@ from calib_pin.estimation.evidence import (
     Outlier,
     VarianceComponent,
 )
+from calib_pin.report.blocks import Line
 from calib_pin.report.tables import significant
 from calib_pin.report.text import format_report
+from calib_pin.report.trust import findings
 from calib_pin.validation.result import CalibrationResult
 
 WORKSPACE = ExpectedAccuracy(
@@ -144,8 +146,10 @@ def test_errors_come_first_with_lines_to_copy(result: CalibrationResult) -> None
     )
     assert first < second
     assert [x for x in lines if x.startswith("  reading")] == ["  reading: {shift: 1}"]
-    start = lines.index("Lines for the setup file")
-    assert lines[start + 2] == "Shown by the figure 'residuals-over-order'."
+    # The page has the figure, and leads to it; a terminal has none.
+    assert "residuals-over-order" not in text
+    (line,) = (b for b in findings((shift,), "") if isinstance(b, Line) and b.figure)
+    assert line.text == "Shown by the figure 'residuals-over-order'."
 
 
 def test_two_accuracies(result: CalibrationResult) -> None:

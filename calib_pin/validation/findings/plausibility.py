@@ -269,6 +269,8 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
             "measure more configurations, or estimate fewer parameters",
         )
         return
+    if fitted.problem.setup.parameters == ("joint-offset",):
+        return  # No origin has moved, and the report tells every offset.
     check = "check this origin in the URDF, and how the joint is mounted"
     left, joint, offset = offset_within(
         case, x, lambda x: float(_sizes(fitted, x).max())

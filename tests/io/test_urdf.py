@@ -562,7 +562,7 @@ def test_resolution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("arm.udrf", dict()),
         (".", dict()),
         ("arm.urdf/x", dict()),
-        ("a\0b", dict(reason="cannot be read: embedded null")),
+        ("a\0b", dict(reason=("cannot be read: ", "embedded null"))),
         ("a" * 300, dict(reason="cannot be read: File name too long")),
         ("", dict()),
         (
@@ -1051,7 +1051,7 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
         "folder": "cannot be written: it is a directory",
         "file/x.csv": "cannot be written: a file stands in the place of its folder",
         "file/y/x.csv": "cannot be written: Not a directory",
-        "a\0b": "cannot be written: embedded null",
+        "a\0b": "cannot be written: .*embedded null",
         "x" * 300: "cannot be written: File name too long",
     }.items():
         with pytest.raises(OutputError, match=words):

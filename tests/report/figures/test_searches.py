@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.patches import PathPatch
 
+from calib_pin.estimation.evidence import FoundCurve
 from calib_pin.report.figures.canvas import Drawn
 from calib_pin.report.figures.searches import convergence, model_ladder
 from calib_pin.report.figures.workspace import tip_by_count, tip_in_workspace
@@ -66,8 +67,7 @@ def test_tip_errors_are_in_millimeters(
     assert np.asarray(own.get_xdata()).tolist() == [40]
     ticks = [label.get_text() for label in axes.get_yticklabels()]
     assert "0.1" in ticks and not any("10" in tick for tick in ticks)
-    last = replace(tip, by_count=replace(tip.by_count, last=(1, 1e-3)))
-    assert len(last.by_count.curve[0]) == 1
+    last = replace(tip, by_count=FoundCurve((counts[-1:], errors[-1:])))
     assert (
         tip_by_count(
             replace(calibrated, accuracies={"": replace(calibrated.accuracy, tip=last)})

@@ -68,7 +68,7 @@ def calibration_document(
     """
     model, robot = result.model, result.model.chains.robot
     statistics, made = result.statistics, provenance or result.provenance
-    hashes = made.hashes or tuple(map(_sha256_of, result.files))
+    hashes = made.hashes or tuple(map(sha256_of, result.files))
     dof, covariance = statistics.dof, result.covariance
     described = _model(model, result.reference)
     chain = model.moving.error.chain
@@ -322,10 +322,11 @@ def _ladder(ladder: ModelSelection) -> Json:
     }
 
 
-def _sha256_of(file: str) -> str:
+def sha256_of(file: str) -> str:
+    """Hexadecimal SHA-256 of a file; empty for what is none, such as a pipe."""
     # A pipe cannot be read twice.
     return sha256(read_bytes(file)) if Path(file).is_file() else ""
 
 
 def _setup_file(file: str) -> Json | None:
-    return {"file": file, "sha256": _sha256_of(file)} if file else None
+    return {"file": file, "sha256": sha256_of(file)} if file else None

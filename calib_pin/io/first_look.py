@@ -29,6 +29,7 @@ from calib_pin.io.measured_columns import reserved
 from calib_pin.io.measurements import read_measurements
 from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.tree import turns
 from calib_pin.observations import Observations
 from calib_pin.setup import Setup
 from calib_pin.validation.evaluation import prepared
@@ -222,9 +223,12 @@ def readings(
     orientations = [n for n in names if n[0] in "qr" or n in ("pitch", "yaw")]
     without = {n: one for n, one in names.items() if n not in orientations}
     ways = [names, without] if orientations and "x" in names else [names]
-    angular = _angular(robot)
     free = [one for one in joints.values() if one.unit is None]
-    turning = [o for j, o in joints.items() if o.unit is None and j in angular]
+    turning = [
+        one
+        for joint, one in joints.items()
+        if one.unit is None and turns(robot.model, joint)
+    ]
     degrees = max((one.largest for one in turning), default=0.0) > TURNED
     angles = ["deg"] if degrees else ["rad", "deg"]
     lengths = [one for n, one in without.items() if n in ("x", "y", "z", "distance")]
@@ -246,16 +250,6 @@ def readings(
         meant = {*used, *(one.name for one in names.values()), *reserved()}
         rest = tuple(one.name for one in columns if one.name not in meant)
         yield Look(read, joints=found_joints, units=units, ignored=rest)
-
-
-def _angular(robot: Robot) -> set[str]:
-    """Names of the joints that turn."""
-    model = robot.model
-    return {
-        model.names[k]
-        for k in range(1, model.njoints)
-        if "P" not in model.joints[k].shortname().removeprefix("JointModel")
-    }
 
 
 def looked(

@@ -20,9 +20,8 @@ from calib_pin.estimation.evidence import (
     TipAccuracy,
 )
 from calib_pin.io.calibrated_model import model_of, reference_of
-from calib_pin.io.calibration_document import BREAKDOWN, CURVE, SAMPLES
+from calib_pin.io.calibration_document import BREAKDOWN, CURVE, SAMPLES, sha256_of
 from calib_pin.io.files import read_bytes
-from calib_pin.io.journal import sha256
 from calib_pin.io.json_text import Json, decode, typed
 from calib_pin.io.measurement_errors import SETS, decode_errors, unknown_errors
 from calib_pin.io.result_folder import (
@@ -131,8 +130,7 @@ def used_files(path: str | Path, files: Sequence[Path]) -> list[Path]:
     """
     document = decode(read_bytes(path))
     known = {entry["sha256"] for entry in document["measurements"]["files"]}
-    there = [file for file in files if file.is_file()]
-    return [file for file in there if sha256(read_bytes(file)) in known]
+    return [file for file in files if sha256_of(str(file)) in known - {""}]
 
 
 def read_suggestions(document: Json) -> tuple[Suggestion, ...]:

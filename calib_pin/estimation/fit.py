@@ -34,6 +34,7 @@ from calib_pin.residual_models import (
     RESIDUAL_MODELS,
     LearnedCorrection,
     Linearized,
+    Shifts,
     Space,
     TrainingRows,
 )
@@ -288,9 +289,9 @@ def learned_correction(
     Raises:
         InputError: If the measurements are too few to learn from.
     """
-    directions = _shifts(fitted, problem, theta)
+    directions, known = _shifts(fitted, problem, theta)
     found = RESIDUAL_MODELS[name](
-        training_rows(problem, theta, directions), rng, progress=progress
+        training_rows(problem, theta, directions, known), rng, progress=progress
     )
     q = np.concatenate([block.data.q for block in problem.blocks])
     if not (found.shift.any() or found(q).any()):
@@ -299,7 +300,9 @@ def learned_correction(
     return LearnedCorrection(found, directions @ found.shift)
 
 
-def training_rows(problem: Problem, theta: Floats, directions: Floats) -> TrainingRows:
+def training_rows(
+    problem: Problem, theta: Floats, directions: Floats, known: Shifts
+) -> TrainingRows:
     """Residuals as functions of a correction, for a residual model to learn.
 
     Args:
@@ -307,6 +310,7 @@ def training_rows(problem: Problem, theta: Floats, directions: Floats) -> Traini
         theta: Parameter values there, shape (P,).
         directions: Directions of the parameters that may shift along with the
             correction, shape (P, k).
+        known: What is known of these.
     """
     layout = problem.layout
     shape = len(problem.data), layout.width
@@ -356,7 +360,7 @@ def training_rows(problem: Problem, theta: Floats, directions: Floats) -> Traini
         by_joint=partial(linearize, "joint"),
         by_tip=partial(linearize, "tip"),
         values=layout.width,
-        shifts=directions.shape[1],
+        shift=known,
     )
 
 
@@ -375,15 +379,25 @@ class _Given:
         return np.ones(len(q))
 
 
-def _shifts(fitted: Fit, problem: Problem, theta: Floats) -> Floats:
-    """Directions that the fit could tell, in the scales of parameters, (P, k).
+def _shifts(fitted: Fit, problem: Problem, theta: Floats) -> tuple[Floats, Shifts]:
+    """Directions that the fit could tell, (P, k), and what is known of them.
 
-    Those of the robot and the frames; the instruments stay as they were fitted.
+    Those of the robot, in the scales of parameters, and free ones of the frames; the
+    instruments stay as they were fitted.
     """
-    parameters = problem.parameters
+    parameters, robot = problem.parameters, fitted.directions.robot
     _, J = problem.linearize(theta)
-    basis = np.column_stack([visible_nuisances(J, parameters), fitted.directions.robot])
-    basis = parameters.scales[:, None] * basis
+    frames = visible_nuisances(J, parameters)
     for part in problem.parts.values():
-        basis[part.of_instrument] = 0.0
-    return basis[:, basis.any(axis=0)]
+        frames[part.of_instrument] = 0.0
+    frames = frames[:, frames.any(axis=0)]
+    free, count = np.zeros(frames.shape[1]), robot.shape[1]
+    of_kind = np.array([name.rsplit(".", 2)[-2] for name in parameters.names])
+    shown = robot.any(axis=1)
+    kinds = []
+    for kind in dict.fromkeys(of_kind[shown].tolist()):
+        own = robot[shown & (of_kind == kind)].T
+        kinds.append(np.concatenate([np.zeros((len(free), own.shape[1])), own]))
+    values = robot.T @ (fitted.theta / parameters.scales)
+    known = Shifts(np.concatenate([free, values]), tuple(kinds) if count else ())
+    return parameters.scales[:, None] * np.column_stack([frames, robot]), known

@@ -17,12 +17,14 @@ from calib_pin.residual_models.base import (
 )
 from calib_pin.residual_models.documents import checked, stated
 from calib_pin.residual_models.region import TrainedRegion
+from calib_pin.residual_models.shifts import Shifts
 
 __all__ = [
     "RESIDUAL_MODELS",
     "LearnedCorrection",
     "Linearized",
     "ResidualModel",
+    "Shifts",
     "Space",
     "TrainedRegion",
     "TrainingRows",

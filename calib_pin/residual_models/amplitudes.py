@@ -14,7 +14,7 @@ from scipy.linalg import cho_solve, cholesky
 from scipy.linalg.lapack import dpotri, dtrtri
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.residual_models.covariance import Covariance, searched
+from calib_pin.residual_models.covariance import Covariance, Likeliest, searched
 from calib_pin.residual_models.harmonics import HIGHEST, Harmonics, Spectrum
 from calib_pin.residual_models.sums import Sums
 
@@ -121,7 +121,7 @@ class Amplitudes:
 
 def likeliest(
     sums: Sums, harmonics: Harmonics, others: Floats, *, own: bool
-) -> tuple[Covariance, float]:
+) -> Likeliest:
     """Maximize the marginal likelihood of the measurements.
 
     Args:
@@ -129,9 +129,6 @@ def likeliest(
         harmonics: The harmonics, of every component at least one.
         others: Variances of the shifts, shape (P,).
         own: Whether components have functions of their own angle.
-
-    Returns:
-        The covariance and the variance of the noise.
     """
     m, D = int(harmonics.component.max()) + 1, len(harmonics)
 
@@ -152,4 +149,4 @@ def likeliest(
         return found.cost, gradient
 
     square = sums.square / sums.count
-    return searched(cost, (m, harmonics.modes.shape[1]), square, own=own)
+    return searched(cost, (m, harmonics.modes.shape[1], 0), square, own=own)

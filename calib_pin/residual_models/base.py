@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.region import TrainedRegion
+from calib_pin.residual_models.shifts import Shifts
 
 Space = Literal["joint", "tip"]
 
@@ -59,7 +60,7 @@ class TrainingRows:
             (N, n), and the shift, shape (P,), in units in which its directions compare.
         by_tip: Residuals at tool poses T Exp(xi) and a shift, from xi, shape (N, 6).
         values: Number d of residual components of each row.
-        shifts: Number P of directions of the shift.
+        shift: Its P directions, and what is known of them.
     """
 
     q: Floats
@@ -68,7 +69,12 @@ class TrainingRows:
     by_joint: Callable[[Floats, Floats], Linearized]
     by_tip: Callable[[Floats, Floats], Linearized]
     values: int
-    shifts: int = 0
+    shift: Shifts = field(default_factory=lambda: Shifts.free(0))
+
+    @property
+    def shifts(self) -> int:
+        """Number P of directions of the shift."""
+        return len(self.shift)
 
     def some(self, index: NDArray[np.int64]) -> TrainingRows:
         """Some of the rows; the others are evaluated with them, without a correction.
@@ -145,7 +151,15 @@ class ResidualModel(Protocol):
 
     @property
     def region(self) -> TrainedRegion:
-        """Region of the training data; outside the correction is zero."""
+        """Region of the training data."""
+        ...
+
+    def weight(self, q: Floats) -> Floats:
+        """Weight from 1 where the model holds to 0 where it must not be used, (N,).
+
+        Args:
+            q: Commanded joint positions, shape (N, n) [rad, m].
+        """
         ...
 
     @property
@@ -217,7 +231,7 @@ class LearnedCorrection:
 
     def weight(self, q: Floats) -> Floats:
         """Weight from 1 near training configurations to 0 far away, shape (N,)."""
-        return self.model.region.weight(q)
+        return self.model.weight(q)
 
 
 def convincing(before: Floats, after: Floats) -> bool:

@@ -1,13 +1,14 @@
 """The covariance of corrections before any data, and the likeliest one after.
 
-Each component j of a correction is a sum of two independent functions,
+Each component j of a correction is a sum of at most two independent functions,
 
     cov(f_j(q), f_j(q')) = own_j exp((cos(q_j - q_j') - 1) / s_j^2)
                          + all_j exp(sum_k (cos(q_k - q_k') - 1) / l_k^2)
 
 one of its joint's own angle, which may repeat many times in a turn as gears do, and one
-of all angles, which is smooth. A twist of the tip has no joint of its own, and only the
-second. The exponents are squared distances on the circles: this is a Gaussian kernel of
+of all angles, which is smooth. What depends on the own angle alone carries over to
+wherever only the other joints stand differently; what depends on all is gone there. A
+twist of the tip has no joint of its own, and only the second. The exponents are squared distances on the circles: this is a Gaussian kernel of
 the points (sin, cos).
 
 The likeliest covariance has the highest marginal likelihood (Rasmussen and Williams
@@ -17,8 +18,9 @@ of the covariance by every parameter in memory, and takes twice as long.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +38,7 @@ BOUNDS = {
     "short": (0.02, 3.0),
     "all": (1e-6, 1e6),
     "long": (0.05, 30.0),
+    "kinds": (1e-6, 1e4),
     "noise": (1e-6, 1e2),
 }
 """Least and largest values; variances in squared units of the correction."""
@@ -57,23 +60,33 @@ class Covariance:
     Attributes:
         own: Variances of the functions of the own angle, shape (m,), or (0,) without.
         short: Their lengths s, of the shape of `own`.
-        all: Variances of the functions of all angles, shape (m,).
-        long: Their lengths l in each angle, shape (n,).
+        all: Variances of the functions of all angles, shape (m,), or (0,) without.
+        long: Their lengths l in each angle, shape (n,), or (0,).
+        kinds: Variances of the errors of each kind of parameter that belong to them, in
+            squares of the expected size, see `shifts.Shifts`.
     """
 
     own: Floats
     short: Floats
     all: Floats
     long: Floats
+    kinds: Floats = field(default_factory=lambda: np.zeros(0))
 
     @property
     def total(self) -> Floats:
         """Variances of the components, shape (m,)."""
+        if not len(self.all):
+            return self.own
         return self.all + self.own if len(self.own) else self.all
 
     def scaled(self, factor: float) -> Covariance:
         """The same with all variances times a number."""
-        return replace(self, own=self.own * factor, all=self.all * factor)
+        return replace(
+            self,
+            own=self.own * factor,
+            all=self.all * factor,
+            kinds=self.kinds * factor,
+        )
 
     def own_correlations(self, a: Floats, b: Floats) -> Iterator[Floats]:
         """Correlation by the own angle for each component, shape (A, B) each.
@@ -91,7 +104,11 @@ class Covariance:
 
     def components(self, a: Floats, b: Floats) -> Iterator[Floats]:
         """Covariance of each component, shape (A, B) each."""
-        smooth, owns = self.correlation(a, b), self.own_correlations(a, b)
+        owns = self.own_correlations(a, b)
+        if not len(self.all):
+            yield from (v * values for v, values in zip(self.own, owns, strict=True))
+            return
+        smooth = self.correlation(a, b)
         for j, variance in enumerate(self.all):
             result = variance * smooth
             if len(self.own):
@@ -125,7 +142,9 @@ class Covariance:
         result = np.empty((len(at), weights.shape[1]))
         for start in range(0, len(at), PIECE):
             part = at[start : start + PIECE]
-            sums = self.correlation(part, angle) @ (weights * self.all)
+            sums = np.zeros((len(part), weights.shape[1]))
+            if len(self.all):
+                sums += self.correlation(part, angle) @ (weights * self.all)
             for j, values in enumerate(self.own_correlations(part, angle)):
                 sums[:, j] += self.own[j] * (values @ weights[:, j])
             result[start : start + PIECE] = sums
@@ -142,12 +161,34 @@ class Covariance:
         own = numbers(parts, "own", (None,), positive=True, empty=True)
         if len(own) not in (0, components) or (len(own) and components != joints):
             raise ValueError(f"'own' has {len(own)} numbers, not {components}")
+        smooth = not (len(own) and parts.get("all") == [])
         return Covariance(
             own=own,
             short=numbers(parts, "short", own.shape, positive=True, empty=True),
-            all=numbers(parts, "all", (components,), positive=True),
-            long=numbers(parts, "long", (joints,), positive=True),
+            all=numbers(
+                parts, "all", (components * smooth,), positive=True, empty=not smooth
+            ),
+            long=numbers(
+                parts, "long", (joints * smooth,), positive=True, empty=not smooth
+            ),
+            kinds=np.abs(numbers(parts, "kinds", (None,), empty=True))
+            if "kinds" in parts
+            else np.zeros(0),
         )
+
+
+class Likeliest(NamedTuple):
+    """The covariance under which measurements are most likely.
+
+    Attributes:
+        covariance: The covariance.
+        noise: Variance of the noise.
+        cost: Negative logarithm of the likelihood.
+    """
+
+    covariance: Covariance
+    noise: float
+    cost: float
 
 
 def _correlation(a: Floats, b: Floats, length: Floats) -> Floats:
@@ -162,30 +203,36 @@ def most_likely(
     angle: Floats,
     A: Floats,
     target: Floats,
-    other: Floats,
+    free: Floats,
+    kinds: Sequence[Floats] = (),
     *,
     own: bool,
+    smooth: bool = True,
     progress: Progress | None = None,
-) -> tuple[Covariance, float]:
+) -> Likeliest:
     """Maximize the marginal likelihood.
 
     Args:
         angle: Joint angles, shape (N, n) [rad].
         A: Derivative of the residuals by the corrections, shape (N, d, m).
         target: Residuals that the corrections should make, shape (N, d).
-        other: Covariance beside noise and corrections, shape (N d, N d).
+        free: Residuals by free directions beside the corrections, a random amount of
+            deviation one of each, shape (N d, f).
+        kinds: The same by errors of each kind of parameter, shape (N d, p) each.
         own: Whether components have functions of their own angle.
+        smooth: Whether they have functions of all angles.
         progress: Told the part that is done, 0 to 1.
-
-    Returns:
-        The covariance and the variance of the noise.
     """
     y = target.reshape(-1)
+    other = free @ free.T
+    squares = [each @ each.T for each in kinds]
     constant = 0.5 * len(y) * np.log(2.0 * np.pi)
 
     def cost(covariance: Covariance, noise: float) -> tuple[float, Floats]:
         """Negative log-likelihood, and its derivative by logarithms."""
         K = covariance.of_residuals(angle, A) + other
+        for size, each in zip(covariance.kinds, squares, strict=True):
+            K += size * each
         K[np.diag_indices_from(K)] += noise
         K[np.diag_indices_from(K)] += JITTER
         try:
@@ -196,37 +243,42 @@ def most_likely(
         inverse = cho_solve((L, True), np.eye(len(y)), check_finite=False)
         by_K = 0.5 * (inverse - np.outer(alpha, alpha))
         by_noise = noise * np.trace(by_K)
-        gradient = np.array([*_by_logarithms(covariance, angle, A, by_K), by_noise])
+        by_kinds = [
+            size * float(np.vdot(by_K, each))
+            for size, each in zip(covariance.kinds, squares, strict=True)
+        ]
+        of_corrections = _by_logarithms(covariance, angle, A, by_K)
+        gradient = np.array([*of_corrections, *by_kinds, by_noise])
         return 0.5 * y @ alpha + np.log(np.diag(L)).sum() + constant, gradient
 
     square = float((target**2).mean())
-    shape = A.shape[2], angle.shape[1]
-    return searched(cost, shape, square, own=own, progress=progress)
+    shape = A.shape[2], angle.shape[1], len(kinds)
+    return searched(cost, shape, square, own=own, smooth=smooth, progress=progress)
 
 
 def searched(
     cost: Callable[[Covariance, float], tuple[float, Floats]],
-    shape: tuple[int, int],
+    shape: tuple[int, int, int],
     square: float,
     *,
     own: bool,
+    smooth: bool = True,
     progress: Progress | None = None,
-) -> tuple[Covariance, float]:
+) -> Likeliest:
     """Minimize a cost of a covariance and a noise.
 
     Args:
         cost: Cost, and its derivative by the logarithms of the numbers of the
             covariance, in their order, and of the noise; any where it is infinite.
-        shape: Numbers m of components and n of angles.
+        shape: Numbers m of components, n of angles and of kinds of parameters.
         square: Mean square of the residuals.
         own: Whether components have functions of their own angle.
+        smooth: Whether they have functions of all angles.
         progress: Told the part that is done, 0 to 1.
-
-    Returns:
-        The covariance and the variance of the noise.
     """
-    m, n = shape
-    counts = {"own": m * own, "short": m * own, "all": m, "long": n, "noise": 1}
+    m, n, kinds = shape
+    counts = {"own": m * own, "short": m * own, "all": m * smooth, "long": n * smooth}
+    counts |= {"kinds": kinds, "noise": 1}
     cuts = np.cumsum(list(counts.values()))[:-1]
 
     def parts(values: Floats) -> tuple[Covariance, float]:
@@ -238,7 +290,7 @@ def searched(
         return found, gradient if np.isfinite(found) else np.zeros(len(values))
 
     least = max(QUIETEST * square, BOUNDS["noise"][0])
-    starts = {"own": 0.1, "short": 0.1, "all": 0.3, "long": 1.5}
+    starts = {"own": 0.1, "short": 0.1, "all": 0.3, "long": 1.5, "kinds": 0.3}
     starts["noise"] = max(0.1 * square, least)
     limits = {**BOUNDS, "noise": (least, BOUNDS["noise"][1])}
     lower, upper = np.log(np.repeat(list(limits.values()), list(counts.values()), 0)).T
@@ -260,7 +312,7 @@ def searched(
         callback=count,
         options={"maxiter": STEPS},
     )
-    return parts(found.x)
+    return Likeliest(*parts(found.x), cost=float(found.fun))
 
 
 def _by_logarithms(
@@ -282,6 +334,8 @@ def _by_logarithms(
         by_own = covariance.own[j] * values * by_component[j]
         own[j] = by_own.sum()
         short[j] = (by_own * distance[:, :, j]).sum() / covariance.short[j] ** 2
+    if not len(covariance.all):
+        return np.concatenate([own, short])
     by_all = covariance.all[:, None, None] * by_component
     by_all *= covariance.correlation(angle, angle)
     long = np.einsum("jab,abi->i", by_all, distance, optimize=True)

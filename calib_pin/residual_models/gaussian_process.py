@@ -3,7 +3,9 @@
 The residuals are linear in the corrections, `r = r_0 + A f`, so a process over f is one
 over r, and nothing has to be inverted where A is singular: the unobserved part of a
 correction stays at zero. The part that a shift of the geometry can explain has a
-variance so large that it is free.
+variance so large that it is free, and errors of the robot's parameters have the size
+that the measurements tell, see `shifts`. So the process knows how far it holds: where
+nothing was measured, it is the parameters that belong to it, and no more.
 """
 
 from __future__ import annotations
@@ -23,7 +25,6 @@ from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
     Space,
     TrainingRows,
-    absorbed,
     convincing,
     correction_unit,
     root_mean_square,
@@ -36,9 +37,6 @@ from calib_pin.residual_models.harmonic_process import (
 )
 from calib_pin.residual_models.region import PIECE, TrainedRegion
 
-FREE = 1e4
-"""Variance of the part that a shift can explain, in mean squares of the residual."""
-
 LOADED = 6_000
 """Most residual components in a document; their covariance must fit the memory."""
 
@@ -47,6 +45,15 @@ FEWEST = 5
 
 FOLDS = 10
 """Parts of very many measurements, of which one is held out."""
+
+
+FORMS: tuple[tuple[Space, bool, bool], ...] = (
+    ("joint", True, False),
+    ("joint", True, True),
+    ("tip", False, True),
+)
+"""Space, whether with functions of the own angle, and whether with those of all.
+Simplest first."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +69,7 @@ class GaussianProcessOptions:
         functions: Most harmonics.
         screened: Measurements that choose the harmonics, at random; up to as many
             both ways are compared.
-        spaces: Spaces of the correction; the one that predicts held-out measurements
-            better is taken.
+        spaces: Spaces of the correction that are tried, see `FORMS`.
     """
 
     searched: int = 360
@@ -86,12 +92,14 @@ class GaussianProcess:
         unit: Correction that counts as one, shape (m,) [rad, m].
         q: Training configurations, shape (N, n) [rad, m].
         A: Derivative of whitened residuals by corrections in units, shape (N, d, m).
-        absorbed: Orthonormal residuals that a shift explains, shape (N d, k).
-        released: Shift per residual that is absorbed, shape (P, k).
+        absorbed: Residuals that a shift explains, by amounts of variance `free`, shape
+            (N d, k).
+        released: Shift per amount, shape (P, k).
         free: Variance of these.
         weights: Weight of each configuration in each component, shape (N, m).
         held_out: Root mean square of the whitened residuals of groups of measurements,
             before, and predicted from all the others.
+        fades: Whether it fades outside the region, as those did whose shift was free.
     """
 
     region: TrainedRegion
@@ -107,14 +115,19 @@ class GaussianProcess:
     free: float
     weights: Floats
     held_out: tuple[float, float]
+    fades: bool = False
     name: ClassVar[str] = "gaussian-process"
 
     @serial_blas
     def __call__(self, q: Floats) -> Floats:
-        """Corrections at joint positions, (N, m) [rad, m], zero outside the region."""
+        """Corrections at joint positions, (N, m) [rad, m]."""
         at = self.region.angles(q)
         inside = self.covariance.predict(at, self._angle, self.weights) * self.unit
-        return np.asarray(self.region.weight(q)[:, None] * inside)
+        return np.asarray(self.weight(q)[:, None] * inside)
+
+    def weight(self, q: Floats) -> Floats:
+        """Weight of the correction: one, since it knows how far it holds, shape (N,)."""
+        return self.region.weight(q) if self.fades else np.ones(len(q))
 
     @serial_blas
     def deviation(
@@ -124,7 +137,7 @@ class GaussianProcess:
         by_shift: Floats | None = None,
     ) -> Floats:
         """Standard deviations, see `ResidualModel.deviation`."""
-        weight = self.region.weight(q)[:, None]
+        weight = self.weight(q)[:, None]
         if by_correction is None:
             by_correction = np.tile(np.eye(len(self.unit)), (len(q), 1, 1))
         A = by_correction * self.unit
@@ -211,6 +224,7 @@ class GaussianProcess:
             free=float(numbers(parts, "free", (), positive=True)),
             weights=numbers(parts, "weights", (len(q), m)),
             held_out=(float(before), float(after)),
+            fades=parts.get("fades") is not False,
         )
 
 
@@ -274,28 +288,29 @@ def _exact(
     options: GaussianProcessOptions,
     progress: Progress,
 ) -> GaussianProcess:
-    """The process that is made of measurements, in the better space."""
-    found = []
-    for k, space in enumerate(options.spaces):
+    """The process that is made of measurements, in the better space.
+
+    The simplest, of functions of one joint each, unless another predicts measurements
+    that are left out better by more than chance.
+    """
+    forms = [form for form in FORMS if form[0] in options.spaces]
+    best, predicted = None, np.zeros(0)
+    for k, (space, own, smooth) in enumerate(forms):
 
         def report(part: float, k: int = k) -> None:
-            progress((k + part) / len(options.spaces))
+            progress((k + part) / len(forms))
 
         draft = _Draft(rows, space, region, rng)
-        few = draft.sample(options.searched)
-        columns, _ = absorbed(draft.at.by_shift[few])
-        covariance, noise = most_likely(
-            draft.angle[few],
-            draft.A[few],
-            -draft.at.residual[few],
-            draft.free * (columns @ columns.T),
-            own=space == "joint",
-            progress=lambda part: report(0.7 * part),
+        covariance, noise = draft.likeliest(
+            options.searched, own, smooth, lambda part: report(0.7 * part)
         )
         report(0.7)
-        found.append(draft.solve(covariance, noise))
+        process, others = draft.solve(covariance, noise)
+        if best is None or convincing(predicted, others):
+            best, predicted = process, others
         report(1.0)
-    return min(found, key=lambda process: process.held_out[1])
+    assert best is not None
+    return best
 
 
 class _Draft:
@@ -317,7 +332,7 @@ class _Draft:
         self.unit = correction_unit(self.at, kinds)
         self.angle = region.angles(rows.q)
         # Without any residual, any variance will do.
-        self.free = FREE * float((self.at.residual**2).mean()) or 1.0
+        self.square = float((self.at.residual**2).mean()) or 1.0
         self.order = rng.permutation(len(rows.q))
 
     @property
@@ -325,18 +340,45 @@ class _Draft:
         """Derivative by corrections in units, shape (N, d, m)."""
         return self.at.by_correction * self.unit
 
-    def sample(self, components: int) -> NDArray[np.int64]:
-        """Rows with as many residual components at most."""
-        return np.sort(self.order[: max(components // self.at.residual.shape[1], 1)])
+    def likeliest(
+        self, components: int, own: bool, smooth: bool, progress: Progress
+    ) -> tuple[Covariance, float]:
+        """Covariance and noise by some rows with as many residual components at most.
 
-    def solve(self, covariance: Covariance, noise: float) -> GaussianProcess:
-        """The process, linearized again at its predictions."""
+        Arguments otherwise as for `covariance.most_likely`.
+        """
+        few = np.sort(self.order[: max(components // self.at.residual.shape[1], 1)])
+        G, about = self.at.by_shift[few], self.rows.shift.about
+        free, kinds = self.rows.shift.columns(G)
+        found = most_likely(
+            self.angle[few],
+            self.A[few],
+            G @ about - self.at.residual[few],
+            np.sqrt(self.square) * free,
+            kinds,
+            own=own,
+            smooth=smooth,
+            progress=progress,
+        )
+        return found.covariance, found.noise
+
+    def solve(
+        self, covariance: Covariance, noise: float
+    ) -> tuple[GaussianProcess, Floats]:
+        """The process, linearized again at its predictions.
+
+        Returns:
+            The process, and the residuals of every group of measurements predicted from
+            the others, shape (N, d).
+        """
+        known = self.rows.shift
         before = self.at.residual
         for _ in range(2):
             G, A = self.at.by_shift, self.A
             effect = times(self.at.by_correction, self.f)
             base = self.at.residual - effect - G @ self.z
-            columns, released = absorbed(G)
+            released = known.root(G, self.square, covariance.kinds)
+            columns = G.reshape(-1, len(known)) @ released
             process = GaussianProcess(
                 region=self.region,
                 shift=self.z,
@@ -348,16 +390,15 @@ class _Draft:
                 A=A,
                 absorbed=columns,
                 released=released,
-                free=self.free,
+                free=1.0,
                 weights=np.zeros((len(A), len(self.unit))),
                 held_out=(0.0, 0.0),
             )
-            alpha = cho_solve((process._factor, True), -base.reshape(-1))
+            target = (G @ known.about - base).reshape(-1)
+            alpha = cho_solve((process._factor, True), target)
             weights = (A.transpose(0, 2, 1) @ alpha.reshape(*base.shape, 1))[:, :, 0]
             self.f = covariance.predict(self.angle, self.angle, weights) * self.unit
-            # The shift must explain the rest, which neither process nor noise does.
-            rest = base + times(A, self.f / self.unit)
-            self.z = -released @ (columns.T @ rest.reshape(-1))
+            self.z = released @ (columns.T @ alpha) - known.about
             self.at = self.evaluate(self.f, self.z)
         predicted, surprise = left_out(process._factor, alpha, self.rows.groups)
         predicted = predicted.reshape(before.shape)
@@ -365,12 +406,13 @@ class _Draft:
             weights, predicted, self.z = 0.0 * weights, before, 0.0 * self.z
         # All variances times one number predict the same, but less surely: few
         # measurements chose them, and all of them tell how large they are.
-        return replace(
+        found = replace(
             process,
             shift=self.z,
             covariance=covariance.scaled(surprise),
             noise=noise * surprise,
-            free=self.free * surprise,
+            free=surprise,
             weights=weights / surprise,
             held_out=(root_mean_square(before), root_mean_square(predicted)),
         )
+        return found, predicted

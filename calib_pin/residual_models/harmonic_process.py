@@ -30,10 +30,8 @@ from calib_pin.residual_models.base import (
 from calib_pin.residual_models.documents import checked, numbers, stated, written
 from calib_pin.residual_models.harmonics import Harmonics, candidates
 from calib_pin.residual_models.region import PIECE, TrainedRegion
+from calib_pin.residual_models.shifts import FREE
 from calib_pin.residual_models.sums import Linear, Sums, scores
-
-FREE = 1e4
-"""Variance that a direction of the shift may have, in mean squares of the residual."""
 
 ROUNDS = (0.2, 0.5, 1.0)
 """Part of the harmonics after each round of choosing."""
@@ -83,7 +81,11 @@ class HarmonicProcess:
     def __call__(self, q: Floats) -> Floats:
         """Corrections at joint positions, (N, m) [rad, m], zero outside the region."""
         inside = self._inside(self.region.angles(q))
-        return np.asarray(self.region.weight(q)[:, None] * inside)
+        return np.asarray(self.weight(q)[:, None] * inside)
+
+    def weight(self, q: Floats) -> Floats:
+        """Weight from 1 in the region to 0 far outside, shape (N,)."""
+        return self.region.weight(q)
 
     @serial_blas
     def deviation(
@@ -109,7 +111,7 @@ class HarmonicProcess:
             self.harmonics.component, self.amplitudes**2, minlength=len(self.unit)
         )
         outside = inside + (A**2).dot(size)
-        weight = self.region.weight(q)[:, None]
+        weight = self.weight(q)[:, None]
         return np.asarray(weight * np.sqrt(inside) + (1.0 - weight) * np.sqrt(outside))
 
     def _inside(self, angle: Floats) -> Floats:
@@ -245,7 +247,7 @@ class _Draft:
                     chosen |= phases
             self._harmonics = every.at(chosen)
             sums = Sums.of(self._harmonics, linear)
-            self._covariance, noise = likeliest(
+            self._covariance, noise, _ = likeliest(
                 sums, self._harmonics, self._others(sums), own=own
             )
             self._amplitudes = self._solved(sums, noise)
@@ -274,7 +276,7 @@ class _Draft:
         known, unknown = self._linear.rows(training), self._linear.rows(held)
         sums = Sums.of(self._harmonics, known)
         own = self._space == "joint"
-        self._covariance, self._noise = likeliest(
+        self._covariance, self._noise, _ = likeliest(
             sums, self._harmonics, self._others(sums), own=own
         )
         report(0.9)

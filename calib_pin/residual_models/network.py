@@ -99,7 +99,11 @@ class Network:
             part = angle[start : start + PIECE]
             circle = np.sin(part), np.cos(part)
             inside[start : start + PIECE] += combined(circle, self._average)
-        return np.asarray(self.region.weight(q)[:, None] * inside)
+        return np.asarray(self.weight(q)[:, None] * inside)
+
+    def weight(self, q: Floats) -> Floats:
+        """Weight from 1 in the region to 0 far outside, shape (N,)."""
+        return self.region.weight(q)
 
     @serial_blas
     def deviation(
@@ -132,7 +136,7 @@ class Network:
         if len(each) == 1:
             before, after = self.held_out
             inside = size * min(after / max(before, 1e-300), 1.0)
-        weight = self.region.weight(q)[:, None]
+        weight = self.weight(q)[:, None]
         return np.asarray(weight * inside + (1.0 - weight) * size)
 
     @cached_property

@@ -1,0 +1,82 @@
+"""What is known beforehand of a shift of the geometry that is learned along.
+
+The fit has taken along what it could of the effects that are to be learned, so they are
+estimated together: a shift of the parameters beside the correction. Left free it would
+fit the geometry to a correction that holds near the measurements alone. So errors of
+the robot keep the size that they are expected to have about *nominal*, one size for
+each kind of parameter, which the likelihood tells with the rest of the covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib_pin.kinematics.spatial import Floats
+
+FREE = 1e4
+"""Variance of what a free direction explains, in squares of the residual."""
+
+
+@dataclass(frozen=True)
+class Shifts:
+    """Directions in which the parameters of a fit may shift.
+
+    Attributes:
+        about: Value of each direction at the fit, from nominal, shape (P,).
+        kinds: For each kind of parameter what its errors of expected size contribute to
+            the directions, shape (P, p) each. A direction of no kind is free.
+    """
+
+    about: Floats
+    kinds: tuple[Floats, ...] = ()
+
+    @staticmethod
+    def free(count: int) -> Shifts:
+        """So many directions of which nothing is known."""
+        return Shifts(np.zeros(count))
+
+    def __len__(self) -> int:
+        """Number P of directions."""
+        return len(self.about)
+
+    def columns(self, by_shift: Floats) -> tuple[Floats, list[Floats]]:
+        """Residuals of the free directions, and of errors of each kind.
+
+        Args:
+            by_shift: Derivative of the residuals by the shift, shape (N, d, P).
+
+        Returns:
+            Columns of free directions that explain `FREE` mean squares each where the
+            residuals have a mean square of one, shape (N d, f), and of expected errors
+            of each kind, shape (N d, p) each.
+        """
+        G = by_shift.reshape(-1, len(self))
+        return G * np.sqrt(self._freedom(G)), [G @ kind for kind in self.kinds]
+
+    def root(self, by_shift: Floats, square: float, sizes: Sequence[float]) -> Floats:
+        """A root R of the covariance `R R^T` of the shift about nominal, shape (P, P).
+
+        Args:
+            by_shift: Derivative of the residuals by the shift, shape (N, d, P).
+            square: Mean square of the residuals, of which free directions may explain
+                `FREE` times as much.
+            sizes: Variance of each kind, in squares of the expected size.
+        """
+        G = by_shift.reshape(-1, len(self))
+        result = np.diag(square * self._freedom(G))
+        for size, kind in zip(sizes, self.kinds, strict=True):
+            result += size * (kind @ kind.T)
+        values, vectors = np.linalg.eigh(result)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+    def _freedom(self, G: Floats) -> Floats:
+        """Variance of free directions by the mean square of the residuals, (P,)."""
+        squares = np.einsum("ij,ij->j", G, G)
+        free = np.ones(len(self), bool)
+        for kind in self.kinds:
+            free &= ~kind.any(axis=1)
+        shown = free & (squares > 0.0)
+        return np.where(shown, FREE * len(G) / np.where(shown, squares, 1.0), 0.0)

@@ -30,7 +30,7 @@ from calib_pin.validation.joint_offsets import encoder_steps
 from calib_pin.validation.judgement import Judgement, judge, quantity_errors
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
-from calib_pin.validation.model_selection import select_model
+from calib_pin.validation.model_selection import USES, select_model
 from calib_pin.validation.result import CalibrationResult, UrdfResult
 from calib_pin.validation.robot_errors import robot_errors
 from calib_pin.validation.shared import breakdown
@@ -56,6 +56,7 @@ def calibrate(
     holdout: float | None = None,
     validate: bool = True,
     ladder: bool = False,
+    use: str = USES[0],
     seed: int = 0,
     progress: Stages | None = None,
     others: Others = NONE,
@@ -75,6 +76,8 @@ def calibrate(
         ladder: Whether to select among models from joint offsets to a learned
             correction by cross-validation, and to use the simplest of the best; see
             `model_selection.select_model`.
+        use: Where the selected model must hold: `near` the fitted configurations,
+            `away` from them, or `both`.
         seed: Seed of random configurations, searches and splits.
         progress: Told the stage and the part that is done, 0 to 1.
         others: Other readings of the files of the measurements.
@@ -117,7 +120,9 @@ def calibrate(
 
     with explained(chains, training, setup, others):
         if ladder:
-            selected = select_model(chains, training, setup, seed, progress, workers)
+            selected = select_model(
+                chains, training, setup, seed, progress, workers, use
+            )
             model = selected.model
         else:
             tell = portion(named(progress, "fit"), 0.0, share)

@@ -86,6 +86,14 @@ def calibrate(
             "the simplest of the best.",
         ),
     ] = False,
+    use: Annotated[
+        str | None,
+        options.fit(
+            "--use WHERE",
+            "Select the model that holds near the measured configurations, away "
+            "from them, or both (default); implies --model-ladder.",
+        ),
+    ] = None,
     validation: Annotated[
         Path | None,
         options.fit(
@@ -137,6 +145,7 @@ def calibrate(
         loss,
         learned,
         model_ladder,
+        use,
         station_per_file,
         validation,
         holdout,

@@ -27,6 +27,7 @@ from calib_pin.cli.results import (
     result_files,
     shapes_ahead,
 )
+from calib_pin.errors import require_known
 from calib_pin.workers import SERIAL, Workers
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ class Request:
     loss: str | None = None
     learned: str | None = None
     model_ladder: bool = False
+    use: str | None = None
     station_per_file: bool = False
     validation: Path | None = None
     holdout: float | None = None
@@ -133,6 +135,10 @@ def opened(
     """
     from calib_pin.io.measured_columns import place_of
 
+    if request.use is not None:
+        from calib_pin.validation.model_selection import USES
+
+        require_known("use", request.use, USES)
     stated = open_setup(
         request.setup,
         base=request.base,
@@ -205,6 +211,7 @@ def calibrated(
     """
     from calib_pin.calibration import calibrate
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
+    from calib_pin.validation.model_selection import USES
 
     request, files = opened.request, opened.files
     shown = (files is not None and page) or bool(pictures)
@@ -217,7 +224,8 @@ def calibrated(
         opened.setup,
         validation=opened.validation,
         holdout=request.holdout,
-        ladder=request.model_ladder,
+        ladder=request.model_ladder or request.use is not None,
+        use=request.use or USES[0],
         seed=request.seed,
         progress=bar,
         others=other_readings(

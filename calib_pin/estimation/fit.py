@@ -7,37 +7,32 @@ from what they leave.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError, OptionError, require_known
-from calib_pin.estimation.directions import nuisance_basis, visible_nuisances
+from calib_pin.errors import InputError
+from calib_pin.estimation.directions import nuisance_basis
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.learning import (
+    learned_correction,
+    require_learnable,
+    with_learned,
+)
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.robust.weights import robustly
 from calib_pin.estimation.solve import Solver, refine
 from calib_pin.estimation.stages import without_prior
 from calib_pin.estimation.statistics.systematic import systematic
-from calib_pin.estimation.system import Part, System
+from calib_pin.estimation.system import System
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import declared
 from calib_pin.observations import Observations
 from calib_pin.progress import Progress, portion
-from calib_pin.residual_models import (
-    RESIDUAL_MODELS,
-    LearnedCorrection,
-    Linearized,
-    Shifts,
-    Space,
-    TrainingRows,
-)
 from calib_pin.setup import Setup
 from calib_pin.solvers import LeastSquaresResult
 from calib_pin.solvers.status import Status
@@ -218,186 +213,3 @@ def fit_model(
         plain = replace(problem, setup=replace(setup, learned=None))
         return FittedModel(fitted, plain, theta, rejected=setup.learned)
     return FittedModel(fitted, with_learned(problem, learned), theta)
-
-
-def require_learnable(name: str, setup: Setup, measurements: Observations) -> None:
-    """Refuse a residual model that does not exist or has nothing to learn from.
-
-    Raises:
-        OptionError: If there is no such model, or the measurements are relative or of
-            several chains.
-    """
-    require_known("residual model", name, RESIDUAL_MODELS)
-    if any(declared(model).relative for model in measurements.models):
-        raise OptionError(
-            "nothing can be learned from distances between two configurations",
-            file=setup.file or None,
-            value=name,
-            allowed="measurements of another model",
-        )
-    if len({key.chain for key in measurements.keys}) > 1:
-        raise OptionError(
-            "nothing can be learned from measurements of several chains",
-            file=setup.file or None,
-            value=name,
-            allowed="measurements of one chain",
-        )
-
-
-def with_learned(problem: _System, learned: LearnedCorrection) -> _System:
-    """A problem or a model about its solution, with a learned correction.
-
-    Args:
-        problem: The problem.
-        learned: The correction, with a shift of all parameters, shape (P,); a motion
-            of the tool is one of the first tool.
-    """
-    parts = {}
-    for key, part in problem.parts.items():
-        shift = learned.shift[part.of_error]
-        own = replace(learned, shift=shift, carried=_carried(problem, part))
-        parts[key] = replace(part, error=replace(part.error, learned=own))
-    return problem.with_parts(parts)
-
-
-def _carried(problem: System, part: Part) -> Floats | None:
-    """Adjoint from the first tool to that of a part; None where it is the same."""
-    first, tool = problem.only.error.tool, part.error.tool
-    if tool == first:
-        return None
-    return np.asarray((tool.inverse() * first).toActionMatrix())
-
-
-def learned_correction(
-    name: str,
-    fitted: Fit,
-    problem: Problem,
-    theta: Floats,
-    rng: np.random.Generator,
-    progress: Progress | None = None,
-) -> LearnedCorrection | None:
-    """The correction that a residual model learns; None without a gain.
-
-    Args:
-        name: Name of the residual model.
-        fitted: The fit.
-        problem: Its problem, about the solution.
-        theta: Parameter values about that, shape (P,).
-        rng: Random generator of the residual model.
-        progress: Told how much is done, 0 to 1.
-
-    Raises:
-        InputError: If the measurements are too few to learn from.
-    """
-    directions, known = _shifts(fitted, problem, theta)
-    found = RESIDUAL_MODELS[name](
-        training_rows(problem, theta, directions, known), rng, progress=progress
-    )
-    q = np.concatenate([block.data.q for block in problem.blocks])
-    if not (found.shift.any() or found(q).any()):
-        # Nothing held on the validation measurements.
-        return None
-    return LearnedCorrection(found, directions @ found.shift)
-
-
-def training_rows(
-    problem: Problem, theta: Floats, directions: Floats, known: Shifts
-) -> TrainingRows:
-    """Residuals as functions of a correction, for a residual model to learn.
-
-    Args:
-        problem: The problem about the solution of a fit.
-        theta: Parameter values there, shape (P,).
-        directions: Directions of the parameters that may shift along with the
-            correction, shape (P, k).
-        known: What is known of these.
-    """
-    layout = problem.layout
-    shape = len(problem.data), layout.width
-    basis = {
-        block.part.key: block.part.error.basis(block.data.q, block.data.payload)
-        for block in problem.blocks
-    }
-
-    def linearize(space: Space, values: Floats, shift: Floats) -> Linearized:
-        result = Linearized(
-            np.zeros(shape),
-            np.zeros((*shape, values.shape[1])),
-            np.zeros((*shape, len(shift))),
-        )
-        moved = directions @ shift
-        for part, data, rows, flat in problem.blocks:
-            own, error = part.index, part.error
-            of_robot, instrument = part.split(theta[own])
-            count = len(of_robot)
-            corrections, carried = values[rows], None
-            if space == "tip":
-                carried = _carried(problem, part)
-                corrections = (
-                    corrections if carried is None else corrections @ carried.T
-                )
-            given = _Given(space, corrections, moved[own[:count]])
-            poses = replace(error, learned=given).linearize(
-                data.q, of_robot, basis[part.key]
-            )
-            linear = part.measurement.linearize(poses.T, instrument, data)
-            sigma = problem.sigma[flat].reshape(len(data), -1)
-            J_pose = linear.J_pose / sigma[:, :, None]
-            columns = layout.column[flat][: sigma.shape[1]]
-            result.residual[rows, columns] = linear.residual / sigma
-            by_correction = J_pose if carried is None else J_pose @ carried
-            if space == "joint":
-                by_correction = J_pose @ poses.joint_twists()
-            result.by_correction[rows, columns] = by_correction
-            by_shift = poses.derivative(J_pose) @ directions[own[:count]]
-            result.by_shift[rows, columns] = by_shift
-        return result
-
-    return TrainingRows(
-        q=np.concatenate([block.data.q for block in problem.blocks]),
-        groups=problem.data.groups(),
-        revolute=problem.only.error.chain.revolute,
-        by_joint=partial(linearize, "joint"),
-        by_tip=partial(linearize, "tip"),
-        values=layout.width,
-        shift=known,
-    )
-
-
-@dataclass(frozen=True)
-class _Given:
-    """Corrections of certain rows, in the place of those a model predicts."""
-
-    space: Space
-    values: Floats
-    shift: Floats
-
-    def __call__(self, q: Floats) -> Floats:
-        return self.values
-
-    def weight(self, q: Floats) -> Floats:
-        return np.ones(len(q))
-
-
-def _shifts(fitted: Fit, problem: Problem, theta: Floats) -> tuple[Floats, Shifts]:
-    """Directions that the fit could tell, (P, k), and what is known of them.
-
-    Those of the robot, in the scales of parameters, and free ones of the frames; the
-    instruments stay as they were fitted.
-    """
-    parameters, robot = problem.parameters, fitted.directions.robot
-    _, J = problem.linearize(theta)
-    frames = visible_nuisances(J, parameters)
-    for part in problem.parts.values():
-        frames[part.of_instrument] = 0.0
-    frames = frames[:, frames.any(axis=0)]
-    free, count = np.zeros(frames.shape[1]), robot.shape[1]
-    of_kind = np.array([name.rsplit(".", 2)[-2] for name in parameters.names])
-    shown = robot.any(axis=1)
-    kinds = []
-    for kind in dict.fromkeys(of_kind[shown].tolist()):
-        own = robot[shown & (of_kind == kind)].T
-        kinds.append(np.concatenate([np.zeros((len(free), own.shape[1])), own]))
-    values = robot.T @ (fitted.theta / parameters.scales)
-    known = Shifts(np.concatenate([free, values]), tuple(kinds) if count else ())
-    return parameters.scales[:, None] * np.column_stack([frames, robot]), known

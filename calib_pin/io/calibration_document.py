@@ -309,12 +309,22 @@ def _urdf(urdf: UrdfResult, method: str) -> Json:
 def _ladder(ladder: ModelSelection) -> Json:
     return {
         "chosen": ladder.candidates[ladder.chosen].name,
+        "use": ladder.use,
+        "near": plain(ladder.near),
         "rungs": [
             {
                 **plain(rung),
                 "errors": {
                     name: {"unit": unit, "mean": mean}
                     for name, unit, mean in rung.errors
+                },
+                "away": rung.away
+                and {
+                    **plain(rung.away),
+                    "errors": {
+                        e.name: {"unit": e.unit, "mean": e.mean, "rms": e.rms}
+                        for e in rung.away.errors
+                    },
                 },
             }
             for rung in ladder.candidates

@@ -283,9 +283,24 @@ def _model_selection(entry: Mapping[str, Any] | None) -> ModelSelection | None:
                     (name, error["unit"], error["mean"])
                     for name, error in candidate["errors"].items()
                 ],
+                "away": _away(candidate.get("away")),
             },
         )
         for candidate in entry["rungs"]
     )
     names = [candidate.name for candidate in candidates]
-    return ModelSelection(candidates, names.index(entry["chosen"]))
+    # Without these keys regions were not held out yet.
+    return ModelSelection(
+        candidates,
+        names.index(entry["chosen"]),
+        str(entry.get("use", "near")),
+        {name: (float(a), float(b)) for name, (a, b) in entry.get("near", {}).items()},
+    )
+
+
+def _away(entry: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
+    """Errors away from fitted configurations, as `Away` declares them."""
+    if entry is None:
+        return None
+    errors = [{"name": name, **error} for name, error in entry["errors"].items()]
+    return {**entry, "errors": errors}

@@ -25,7 +25,7 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.estimation.fit import with_learned
+from calib_pin.estimation.learning import with_learned
 from calib_pin.estimation.system import System
 from calib_pin.io.calibrated_model import count_without_instruments, model_of
 from calib_pin.io.files import read_bytes, write_atomically

@@ -133,43 +133,49 @@ def distance_table(distances: Sequence[FoundDistance]) -> Table:
     return Table("Known distances", columns("", titles), rows)
 
 
+LADDER = "Model selection: mean errors on held-out measurements"
+
+
 def ladder_table(ladder: ModelSelection) -> Table:
-    """The candidates of model selection with their errors on held-out measurements."""
+    """The candidates of model selection with their errors on held-out measurements.
+
+    Near the fitted configurations, and in regions of joint space that were held out
+    whole.
+    """
     rungs = ladder.candidates
     quantities = [
         (name, unit) for name, unit, _ in max((r.errors for r in rungs), key=len)
     ]
-    best = min((rung for rung in rungs if not rung.reason), key=lambda rung: rung.score)
+    far = any(rung.away for rung in rungs)
     rows = []
     for k, rung in enumerate(rungs):
-        relative, remark = Cell("-"), rung.reason
-        cells = [Cell("-") for _ in quantities]
-        if not rung.reason:
-            cells = [quantity(mean, unit) for _, unit, mean in rung.errors]
-            part, deviation = (x / rungs[0].score for x in (rung.score, rung.deviation))
-            relative = Cell(_percent(100 * part, 100 * deviation), part)
-            remark = _remark(rung, kept=k == ladder.chosen, best=rung is best)
-        rows.append((Cell(rung.name), *cells, relative, Cell(remark)))
-    units = [f"{name} [{DISPLAY[unit][0]}]" for name, unit in quantities]
+        away = dict.fromkeys((name for name, _ in quantities), Cell("-"))
+        near = dict(away)
+        near |= {name: quantity(mean, unit) for name, unit, mean in rung.errors}
+        if rung.away is not None:
+            away |= {e.name: quantity(e.mean, e.unit) for e in rung.away.errors}
+        pairs = [(near[name], away[name]) if far else (near[name],) for name in near]
+        cells = [cell for pair in pairs for cell in pair]
+        remark = rung.reason or _remark(rung, kept=k == ladder.chosen)
+        rows.append((Cell(rung.name), *cells, Cell(remark)))
+    places = ("near", "away") if far else ("",)
+    titles = [
+        f"{name} {place} [{DISPLAY[unit][0]}]".replace("  ", " ")
+        for name, unit in quantities
+        for place in places
+    ]
     return Table(
-        "Model selection: mean errors on validation measurements",
-        columns("", (*units, "error", ""), {"": "remark"}),
+        f"{LADDER}, near the fitted configurations and away" if far else LADDER,
+        columns("", (*titles, ""), {"": "remark"}),
         rows,
         emphasized=(ladder.chosen,),
     )
 
 
-def _remark(rung: Candidate, *, kept: bool, best: bool) -> str:
+def _remark(rung: Candidate, *, kept: bool) -> str:
     if not rung.helps:
         return "no significant gain"
-    if kept:
-        return "selected"
-    return "not significantly better than the selected model" if best else ""
-
-
-def _percent(value: float, sigma: float) -> str:
-    places = max(decimals(sigma), 0)
-    return f"{value:.{places}f} +- {sigma:.{places}f} %"
+    return "selected" if kept else ""
 
 
 def parameter_table(

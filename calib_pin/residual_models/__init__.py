@@ -59,7 +59,7 @@ def _fit_network(
 def _fit_gaussian_process(
     rows: TrainingRows, rng: np.random.Generator, *, progress: Progress | None = None
 ) -> ResidualModel:
-    from calib_pin.residual_models.gaussian_process import fit_gaussian_process
+    from calib_pin.residual_models.process_fit import fit_gaussian_process
 
     return fit_gaussian_process(rows, rng, progress=progress)
 

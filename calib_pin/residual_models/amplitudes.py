@@ -7,6 +7,7 @@ the noise, all follows from `B = 1 + V^(1/2) S V^(1/2)` (Rasmussen and Williams 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.linalg import cho_solve, cholesky
 from scipy.linalg.lapack import dpotri, dtrtri
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.residual_models.covariance import Covariance, Likeliest, searched
+from calib_pin.residual_models.covariance import Covariance, Form, Likeliest, searched
 from calib_pin.residual_models.harmonics import HIGHEST, Harmonics, Spectrum
 from calib_pin.residual_models.sums import Sums
 
@@ -46,17 +47,21 @@ class Variances:
         """The variances that a covariance gives to harmonics."""
         orders, component = harmonics.orders, harmonics.component
         spectra = [Spectrum.of(length, HIGHEST) for length in covariance.long]
-        of_all = covariance.all[component]
-        for spectrum, order in zip(spectra, orders.T, strict=True):
-            of_all = of_all * spectrum.value[order]
+        of_all = np.zeros(len(harmonics))
+        if len(covariance.all):
+            of_all = covariance.all[component]
+            for spectrum, order in zip(spectra, orders.T, strict=True):
+                of_all = of_all * spectrum.value[order]
         of_own, by_short = np.zeros(len(harmonics)), np.zeros(len(harmonics))
         for j, length in enumerate(covariance.short):
             own = np.flatnonzero(harmonics.alone & (component == j))
             spectrum, order = Spectrum.of(length, HIGHEST), orders[own, j]
             of_own[own] = covariance.own[j] * spectrum.value[order]
             by_short[own] = spectrum.slope[order]
-        by_long = [s.slope[order] for s, order in zip(spectra, orders.T, strict=True)]
-        return Variances(of_all, of_own, np.array(by_long), by_short)
+        by_long = np.zeros((len(spectra), len(harmonics)))
+        for row, spectrum, order in zip(by_long, spectra, orders.T, strict=False):
+            row[:] = spectrum.slope[order]
+        return Variances(of_all, of_own, by_long, by_short)
 
 
 @dataclass(frozen=True)
@@ -120,20 +125,27 @@ class Amplitudes:
 
 
 def likeliest(
-    sums: Sums, harmonics: Harmonics, others: Floats, *, own: bool
+    sums: Sums,
+    harmonics: Harmonics,
+    free: Floats,
+    kinds: Sequence[int] = (),
+    *,
+    form: Form,
 ) -> Likeliest:
     """Maximize the marginal likelihood of the measurements.
 
     Args:
         sums: Their sums.
         harmonics: The harmonics, of every component at least one.
-        others: Variances of the shifts, shape (P,).
-        own: Whether components have functions of their own angle.
+        free: Variances of the free amounts of the shift, shape (f,).
+        kinds: Number of amounts of each kind behind these, see `shifts.Shifts`.
+        form: Functions that the process is made of.
     """
     m, D = int(harmonics.component.max()) + 1, len(harmonics)
 
     def cost(covariance: Covariance, noise: float) -> tuple[float, Floats]:
         variances = Variances.of(covariance, harmonics)
+        others = shift_variances(covariance, free, kinds)
         found = Amplitudes.of(sums, np.r_[variances.total, others], noise)
         # Of a variance that is a sum each part has its share of the derivative.
         by_part = found.slope[:D] / np.maximum(variances.total, 1e-300)
@@ -142,11 +154,23 @@ def likeliest(
         def summed(values: Floats) -> Floats:
             return np.bincount(harmonics.component, values, m).astype(float)
 
-        gradient = np.r_[summed(of_all), variances.by_long @ of_all, [found.by_noise]]
-        if own:
+        gradient = np.zeros(0)
+        if form.own:
             short = summed(of_own * variances.by_short)
-            gradient = np.r_[summed(of_own), short, gradient]
-        return found.cost, gradient
+            gradient = np.r_[summed(of_own), short]
+        if form.smooth:
+            gradient = np.r_[gradient, summed(of_all), variances.by_long @ of_all]
+        by_kind = np.bincount(of_kind, found.slope[D + len(free) :], len(kinds))
+        return found.cost, np.r_[gradient, by_kind, [found.by_noise]]
 
+    of_kind = np.repeat(np.arange(len(kinds)), kinds)
+    shape = m, harmonics.modes.shape[1], len(kinds)
     square = sums.square / sums.count
-    return searched(cost, (m, harmonics.modes.shape[1], 0), square, own=own)
+    return searched(cost, shape, square, form=form)
+
+
+def shift_variances(
+    covariance: Covariance, free: Floats, kinds: Sequence[int]
+) -> Floats:
+    """Variances of all amounts of the shift, see `likeliest`, shape (f + p,)."""
+    return np.concatenate([free, np.repeat(covariance.kinds, kinds)])

@@ -8,8 +8,8 @@ Each component j of a correction is a sum of at most two independent functions,
 one of its joint's own angle, which may repeat many times in a turn as gears do, and one
 of all angles, which is smooth. What depends on the own angle alone carries over to
 wherever only the other joints stand differently; what depends on all is gone there. A
-twist of the tip has no joint of its own, and only the second. The exponents are squared distances on the circles: this is a Gaussian kernel of
-the points (sin, cos).
+twist of the tip has no joint of its own, and only the second. The exponents are squared
+distances on the circles: this is a Gaussian kernel of the points (sin, cos).
 
 The likeliest covariance has the highest marginal likelihood (Rasmussen and Williams
 2006, 5.4). It is written out here: scikit-learn's general search holds the derivative
@@ -30,6 +30,7 @@ from scipy.optimize import Bounds, minimize
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.progress import Progress
+from calib_pin.residual_models.base import Space
 from calib_pin.residual_models.documents import checked, numbers
 from calib_pin.residual_models.region import PIECE
 
@@ -49,8 +50,30 @@ QUIETEST = 1e-5
 JITTER = 1e-10
 """Variance beside the noise that keeps the covariance positive definite."""
 
-STEPS = 30
+STEPS = 40
 """Steps of the search; by then the likelihood hardly changes."""
+
+
+class Form(NamedTuple):
+    """What a process is made of.
+
+    Attributes:
+        space: Space of the corrections.
+        own: Whether they have functions of their own joint's angle.
+        smooth: Whether they have functions of all angles.
+    """
+
+    space: Space
+    own: bool
+    smooth: bool
+
+
+FORMS = (
+    Form("joint", own=True, smooth=False),
+    Form("joint", own=True, smooth=True),
+    Form("tip", own=False, smooth=True),
+)
+"""All of them, simplest first."""
 
 
 @dataclass(frozen=True)
@@ -206,8 +229,7 @@ def most_likely(
     free: Floats,
     kinds: Sequence[Floats] = (),
     *,
-    own: bool,
-    smooth: bool = True,
+    form: Form,
     progress: Progress | None = None,
 ) -> Likeliest:
     """Maximize the marginal likelihood.
@@ -219,8 +241,7 @@ def most_likely(
         free: Residuals by free directions beside the corrections, a random amount of
             deviation one of each, shape (N d, f).
         kinds: The same by errors of each kind of parameter, shape (N d, p) each.
-        own: Whether components have functions of their own angle.
-        smooth: Whether they have functions of all angles.
+        form: Functions that the process is made of.
         progress: Told the part that is done, 0 to 1.
     """
     y = target.reshape(-1)
@@ -253,7 +274,7 @@ def most_likely(
 
     square = float((target**2).mean())
     shape = A.shape[2], angle.shape[1], len(kinds)
-    return searched(cost, shape, square, own=own, smooth=smooth, progress=progress)
+    return searched(cost, shape, square, form=form, progress=progress)
 
 
 def searched(
@@ -261,8 +282,7 @@ def searched(
     shape: tuple[int, int, int],
     square: float,
     *,
-    own: bool,
-    smooth: bool = True,
+    form: Form,
     progress: Progress | None = None,
 ) -> Likeliest:
     """Minimize a cost of a covariance and a noise.
@@ -272,11 +292,10 @@ def searched(
             covariance, in their order, and of the noise; any where it is infinite.
         shape: Numbers m of components, n of angles and of kinds of parameters.
         square: Mean square of the residuals.
-        own: Whether components have functions of their own angle.
-        smooth: Whether they have functions of all angles.
+        form: Functions that the process is made of.
         progress: Told the part that is done, 0 to 1.
     """
-    m, n, kinds = shape
+    (m, n, kinds), (_, own, smooth) = shape, form
     counts = {"own": m * own, "short": m * own, "all": m * smooth, "long": n * smooth}
     counts |= {"kinds": kinds, "noise": 1}
     cuts = np.cumsum(list(counts.values()))[:-1]

@@ -9,7 +9,7 @@ most of what is left.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, cast, get_args
@@ -19,15 +19,29 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import Threads, serial_blas
 from calib_pin.kinematics.spatial import Floats, times
-from calib_pin.residual_models.amplitudes import Amplitudes, Variances, likeliest
+from calib_pin.residual_models.amplitudes import (
+    Amplitudes,
+    Variances,
+    likeliest,
+    shift_variances,
+)
 from calib_pin.residual_models.base import (
+    MUCH,
+    Linearized,
     Space,
     TrainingRows,
     convincing,
     correction_unit,
     root_mean_square,
 )
-from calib_pin.residual_models.documents import checked, numbers, stated, written
+from calib_pin.residual_models.covariance import Form
+from calib_pin.residual_models.documents import (
+    checked,
+    fades,
+    numbers,
+    stated,
+    written,
+)
 from calib_pin.residual_models.harmonics import Harmonics, candidates
 from calib_pin.residual_models.region import PIECE, TrainedRegion
 from calib_pin.residual_models.shifts import FREE
@@ -57,12 +71,16 @@ class HarmonicProcess:
         unit: Correction that counts as one, shape (m,) [rad, m].
         harmonics: The D functions.
         amplitudes: Their amplitudes in units, shape (D,).
-        root: Standard deviations of amplitudes and shifts before any measurement,
-            shape (D + P,).
+        root: Standard deviations of amplitudes and amounts of the shift before any
+            measurement, shape (D + p,).
         spread: Lower triangle T row by row: what has the derivatives x by amplitudes
-            and shifts has the variance `|T (root x)|^2`, shape (K,).
+            and amounts has the variance `|T (root x)|^2`, shape (K,).
         held_out: Root mean square of the whitened residuals of a part of the
             measurements, before, and predicted from all the others.
+        released: Shift per amount, see `shifts.Shifts`, shape (P, p).
+        fades: Whether it fades outside the region. Functions of single joints know how
+            far they hold; of the others only those that the measurements call for are
+            there, which are sure of themselves everywhere.
     """
 
     region: TrainedRegion
@@ -74,18 +92,20 @@ class HarmonicProcess:
     root: Floats
     spread: Floats
     held_out: tuple[float, float]
+    released: Floats
+    fades: bool = True
     name: ClassVar[str] = "gaussian-process"
     made_of: ClassVar[str] = "harmonics"
 
     @serial_blas
     def __call__(self, q: Floats) -> Floats:
-        """Corrections at joint positions, (N, m) [rad, m], zero outside the region."""
+        """Corrections at joint positions, (N, m) [rad, m]."""
         inside = self._inside(self.region.angles(q))
         return np.asarray(self.weight(q)[:, None] * inside)
 
     def weight(self, q: Floats) -> Floats:
-        """Weight from 1 in the region to 0 far outside, shape (N,)."""
-        return self.region.weight(q)
+        """Weight of the correction, see `fades`, shape (N,)."""
+        return self.region.weight(q) if self.fades else np.ones(len(q))
 
     @serial_blas
     def deviation(
@@ -99,6 +119,7 @@ class HarmonicProcess:
             by_correction = np.tile(np.eye(len(self.unit)), (len(q), 1, 1))
         A = by_correction * self.unit
         G = np.zeros((*A.shape[:2], len(self.shift))) if by_shift is None else by_shift
+        G = G @ self.released
         inside = np.empty(A.shape[:2])
         for start in range(0, len(q), PIECE):
             piece = slice(start, start + PIECE)
@@ -126,7 +147,7 @@ class HarmonicProcess:
         return np.concatenate(found) * self.unit
 
     def _variance(self, angle: Floats, A: Floats, G: Floats) -> Floats:
-        """Variances of what depends on corrections in units and a shift, (K, d)."""
+        """Variances of what depends on corrections in units and amounts, (K, d)."""
         values = np.ascontiguousarray(self.harmonics.values(angle))[:, None, :]
         columns = np.concatenate([values * A[:, :, self.harmonics.component], G], 2)
         found = (columns * self.root) @ self._triangle.T
@@ -154,7 +175,10 @@ class HarmonicProcess:
         m = joints if space == "joint" else 6
         harmonics = Harmonics.restore(parts.get("harmonics"), joints, m)
         shift = numbers(parts, "shift", (None,), empty=True)
-        size = len(harmonics) + len(shift)
+        released = np.eye(len(shift))  # Every direction was free once.
+        if "released" in parts:
+            released = numbers(parts, "released", (len(shift), None), empty=True)
+        size = len(harmonics) + released.shape[1]
         before, after = numbers(parts, "held_out", (2,))
         return HarmonicProcess(
             region=TrainedRegion.restore(parts.get("region"), joints),
@@ -166,6 +190,8 @@ class HarmonicProcess:
             root=np.abs(numbers(parts, "root", (size,))),
             spread=numbers(parts, "spread", (size * (size + 1) // 2,)),
             held_out=(float(before), float(after)),
+            released=released,
+            fades=fades(parts),
         )
 
 
@@ -175,11 +201,11 @@ def fit_harmonics(
     training: NDArray[np.int64],
     held: NDArray[np.int64],
     *,
-    spaces: tuple[Space, ...],
+    forms: Sequence[Form],
     functions: int,
     screened: int,
     report: Callable[[float], None],
-) -> HarmonicProcess:
+) -> tuple[HarmonicProcess, Floats]:
     """Fit a Gaussian process of harmonics to the residuals of a geometric fit.
 
     Args:
@@ -187,49 +213,58 @@ def fit_harmonics(
         region: Their region.
         training: Those to learn from, the first of which choose the harmonics.
         held: The others, which tell in between how well it predicts.
-        spaces: Spaces of the correction; the one in which the chosen measurements are
-            most likely is taken.
+        forms: Forms, simplest first. A later one must predict the others much better.
         functions: Most harmonics.
         screened: Most measurements that choose them.
         report: Told the part that is done, 0 to 1.
+
+    Returns:
+        The process, and the whitened residuals of the others predicted without them.
     """
     few = np.sort(training[:screened])
-    drafts = []
-    for k, space in enumerate(spaces):
-        draft = _Draft(rows, space, region)
-        drafts.append(draft.choose(few, functions))
-        report(0.5 * (k + 1) / len(spaces))
-    best = min(drafts, key=lambda draft: draft.cost)
-    return best.solve(np.sort(training), held, report)
+    best: tuple[HarmonicProcess, Floats] | None = None
+    for k, form in enumerate(forms):
+
+        def tell(part: float, k: int = k) -> None:
+            report((k + part) / len(forms))
+
+        draft = _Draft(rows, form, region).choose(few, functions)
+        tell(0.5)
+        found = draft.solve(np.sort(training), held, tell)
+        if best is None or convincing(best[1], found[1], MUCH):
+            best = found
+    assert best is not None
+    return best
 
 
 class _Draft:
-    """A process in one space, on its way.
+    """A process of one form, on its way."""
 
-    Attributes:
-        cost: Negative logarithm of the likelihood of the measurements that have chosen
-            the harmonics.
-    """
-
-    def __init__(self, rows: TrainingRows, space: Space, region: TrainedRegion) -> None:
+    def __init__(self, rows: TrainingRows, form: Form, region: TrainedRegion) -> None:
         """Linearize about no correction."""
-        self._rows, self._space, self._region = rows, space, region
-        kinds = rows.revolute if space == "joint" else np.arange(6) < 3
-        self._evaluate = rows.by_joint if space == "joint" else rows.by_tip
+        self._rows, self._form, self._region = rows, form, region
+        joint = form.space == "joint"
+        kinds = rows.revolute if joint else np.arange(6) < 3
+        self._evaluate = rows.by_joint if joint else rows.by_tip
+        self._released, self._kinds = rows.shift.amounts
         self._angle = region.angles(rows.q)
         zero = np.zeros((len(rows.q), len(kinds)))
         at = self._evaluate(zero, np.zeros(rows.shifts))
         self._unit = correction_unit(at, kinds)
         self._before = at.residual
-        self._linear = Linear(
-            self._angle, at.by_correction * self._unit, at.by_shift, -at.residual
-        )
-        self.cost = np.inf
+        self._linear = self._about(at, -at.residual)
 
     def choose(self, few: NDArray[np.int64], functions: int) -> _Draft:
-        """Choose harmonics and solve for them, by some of the measurements."""
-        linear, own = self._linear.rows(few), self._space == "joint"
-        every = candidates(linear.angle.shape[1], len(self._unit), own=own)
+        """Choose harmonics and solve for them, by some of the measurements.
+
+        All that there are where they are functions of one joint each.
+        """
+        form = self._form
+        linear = self._linear.rows(few)
+        every = candidates(linear.angle.shape[1], len(self._unit), form)
+        if not form.smooth:
+            self._harmonics = every
+            return self
         # Phases of one product join together: so a variance is the same everywhere.
         product = np.column_stack([every.component, every.orders])
         _, group = np.unique(product, axis=0, return_inverse=True)
@@ -247,11 +282,8 @@ class _Draft:
                     chosen |= phases
             self._harmonics = every.at(chosen)
             sums = Sums.of(self._harmonics, linear)
-            self._covariance, noise, _ = likeliest(
-                sums, self._harmonics, self._others(sums), own=own
-            )
+            noise = self._likeliest(sums)
             self._amplitudes = self._solved(sums, noise)
-            self.cost = self._amplitudes.cost
             left = replace(linear, target=linear.target - self._effect(linear))
         return self
 
@@ -260,25 +292,18 @@ class _Draft:
         training: NDArray[np.int64],
         held: NDArray[np.int64],
         report: Callable[[float], None],
-    ) -> HarmonicProcess:
+    ) -> tuple[HarmonicProcess, Floats]:
         """The process of all measurements, linearized again at its predictions."""
-        process = self._process()
-        f = process._inside(self._angle)
-        at = self._evaluate(f, process.shift)
-        effect = times(at.by_correction, f) + at.by_shift @ process.shift
-        self._linear = Linear(
-            self._angle,
-            at.by_correction * self._unit,
-            at.by_shift,
-            effect - at.residual,
-        )
+        if self._form.smooth:
+            process = self._process()
+            f = process._inside(self._angle)
+            at = self._evaluate(f, process.shift)
+            effect = times(at.by_correction, f) + at.by_shift @ process.shift
+            self._linear = self._about(at, effect - at.residual)
         report(0.7)
         known, unknown = self._linear.rows(training), self._linear.rows(held)
         sums = Sums.of(self._harmonics, known)
-        own = self._space == "joint"
-        self._covariance, self._noise, _ = likeliest(
-            sums, self._harmonics, self._others(sums), own=own
-        )
+        self._noise = self._likeliest(sums)
         report(0.9)
         self._amplitudes = self._solved(sums, self._noise)
         before = self._before[held]
@@ -294,21 +319,37 @@ class _Draft:
             )
         report(1.0)
         # All variances times one number predict the same, but less surely.
-        return replace(
+        found = replace(
             result,
             root=result.root * np.sqrt(surprise),
             held_out=(root_mean_square(before), root_mean_square(after)),
         )
+        return found, after
 
-    def _others(self, sums: Sums) -> Floats:
-        """Variances of the shifts before any measurement, shape (P,)."""
-        squares = np.diag(sums.normal)[len(self._harmonics) :]
+    def _about(self, at: Linearized, target: Floats) -> Linear:
+        """Residuals that amplitudes and amounts of the shift should make."""
+        G = at.by_shift @ self._released
+        A = at.by_correction * self._unit
+        return Linear(self._angle, A, G, target + at.by_shift @ self._rows.shift.about)
+
+    def _likeliest(self, sums: Sums) -> float:
+        """The noise under the likeliest covariance, which is kept."""
+        self._covariance, noise, _ = likeliest(
+            sums, self._harmonics, self._free(sums), self._kinds, form=self._form
+        )
+        return noise
+
+    def _free(self, sums: Sums) -> Floats:
+        """Variances of the free amounts before any measurement, shape (f,)."""
+        count = self._released.shape[1] - sum(self._kinds)
+        squares = np.diag(sums.normal)[len(self._harmonics) :][:count]
         free = FREE * sums.square
         return np.where(squares > 0.0, free / np.where(squares > 0.0, squares, 1.0), 0)
 
     def _solved(self, sums: Sums, noise: float) -> Amplitudes:
         variances = Variances.of(self._covariance, self._harmonics).total
-        return Amplitudes.of(sums, np.r_[variances, self._others(sums)], noise)
+        others = shift_variances(self._covariance, self._free(sums), self._kinds)
+        return Amplitudes.of(sums, np.r_[variances, others], noise)
 
     def _effect(self, linear: Linear) -> Floats:
         """Effect of amplitudes and shifts on the residuals, shape (N, d)."""
@@ -335,14 +376,16 @@ class _Draft:
         found, D = self._amplitudes, len(self._harmonics)
         return HarmonicProcess(
             region=self._region,
-            shift=found.mean[D:],
-            space=self._space,
+            shift=self._released @ found.mean[D:] - self._rows.shift.about,
+            space=self._form.space,
             unit=self._unit,
             harmonics=self._harmonics,
             amplitudes=found.mean[:D],
             root=found.root,
             spread=np.round(found.spread[np.tril_indices(len(found.root))], DIGITS),
             held_out=(0.0, 0.0),
+            released=self._released,
+            fades=self._form.smooth,
         )
 
 

@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 from scipy.special import ive
 
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.residual_models.covariance import Form
 from calib_pin.residual_models.documents import checked, numbers
 
-HIGHEST = 40
-"""Highest harmonic of a joint's own angle, as that of networks."""
+HIGHEST = 64
+"""Highest harmonic of a joint's own angle: half a wave is 3 degrees."""
 
 ORDER = 5
 """Largest sum of the orders of a product."""
@@ -140,19 +141,19 @@ class Harmonics:
         return Harmonics(modes.astype(np.int64), component.astype(np.int64))
 
 
-def candidates(joints: int, components: int, *, own: bool) -> Harmonics:
+def candidates(joints: int, components: int, form: Form) -> Harmonics:
     """All functions from which some are chosen.
 
     Args:
         joints: Number n of joints.
         components: Number m of components.
-        own: Whether components are joints, which have all harmonics of their own angle.
+        form: Functions that the process is made of.
     """
-    orders = _orders(joints)
+    orders = _orders(joints) if form.smooth else [(0,) * joints]
     modes, component = list[tuple[int, ...]](), list[int]()
     for j in range(components):
         found = dict.fromkeys(orders)
-        if own:
+        if form.own:
             alone = np.zeros((HIGHEST, joints), np.int64)
             alone[:, j] = np.arange(1, HIGHEST + 1)
             found |= dict.fromkeys(map(tuple, alone.tolist()))

@@ -9,10 +9,10 @@ each kind of parameter, which the likelihood tells with the rest of the covarian
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 
@@ -42,6 +42,16 @@ class Shifts:
         """Number P of directions."""
         return len(self.about)
 
+    @property
+    def amounts(self) -> tuple[Floats, tuple[int, ...]]:
+        """Independent amounts that make up the shift: free ones, then errors by kind.
+
+        Returns:
+            Shift per amount, shape (P, f + p), and the number of amounts of each kind.
+        """
+        free = np.eye(len(self))[:, self._free]
+        return np.hstack([free, *self.kinds]), tuple(k.shape[1] for k in self.kinds)
+
     def columns(self, by_shift: Floats) -> tuple[Floats, list[Floats]]:
         """Residuals of the free directions, and of errors of each kind.
 
@@ -53,10 +63,10 @@ class Shifts:
             residuals have a mean square of one, shape (N d, f), and of expected errors
             of each kind, shape (N d, p) each.
         """
-        G = by_shift.reshape(-1, len(self))
+        G = self._matrix(by_shift)
         return G * np.sqrt(self._freedom(G)), [G @ kind for kind in self.kinds]
 
-    def root(self, by_shift: Floats, square: float, sizes: Sequence[float]) -> Floats:
+    def root(self, by_shift: Floats, square: float, sizes: Floats) -> Floats:
         """A root R of the covariance `R R^T` of the shift about nominal, shape (P, P).
 
         Args:
@@ -65,18 +75,24 @@ class Shifts:
                 `FREE` times as much.
             sizes: Variance of each kind, in squares of the expected size.
         """
-        G = by_shift.reshape(-1, len(self))
+        G = self._matrix(by_shift)
         result = np.diag(square * self._freedom(G))
         for size, kind in zip(sizes, self.kinds, strict=True):
             result += size * (kind @ kind.T)
         values, vectors = np.linalg.eigh(result)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
+    @property
+    def _free(self) -> NDArray[np.bool_]:
+        """Whether each direction is of no kind, shape (P,)."""
+        return np.asarray(~np.hstack([np.zeros((len(self), 1)), *self.kinds]).any(1))
+
+    def _matrix(self, by_shift: Floats) -> Floats:
+        rows, width = by_shift.shape[:2]
+        return by_shift.reshape(rows * width, len(self))
+
     def _freedom(self, G: Floats) -> Floats:
         """Variance of free directions by the mean square of the residuals, (P,)."""
         squares = np.einsum("ij,ij->j", G, G)
-        free = np.ones(len(self), bool)
-        for kind in self.kinds:
-            free &= ~kind.any(axis=1)
-        shown = free & (squares > 0.0)
+        shown = self._free & (squares > 0.0)
         return np.where(shown, FREE * len(G) / np.where(shown, squares, 1.0), 0.0)

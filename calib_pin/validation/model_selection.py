@@ -1,11 +1,15 @@
 """Model selection: from joint offsets to a learned correction, as far as it helps.
 
-Every candidate is judged by a cross-validation in the same folds, which keep
-repetitions of a configuration together. It helps if it lowers the error of the
-candidates it extends by more than the standard error of the difference. Gears and
-compliance pass for each other in part, so they are tried alone and together. In the end
-the simplest candidate within one standard error of the best is chosen (Breiman et al.,
-Classification and Regression Trees, 1984, section 3.4.3).
+Every candidate is judged by two cross-validations, each in the same folds: *near* the
+fitted configurations by random folds, which keep repetitions of a configuration
+together, and *away* from them by whole regions of joint space (`validation.regions`).
+Physics carries over; what interpolates may or may not, and only the second tells. A
+candidate helps if it lowers the error of the candidates it extends by more than the
+standard error of the difference, and raises it nowhere by as much. Gears and compliance
+pass for each other in part, so they are tried alone, together, and together without
+what is not missed. In the end the simplest candidate within one standard error of the
+best is chosen (Breiman et al., Classification and Regression Trees, 1984, section
+3.4.3), near, away, or in both, as the robot is to be used.
 """
 
 from __future__ import annotations
@@ -16,7 +20,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.errors import InputError, OptionError, nearest, require_known
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import parameter_names, with_parameters
 from calib_pin.estimation.problem import Problem
@@ -29,14 +33,27 @@ from calib_pin.parameterizations.placement import JointOffset
 from calib_pin.parameters import matching
 from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import RESIDUAL_MODELS
+from calib_pin.residual_models.base import root_mean_square
 from calib_pin.setup import Setup
 from calib_pin.validation.held_out import cross_validate
 from calib_pin.validation.model_errors import ModelErrors
+from calib_pin.validation.regions import regions
 from calib_pin.validation.splits import FOLDS, Grouping, folds
-from calib_pin.validation.summaries import Candidate, ModelSelection
+from calib_pin.validation.summaries import (
+    Away,
+    AwayErrors,
+    Candidate,
+    ModelSelection,
+)
 from calib_pin.workers import SERIAL, Workers
 
 OFFSETS = JointOffset.name
+
+USES = ("both", "near", "away")
+"""Where a model must hold: near the fitted configurations, away from them, or both."""
+
+TINY = 1e-300
+"""What no score of measurements that differ at all falls below."""
 
 LEARNING = 10.0
 """Time that a training with a residual model takes, in those without."""
@@ -61,13 +78,14 @@ class SelectedModel:
 class _Judged:
     """A candidate with its fit and cross-validation, without where it cannot be fitted.
 
-    The sizes are those of the whitened errors, mean of every cluster, shape (G,).
+    The sizes are those of the whitened errors, mean of every cluster, shape (G,), near
+    the fitted configurations and away from them where that could be tried.
     """
 
     candidate: Candidate
     model: FittedModel | None = None
     parts: tuple[ModelErrors, ...] = ()
-    sizes: Floats | None = None
+    sizes: tuple[Floats, ...] = ()
 
 
 @serial_blas
@@ -78,6 +96,7 @@ def select_model(
     seed: int,
     progress: Stages | None = None,
     workers: Workers = SERIAL,
+    use: str = USES[0],
 ) -> SelectedModel:
     """Judge every candidate, and choose the simplest of the best.
 
@@ -89,30 +108,28 @@ def select_model(
         seed: Seed of configurations, splits, and starts.
         progress: Told the stage and the part that is done, 0 to 1.
         workers: Who fits the folds.
+        use: Where the model must hold, one of `USES`.
 
     Raises:
-        OptionError: If a name in the setup belongs to no candidate, or the measurements
-            do not even suffice to judge the first one.
+        OptionError: If there is no such use, a name in the setup belongs to no
+            candidate, or the measurements do not even suffice to judge the first one.
     """
+    require_known("use", use, USES)
     beyond = beyond_geometry()
     geometric = tuple(p for p in setup.parameters if p not in (OFFSETS, *beyond))
     geometric = geometric or Setup.parameters
     _require_patterns(chains, measurements, setup, (OFFSETS, *geometric, *beyond))
     learned = tuple(RESIDUAL_MODELS) if setup.learned is None else (setup.learned,)
-    work = 3.0 + len(beyond) + LEARNING * len(learned)
-    candidates = _Candidates(chains, measurements, setup, seed, progress, workers, work)
+    work = 2.0 + len(beyond) * (len(beyond) + 1) / 2 + LEARNING * len(learned)
+    given = chains, measurements, setup, seed, progress, workers, use, work
+    candidates = _Candidates(*given)
 
     offset = candidates.add("joint offset", (OFFSETS,))
-    if offset.sizes is None:
+    if not offset.sizes:
         raise OptionError(f"no model can be selected: {offset.candidate.reason}")
     geometry = candidates.add("geometric", geometric, extends=(offset,))
     base = geometry if geometry.candidate.helps else offset
-    kinds = base.candidate.parameters
-    alone = [
-        candidates.add(f"+ {name}", (*kinds, name), extends=(base,)) for name in beyond
-    ]
-    both = f"+ {' + '.join(beyond)}"
-    candidates.add(both, (*kinds, *beyond), extends=(base, *alone))
+    candidates.combine(base, beyond)
     base = candidates.judged[candidates.simplest()]
     for name in learned:
         kinds = base.candidate.parameters
@@ -121,7 +138,11 @@ def select_model(
     found = candidates.judged[chosen]
     assert found.model is not None
     every = tuple(judged.candidate for judged in candidates.judged)
-    return SelectedModel(ModelSelection(every, chosen), found.model, found.parts)
+    q = measurements.q
+    near = zip(q.min(axis=0).tolist(), q.max(axis=0).tolist(), strict=True)
+    ranges = dict(zip(measurements.joints, near, strict=True))
+    selection = ModelSelection(every, chosen, use, ranges)
+    return SelectedModel(selection, found.model, found.parts)
 
 
 @dataclass
@@ -137,6 +158,7 @@ class _Candidates:
     seed: int
     progress: Stages | None
     workers: Workers
+    use: str
     all: float
     done: float = 0.0
     judged: list[_Judged] = field(default_factory=list)
@@ -158,11 +180,38 @@ class _Candidates:
             found = self._judge(blank, tell)
         except InputError as error:
             found = _Judged(replace(blank, reason=error.reason))
-        if found.sizes is not None:
-            helps = all(_helps(found.sizes, below.sizes) for below in extends)
+        if found.sizes:
+            helps = all(self._helps(found.sizes, below.sizes) for below in extends)
             found = replace(found, candidate=replace(found.candidate, helps=helps))
         self.judged.append(found)
         return found
+
+    def combine(self, base: _Judged, kinds: Sequence[str]) -> None:
+        """Judge kinds alone, all together, and these without what is not missed."""
+        stated = base.candidate.parameters
+        tried: dict[tuple[str, ...], _Judged] = {(): base}
+
+        def judged(added: tuple[str, ...], *extends: _Judged) -> _Judged:
+            if added not in tried:
+                name = f"+ {' + '.join(added)}"
+                parts = (*stated, *added)
+                tried[added] = self.add(name, parts, extends=extends)
+            return tried[added]
+
+        alone = [judged((kind,), base) for kind in kinds]
+        current, found = tuple(kinds), judged(tuple(kinds), base, *alone)
+        while len(current) > 2 and found.sizes:
+            fewer = [tuple(kind for kind in current if kind != one) for one in current]
+            left = [judged(some, base) for some in fewer]
+            spared = [
+                k
+                for k, other in enumerate(left)
+                if other.sizes and not self._helps(found.sizes, other.sizes)
+            ]
+            if not spared:
+                break
+            best = min(spared, key=lambda k: left[k].candidate.score)
+            current, found = fewer[best], left[best]
 
     def _judge(self, candidate: Candidate, progress: Progress | None) -> _Judged:
         """Fit a candidate to all measurements once, and then without each fold."""
@@ -187,43 +236,106 @@ class _Candidates:
             )
         )
         sizes = _sizes(grouping, model.problem, ModelErrors.joined(parts))
-        weight = measurements.weight
+        weight, quantities = measurements.weight, model.problem.layout.quantities
         counted = ModelErrors.joined([part.counted(weight) for part in parts])
         judged = replace(
             candidate,
             rank=model.fit.rank,
             errors=tuple(
                 (q.name, q.unit, float(q.errors(counted.after).mean()))
-                for q in model.problem.layout.quantities
+                for q in quantities
             ),
             score=float(np.nanmean(sizes)),
             deviation=_standard_error(sizes),
         )
-        return _Judged(judged, model, parts, sizes)
+        apart = tuple(
+            part
+            for part in cross_validate(
+                chains,
+                measurements,
+                setup,
+                regions(grouping, seed),
+                seed,
+                whole,
+                None,
+                workers,
+            )
+            if not part.reason and len(part.positions)
+        )
+        if not apart:
+            return _Judged(judged, model, parts, (sizes,))
+        far = _sizes(grouping, model.problem, ModelErrors.joined(apart))
+        counted = ModelErrors.joined([part.counted(weight) for part in apart])
+        lengths = [(q, q.errors(counted.after)) for q in quantities]
+        away = Away(
+            errors=tuple(
+                AwayErrors(q.name, q.unit, float(e.mean()), root_mean_square(e))
+                for q, e in lengths
+            ),
+            score=float(np.nanmean(far)),
+            deviation=_standard_error(far),
+        )
+        return _Judged(replace(judged, away=away), model, parts, (sizes, far))
+
+    def _helps(self, sizes: Sequence[Floats], before: Sequence[Floats]) -> bool:
+        """Whether errors are smaller somewhere by more than chance, and larger nowhere.
+
+        More than the standard error of the difference, where the model is used.
+        """
+        if not before:
+            return True
+        gains = [b - s for b, s in zip(before, sizes, strict=False)]
+        asked = gains[:1] if self.use == "near" else gains
+        asked = gains[-1:] if self.use == "away" else asked
+        told = [
+            (float(np.nanmean(gain)), _standard_error(gain))
+            for gain in asked
+            if np.isfinite(gain).any()
+        ]
+        return any(mean > sigma for mean, sigma in told) and not any(
+            mean < -sigma for mean, sigma in told
+        )
 
     def simplest(self) -> int:
-        """Position of the simplest that helps within a deviation of the best."""
-        fitted = [k for k, found in enumerate(self.judged) if found.sizes is not None]
+        """Position of the simplest that helps within a deviation of the best.
+
+        Where no candidate is that both near and away, the one that loses least.
+        """
+        fitted = [k for k, found in enumerate(self.judged) if found.sizes]
         candidates = [found.candidate for found in self.judged]
-        best = min(fitted, key=lambda k: candidates[k].score)
-        limit = candidates[best].score + candidates[best].deviation
-        good = [
-            k for k in fitted if candidates[k].helps and candidates[k].score <= limit
-        ]
+        scores = {k: self._scores(candidates[k]) for k in fitted}
+        best = [min(pairs) for pairs in zip(*scores.values(), strict=False)]
         # Chance may leave the best one short of helping, and what it is compared with
         # out of reach.
+        helping = [k for k in fitted if candidates[k].helps] or fitted
+
+        def loss(k: int) -> float:
+            """By how much it is worse than the best, near or away."""
+            pairs = zip(scores[k], best, strict=False)
+            return float(
+                max(score / max(least, TINY) for (score, _), (least, _) in pairs)
+            )
+
+        good = [
+            k
+            for k in helping
+            if all(
+                score <= least + deviation
+                for (score, _), (least, deviation) in zip(scores[k], best, strict=False)
+            )
+        ]
         return min(
-            good or [best],
+            good or [min(helping, key=loss)],
             key=lambda k: (candidates[k].learned is not None, candidates[k].rank),
         )
 
-
-def _helps(sizes: Floats, before: Floats | None) -> bool:
-    """Whether errors are smaller by more than the standard error of the difference."""
-    if before is None:
-        return True
-    gain = before - sizes
-    return float(np.nanmean(gain)) > _standard_error(gain)
+    def _scores(self, candidate: Candidate) -> list[tuple[float, float]]:
+        """Score and deviation near and away, where the model is used."""
+        near, away = (candidate.score, candidate.deviation), candidate.away
+        if away is None or self.use == "near":
+            return [near]
+        far = away.score, away.deviation
+        return [far] if self.use == "away" else [near, far]
 
 
 def _standard_error(values: Floats) -> float:

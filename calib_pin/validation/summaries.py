@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,6 +46,31 @@ class NamedArray(np.ndarray):
         self.rows, self.columns = (), ()
 
 
+class AwayErrors(NamedTuple):
+    """Errors of one quantity in regions that were held out whole, in its unit."""
+
+    name: str
+    unit: str
+    mean: float
+    rms: float
+
+
+@dataclass(frozen=True)
+class Away:
+    """How far a candidate carries over: errors away from what was fitted.
+
+    Attributes:
+        errors: Errors of every quantity in regions of joint space that were held out
+            whole, see `validation.regions`.
+        score: As that of the candidate, there.
+        deviation: Standard error of the score.
+    """
+
+    errors: tuple[AwayErrors, ...]
+    score: float
+    deviation: float
+
+
 @dataclass(frozen=True)
 class Candidate:
     """A candidate of the model selection, judged by cross-validation.
@@ -60,8 +85,11 @@ class Candidate:
             in standard deviations; NaN where it could not be tried.
         deviation: Standard error of the score.
         helps: Whether it lowers the errors of the candidates that it extends by more
-            than the standard error of the difference.
+            than the standard error of the difference, and does not raise them where
+            the model is used.
         reason: Why it could not be tried; empty where it was.
+        away: Its errors away from the fitted configurations; None where measurements do
+            not suffice to hold out regions.
     """
 
     name: str
@@ -73,6 +101,7 @@ class Candidate:
     deviation: float = float("nan")
     helps: bool = False
     reason: str = ""
+    away: Away | None = None
 
 
 @dataclass(frozen=True)
@@ -82,10 +111,15 @@ class ModelSelection:
     Attributes:
         candidates: All of them, simplest first.
         chosen: Position of the one that is kept.
+        use: Where it must hold: `near` the fitted configurations, `away` from them, or
+            `both`.
+        near: Least and largest fitted position of every joint, by name [rad, m].
     """
 
     candidates: tuple[Candidate, ...]
     chosen: int
+    use: str = "near"
+    near: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

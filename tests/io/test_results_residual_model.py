@@ -13,8 +13,8 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
-from calib_pin.estimation.fit import with_learned
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.learning import with_learned
 from calib_pin.io.calibration_document import calibration_document
 from calib_pin.io.json_text import encode
 from calib_pin.io.result_folder import RESIDUAL_MODEL

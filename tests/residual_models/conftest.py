@@ -14,6 +14,7 @@ from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.residual_models import (
     Linearized,
     ResidualModel,
+    Shifts,
     TrainingRows,
 )
 
@@ -76,7 +77,7 @@ class Study:
             by_joint=lambda dq, z: linearized(dq, np.zeros((count, 6)), z, False),
             by_tip=lambda xi, z: linearized(np.zeros(q.shape), xi, z, True),
             values=3,
-            shifts=self.columns.shape[1],
+            shift=Shifts.free(self.columns.shape[1]),
         )
 
     def errors(self, model: ResidualModel | None, count: int = 300) -> Floats:

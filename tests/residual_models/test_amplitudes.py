@@ -6,7 +6,7 @@ from scipy.stats import multivariate_normal
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.amplitudes import Amplitudes, Variances, likeliest
-from calib_pin.residual_models.covariance import Covariance
+from calib_pin.residual_models.covariance import FORMS, Covariance
 from calib_pin.residual_models.harmonics import Harmonics, candidates
 from calib_pin.residual_models.sums import Linear, Sums
 
@@ -21,7 +21,7 @@ NOISE = 0.05
 
 @pytest.fixture(scope="module")
 def harmonics() -> Harmonics:
-    return candidates(2, 2, own=True)
+    return candidates(2, 2, FORMS[1])
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +98,7 @@ def test_slopes_of_the_variances(harmonics: Harmonics) -> None:
 
 def test_the_likeliest_covariance(harmonics: Harmonics, linear: Linear) -> None:
     sums = Sums.of(harmonics, linear)
-    covariance, noise = likeliest(sums, harmonics, np.zeros(0), own=True)
+    covariance, noise, _ = likeliest(sums, harmonics, np.zeros(0), form=FORMS[1])
     variance = Variances.of(covariance, harmonics).total
     cost = Amplitudes.of(sums, variance, noise).cost
     assert cost < solved(harmonics, linear, COVARIANCE).cost

@@ -11,12 +11,13 @@ import pytest
 
 from calib_pin.errors import InputError
 from calib_pin.residual_models import restore
-from calib_pin.residual_models.gaussian_process import (
-    GaussianProcess,
+from calib_pin.residual_models.covariance import FORMS
+from calib_pin.residual_models.gaussian_process import GaussianProcess
+from calib_pin.residual_models.harmonic_process import HarmonicProcess
+from calib_pin.residual_models.process_fit import (
     GaussianProcessOptions,
     fit_gaussian_process,
 )
-from calib_pin.residual_models.harmonic_process import HarmonicProcess
 
 NOISE = 5e-6
 
@@ -31,7 +32,7 @@ def learn(rows: Any, **options: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def process(study: Callable[..., Any]) -> GaussianProcess:
-    return learn(study().rows(120, NOISE, 0), spaces=("joint",), searched=300)
+    return learn(study().rows(120, NOISE, 0), forms=FORMS[:2], searched=300)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,7 @@ def test_learns_through_the_kinematics(
     arm = study()
     after = arm.errors(process).mean()
     assert after < 0.25 * arm.errors(None).mean()
-    few = learn(arm.rows(50, NOISE, 0), spaces=("joint",))
+    few = learn(arm.rows(50, NOISE, 0), forms=FORMS[:2])
     assert after < 0.8 * arm.errors(few).mean()
 
 
@@ -62,7 +63,7 @@ def test_takes_the_tip_where_that_predicts_better(
 
 def test_a_shift_belongs_to_the_correction(study: Callable[..., Any]) -> None:
     arm = study(shifts=4)
-    found = learn(arm.rows(120, NOISE, 0), spaces=("joint",), searched=300)
+    found = learn(arm.rows(120, NOISE, 0), forms=FORMS[:2], searched=300)
     np.testing.assert_allclose(found.shift, 1.0, atol=0.4)
     assert arm.errors(found).mean() < 0.2 * arm.errors(None).mean()
     # Errors of shift and correction cancel; only together they tell the pose's.
@@ -111,11 +112,20 @@ def test_left_out_rows_are_predicted_from_the_others(
     assert tip.held_out[1] == pytest.approx(np.sqrt(fresh) / 1e-4, rel=0.5)
 
 
-def test_nothing_far_outside(process: GaussianProcess) -> None:
-    near = replace(process.region, anchors=process.q[:1], reach=0.01)
-    far, q = replace(process, region=near), process.q[1:]
-    assert not far(q).any()
+def test_nothing_where_nothing_was_measured(process: GaussianProcess) -> None:
+    """It is gone there by itself, and as unsure as before any measurement."""
+    short, long = np.full(6, 1e-3), np.full(6, 1e-3)
+    covariance = replace(process.covariance, short=short, long=long)
+    sharp, turned = replace(process, covariance=covariance), np.sort(process.q, axis=0)
+    widest = np.diff(turned, axis=0).argmax(axis=0), np.arange(6)
+    between = turned[widest] + 0.5 * np.diff(turned, axis=0)[widest]
+    assert np.abs(sharp(between[None])).max() < 1e-6 * np.abs(sharp(process.q)).max()
     prior = np.sqrt(process.covariance.total) * process.unit
+    np.testing.assert_allclose(sharp.deviation(between[None])[0], prior)
+    # Those of before, whose shift was free, fade.
+    near = replace(process.region, anchors=process.q[:1], reach=0.01)
+    far, q = replace(process, region=near, fades=True), process.q[1:]
+    assert not far(q).any()
     np.testing.assert_allclose(far.deviation(q), np.tile(prior, (len(q), 1)))
 
 

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from calib_pin.residual_models import restore
-from calib_pin.residual_models.gaussian_process import (
+from calib_pin.residual_models.covariance import FORMS
+from calib_pin.residual_models.harmonic_process import HarmonicProcess
+from calib_pin.residual_models.process_fit import (
     GaussianProcessOptions,
     fit_gaussian_process,
 )
-from calib_pin.residual_models.harmonic_process import HarmonicProcess
 
 NOISE = 5e-6
 
@@ -23,7 +24,7 @@ def learn(rows: Any, **options: Any) -> HarmonicProcess:
         rows,
         np.random.default_rng(0),
         options=GaussianProcessOptions(
-            **{"largest": 90, "functions": 300, "spaces": ("joint",), **options}
+            **{"largest": 90, "functions": 300, "forms": FORMS[1:2], **options}
         ),
     )
     assert isinstance(found, HarmonicProcess)
@@ -38,7 +39,7 @@ def process(study: Callable[..., Any]) -> HarmonicProcess:
 @pytest.fixture(scope="module")
 def tip(study: Callable[..., Any]) -> HarmonicProcess:
     rows = study(sag=0.0, gear=0.0, flex=1e-3).rows(300, NOISE, 0)
-    return learn(rows, spaces=("joint", "tip"))
+    return learn(rows, forms=FORMS[1:])
 
 
 def test_learns_through_the_kinematics(

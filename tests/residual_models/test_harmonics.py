@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from calib_pin.residual_models.covariance import FORMS
 from calib_pin.residual_models.harmonics import (
     CANDIDATES,
     HIGHEST,
@@ -38,7 +39,7 @@ def test_slopes_of_a_spectrum(length: float) -> None:
 
 
 def test_candidates_have_all_phases_and_the_harmonics_of_their_own_joint() -> None:
-    found = candidates(3, 3, own=True)
+    found = candidates(3, 3, FORMS[1])
     assert (np.diff(found.component) >= 0).all()
     assert len(np.unique(np.column_stack([found.component, found.modes]), axis=0)) == (
         len(found)
@@ -49,17 +50,17 @@ def test_candidates_have_all_phases_and_the_harmonics_of_their_own_joint() -> No
     total = (values[:, own] ** 2).sum(axis=1)
     np.testing.assert_allclose(total, total[0])
     assert found.orders[found.alone].max() == HIGHEST
-    assert not candidates(3, 6, own=False).alone[-1]
+    assert not candidates(3, 6, FORMS[2]).alone[-1]
 
 
 def test_robots_of_many_joints_have_products_of_fewer() -> None:
-    few, many = candidates(6, 1, own=False), candidates(12, 1, own=False)
+    few, many = candidates(6, 1, FORMS[2]), candidates(12, 1, FORMS[2])
     assert few.orders.sum(axis=1).max() > many.orders.sum(axis=1).max() > 1
     assert max(len(few), len(many)) <= CANDIDATES
 
 
 def test_sums_of_components() -> None:
-    every = candidates(2, 2, own=False)
+    every = candidates(2, 2, FORMS[2])
     angle = np.random.default_rng(1).uniform(-3.0, 3.0, (5, 2))
     amplitudes = np.arange(len(every), dtype=float)
     found = every.combined(angle, amplitudes, 2)
@@ -70,8 +71,8 @@ def test_sums_of_components() -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"modes": [[0, 81], [0, 1]]}, "other numbers than 0 to 80"),
-        ({"modes": [[0, 0.5], [0, 1]]}, "other numbers than 0 to 80"),
+        ({"modes": [[0, 129], [0, 1]]}, "other numbers than 0 to 128"),
+        ({"modes": [[0, 0.5], [0, 1]]}, "other numbers than 0 to 128"),
         ({"component": [0, 2]}, "other numbers than 0 to 1"),
         ({"component": [1, 0]}, "not in ascending order"),
         ({"component": [0]}, "has the shape"),

@@ -8,6 +8,7 @@ import pytest
 from calib_pin.compiled.threads import Threads, serial_blas
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models import sums
+from calib_pin.residual_models.covariance import FORMS
 from calib_pin.residual_models.harmonics import Harmonics, candidates
 from calib_pin.residual_models.sums import Linear, Sums, scores
 
@@ -29,7 +30,7 @@ def some(harmonics: Harmonics, count: int) -> tuple[Linear, Floats]:
 def test_sums_are_those_of_the_columns(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sums, "CHUNK", 7)
     monkeypatch.setattr(sums, "SCREENED", 5)
-    harmonics = candidates(2, 2, own=True)
+    harmonics = candidates(2, 2, FORMS[1])
     harmonics = harmonics.at(np.arange(0, len(harmonics), 5))
     linear, X = some(harmonics, 40)
     y = linear.target.reshape(-1)
@@ -48,7 +49,7 @@ def test_the_number_of_threads_does_not_matter(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(sums, "CHUNK", 7)
-    harmonics = candidates(2, 2, own=False)
+    harmonics = candidates(2, 2, FORMS[2])
     linear, _ = some(harmonics, 60)
     found = []
     for count in (1, 4):
@@ -61,7 +62,7 @@ def test_the_number_of_threads_does_not_matter(
 
 
 def test_what_nothing_shows_explains_nothing() -> None:
-    harmonics = candidates(2, 2, own=False)
+    harmonics = candidates(2, 2, FORMS[2])
     linear, _ = some(harmonics, 10)
     linear.A[:, :, 1] = 0.0
     found = scores(harmonics, linear)

@@ -21,7 +21,7 @@ from calib_pin.report.figures.estimates import beside
 from calib_pin.report.figures.labels import log_axis, log_limits, shortened, unit_of
 from calib_pin.report.tables import number
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import Candidate, ModelSelection
+from calib_pin.validation.summaries import Away, Candidate, ModelSelection
 
 
 def convergence(result: CalibrationResult) -> Drawn | None:
@@ -62,6 +62,14 @@ DWARFS = 8.0
 """Ratio of the largest to the smallest error from which the axis is logarithmic."""
 
 
+WHERE = {
+    "near": "The model is for use near the fitted configurations.",
+    "away": "The model is for use away from the fitted configurations.",
+    "both": "The model is for use everywhere.",
+}
+"""What each use of a model means, see `ModelSelection.use`."""
+
+
 def model_ladder(result: CalibrationResult) -> Drawn | None:
     """Mean error on validation measurements by candidate, with its standard error."""
     ladder = result.model_selection
@@ -77,9 +85,11 @@ def model_ladder(result: CalibrationResult) -> Drawn | None:
     return Drawn(
         "model-ladder",
         "Model selection",
-        "Mean error on validation measurements, in standard deviations, with its "
-        "standard error; at the right in units of each quantity. The simplest model "
-        f"within one standard error of the best is selected: {kept.name}.",
+        "Mean error on held-out measurements, in standard deviations, with its "
+        "standard error: near the fitted configurations (filled, at the right in "
+        "units of each quantity) and in regions of joint space that were held out "
+        f"whole (open). {WHERE[ladder.use]} The simplest model within one standard "
+        f"error of the best is selected: {kept.name}.",
         figure,
     )
 
@@ -90,14 +100,21 @@ def _rungs(axes: Axes, ladder: ModelSelection) -> None:
         if not np.isfinite(rung.score):
             continue
         kept = k == ladder.chosen
-        sign = marks(AFTER, "D", 6.0) if kept else marks(MUTED, "o", 6.0, hollow=True)
+        color, sign = (AFTER, "D") if kept else (MUTED, "o")
         axes.errorbar(
             *([rung.score], [k]),
             xerr=[rung.deviation],
-            **sign,
+            **marks(color, sign, 6.0),
             capsize=3.0,
             label=rung.name,
         )
+        if rung.away is not None:
+            axes.errorbar(
+                *([rung.away.score], [k]),
+                xerr=[rung.away.deviation],
+                **marks(color, sign, 6.0, hollow=True),
+                capsize=3.0,
+            )
     axes.set_ylim(len(ladder.candidates) - 0.3, -0.7)
     axes.set_yticks([])
     for k, rung in enumerate(ladder.candidates):
@@ -105,15 +122,17 @@ def _rungs(axes: Axes, ladder: ModelSelection) -> None:
         beside(axes, k, f"{shortened(rung.name, 30)}{remark}", size=9.0)
         place = axes.get_yaxis_transform()
         axes.text(1.03, k, _errors(rung), va="center", transform=place)
-    axes.set_xlabel("mean error on validation measurements [std. dev.]")
+    axes.set_xlabel("mean error on held-out measurements [std. dev.]")
 
 
 def _scale(axes: Axes, rungs: Sequence[Candidate]) -> None:
     """The axis of the errors, logarithmic where one candidate dwarfs another."""
     best = min(rungs, key=lambda rung: rung.score)
     axes.axvline(best.score + best.deviation, color=MUTED, linestyle=":")
+    away = [rung.away for rung in rungs if rung.away is not None]
+    shown: list[Candidate | Away] = [*rungs, *away]
     lows, highs = (
-        np.array([rung.score + sign * rung.deviation for rung in rungs])
+        np.array([one.score + sign * one.deviation for one in shown])
         for sign in (-1.0, 1.0)
     )
     limits = log_limits(lows, highs)

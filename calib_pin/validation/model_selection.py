@@ -7,9 +7,10 @@ Physics carries over; what interpolates may or may not, and only the second tell
 candidate helps if it lowers the error of the candidates it extends by more than the
 standard error of the difference, and raises it nowhere by as much. Gears and compliance
 pass for each other in part, so they are tried alone, together, and together without
-what is not missed. In the end the simplest candidate within one standard error of the
-best is chosen (Breiman et al., Classification and Regression Trees, 1984, section
-3.4.3), near, away, or in both, as the robot is to be used.
+what is not missed. In the end the simplest candidate is chosen that is not
+significantly worse than the best, near, away, or in both, as the robot is to be used:
+by the differences in the same measurements, which tell more than the scores (Breiman et
+al., Classification and Regression Trees, 1984, section 3.4.3, compare these).
 """
 
 from __future__ import annotations
@@ -51,6 +52,9 @@ OFFSETS = JointOffset.name
 
 USES = ("both", "near", "away")
 """Where a model must hold: near the fitted configurations, away from them, or both."""
+
+SURE = 2.0
+"""Standard errors of the difference from which a candidate is worse than another."""
 
 TINY = 1e-300
 """What no score of measurements that differ at all falls below."""
@@ -282,60 +286,65 @@ class _Candidates:
 
         More than the standard error of the difference, where the model is used.
         """
-        if not before:
-            return True
-        gains = [b - s for b, s in zip(before, sizes, strict=False)]
-        asked = gains[:1] if self.use == "near" else gains
-        asked = gains[-1:] if self.use == "away" else asked
-        told = [
-            (float(np.nanmean(gain)), _standard_error(gain))
-            for gain in asked
-            if np.isfinite(gain).any()
-        ]
-        return any(mean > sigma for mean, sigma in told) and not any(
-            mean < -sigma for mean, sigma in told
+        gains = self._asked([b - s for b, s in zip(before, sizes, strict=False)])
+        told = [_mean(gain) for gain in gains]
+        return not told or (
+            any(mean > sigma for mean, sigma in told)
+            and not any(mean < -sigma for mean, sigma in told)
         )
 
     def simplest(self) -> int:
-        """Position of the simplest that helps within a deviation of the best.
+        """Position of the simplest that helps and is not significantly worse.
 
-        Where no candidate is that both near and away, the one that loses least.
+        Than the best one, near or away. Where no candidate is that in both, the one
+        that loses least.
         """
         fitted = [k for k, found in enumerate(self.judged) if found.sizes]
         candidates = [found.candidate for found in self.judged]
-        scores = {k: self._scores(candidates[k]) for k in fitted}
-        best = [min(pairs) for pairs in zip(*scores.values(), strict=False)]
-        # Chance may leave the best one short of helping, and what it is compared with
-        # out of reach.
-        helping = [k for k in fitted if candidates[k].helps] or fitted
+        sizes = {k: self._asked(self.judged[k].sizes) for k in fitted}
+        most = max(map(len, sizes.values()))
+        scores = {
+            k: [_mean(each)[0] for each in own]
+            for k, own in sizes.items()
+            if len(own) == most
+        }
+        best = [min(scores, key=lambda k: scores[k][i]) for i in range(most)]
+
+        def worse(k: int) -> bool:
+            """Whether it is significantly worse than the best, near or away."""
+            told = [
+                _mean(own - sizes[other][i])
+                for i, (own, other) in enumerate(zip(sizes[k], best, strict=True))
+            ]
+            return any(mean > SURE * sigma for mean, sigma in told)
 
         def loss(k: int) -> float:
             """By how much it is worse than the best, near or away."""
-            pairs = zip(scores[k], best, strict=False)
-            return float(
-                max(score / max(least, TINY) for (score, _), (least, _) in pairs)
+            pairs = zip(scores[k], best, strict=True)
+            return max(
+                score / max(scores[other][i], TINY)
+                for i, (score, other) in enumerate(pairs)
             )
 
-        good = [
-            k
-            for k in helping
-            if all(
-                score <= least + deviation
-                for (score, _), (least, deviation) in zip(scores[k], best, strict=False)
-            )
-        ]
+        # Chance may leave the best one short of helping, and what it is compared with
+        # out of reach.
+        helping = [k for k in scores if candidates[k].helps] or list(scores)
+        good = [k for k in helping if not worse(k)]
         return min(
             good or [min(helping, key=loss)],
             key=lambda k: (candidates[k].learned is not None, candidates[k].rank),
         )
 
-    def _scores(self, candidate: Candidate) -> list[tuple[float, float]]:
-        """Score and deviation near and away, where the model is used."""
-        near, away = (candidate.score, candidate.deviation), candidate.away
-        if away is None or self.use == "near":
-            return [near]
-        far = away.score, away.deviation
-        return [far] if self.use == "away" else [near, far]
+    def _asked(self, of_both: Sequence[Floats]) -> Sequence[Floats]:
+        """Those near and away from what was fitted, as far as the use asks for them."""
+        if self.use == "near":
+            return of_both[:1]
+        return of_both[-1:] if self.use == "away" else of_both
+
+
+def _mean(values: Floats) -> tuple[float, float]:
+    """Mean and standard error of what is known."""
+    return float(np.nanmean(values)), _standard_error(values)
 
 
 def _standard_error(values: Floats) -> float:

@@ -88,8 +88,8 @@ def model_ladder(result: CalibrationResult) -> Drawn | None:
         "Mean error on held-out measurements, in standard deviations, with its "
         "standard error: near the fitted configurations (filled, at the right in "
         "units of each quantity) and in regions of joint space that were held out "
-        f"whole (open). {WHERE[ladder.use]} The simplest model within one standard "
-        f"error of the best is selected: {kept.name}.",
+        f"whole (open). {WHERE[ladder.use]} The simplest model that is not "
+        f"significantly worse than the best is selected: {kept.name}.",
         figure,
     )
 

@@ -282,6 +282,6 @@ def evaluated(evaluation: Evaluation) -> Iterator[Block]:
     if evaluation.outside:
         how += (
             f" {evaluation.outside} measurements lie outside the region in which the "
-            "correction was learned; there it fades to zero."
+            "correction was learned; it knows less there."
         )
     yield Line(how, "note")

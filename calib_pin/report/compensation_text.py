@@ -50,7 +50,7 @@ def compensation_report(
         if len(outside):
             yield Line(
                 "Outside the region in which the learned correction was trained, "
-                f"where it fades: {line_list(outside)}.",
+                f"where it knows less: {line_list(outside)}.",
                 "bad",
             )
     yield from _unreached(found, file, lines)

@@ -44,7 +44,7 @@ class CalibratedChain:
         return self.error.poses(q, self.theta)
 
     def outside(self, q: Floats) -> NDArray[np.bool_]:
-        """Where a learned correction fades, being far from its training, shape (N,).
+        """Where a learned correction is far from its training, shape (N,).
 
         Args:
             q: Commanded joint positions, shape (N, n) [rad, m].

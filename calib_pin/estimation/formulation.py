@@ -27,8 +27,9 @@ from calib_pin.observations import (
 )
 from calib_pin.parameterizations import (
     NOTHING,
-    beyond_geometry,
     frame_pose,
+    is_geometric,
+    needed_conditions,
     required_keys,
 )
 from calib_pin.parameterizations.error_model import ErrorModel
@@ -50,6 +51,7 @@ def make_problem(
     data = Observations.of(data)
     chains = chains_of(chains, data)
     _require_payloads(data, setup)
+    _require_directions(data, setup)
     targets = {block.key: block.target.distinct for block in data.blocks}
     parts, given = make_parts(chains, targets, setup)
     setup = _with_prior(chains, given, setup)
@@ -198,7 +200,7 @@ def nominal_problem(
                 q=zeros,
                 values=np.zeros((count, model.width)),
                 target=Labels.of(targets * len(payloads)),
-                conditions=Conditions(carried),
+                conditions=Conditions(carried, zeros.astype(np.int8)),
                 start=zeros if model.declaration.relative else np.zeros((0, 0)),
                 **key._asdict(),
             )
@@ -295,6 +297,22 @@ def _require_payloads(data: Observations, setup: Setup) -> None:
         )
 
 
+def _require_directions(data: Observations, setup: Setup) -> None:
+    """Refuse measurements that do not tell from where joints came, if that matters.
+
+    Raises:
+        InputError: If none of them does.
+    """
+    needed = "direction" in needed_conditions(setup.parameters)
+    if needed and not data.conditions.direction.size:
+        raise data.error(
+            0,
+            "nothing tells from which side the joints came, which 'hysteresis' needs",
+            column=f"{data.joints[0]}.direction",
+            allowed="absolute measurements in the order of measuring, or such columns",
+        )
+
+
 def geometric_setup(
     chains: Chain | Chains, measurements: Observations, setup: Setup
 ) -> Setup:
@@ -309,8 +327,7 @@ def geometric_setup(
         setup: Estimated and known quantities.
     """
     plain = replace(setup, learned=None)
-    beyond = beyond_geometry()
-    names = tuple(name for name in setup.parameters if name not in beyond)
+    names = tuple(filter(is_geometric, setup.parameters))
     if names == setup.parameters:
         return plain
     return with_parameters(chains, measurements, plain, names)

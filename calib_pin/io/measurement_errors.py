@@ -31,6 +31,7 @@ from calib_pin.observations import (
     Measurements,
     Observations,
 )
+from calib_pin.parameterizations import needed_conditions
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import AXES, MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
@@ -68,7 +69,8 @@ def encode_errors(result: CalibrationResult, run: str) -> bytes:
     from pydantic_core import to_json
 
     parts = [result.fitted, *([] if result.held_out is None else [result.held_out])]
-    tables = [p.table(name) for p, name in zip(parts, SETS, strict=False)]
+    directed = "direction" in needed_conditions(result.model.setup.parameters)
+    tables = [p.table(name, directed) for p, name in zip(parts, SETS, strict=False)]
     names = dict.fromkeys(name for table in tables for name in table)
     told = [*WORDS, *(name for name in KEYS if name in names)]
     for errors, table in zip(parts, tables, strict=True):

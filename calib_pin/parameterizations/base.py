@@ -156,6 +156,7 @@ class Parameterization(ABC):
             the name.
         geometric: Whether a URDF can hold all of it.
         requires: Keys of a setup file without which the parameters mean nothing.
+        needs: Conditions of measurements without which they mean nothing.
         effects: Components that act as random effects unless they are estimated.
     """
 
@@ -163,6 +164,7 @@ class Parameterization(ABC):
     kind: ClassVar[str]
     geometric: ClassVar[bool] = True
     requires: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[str, ...]] = ()
     effects: ClassVar[Effects | None] = None
 
     def __init_subclass__(cls) -> None:

@@ -31,6 +31,7 @@ from calib_pin.observations import (
     Observations,
     Targets,
 )
+from calib_pin.parameterizations import needed_conditions
 from calib_pin.parameters import ParameterSet
 
 LEG = 10
@@ -156,6 +157,9 @@ def simulate(
             at = _everything_seen(problem, theta, at, strict=len(keys) == 1)
         if declared.relative:
             at = _relative(at)
+        elif "direction" in needed_conditions(problem.setup.parameters):
+            # What makes a difference is told with the measurements.
+            at = replace(at, conditions=replace(at.conditions, source="columns"))
         found.append(_measured(problem, theta, at, rng, noise, repeats, average))
     return Observations.of(*found)
 

@@ -73,8 +73,8 @@ def test_lost_motion_is_estimated() -> None:
             assert abs(theta[k] - truth[name]) < 4.5 * sigma
             found += 1
     assert found == 6
-    kinds = [e for e in result.robot_errors if e.kind == "hysteresis"]
-    assert [e.of for e in kinds] == [(f"{joint} backlash",) for joint in chain.joints]
+    kinds = [e for e in result.robot_errors if e.kind == "backlash"]
+    assert [e.of for e in kinds] == [(joint,) for joint in chain.joints]
 
 
 def test_measurements_in_no_order_are_refused(refused: Callable[..., None]) -> None:

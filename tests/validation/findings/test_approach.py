@@ -42,7 +42,10 @@ def robot_with(
         if ".hysteresis." in name:
             theta[k] = lost.get(chain.joints.index(name.split(".")[0]), 0.0)
     noise = rng.uniform(2e-5, 5e-5)
-    return simulate(problem, theta, rng, count=count, noise=noise)
+    rows = simulate(problem, theta, rng, count=count, noise=noise).only
+    # As from a file that does not state them.
+    held = replace(rows.conditions, source="order")
+    return Observations.of(replace(rows, conditions=held))
 
 
 def case_of(data: Observations, chain: Chain = CHAIN) -> Case:

@@ -303,6 +303,7 @@ def plan(
         found.q,
         found.target,
         places=found.places,
+        sides=found.sides,
         joints=stated.joints,
         degrees=degrees,
         comments=[f"planned by: {told_command(context)}"],

@@ -126,11 +126,11 @@ def simulate(
     import numpy as np
 
     from calib_pin.estimation.formulation import nominal_problem
+    from calib_pin.io.condition_columns import read_held
     from calib_pin.io.files import write_files
     from calib_pin.io.measurements import (
         encode_measurements,
         read_configurations,
-        read_held,
         read_names,
     )
     from calib_pin.io.results import encode_urdf

@@ -151,10 +151,9 @@ def _beyond(screw: Screw) -> tuple[str, str]:
     """Kind and owner of a joint correction, by its name."""
     owner, kind, component = screw.parameter.name.rsplit(".", 2)
     joint = owner.removeprefix("joint:")
-    # Of one component that says what it is.
-    return (
-        (component, joint) if kind == "hysteresis" else (kind, f"{joint} {component}")
-    )
+    if kind == "hysteresis":
+        return component, joint  # Its component says what it is.
+    return kind, f"{joint} {component}"
 
 
 def _places(chain: Chain) -> Sequence[_Place]:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from calib_pin.io.columns import Floats, Kind
-from calib_pin.io.table import Table
-from calib_pin.observations import Conditions, Signs
+from calib_pin.io.table import Table, read_table
+from calib_pin.observations import Conditions, Labels, Signs, approached
 
 DIRECTION = ".direction"
 """End of the name of a column with the direction in which a joint was approached."""
@@ -46,6 +47,32 @@ def read_conditions(
     if direction.size:
         found = replace(found, source="columns")
     return found, used | frozenset(stated)
+
+
+def read_held(
+    path: str | Path,
+    joints: Sequence[str],
+    q: Floats,
+    columns: Mapping[str, str] = {},
+) -> Conditions:
+    """Read only the conditions at the configurations of a CSV file.
+
+    Args:
+        path: CSV file.
+        joints: Names of the joints.
+        q: The configurations, shape (N, n) [rad, m]; directions that the file does not
+            state are those from one to the next.
+        columns: What columns with foreign names are, ours to theirs.
+
+    Raises:
+        InputError: If it is not such a file.
+    """
+    table = read_table(path, columns=columns)
+    held, _ = read_conditions(table, joints)
+    if not held.direction.size:
+        held = replace(held, direction=approached(q), source="order")
+    payload = table.texts(["payload"]).get("payload", Labels.none())
+    return replace(held, payload=payload)
 
 
 def read_directions(

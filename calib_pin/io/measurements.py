@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.io.columns import Floats
-from calib_pin.io.condition_columns import read_conditions
+from calib_pin.io.condition_columns import DIRECTION
 from calib_pin.io.files import write_atomically
 from calib_pin.io.inferred_model import asked_models
 from calib_pin.io.joint_columns import (
@@ -39,11 +39,9 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import (
-    Conditions,
     Labels,
     Measurements,
     Observations,
-    approached,
     with_directions,
 )
 from calib_pin.progress import Progress, portion
@@ -242,38 +240,13 @@ def read_names(
     return table.texts([column]).get(column, Labels.none())
 
 
-def read_held(
-    path: str | Path,
-    joints: Sequence[str],
-    q: Floats,
-    columns: Mapping[str, str] = {},
-) -> Conditions:
-    """Read only the conditions at the configurations of a CSV file.
-
-    Args:
-        path: CSV file.
-        joints: Names of the joints.
-        q: The configurations, shape (N, n) [rad, m]; directions that the file does not
-            state are those from one to the next.
-        columns: What columns with foreign names are, ours to theirs.
-
-    Raises:
-        InputError: If it is not such a file.
-    """
-    table = read_table(path, columns=columns)
-    held, _ = read_conditions(table, joints)
-    if not held.direction.size:
-        held = replace(held, direction=approached(q), source="order")
-    payload = table.texts(["payload"]).get("payload", Labels.none())
-    return replace(held, payload=payload)
-
-
 def encode_configurations(
     chain: Chain | Chains,
     q: Floats,
     target: Sequence[str] = (),
     *,
     places: Mapping[str, Sequence[str]] = {},
+    sides: Mapping[str, Sequence[int]] = {},
     joints: Mapping[str, JointMap] = {},
     degrees: bool = False,
     comments: Sequence[str] = (),
@@ -285,6 +258,7 @@ def encode_configurations(
         q: Joint positions, shape (N, n) [rad, m].
         target: Target of each; no column where none is named.
         places: Columns `chain`, `station` and `tool`, as far as these have names.
+        sides: Side from which to come to each, by joint, as far as it matters.
         joints: How file columns become joints; the file holds what a controller
             needs.
         degrees: Whether angles are in degrees.
@@ -304,9 +278,10 @@ def encode_configurations(
         calib_pin.errors.OutputError: target 'wall\n' would not read back
     """
     sources = joint_sources(chain, joints)
-    columns: dict[str, Floats | Sequence[str]] = {
+    columns: dict[str, Floats | Sequence[str] | Sequence[int]] = {
         **shown_columns(column_values(q, sources), sources, degrees)
     }
+    columns |= {joint + DIRECTION: column for joint, column in sides.items()}
     named = {**places, "target": target}
     columns |= {k: writable(k, column) for k, column in named.items() if any(column)}
     return encode_table(columns, comments)

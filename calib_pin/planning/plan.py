@@ -136,6 +136,15 @@ class Plan:
         }
         return {name: column for name, column in columns.items() if any(column)}
 
+    @property
+    def sides(self) -> Mapping[str, tuple[int, ...]]:
+        """Side from which each joint shall come to each configuration, by joint.
+
+        Empty where that makes no difference.
+        """
+        columns = zip(*(aim.side for aim in self.aims), strict=True)
+        return dict(zip(self.problem.chains.joints, columns, strict=False))
+
 
 @serial_blas
 def plan(

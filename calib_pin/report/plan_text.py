@@ -60,6 +60,12 @@ def _subject(plan: Plan) -> Iterator[Line]:
             "(frames.tool.xyz); 6 cm beside the tip link is assumed.",
             "note",
         )
+    if plan.sides:
+        yield Line(
+            "Each joint shall come to a configuration from the side that its column "
+            "'<joint>.direction' states, by more than its lost motion.",
+            "note",
+        )
     if plan.unmeasurable:
         yield Line(
             f"No configuration can measure {', '.join(plan.unmeasurable)}.", "bad"

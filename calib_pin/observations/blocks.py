@@ -117,7 +117,7 @@ class Observations(SourcedRows):
 
     @cached_property
     def conditions(self) -> Conditions:
-        """What holds at each row beside the joint positions."""
+        """Conditions of each row beside the joint positions."""
         return Conditions.concatenate([block.conditions for block in self.blocks])
 
     @cached_property

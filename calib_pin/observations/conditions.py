@@ -21,7 +21,7 @@ SOURCES: tuple[Source, ...] = ("", "order", "time", "columns")
 
 @dataclass(frozen=True)
 class Conditions:
-    """What holds at each of N rows beside the joint positions.
+    """Conditions of N rows beside the joint positions.
 
     An empty array says that nothing is stated. Names may be given as any sequence of
     strings.

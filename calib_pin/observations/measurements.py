@@ -59,7 +59,7 @@ class SourcedRows:
 
         @property
         def conditions(self) -> Conditions:
-            """What holds at each row beside the joint positions."""
+            """Conditions of each row beside the joint positions."""
 
     @property
     def payload(self) -> Labels:

@@ -77,7 +77,7 @@ class Look:
     sides: Signs = field(default_factory=lambda: np.zeros((0, 0), np.int8))
 
     def conditions(self, aim: Indices) -> Conditions:
-        """What holds where aims are measured, shape (N,), as far as it matters."""
+        """Conditions in which aims, shape (N,), are measured, as far as they matter."""
         return Conditions(direction=self.sides[aim]) if self.sides.size else UNSTATED
 
     @property

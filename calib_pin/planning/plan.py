@@ -136,15 +136,6 @@ class Plan:
         }
         return {name: column for name, column in columns.items() if any(column)}
 
-    @property
-    def sides(self) -> Mapping[str, tuple[int, ...]]:
-        """Side from which each joint shall come to each configuration, by joint.
-
-        Empty where that makes no difference.
-        """
-        columns = zip(*(aim.side for aim in self.aims), strict=True)
-        return dict(zip(self.problem.chains.joints, columns, strict=False))
-
 
 @serial_blas
 def plan(
@@ -253,6 +244,15 @@ def plan(
     )
     best = search.run(method)
     return _finished(search, best, structure, at, data, workers)
+
+
+def sides_of(found: Plan) -> Mapping[str, tuple[int, ...]]:
+    """Side from which each joint shall come to each configuration, by joint.
+
+    Nothing where that makes no difference.
+    """
+    columns = zip(*(aim.side for aim in found.aims), strict=True)
+    return dict(zip(found.problem.chains.joints, columns, strict=False))
 
 
 def _finished(

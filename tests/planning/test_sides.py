@@ -14,7 +14,7 @@ from calib_pin.io.condition_columns import read_held
 from calib_pin.io.measurements import encode_configurations
 from calib_pin.observations import Conditions, approached
 from calib_pin.planning.aims import sides_tried
-from calib_pin.planning.plan import plan
+from calib_pin.planning.plan import plan, sides_of
 from calib_pin.report.plan_text import plan_report
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
@@ -37,14 +37,14 @@ def test_sides_are_balanced() -> None:
 
 def test_a_plan_says_from_where_to_come(tmp_path: Path) -> None:
     found = plan(CHAIN, "position", 30, SETUP, method="exchange")
-    sides = np.stack([np.array(s) for s in found.sides.values()], axis=1)
-    assert list(found.sides) == list(CHAIN.joints)
+    sides = np.stack([np.array(s) for s in sides_of(found).values()], axis=1)
+    assert list(sides_of(found)) == list(CHAIN.joints)
     # From both, each joint at a fifth of the configurations at least.
     assert np.abs(sides.mean(axis=0)).max() < 0.6
     assert "'<joint>.direction'" in str([*plan_report(found)])
     # They stand in the file, and are read as what is measured there.
     file = tmp_path / "plan.csv"
-    file.write_bytes(encode_configurations(CHAIN, found.q, sides=found.sides))
+    file.write_bytes(encode_configurations(CHAIN, found.q, sides=sides_of(found)))
     held = read_held(file, CHAIN.joints, found.q)
     np.testing.assert_array_equal(held.direction, sides)
     # What is expected of the plan is what a calibration of it gets.
@@ -71,7 +71,7 @@ def test_it_beats_short_travel_alone() -> None:
         rows = simulate(problem, zero, rng, q=found.q, conditions=held, noise=1e-4)
         return calibrate(CHAIN, rows, SETUP).covariance.diagonal()[lost] ** 0.5
 
-    sides = np.stack([np.array(s) for s in found.sides.values()], axis=1)
+    sides = np.stack([np.array(s) for s in sides_of(found).values()], axis=1)
     asked, came = (
         deviations(Conditions(direction=d.astype(np.int8)))
         for d in (sides, approached(found.q))
@@ -82,6 +82,6 @@ def test_it_beats_short_travel_alone() -> None:
 def test_without_lost_motion_no_side_matters() -> None:
     setup = replace(SETUP, parameters=("placement",))
     found = plan(CHAIN, "position", 16, setup, method="greedy")
-    assert not found.sides
-    table = encode_configurations(CHAIN, found.q, sides=found.sides)
+    assert not sides_of(found)
+    table = encode_configurations(CHAIN, found.q, sides=sides_of(found))
     assert b"direction" not in table

@@ -11,6 +11,7 @@ import calib_pin
 from calib_pin.calibration import calibrate
 from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.problem import repeated
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import Conditions, Observations, approached
 from calib_pin.parameterizations.error_model import ErrorModel
@@ -86,3 +87,26 @@ def test_measurements_in_no_order_are_refused(refused: Callable[..., None]) -> N
         make_problem(chain, unknown, setup)
     stated = Conditions(direction=approached(rows.q), source="columns")
     make_problem(chain, Observations.of(replace(rows.only, conditions=stated)), setup)
+
+
+def test_one_configuration_from_two_sides_is_no_repetition() -> None:
+    """Both together tell the lost motion, and nothing of the noise."""
+    chain = calib_pin.load_chain("space6")
+    problem = nominal_problem(chain, "position", SETUP)
+    rng = np.random.default_rng(2)
+    theta = problem.parameters.vector(lost_motion(chain))
+    q = np.repeat(chain.random_configurations(30, rng), 2, axis=0)
+    sides = np.tile(np.array([[1] * 6, [-1] * 6], np.int8), (30, 1))
+    held = Conditions(direction=sides)
+    rows = simulate(problem, theta, rng, q=q, conditions=held, noise=3e-5)
+    told = make_problem(chain, rows, SETUP)
+    assert len(np.unique(repeated(told))) == 60
+    # Without lost motion in the model they are what one configuration scatters by.
+    plain = make_problem(chain, rows, replace(SETUP, parameters=("placement",)))
+    assert len(np.unique(repeated(plain))) == 30
+    # Split they are together, for each tells nearly all of the other.
+    assert rows.configurations == 30
+    result = calibrate(chain, rows, SETUP)
+    assert result.verdict == "good"
+    found = result.statistics.sigma0
+    assert 0.8 < found < 1.2

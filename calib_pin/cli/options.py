@@ -148,7 +148,7 @@ Parameters = Annotated[
     robot(
         "--parameters P,...",
         "placement (default), link-transform, dh, dh-full, joint-offset{}; beyond "
-        "geometry transmission, compliance{}; several may be combined.",
+        "geometry transmission, compliance, hysteresis{}; several may be combined.",
     ),
 ]
 

@@ -186,7 +186,7 @@ def plan(
     )
     from calib_pin.io.targets import ROW
     from calib_pin.observations import fitted_and_held_out
-    from calib_pin.planning.plan import CRITERION_NAMES
+    from calib_pin.planning.plan import CRITERION_NAMES, sides_of
     from calib_pin.planning.plan import plan as run
     from calib_pin.planning.search import METHODS
     from calib_pin.planning.ways import VIA, Ways
@@ -303,6 +303,7 @@ def plan(
         found.q,
         found.target,
         places=found.places,
+        sides=sides_of(found),
         joints=stated.joints,
         degrees=degrees,
         comments=[f"planned by: {told_command(context)}"],

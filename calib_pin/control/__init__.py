@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from calib_pin.control.compensation import Frame, Point, commands, kinematics
+from calib_pin.control.calibrated import Frame, Point, kinematics
+from calib_pin.control.compensation import commands
 from calib_pin.control.joints import Joints, Kinematics, Solutions
 from calib_pin.control.reaching import reach, search
 

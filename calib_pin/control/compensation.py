@@ -4,26 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.control.avoiding import Free, free_solutions
+from calib_pin.control.calibrated import Frame, Point, has_sides, kinematics
 from calib_pin.control.joints import Indices, Joints, Kinematics, Solutions, Stacked
 from calib_pin.control.reaching import reach, search
-from calib_pin.errors import OptionError, require_known
-from calib_pin.kinematics.spatial import (
-    Floats,
-    adjoint,
-    interpolate,
-    invert,
-    so3_log,
-)
-from calib_pin.parameterizations import NOTHING
-from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.kinematics.spatial import Floats, so3_log
+from calib_pin.observations import Signs, approached
 from calib_pin.progress import Progress
 from calib_pin.validation.calibrated_model import CalibratedChain
 
@@ -31,11 +22,11 @@ JUMP = 0.1
 """Change of the corrections between neighboring configurations that no smooth
 motion has [rad, m]."""
 
+ROUNDS = 10
+"""Most rounds until commands come from the sides they reckon with; it takes two."""
+
 BLOCK = 2000
 """Targets between two reports of the progress."""
-
-Frame: TypeAlias = Literal["measuring", "base"]
-Point: TypeAlias = Literal["tool", "tip"]
 
 
 @dataclass(frozen=True)
@@ -57,6 +48,8 @@ class Compensation(Stacked):
             correction was trained, shape (N,); False where nothing was learned.
         collides: Whether something touches at the command, shape (N,); False where
             that is not looked at.
+        sides: Sign of the last motion of each joint that the command reckons with,
+            shape (N, n); 0 where it is not known, or makes no difference.
         oriented: Whether orientations count.
     """
 
@@ -70,6 +63,7 @@ class Compensation(Stacked):
     at_limit: NDArray[np.bool_]
     outside: NDArray[np.bool_]
     collides: NDArray[np.bool_]
+    sides: Signs
     oriented: bool
 
     def __len__(self) -> int:
@@ -93,6 +87,12 @@ class Compensation(Stacked):
         return bool(self.good.all())
 
     @property
+    def reversals(self) -> int:
+        """How often joints turn back, so that their lost motion is made up for."""
+        sides = self.sides[self.good]
+        return int(np.sum(sides[1:] * sides[:-1] < 0))
+
+    @property
     def jumps(self) -> NDArray[np.bool_]:
         """Whether the corrections change too much from the row before, shape (N,).
 
@@ -100,55 +100,6 @@ class Compensation(Stacked):
         """
         change = np.abs(np.diff(self.q - self.nominal, axis=0)).max(axis=1, initial=0.0)
         return np.concatenate([[False], change > JUMP])[: len(self)]
-
-
-def kinematics(
-    model: CalibratedChain,
-    *,
-    frame: Frame = "measuring",
-    point: Point = "tool",
-    nominal: bool = False,
-) -> Kinematics:
-    """Kinematics of a calibrated robot, with all its corrections.
-
-    Args:
-        model: The calibrated chain.
-        frame: Frame of the poses: `measuring`, or `base`, the base link.
-        point: The placed point: `tool`, or `tip`, the tip link.
-        nominal: Whether the robot is taken without its errors; the frames stay.
-
-    Returns:
-        Kinematics for `reach` and `search`. Derivatives of the corrections of joint
-        positions by these are neglected.
-    """
-    error, theta = model.error, model.theta
-    if nominal:
-        error, theta = replace(error, learned=None), np.zeros_like(theta)
-
-    def evaluate(q: Floats) -> tuple[Floats, Floats]:
-        T, J = error.kinematics(q, theta)
-        base, tool = _ends(error, q)
-        if frame == "base":
-            T = invert(base) @ T
-        if point == "tip":
-            # Through the tool, which also carries the learned motion.
-            T, J = T @ invert(tool), adjoint(tool) @ J
-        return T, J
-
-    return evaluate
-
-
-def _ends(error: ErrorModel, q: Floats) -> tuple[Floats, Floats]:
-    """Base and tool frame, each (4, 4), or (N, 4, 4) where the correction fades."""
-    base, tool = error.base.homogeneous, error.tool.homogeneous
-    if error.learned is None:
-        return base, tool
-    products = error.corrections(error.learned.shift)
-    shifted = base @ products[0].homogeneous, tool @ products[-1].homogeneous
-    weight = error.learned.weight(q)
-    if (weight == 1.0).all():
-        return shifted
-    return interpolate(base, shifted[0], weight), interpolate(tool, shifted[1], weight)
 
 
 def commands(
@@ -195,46 +146,6 @@ def commands(
     )
 
 
-def with_payload(
-    model: CalibratedChain, payload: str | None, file: str | Path | None = None
-) -> CalibratedChain:
-    """The calibrated robot with a payload that its setup knows.
-
-    Args:
-        model: The calibrated chain.
-        payload: Name of the payload, `none` for nothing; may be left out where the
-            calibration needs none or knows only one.
-        file: File of the calibration, for messages.
-
-    Raises:
-        OptionError: If there is no payload of that name, or it is missing.
-    """
-    known = [*model.setup.payloads, NOTHING]
-    if payload is not None:
-        require_known("payload", payload, known)
-        return replace(model, error=model.error.carrying(payload))
-    if not model.geometric and len(model.setup.payloads) > 1:
-        raise OptionError(
-            "the calibration knows several payloads; say with --payload which one is "
-            "carried",
-            file=file,
-            allowed=", ".join(known),
-        )
-    return model
-
-
-def ends_estimated(model: CalibratedChain, *, base: bool, tip: bool) -> bool:
-    """Whether the base or the tool frame was estimated along with the robot.
-
-    Args:
-        model: The calibrated chain.
-        base: Whether the base frame matters.
-        tip: Whether the tool frame matters.
-    """
-    free = model.error.parameters.free
-    return bool((base and free[:6].any()) or (tip and free[-6:].any()))
-
-
 @serial_blas
 def compensate(
     model: CalibratedChain,
@@ -245,12 +156,15 @@ def compensate(
     point: Point = "tool",
     orientation: bool = True,
     free: Free | None = None,
+    before: Floats | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
     """Commands that bring the real robot to targets.
 
     Without a start, revolute joints take the turns that make the way from target to
-    target the shortest.
+    target the shortest. Lost motion is made up for as commands follow one another: each
+    joint comes to a command from the side of its last motion, and until its first one
+    it is taken to stand in the middle.
 
     Args:
         model: The calibrated chain.
@@ -260,6 +174,7 @@ def compensate(
         point: The point that shall reach them.
         orientation: Whether orientations count; else only positions do.
         free: Where nothing touches; where something does, other solutions are sought.
+        before: Where the robot stands before the first command, shape (n,) [rad, m].
         progress: Told the part that is done, 0 to 1.
 
     Examples:
@@ -280,8 +195,8 @@ def compensate(
 
     def finished(T: Floats, found: Solutions) -> Compensation:
         nominal = reach(imagined, T, found.q, joints, orientation=orientation)
-        before = np.where(nominal.reached[:, None], nominal.q, np.nan)
-        return _compensation(model, real, T, found, before, orientation)
+        plain = np.where(nominal.reached[:, None], nominal.q, np.nan)
+        return _compensation(model, real, T, found, plain, orientation)
 
     def part(rows: slice) -> Compensation:
         T, near = targets[rows], None if start is None else start[rows]
@@ -304,16 +219,16 @@ def compensate(
         )
         found = replaced(found, np.arange(len(targets)), others)
         found = replace(found, collides=found.reached & ~others.reached)
-    if start is not None:
-        return found
-    (kept,) = np.nonzero(found.good)
-    driven = joints.driven(found.q[kept])
-    unwound = joints.unwound(driven)
-    (turned,) = np.nonzero((unwound != driven).any(axis=1))
-    rows, near = kept[turned], joints.positions(unwound[turned])
-    # Corrections need not be periodic: another turn is another descent.
-    others = reach(real, targets[rows], near, joints, orientation=orientation)
-    return replaced(found, rows, others)
+    if start is None:
+        (kept,) = np.nonzero(found.good)
+        driven = joints.driven(found.q[kept])
+        unwound = joints.unwound(driven)
+        (turned,) = np.nonzero((unwound != driven).any(axis=1))
+        rows, near = kept[turned], joints.positions(unwound[turned])
+        # Corrections need not be periodic: another turn is another descent.
+        others = reach(real, targets[rows], near, joints, orientation=orientation)
+        found = replaced(found, rows, others)
+    return _from_sides(model, targets, found, before, frame, point)
 
 
 @serial_blas
@@ -323,6 +238,7 @@ def follow(
     *,
     orientation: bool = True,
     free: Free | None = None,
+    before: Floats | None = None,
     progress: Progress | None = None,
 ) -> Compensation:
     """Commands at which the real tip is where the nominal robot's would be.
@@ -335,6 +251,7 @@ def follow(
         q: Commands meant for the nominal robot, shape (N, n) [rad, m].
         orientation: Whether orientations count; else only positions do.
         free: Where nothing touches; the commands are only told of it.
+        before: As for `compensate`.
         progress: Told the part that is done, 0 to 1.
     """
     targets = model.chain.poses(q)
@@ -347,7 +264,44 @@ def follow(
         return _compensation(model, real, T, found, q[rows], orientation)
 
     found = _in_parts(part, len(q), progress)
+    found = _from_sides(model, targets, found, before, "base", "tip")
     return found if free is None else replace(found, collides=~free(found.q))
+
+
+def _from_sides(
+    model: CalibratedChain,
+    targets: Floats,
+    found: Compensation,
+    before: Floats | None,
+    frame: Frame,
+    point: Point,
+) -> Compensation:
+    """Commands that make up for lost motion, as they follow one another.
+
+    Those of joints that turn back move by all of it, and those of others by nothing, so
+    that no correction makes a joint turn back: where a second round finds other sides,
+    these are of joints that hardly move at all.
+    """
+    if not has_sides(model):
+        return found
+    joints, (kept,) = Joints.of(model.chain), np.nonzero(found.good)
+    for _ in range(ROUNDS):
+        q = found.q[kept]
+        ahead = q[:1] if before is None else before[None]
+        sides = approached(np.concatenate([ahead, q]))[1:]
+        changed = (sides != found.sides[kept]).any(axis=1)
+        if not changed.any():
+            break
+        ways, which = np.unique(sides[changed], axis=0, return_inverse=True)
+        for k, side in enumerate(ways):
+            rows = kept[changed][which.reshape(-1) == k]
+            own, T = found.rows(rows), targets[rows]
+            real = kinematics(model, frame=frame, point=point, side=side)
+            others = reach(real, T, own.q, joints, orientation=own.oriented)
+            moved = _compensation(model, real, T, others, own.nominal, own.oriented)
+            moved = replace(moved, sides=np.tile(side, (len(rows), 1)))
+            found = found.replaced(rows, moved)
+    return found
 
 
 def _in_parts(
@@ -387,5 +341,6 @@ def _compensation(
         at_limit=np.asarray(joints.at_limit(joints.driven(found.q)).any(axis=1)),
         outside=model.outside(found.q),
         collides=np.zeros(len(targets), bool),
+        sides=np.zeros(found.q.shape, np.int8),
         oriented=orientation,
     )

@@ -20,14 +20,16 @@ from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import (
     BlockKey,
+    Conditions,
     Labels,
     Measurements,
     Observations,
 )
 from calib_pin.parameterizations import (
     NOTHING,
-    beyond_geometry,
     frame_pose,
+    is_geometric,
+    needed_conditions,
     required_keys,
 )
 from calib_pin.parameterizations.error_model import ErrorModel
@@ -49,6 +51,7 @@ def make_problem(
     data = Observations.of(data)
     chains = chains_of(chains, data)
     _require_payloads(data, setup)
+    _require_directions(data, setup)
     targets = {block.key: block.target.distinct for block in data.blocks}
     parts, given = make_parts(chains, targets, setup)
     setup = _with_prior(chains, given, setup)
@@ -190,13 +193,14 @@ def nominal_problem(
         targets = tuple(names or model.targets) or ("",)
         count = len(targets) * len(payloads)
         zeros = np.zeros((count, len(chains.joints)))
+        carried = Labels.of([name for name in payloads for _ in targets])
         blocks.append(
             Measurements(
                 joints=chains.joints,
                 q=zeros,
                 values=np.zeros((count, model.width)),
                 target=Labels.of(targets * len(payloads)),
-                payload=Labels.of([name for name in payloads for _ in targets]),
+                conditions=Conditions(carried, zeros.astype(np.int8)),
                 start=zeros if model.declaration.relative else np.zeros((0, 0)),
                 **key._asdict(),
             )
@@ -293,6 +297,22 @@ def _require_payloads(data: Observations, setup: Setup) -> None:
         )
 
 
+def _require_directions(data: Observations, setup: Setup) -> None:
+    """Refuse measurements that do not tell from where joints came, if that matters.
+
+    Raises:
+        InputError: If none of them does.
+    """
+    needed = "direction" in needed_conditions(setup.parameters)
+    if needed and not data.conditions.direction.size:
+        raise data.error(
+            0,
+            "nothing tells from which side the joints came, which 'hysteresis' needs",
+            column=f"{data.joints[0]}.direction",
+            allowed="absolute measurements in the order of measuring, or such columns",
+        )
+
+
 def geometric_setup(
     chains: Chain | Chains, measurements: Observations, setup: Setup
 ) -> Setup:
@@ -307,8 +327,7 @@ def geometric_setup(
         setup: Estimated and known quantities.
     """
     plain = replace(setup, learned=None)
-    beyond = beyond_geometry()
-    names = tuple(name for name in setup.parameters if name not in beyond)
+    names = tuple(filter(is_geometric, setup.parameters))
     if names == setup.parameters:
         return plain
     return with_parameters(chains, measurements, plain, names)

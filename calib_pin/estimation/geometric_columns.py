@@ -40,7 +40,7 @@ class Label:
 
     Attributes:
         kind: One of `KINDS`, or what a joint correction belongs to, such as
-            `transmission`.
+            `transmission`, or is, `backlash`.
         of: Name of the joint; of the link for its length and twist.
     """
 
@@ -150,7 +150,10 @@ def _urgency(kind: str) -> int:
 def _beyond(screw: Screw) -> tuple[str, str]:
     """Kind and owner of a joint correction, by its name."""
     owner, kind, component = screw.parameter.name.rsplit(".", 2)
-    return kind, f"{owner.removeprefix('joint:')} {component}"
+    joint = owner.removeprefix("joint:")
+    if kind == "hysteresis":
+        return component, joint  # Its component says what it is.
+    return kind, f"{joint} {component}"
 
 
 def _places(chain: Chain) -> Sequence[_Place]:

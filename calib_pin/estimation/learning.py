@@ -128,7 +128,7 @@ def training_rows(
     layout = problem.layout
     shape = len(problem.data), layout.width
     basis = {
-        block.part.key: block.part.error.basis(block.data.q, block.data.payload)
+        block.part.key: block.part.error.basis(block.data.q, block.data.conditions)
         for block in problem.blocks
     }
 

@@ -26,7 +26,8 @@ from calib_pin.estimation.measured import Measured, assumed_sigma
 from calib_pin.estimation.row_blocks import Blocks, Expected, KnownDistances, Priors
 from calib_pin.estimation.system import Part
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import BlockKey, Observations
+from calib_pin.observations import BlockKey
+from calib_pin.parameterizations import needed_conditions
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import PopulationPrior
 
@@ -363,10 +364,17 @@ def representative(problem: Problem) -> list[BlockKey]:
     return [key for key in keys if problem.parts[key].scope.station in shown]
 
 
-def repeated(data: Observations) -> NDArray[np.int64]:
-    """Label of the measurements of one thing in one configuration, shape (N,)."""
-    labels = data.groups()
-    for codes in (data.things(), data.payload.codes):
+def repeated(problem: Problem) -> NDArray[np.int64]:
+    """Label of the measurements of one thing in one configuration, shape (N,).
+
+    Where lost motion is estimated, one configuration reached from two sides is two.
+    """
+    data = problem.data
+    labels, sides = data.groups(), np.zeros(len(data), np.int64)
+    held = data.conditions.direction
+    if held.size and "direction" in needed_conditions(problem.setup.parameters):
+        sides = np.unique(held, axis=0, return_inverse=True)[1].reshape(-1)
+    for codes in (data.things(), data.payload.codes, sides):
         count = int(codes.max(initial=0)) + 1
         if count > 1:
             labels = labels * count + codes
@@ -376,7 +384,7 @@ def repeated(data: Observations) -> NDArray[np.int64]:
 def distinct_values(problem: Problem) -> int:
     """Measured values and distances, repetitions of a configuration left out."""
     rows = np.flatnonzero(problem.data.weight > 0.0)
-    _, first = np.unique(repeated(problem.data)[rows], return_index=True)
+    _, first = np.unique(repeated(problem)[rows], return_index=True)
     counted = np.zeros(len(problem.data), bool)
     counted[rows[first]] = True
     used = counted[problem.layout.row] & np.isfinite(problem.sigma)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.io.columns import Floats
+from calib_pin.io.condition_columns import DIRECTION
 from calib_pin.io.files import write_atomically
 from calib_pin.io.inferred_model import asked_models
 from calib_pin.io.joint_columns import (
@@ -37,7 +38,12 @@ from calib_pin.io.written_columns import (
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models.readings import read_otherwise
-from calib_pin.observations import Labels, Measurements, Observations
+from calib_pin.observations import (
+    Labels,
+    Measurements,
+    Observations,
+    with_directions,
+)
 from calib_pin.progress import Progress, portion
 from calib_pin.setup import JointMap, ReadingSetup
 
@@ -139,6 +145,7 @@ def read_measurements(
     data = Observations.of(*_with_joints(parts, chains.named(tuple(names))))
     if reading is not None:
         data = read_otherwise(data, reading)
+    data = with_directions(data)
     check_names(data)
     check_places(data, sockets)
     return data
@@ -174,6 +181,10 @@ def _with_joints(parts: Sequence[Measurements], chains: Chains) -> list[Measurem
             joints=chains.joints,
             q=spread(part.q, part.joints),
             start=spread(part.start, part.joints) if part.start.size else part.start,
+            conditions=part.conditions.among(
+                [chains.joints.index(joint) for joint in part.joints],
+                len(chains.joints),
+            ),
         )
         for part in parts
     ]
@@ -235,6 +246,7 @@ def encode_configurations(
     target: Sequence[str] = (),
     *,
     places: Mapping[str, Sequence[str]] = {},
+    sides: Mapping[str, Sequence[int]] = {},
     joints: Mapping[str, JointMap] = {},
     degrees: bool = False,
     comments: Sequence[str] = (),
@@ -246,6 +258,7 @@ def encode_configurations(
         q: Joint positions, shape (N, n) [rad, m].
         target: Target of each; no column where none is named.
         places: Columns `chain`, `station` and `tool`, as far as these have names.
+        sides: Side from which to come to each, by joint, as far as it matters.
         joints: How file columns become joints; the file holds what a controller
             needs.
         degrees: Whether angles are in degrees.
@@ -265,9 +278,10 @@ def encode_configurations(
         calib_pin.errors.OutputError: target 'wall\n' would not read back
     """
     sources = joint_sources(chain, joints)
-    columns: dict[str, Floats | Sequence[str]] = {
+    columns: dict[str, Floats | Sequence[str] | Sequence[int]] = {
         **shown_columns(column_values(q, sources), sources, degrees)
     }
+    columns |= {joint + DIRECTION: column for joint, column in sides.items()}
     named = {**places, "target": target}
     columns |= {k: writable(k, column) for k, column in named.items() if any(column)}
     return encode_table(columns, comments)

@@ -19,6 +19,7 @@ from calib_pin.parameterizations.base import (
 )
 from calib_pin.parameterizations.compliance import NOTHING, Compliance
 from calib_pin.parameterizations.dh import DenavitHartenberg, FullDenavitHartenberg
+from calib_pin.parameterizations.hysteresis import Hysteresis
 from calib_pin.parameterizations.placement import (
     JointOffset,
     LinkTransform,
@@ -42,6 +43,8 @@ __all__ = [
     "frame_pose",
     "frame_screws",
     "frame_setup",
+    "is_geometric",
+    "needed_conditions",
     "parameterization",
     "required_keys",
 ]
@@ -54,6 +57,7 @@ _BUNDLED: tuple[type[Parameterization], ...] = (
     JointOffset,
     Transmission,
     Compliance,
+    Hysteresis,
 )
 
 PARAMETERIZATIONS: Mapping[str, type[Parameterization]] = Members(
@@ -77,10 +81,25 @@ def parameterization(name: str, setup: Setup | None = None) -> Parameterization:
 
 
 def beyond_geometry() -> tuple[str, ...]:
-    """Names of the parameterizations that a URDF cannot hold."""
+    """Names of the parameterizations that a URDF cannot hold, and any data can tell.
+
+    Those that need conditions of the measurements are left out.
+    """
     return tuple(
-        name for name, member in PARAMETERIZATIONS.items() if not member.geometric
+        name
+        for name, member in PARAMETERIZATIONS.items()
+        if not member.geometric and not member.needs
     )
+
+
+def is_geometric(name: str) -> bool:
+    """Whether a URDF can hold all of a parameterization."""
+    return PARAMETERIZATIONS[name].geometric
+
+
+def needed_conditions(names: Iterable[str]) -> set[str]:
+    """Conditions of measurements without which these parameterizations mean nothing."""
+    return {need for name in names for need in PARAMETERIZATIONS[name].needs}
 
 
 def required_keys(names: Iterable[str]) -> set[str]:

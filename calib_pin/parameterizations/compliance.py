@@ -11,6 +11,7 @@ import numpy as np
 from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.observations.labels import Labels
 from calib_pin.parameterizations.base import (
     BasisFunction,
@@ -82,7 +83,9 @@ class Compliance(Parameterization):
         parts = np.outer(np.arange(1, SAMPLES + 1), roots) % 1.0
         q = chain.lower + parts * (chain.upper - chain.lower)
         heaviest = max(self.payloads, key=lambda k: self.payloads[k].mass, default="")
-        torques = functions(q, (heaviest,) * len(q)) / [d.factor for d in moved]
+        torques = functions(q, Conditions(Labels.all(heaviest, len(q)))) / [
+            d.factor for d in moved
+        ]
         usual = np.sqrt(np.mean(torques**2, axis=0))
         # To the last bit: joints of one drive have one parameter.
         leaders = [d.joint for d in moved]
@@ -120,9 +123,11 @@ class _Torques:
     load: Compliance
     drives: Sequence[Drive]
 
-    def __call__(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
+    def __call__(self, q: Floats, conditions: Conditions = UNSTATED) -> Floats:
         result = np.empty((len(q), len(self.chain.joints)))
-        names = Labels.of(payload) if len(payload) else Labels.all("", len(q))
+        names = (
+            conditions.payload if len(conditions.payload) else Labels.all("", len(q))
+        )
         for name in names.distinct:
             rows = names.where(name)
             result[rows] = self.chain.gravity_torques(

@@ -8,7 +8,7 @@ stand at one station and look at one tool measure together.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,16 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.system import Part
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS, MeasurementModel, declared
-from calib_pin.observations import BlockKey, Booleans, Indices, Labels
+from calib_pin.observations import (
+    UNSTATED,
+    BlockKey,
+    Booleans,
+    Conditions,
+    Indices,
+    Labels,
+    Signs,
+)
+from calib_pin.parameterizations import needed_conditions
 
 SWAY = np.array(
     [
@@ -38,10 +47,13 @@ class Aim(NamedTuple):
         key: The first block of those of a chain, a station and a tool.
         target: The target of an instrument that measures one at a time, or the only one
             that there is; else empty.
+        side: Sign of the last motion with which each joint shall come, n of them; empty
+            where that makes no difference.
     """
 
     key: BlockKey
     target: str
+    side: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -54,12 +66,19 @@ class Look:
         at_once: Whether all that it sees are measured at a configuration.
         of_aim: Position of the target of each aim, zero for all at once, -1 for aims
             without this instrument.
+        sides: Side from which each joint of its chain comes for each aim, (A, n); of
+            shape (0, 0) where that makes no difference.
     """
 
     part: Part
     names: tuple[str, ...]
     at_once: bool
     of_aim: Indices
+    sides: Signs = field(default_factory=lambda: np.zeros((0, 0), np.int8))
+
+    def conditions(self, aim: Indices) -> Conditions:
+        """Conditions in which aims, shape (N,), are measured, as far as they matter."""
+        return Conditions(direction=self.sides[aim]) if self.sides.size else UNSTATED
 
     @property
     def each(self) -> int:
@@ -152,7 +171,36 @@ class Aims:
             names, at_once = places[key[1:]][key], declared(key.model).at_once
             looks.append(Look(problem.parts[key], names, at_once, codes))
         looks.sort(key=lambda look: not look.at_once)
-        return Aims(tuple(aims), tuple(looks))
+        sides = sides_tried(problem)
+        if not len(sides):
+            return Aims(tuple(aims), tuple(looks))
+        count = len(aims)
+        return Aims(
+            tuple(aim._replace(side=tuple(side)) for aim in aims for side in sides),
+            tuple(
+                replace(
+                    look,
+                    of_aim=np.repeat(look.of_aim, len(sides)),
+                    sides=np.tile(sides[:, look.part.columns], (count, 1)),
+                )
+                for look in looks
+            ),
+        )
+
+
+def sides_tried(problem: Problem) -> Signs:
+    """Sides from which joints may come to a configuration, shape (S, n).
+
+    None where that makes no difference. They are rows of a Hadamard matrix (Sylvester
+    1867): each joint comes from either side equally often, whatever the others do.
+    """
+    count = len(problem.chains.joints)
+    if "direction" not in needed_conditions(problem.setup.parameters):
+        return np.zeros((0, count), np.int8)
+    H = np.ones((1, 1), np.int8)
+    while len(H) <= count:
+        H = np.block([[H, H], [H, -H]])
+    return H[:, 1 : count + 1]
 
 
 def require_plannable(keys: Sequence[BlockKey]) -> None:

@@ -246,6 +246,15 @@ def plan(
     return _finished(search, best, structure, at, data, workers)
 
 
+def sides_of(found: Plan) -> Mapping[str, tuple[int, ...]]:
+    """Side from which each joint shall come to each configuration, by joint.
+
+    Nothing where that makes no difference.
+    """
+    columns = zip(*(aim.side for aim in found.aims), strict=True)
+    return dict(zip(found.problem.chains.joints, columns, strict=False))
+
+
 def _finished(
     search: Search,
     best: Found,

@@ -29,7 +29,7 @@ from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.observations import BlockKey, Indices, Labels, Observations
 from calib_pin.parameters import ParameterSet
-from calib_pin.planning.aims import Aims, Look
+from calib_pin.planning.aims import Aims, Look, sides_tried
 from calib_pin.planning.information import Information
 from calib_pin.planning.rows import IdentificationRows, LookRows
 from calib_pin.planning.workspace import Candidates
@@ -208,7 +208,9 @@ class TipTests:
             # Whatever is measured, the pose of the tool is what counts [m, rad].
             pose = measurement_model(Pose.declaration.name, rows.problem.setup)
             basis = rows.basis[part.of_error]
-            look = Look(replace(part, measurement=pose), ("",), True, np.zeros(1, int))
+            sides = sides_tried(rows.problem)[:, part.columns]
+            part = replace(part, measurement=pose)
+            look = Look(part, ("",), True, np.zeros(1, int), sides)
             found.append(TipTests.at(LookRows(look, basis, np.ones(6)), q))
         return TipTests(
             np.mean([one.position for one in found], axis=0),
@@ -223,7 +225,7 @@ class TipTests:
             rows: Rows that tell the pose of the tool, with unit sigma.
             q: Test configurations of all joints, shape (N, n) [rad, m].
         """
-        J = rows.rows(q, np.zeros(len(q), int))
+        J = rows.rows(q, np.arange(len(q)) % max(len(rows.look.sides), 1))
         position, orientation = (
             np.einsum("ndi,ndj->ij", part, part, optimize=True) / len(q)
             for part in (J[:, :3], J[:, 3:])

@@ -192,7 +192,8 @@ class LookRows:
         """
         part, each, size = self.look.part, self.look.each, len(self.sigma)
         own = q[:, part.columns]
-        poses = part.error.linearize(own, np.zeros(len(part.error.screws)))
+        basis = part.error.basis(own, self.look.conditions(aim))
+        poses = part.error.linearize(own, np.zeros(len(part.error.screws)), basis)
         # Where only one is measured, `Workspace` allows only what sees it.
         measured = np.arange(len(q))
         if self.look.at_once:

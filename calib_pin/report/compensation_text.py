@@ -53,6 +53,12 @@ def compensation_report(
                 f"where it knows less: {line_list(outside)}.",
                 "bad",
             )
+    if found.sides.any():
+        yield Line(
+            f"Lost motion is made up for as the commands follow one another: joints "
+            f"turn back {found.reversals} times. Until a joint has moved once, it is "
+            "taken to stand in the middle of its lost motion."
+        )
     yield from _unreached(found, file, lines)
     joints = len(chain.joints)
     if found.oriented and reached < count and joints < 6:
@@ -86,6 +92,12 @@ def ways_report(
             f"configuration{'s' * several} lead{'s' * (not several)} around what is "
             "in the way, as the nominal robot and the clearance have it."
         )
+        if found.sides.any():
+            yield Line(
+                "Lost motion is made up for as on straight ways: behind a via "
+                "configuration joints may come from the other side.",
+                "bad",
+            )
     elif not len(colliding):
         yield Line("Nothing touches at the commands and on straight ways between them.")
 

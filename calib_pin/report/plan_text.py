@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from calib_pin.planning.plan import Plan, Step
+from calib_pin.planning.plan import Plan, Step, sides_of
 from calib_pin.report.accuracy import chain_words, model_words
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
 from calib_pin.report.robot_errors import error_table
@@ -58,6 +58,12 @@ def _subject(plan: Plan) -> Iterator[Line]:
         yield Line(
             "The setup does not say where the target sits on the tool "
             "(frames.tool.xyz); 6 cm beside the tip link is assumed.",
+            "note",
+        )
+    if sides_of(plan):
+        yield Line(
+            "Each joint shall come to a configuration from the side that its column "
+            "'<joint>.direction' states, by more than its lost motion.",
             "note",
         )
     if plan.unmeasurable:

@@ -14,6 +14,8 @@ from calib_pin.control.compensation import JUMP, compensate, follow
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats, invert
+from calib_pin.observations import Conditions, approached
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 
@@ -212,3 +214,72 @@ def test_successive_targets_are_reached_without_whole_turns():
     assert np.abs(np.diff(found.q[:, 5])).max() < np.pi + 0.1
     # The wrist passes half a turn: without the turns it would come back.
     assert found.q[:, 5].max() > np.pi or found.q[:, 5].min() < -np.pi
+
+
+@pytest.fixture(scope="module")
+def lagging(model) -> CalibratedChain:
+    """The same robot with lost motion of up to two milliradians."""
+    names = ["placement", "transmission", "hysteresis"]
+    error = ErrorModel.create(model.chain, names).with_frames(
+        model.error.base, model.error.tool
+    )
+    known = dict(zip(model.error.parameters.names, model.theta, strict=True))
+    lost = [2e-3, 5e-4, 1e-3, 0.0, 2e-4, 1.5e-3]
+    known |= {
+        f"{joint}.hysteresis.backlash": size
+        for joint, size in zip(model.chain.joints, lost, strict=True)
+    }
+    known |= {f"{joint}.transmission.gain": 1e-3 for joint in model.chain.joints}
+    names = error.parameters.names
+    theta = np.array([known.get(name, 0.0) for name in names])
+    return replace(model, error=error, theta=theta)
+
+
+def actual(model: CalibratedChain, q: Floats, before: Floats) -> Floats:
+    """Where a robot gets that goes to one command after the other."""
+    sides = approached(np.concatenate([before[None], q]))[1:]
+    basis = model.error.basis(q, Conditions(direction=sides))
+    return model.error.poses(q, model.theta, basis)
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_lost_motion_along_a_path_with_reversals(lagging, stated):
+    """Forth and back, in small steps, with joints that stand still for a while."""
+    part = 0.5 * np.sin(np.linspace(0.0, 14.0, 60))[:, None]
+    q = np.array([0.2, -1.2, 1.5, -0.8, 1.2, 0.3]) + part * np.array(
+        [0.8, 0.4, -0.5, 0.3, 0.4, 1.0]
+    )
+    q[20:25] = q[20]
+    before = q[0] - np.array([0.1, 0.1, -0.1, 0.1, 0.1, 0.1])
+    targets = lagging.poses(q)
+    found = compensate(lagging, targets, q if stated else None, before=before)
+    assert found.reached.all()
+    # No joint is at the edge of a reversal: it moves by its lost motion, or by none.
+    np.testing.assert_allclose(
+        actual(lagging, found.q, before), targets, rtol=0, atol=1e-9
+    )
+    assert found.position.max() < 1e-9
+    if stated:
+        assert found.reversals == 4 * 6
+        lost = np.abs(np.diff(found.q, axis=0) - np.diff(q, axis=0)).max(axis=0)
+        sizes = [2e-3, 5e-4, 1e-3, 0.0, 2e-4, 1.5e-3]
+        np.testing.assert_allclose(lost, sizes, rtol=0, atol=1e-4)
+    # In the middle of the lost motion a robot would be off by half a millimeter.
+    missed = actual(lagging, q, before)
+    assert np.linalg.norm((missed - targets)[:, :3, 3], axis=1).max() > 5e-4
+
+
+def test_a_motion_with_lost_motion(lagging, q):
+    there_and_back = np.concatenate([q, q[::-1]])
+    found = follow(lagging, there_and_back, before=q[0] - 0.05)
+    sides = approached(np.concatenate([q[:1] - 0.05, found.q]))[1:]
+    tips = lagging.error.tip_poses(found.q, lagging.theta, Conditions(direction=sides))
+    expected = lagging.chain.poses(there_and_back)
+    np.testing.assert_allclose(tips, expected, rtol=0, atol=1e-9)
+    # All turn back, and one that has come from below goes down at first.
+    assert found.reversals == 6 + 1
+
+
+def test_nothing_is_lost_before_a_joint_has_moved(lagging, q):
+    found = compensate(lagging, lagging.poses(q), q)
+    assert not found.sides[0].any() and found.sides[1:].all()

@@ -22,7 +22,7 @@ SETUP = Setup(
     payloads={"load": Payload(2.0, (0.05, -0.1, 0.2))},
     gear_ratios={"*": -31.5},
 )
-MOTIONS = ("joint-offset", "transmission", "compliance")
+MOTIONS = ("joint-offset", "transmission", "compliance", "hysteresis")
 
 
 @pytest.fixture(scope="module")

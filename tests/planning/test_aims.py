@@ -17,7 +17,7 @@ from calib_pin.estimation.problem import Problem, sigma_at
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
-from calib_pin.planning.aims import Aims
+from calib_pin.planning.aims import Aim, Aims
 from calib_pin.planning.plan import Plan
 from calib_pin.planning.search import METHODS
 from calib_pin.planning.workspace import Workspace
@@ -84,11 +84,11 @@ def test_a_tracker_sees_all_and_a_beam_meets_one() -> None:
     tracker, ranger = BlockKey("position"), BlockKey("plane-distance")
     points = Setup(targets={name: PointSetup((0, 0, 0.1)) for name in "abc"})
     (all_at_once,) = aims_of(points, tracker).each
-    assert all_at_once == (tracker, "")
+    assert all_at_once == Aim(tracker, "")
     one = replace(points, targets={"a": points.targets["a"]})
-    assert aims_of(one, tracker).each == ((tracker, "a"),)
+    assert aims_of(one, tracker).each == (Aim(tracker, "a"),)
     beams = aims_of(Setup(planes=PLANES), ranger)
-    assert beams.each == ((ranger, "floor"), (ranger, "wall"))
+    assert beams.each == (Aim(ranger, "floor"), Aim(ranger, "wall"))
 
 
 def test_instruments_of_one_place_measure_together() -> None:
@@ -97,7 +97,7 @@ def test_instruments_of_one_place_measure_together() -> None:
     moved = BlockKey("position", "", "b")
     setup = Setup(planes=PLANES, targets={n: PointSetup((0, 0, 0.1)) for n in "pq"})
     found = aims_of(setup, tracker, ranger, moved)
-    assert found.each == ((tracker, "floor"), (tracker, "wall"), (moved, ""))
+    assert found.each == (Aim(tracker, "floor"), Aim(tracker, "wall"), Aim(moved, ""))
     taken = {look.part.key: look.of_aim.tolist() for look in found.looks}
     assert taken == {tracker: [0, 0, -1], moved: [-1, -1, 0], ranger: [0, 1, -1]}
     assert [look.each for look in found.looks] == [2, 2, 1]

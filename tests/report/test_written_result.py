@@ -11,9 +11,11 @@ import pytest
 import calib_pin
 from calib_pin.cli.results import Run, result_contents, result_files
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.io.measurement_errors import decode_errors, encode_errors
 from calib_pin.io.result_file import read_suggestions, read_written
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import BlockKey, Observations
+from calib_pin.observations.conditions import Source
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.figures import calibration_figures
 from calib_pin.report.html import html_report
@@ -165,7 +167,42 @@ def two_hands() -> CalibrationResult:
     return calib_pin.calibrate(chains, rows, Setup(parameters=OFFSETS))
 
 
+def lost_motion(source: Source = "order") -> CalibrationResult:
+    """Sides that no file states, and a warm robot."""
+    chain = calib_pin.load_chain("space6")
+    setup = Setup(
+        parameters=("placement", "hysteresis"), tool_frame=FrameSetup((0.1, 0.05, 0.1))
+    )
+    problem = nominal_problem(chain, "position", setup)
+    rng = np.random.default_rng(4)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, theta, rng, count=40, noise=3e-5).only
+    warmth = rng.uniform(20.0, 30.0, len(rows))
+    held = replace(rows.conditions, source=source, temperature=warmth)
+    return calib_pin.calibrate(chain, replace(rows, conditions=held), setup)
+
+
+def test_conditions_come_back(tmp_path: Path) -> None:
+    result = lost_motion()
+    assert "approach-by-order" in {f.code for f in result.findings}
+    data = encode_errors(result, "1")
+    to_base = {"train": np.eye(3), "validate": np.eye(3)}
+    fitted, held_out = decode_errors(data, result.model, to_base)
+    for found, there in ((fitted, result.fitted), (held_out, result.held_out)):
+        assert found is not None and there is not None
+        held, stated = found.rows.conditions, there.rows.conditions
+        np.testing.assert_array_equal(held.direction, stated.direction)
+        np.testing.assert_array_equal(held.temperature, stated.temperature)
+        assert np.abs(held.direction).sum() > 0
+    # With a model that does not need them they are no columns.
+    plain = replace(result.model, setup=replace(result.model.setup, parameters=()))
+    assert b"direction.joint_1" in data
+    other = encode_errors(replace(result, model=plain), "1")
+    assert b"direction.joint_1" not in other
+
+
 CASES = {
+    "lost motion": lost_motion,
     "blocks": several_blocks,
     "hands": two_hands,
     "position": position_held_out,

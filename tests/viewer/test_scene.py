@@ -25,7 +25,7 @@ from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
 from calib_pin.measurement_models.references import Plane, Point
-from calib_pin.observations import BlockKey, Observations
+from calib_pin.observations import BlockKey, Conditions, Observations
 from calib_pin.setup import ChainSetup, Payload, Setup
 from calib_pin.simulation import simulate
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -127,7 +127,9 @@ def test_joint_corrections_turn_the_links(
     tip = skeleton.links.index(panda.tip)
     found = {}
     for payload, carried in (("heavy", "heavy"), ("light", "light"), ("", "none")):
-        expected = arm.error.tip_poses(q[None, places], arm.theta, (carried,))[0]
+        expected = arm.error.tip_poses(
+            q[None, places], arm.theta, Conditions((carried,))
+        )[0]
         found[payload] = corrected.placements(q, payload)[tip]
         np.testing.assert_allclose(found[payload], expected, atol=1e-9)
     assert np.abs(found["heavy"] - found[""]).max() > 1e-4

@@ -111,7 +111,7 @@ def pure_errors(
 
 def repetitions(problem: Problem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows that can be repetitions, and the configuration of each, shape (n,) both."""
-    labels = repeated(problem.data)
+    labels = repeated(problem)
     used = problem.data.weight > 0.0
     for part, data, own, _ in problem.blocks:
         # From another start it is another distance.

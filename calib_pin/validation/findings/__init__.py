@@ -23,6 +23,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
+from calib_pin.validation.findings.approach import approach, approach_order
 from calib_pin.validation.findings.axes import axes
 from calib_pin.validation.findings.case import DOUBTFUL, NONE, Case, Others
 from calib_pin.validation.findings.coarse_values import coarse_values
@@ -71,6 +72,7 @@ CONSEQUENCES: tuple[Kind, ...] = (
     outliers,
     noise,
     population,
+    approach,
 )
 """Faults in every fit that may follow from another one, and then are not told."""
 
@@ -80,6 +82,7 @@ FACTS: tuple[Kind, ...] = (
     design,
     joint_turns,
     coarse_values,
+    approach_order,
 )
 """Faults in every fit that the measurements show whatever else is wrong."""
 

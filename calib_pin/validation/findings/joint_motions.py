@@ -4,7 +4,8 @@ Each changes the position of a joint by a small part of something known: of its 
 position (a gear), of that of another joint (a coupling), of its last motion (a joint
 that was read before it stood still). To first order it is one further column of the
 Jacobian of the fit, and all of them are tried at once. The one that stands out is
-fitted.
+fitted. Lost motion goes with the sign of the last motion; it is no matter of reading,
+and is tried along only not to pass for a lag.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class Motion(NamedTuple):
     """Part of something by which joints stand elsewhere.
 
     Attributes:
-        of: What it is a part of: `gear`, `lag` or `coupled`.
+        of: What it is a part of: `gear`, `lag`, `side` or `coupled`.
         joints: The joint, all joints, or the joint and the one it is coupled to.
     """
 
@@ -126,6 +127,7 @@ class _Columns:
             *(Motion("gear", (j,)) for j in every),
             *(Motion("lag", (j,)) for j in every),
             Motion("lag", tuple(every)),
+            *(Motion("side", (j,)) for j in every),
             *(Motion("coupled", (j, k)) for j in turning for k in turning if j != k),
         )
 
@@ -135,15 +137,19 @@ class _Columns:
         fit = self.fit
         data, row = fit.problem.data, fit.problem.layout.row
         moved = last_motions(self.case.data)[self.index][row]
+        sides = np.sign(moved)
+        if data.conditions.direction.size:
+            sides = data.conditions.direction[row]
         start = np.concatenate(
             [b.start if b.start.size else np.zeros(b.q.shape) for b in data.blocks]
         )[row]
         ends, starts, q = fit.by_joints, fit.by_starts, data.q[row]
 
         def column(motion: Motion) -> Floats:
-            if motion.of == "lag":
+            if motion.of in ("lag", "side"):
                 own = list(motion.joints)
-                return np.asarray(-np.sum(ends[:, own] * moved[:, own], axis=1))
+                by = moved[:, own] if motion.of == "lag" else sides[:, own]
+                return np.asarray(-np.sum(ends[:, own] * by, axis=1))
             j, k = motion.joints[0], motion.joints[-1]
             return np.asarray(ends[:, j] * q[:, k] + starts[:, j] * start[:, k])
 
@@ -174,7 +180,8 @@ class _Columns:
         stretch = stretch // (int(self.case.rank.max()) + 1)
         shares = np.bincount(stretch, X[:rows, best] * r[:rows]) / along[best]
         contrary = -float(shares[shares < 0.0].sum())
-        return int(best) if contrary < CONTRARY else None
+        lost = self.motions[best].of == "side"
+        return None if lost or contrary >= CONTRARY else int(best)
 
 
 def joint_motion(case: Case) -> Explanation | None:

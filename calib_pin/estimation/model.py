@@ -218,8 +218,9 @@ class Model:
             ),
             measurement=self.measurement.rebased(instrument),
         )
-        nuisance = np.append(error.parameters.nuisance, np.ones(len(instrument), bool))
-        return moved, np.where(nuisance, 0.0, theta)
+        referred = np.append(error.parameters.nuisance, np.ones(len(instrument), bool))
+        referred[error.varying] = False
+        return moved, np.where(referred, 0.0, theta)
 
 
 def whitened_jacobian(

@@ -30,7 +30,8 @@ class PopulationCost:
 
     Attributes:
         evaluator: `kernel`, or `loop` where the members are evaluated one by one: the
-            measurement model has no batch form, or something was learned.
+            measurement model has no batch form, something was learned, or places of
+            the chain bend row by row.
 
     Examples:
         >>> import numpy as np, calib_pin
@@ -54,14 +55,14 @@ class PopulationCost:
         for block in problem.blocks:
             measurement = block.part.measurement
             batches: Sequence[Batch] = []
-            if block.part.error.learned is None and isinstance(
-                measurement, BatchedModel
-            ):
+            error = block.part.error
+            if error.compilable and isinstance(measurement, BatchedModel):
                 weights = 1.0 / block.table(problem.sigma)
                 batches = measurement.batches(block.data, weights)
             if not batches:
                 self.evaluator = "loop"
-            segments = Segments.of(block.part.error)
+                continue
+            segments = Segments.of(error)
             self._parts += [_Part(block, segments, batch) for batch in batches]
 
     def __call__(self, theta: Floats) -> Floats:

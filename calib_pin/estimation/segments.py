@@ -51,7 +51,9 @@ class Segments:
 
     @staticmethod
     def of(model: ErrorModel) -> Segments:
-        """The segments of an error model."""
+        """The segments of an error model without bends, see `ErrorModel.compilable`."""
+        if len(model.flexures):
+            raise ValueError("a segment cannot bend row by row")
         constants: list[pin.SE3] = []
         screws: list[Screw] = []
         order: list[int] = []

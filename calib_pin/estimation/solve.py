@@ -135,7 +135,7 @@ class Solver:
                 scales * directions.nuisances,
                 scales * directions.robot,
             )
-            return Solution(result, "kernel" if problem.many else "pinocchio")
+            return Solution(result, "kernel" if problem.compiled else "pinocchio")
         searches = self.searches and directions.count > 0
         if self.name == "de" and searches:
             return self._evolve(problem, directions, nominal, start)
@@ -193,7 +193,7 @@ def descend(problem: Problem, directions: Directions, start: Floats) -> Solution
     """Gauss-Newton in some directions from a start, shape (P,)."""
     basis = problem.parameters.scales[:, None] * directions.basis
     result = least_squares(problem, start, basis)
-    return Solution(result, "kernel" if problem.many else "pinocchio")
+    return Solution(result, "kernel" if problem.compiled else "pinocchio")
 
 
 def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquaresResult:

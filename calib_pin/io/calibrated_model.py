@@ -123,7 +123,8 @@ def model_of(document: Json, chains: Chains) -> CalibratedModel:
             if (list(part.measurement.targets) or [""]) != blocks[part.key]:
                 raise ValueError("'measurements' have other targets than their model")
     theta = given.vector({name: values.get(name, 0.0) for name in given.names})
-    theta[given.nuisance] = 0.0  # The frames hold these.
+    # The frames hold these.
+    theta[System(chains, parts, given).referred] = 0.0
     return CalibratedModel(
         chains=chains,
         parts=_placed(parts, given, document["frames"], theta),

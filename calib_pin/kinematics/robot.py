@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import pinocchio as pin
 
+from calib_pin.errors import RobotError, nearest
 from calib_pin.kinematics.joint_space import Mimic
 
 
@@ -39,3 +40,33 @@ class Robot:
     refused: Mapping[str, str] = field(default_factory=dict)
     mimics: Mapping[str, Mimic] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+
+    def link(self, name: str, role: str) -> str:
+        """The name of a link, for a role that messages tell.
+
+        Raises:
+            RobotError: If there is no such link.
+        """
+        if name not in self.links:
+            raise RobotError(
+                f"the robot has no link '{name}' for the {role}"
+                f"{nearest(name, self.links)}",
+                file=self.file,
+                allowed=", ".join(self.links) if len(self.links) <= 12 else None,
+            )
+        return name
+
+    def only_tip(self, base: str) -> str:
+        """The only leaf beside a base link.
+
+        Raises:
+            RobotError: If there are several, or none.
+        """
+        leaves = [leaf for leaf in self.leaves if leaf != base]
+        if len(leaves) != 1:
+            raise RobotError(
+                f"the robot has {len(leaves)} possible tips, name one with --tip",
+                file=self.file,
+                allowed=", ".join(leaves) or None,
+            )
+        return leaves[0]

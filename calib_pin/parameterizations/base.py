@@ -81,9 +81,10 @@ class Screw:
             placement, in the joint frame; screws of one frame apply in the order they
             are listed.
         twist: Unit twist (linear, angular), shape (6,), per unit of the parameter.
-        basis: The basis function phi_p that multiplies the amount, for a joint
-            correction `dq_j = sum_p theta_p phi_p(q)`; its twist is the joint's own
-            motion, with which it commutes. None for an error of the geometry.
+        basis: The basis function phi_p that multiplies the amount; None for an error
+            of the geometry. A joint's own motion is corrected where the twist is just
+            that, `dq_j = sum_p theta_p phi_p(q)`. Other twists S_p bend their place
+            behind its geometry and before that motion, `Exp(sum_p S_p theta_p phi_p)`.
     """
 
     parameter: Parameter

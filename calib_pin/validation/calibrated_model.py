@@ -57,7 +57,7 @@ class CalibratedChain:
     @property
     def geometric(self) -> bool:
         """Whether there is nothing but geometry, which a URDF can hold."""
-        moved = self.theta[self.error.joint_corrections].any()
+        moved = self.theta[self.error.beyond_geometry].any()
         return self.error.learned is None and not moved
 
     def urdf_corrections(self) -> dict[str, pin.SE3]:
@@ -138,7 +138,7 @@ class CalibratedModel(System):
         """
         theta, parts = self.theta.copy(), {}
         for key, part in self.parts.items():
-            theta[part.index[part.error.joint_corrections]] = 0.0
+            theta[part.index[part.error.beyond_geometry]] = 0.0
             parts[key] = replace(part, error=replace(part.error, learned=None))
         return replace(self, parts=parts, theta=theta)
 

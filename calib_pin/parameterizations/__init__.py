@@ -17,8 +17,10 @@ from calib_pin.parameterizations.base import (
     frame_screws,
     frame_setup,
 )
-from calib_pin.parameterizations.compliance import NOTHING, Compliance
+from calib_pin.parameterizations.compliance import Compliance
+from calib_pin.parameterizations.cross_compliance import CrossCompliance
 from calib_pin.parameterizations.dh import DenavitHartenberg, FullDenavitHartenberg
+from calib_pin.parameterizations.loads import NOTHING
 from calib_pin.parameterizations.placement import (
     JointOffset,
     LinkTransform,
@@ -54,6 +56,7 @@ _BUNDLED: tuple[type[Parameterization], ...] = (
     JointOffset,
     Transmission,
     Compliance,
+    CrossCompliance,
 )
 
 PARAMETERIZATIONS: Mapping[str, type[Parameterization]] = Members(

@@ -31,6 +31,7 @@ COMPONENTS = {
     "joint-offset": ["q"],
     "transmission": ["gain", "sin1", "cos1", "sin2", "cos2", "motor_sin", "motor_cos"],
     "compliance": ["k"],
+    "cross-compliance": ["kx", "ky"],
 }
 GEOMETRY = ("placement", "link-transform", "dh", "dh-full", "joint-offset")
 ROBOTS = [

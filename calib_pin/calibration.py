@@ -344,7 +344,7 @@ def _measured(
     points, rotations = [], []
     for part, data, _, _ in problem.blocks:
         error, of_robot = part.error, part.values(theta)[0]
-        T = error.poses(data.q, of_robot, error.basis(data.q, data.payload))
+        T = error.poses(data.q, of_robot, error.basis(data.q, data.conditions))
         to_base = (error.base * error.corrections(of_robot)[0]).inverse()
         points.append(T[:, :3, 3] @ to_base.rotation.T + to_base.translation)
         rotations.append(to_base.rotation)

@@ -23,7 +23,9 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import (
     AT,
+    UNSTATED,
     BlockKey,
+    Conditions,
     Labels,
     Measurements,
     Observations,
@@ -60,7 +62,7 @@ def simulate(
     key: BlockKey | None = None,
     q: Floats | None = None,
     target: Targets = (),
-    payload: Targets = (),
+    conditions: Conditions = UNSTATED,
     count: int | None = None,
     per_configuration: bool = False,
     noise: float | None = None,
@@ -80,7 +82,8 @@ def simulate(
         target: The target of each of them, for a single block; default all targets in
             turn. Relative distances of one name start at its first configuration, which
             is no measurement.
-        payload: Payload of each of them; default all payloads in turn.
+        conditions: What holds at each of them; by default the payloads are carried in
+            turn, and joints come as from one to the next.
         count: Number K of random configurations at which an instrument can measure,
             shared out among the blocks.
         per_configuration: Whether everything that an instrument sees at a configuration
@@ -138,8 +141,11 @@ def simulate(
             at = _drawn(problem, theta, one, share, every, rng)
         else:
             looked = Labels.of(target if len(target) else _in_turn(problem, one, q))
-            carried = payload if len(payload) else _carried(problem, one, len(q), every)
-            at = asked(problem, one, q, looked, carried)
+            held = conditions
+            if not len(held.payload):
+                names = Labels.of(_carried(problem, one, len(q), every))
+                held = replace(held, payload=names)
+            at = asked(problem, one, q, looked, held)
             if not every:
                 at = _measurable(problem, theta, at, strict=len(keys) == 1)
         if every:
@@ -156,7 +162,7 @@ def exact_problem(
     q: Floats,
     target: Targets,
     start: Floats | None = None,
-    payload: Targets = (),
+    conditions: Conditions = UNSTATED,
 ) -> Problem:
     """The problem with noise-free measurements of its first block elsewhere.
 
@@ -167,9 +173,9 @@ def exact_problem(
         target: Target of each measurement.
         start: Where relative measurements start, shape (K, n); default the
             configuration before each.
-        payload: Payload of each; default `payloads_in_turn`.
+        conditions: What holds at each, as for `asked`.
     """
-    at = asked(problem, problem.only.key, q, target, payload, start)
+    at = asked(problem, problem.only.key, q, target, conditions, start)
     return exact_at(problem, theta, at)
 
 
@@ -192,7 +198,7 @@ def _exact(problem: Problem, theta: Floats, at: Configurations) -> Measurements:
         q=at.q,
         values=problem.predict(theta, at),
         target=at.target,
-        payload=at.payload,
+        conditions=at.conditions,
         start=at.start,
         **at.key._asdict(),
     )
@@ -223,7 +229,7 @@ def _measured(
     sigmas = np.tile(sigma, (len(rows), 1))
     if part.measurement.declaration.contact:
         # Contacts have no values: that they are not exact is that the robot stands so.
-        stood = asked(problem, at.key, rows.q, rows.target, rows.payload)
+        stood = asked(problem, at.key, rows.q, rows.target, rows.conditions)
         moved, _ = brought_to_contact(problem, theta, stood, draws)
         return replace(rows, q=moved, sigma=sigmas)
     values = part.measurement.disturb(rows.values, draws)
@@ -300,7 +306,8 @@ def _relative(at: Configurations) -> Configurations:
                 column="target",
             )
     begun = at.rows(starts[rows])
-    return replace(at.rows(rows), payload=begun.payload, start=begun.q)
+    held = replace(at.conditions.rows(rows), payload=begun.conditions.payload)
+    return replace(at.rows(rows), conditions=held, start=begun.q)
 
 
 def _measurable(

@@ -14,6 +14,7 @@ from calib_pin.errors import InputError
 from calib_pin.measurement_models import declared
 from calib_pin.observations import (
     BlockKey,
+    Conditions,
     Labels,
     Measurements,
     Observations,
@@ -33,7 +34,7 @@ def measurements(**changes: Any) -> Measurements:
         "values": VALUES,
         "sigma": 0.1 + VALUES,
         "target": tuple("uvwxy"),
-        "payload": tuple("aabbc"),
+        "conditions": Conditions(tuple("aabbc")),
         "start": 10.0 + Q,
         "validate": np.array([False, True, False, False, True]),
         "lines": np.arange(2, 7),
@@ -76,7 +77,7 @@ def test_is_frozen() -> None:
         ({"q": Q[:4]}, "'values' has not the 4 rows of q"),
         ({"values": VALUES[:4]}, "'values' has not the 5 rows of q"),
         ({"target": ("u", "v")}, "'target' has not the 5 rows of q"),
-        ({"payload": ("a",)}, "'payload' has not the 5 rows of q"),
+        ({"conditions": Conditions(("a",))}, "'payload' has not the 5 rows of q"),
         ({"start": Q[:4]}, "start has shape (4, 2), not that of q"),
         ({"validate": np.zeros(4, bool)}, "'validate' has not the 5 rows of q"),
         ({"lines": np.arange(6)}, "'lines' has not the 5 rows of q"),
@@ -202,7 +203,7 @@ def test_groups_are_equal_configurations() -> None:
         values=np.zeros((6, 3)),
         sigma=None,
         target=(),
-        payload=(),
+        conditions=Conditions(),
         start=np.zeros((0, 0)),
         validate=np.zeros(0, bool),
         lines=np.zeros(0, np.int64),
@@ -329,7 +330,7 @@ def rows_of(model: str, count: int, **changes: Any) -> Measurements:
     return Measurements(**{**fields, **changes})
 
 
-SOCKETS = rows_of("fixed-point", 2, payload=("p", ""))
+SOCKETS = rows_of("fixed-point", 2, conditions=Conditions(("p", "")))
 IMAGE = rows_of("camera", 1, lines=np.array([7]), files=("c.csv",), tool="eye")
 MORE = rows_of("fixed-point", 3, lines=np.array([9, 4, 3]), files=("c.csv",) * 3)
 MIXED = Observations.of(SOCKETS, IMAGE, MORE)

@@ -14,7 +14,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_chains
 from calib_pin.kinematics.spatial import from_quaternion, so3_log
-from calib_pin.observations import BlockKey, Measurements, Observations
+from calib_pin.observations import BlockKey, Conditions, Measurements, Observations
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import (
     CameraSetup,
@@ -487,7 +487,7 @@ def test_what_is_carried_takes_turns():
     assert len(pairs) == 4
     assert np.abs(residuals(problem, rows, theta)).max() < 1e-12
     # Brought into contact as the robot bends under that load.
-    other = replace(rows, payload=("light",) * 8)
+    other = replace(rows, conditions=Conditions(("light",) * 8))
     assert np.abs(residuals(problem, other, theta)).max() > 1e-5
 
 

@@ -130,6 +130,7 @@ def simulate(
     from calib_pin.io.measurements import (
         encode_measurements,
         read_configurations,
+        read_held,
         read_names,
     )
     from calib_pin.io.results import encode_urdf
@@ -177,13 +178,13 @@ def simulate(
                 configurations, chains, stated.joints, stated.columns
             )
             target = read_names(configurations, "target", stated.columns)
-            payload = read_names(configurations, "payload", stated.columns)
+            held = read_held(configurations, chains.joints, q, stated.columns)
             places = {
                 kind: read_names(configurations, kind, stated.columns)
                 for kind in PLACES
             }
             if not any(map(len, (target, *places.values()))):
-                rows = measure(q=q, payload=payload)
+                rows = measure(q=q, conditions=held)
             else:
                 rows = Observations.of(
                     *(
@@ -191,7 +192,7 @@ def simulate(
                             key=key,
                             q=q[at],
                             target=target[at] if len(target) else target,
-                            payload=payload[at] if len(payload) else payload,
+                            conditions=held.rows(at),
                         )
                         for key, at in _shared(configurations, keys, places, len(q))
                     )

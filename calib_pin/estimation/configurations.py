@@ -8,6 +8,7 @@ into contact.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,14 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.model import Configurations, linearized_at
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import BlockKey, Labels, Targets
+from calib_pin.observations import (
+    UNSTATED,
+    BlockKey,
+    Conditions,
+    Labels,
+    Targets,
+    approached,
+)
 
 DRAWS = 400
 """Largest number of rounds of random draws: a camera on a small arm sees its board from
@@ -43,7 +51,7 @@ def asked(
     key: BlockKey,
     q: Floats,
     target: Targets,
-    payload: Targets = (),
+    conditions: Conditions = UNSTATED,
     start: Floats | None = None,
 ) -> Configurations:
     """Configurations at which to evaluate the model of a block.
@@ -53,17 +61,23 @@ def asked(
         key: The block.
         q: Positions of all joints, shape (K, n) [rad, m].
         target: Target of each.
-        payload: Payload of each; default `payloads_in_turn`.
+        conditions: What holds at each. Where it states none the payloads are
+            `payloads_in_turn`, and joints come as from one to the next.
         start: Start configurations of relative measurements, shape (K, n) [rad, m];
             default the configuration before each.
     """
     if start is None and problem.parts[key].measurement.declaration.relative:
         start = np.roll(q, 1, axis=0)
+    if not len(conditions.payload):
+        names = payloads_in_turn(problem, key, len(q))
+        conditions = replace(conditions, payload=Labels.of(names))
+    if not conditions.direction.size:
+        conditions = replace(conditions, direction=approached(q), source="order")
     return Configurations(
         key,
         q,
         Labels.of(target),
-        Labels.of(payload if len(payload) else payloads_in_turn(problem, key, len(q))),
+        conditions,
         np.zeros((0, 0)) if start is None else start,
     )
 
@@ -125,11 +139,11 @@ def observable_configurations(
         drawn += len(some)
         q = problem.chains.random_configurations(len(some), rng)
         looked, carried = [target[i] for i in some], [loads[i] for i in some]
+        at = asked(problem, key, q, looked, Conditions(Labels.of(carried)))
         if declared.contact:
-            at = asked(problem, key, q, looked, carried)
             q, seen = brought_to_contact(problem, theta, at)
         else:
-            seen = problem.observable(theta, asked(problem, key, q, looked, carried))
+            seen = problem.observable(theta, at)
         found: dict[tuple[str, str], deque[int]] = {}
         for k in np.flatnonzero(seen):
             found.setdefault((looked[k], carried[k]), deque()).append(int(k))
@@ -148,7 +162,7 @@ def observable_configurations(
             f"({key.model})",
             file=problem.setup.file or None,
         )
-    return asked(problem, key, q_found, target, loads)
+    return asked(problem, key, q_found, target, Conditions(Labels.of(loads)))
 
 
 def brought_to_contact(
@@ -172,8 +186,8 @@ def brought_to_contact(
     q = every[:, part.columns]
     touches, left = np.zeros(len(q), bool), np.arange(len(q))
     for _ in range(NEWTON):
-        names, loads = at.target[left], at.payload[left]
-        T, J_q = part.error.kinematics(q[left], robot, loads)
+        names, held = at.target[left], at.conditions.rows(left)
+        T, J_q = part.error.kinematics(q[left], robot, held)
         linear = linearized_at(chain, part.measurement, T, instrument, q[left], names)
         short = -linear.residual if gap is None else gap[left] - linear.residual
         size = np.abs(short).max(axis=1)

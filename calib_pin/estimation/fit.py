@@ -311,7 +311,7 @@ def training_rows(problem: Problem, theta: Floats, directions: Floats) -> Traini
     layout = problem.layout
     shape = len(problem.data), layout.width
     basis = {
-        block.part.key: block.part.error.basis(block.data.q, block.data.payload)
+        block.part.key: block.part.error.basis(block.data.q, block.data.conditions)
         for block in problem.blocks
     }
 

@@ -20,6 +20,7 @@ from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import (
     BlockKey,
+    Conditions,
     Labels,
     Measurements,
     Observations,
@@ -190,13 +191,14 @@ def nominal_problem(
         targets = tuple(names or model.targets) or ("",)
         count = len(targets) * len(payloads)
         zeros = np.zeros((count, len(chains.joints)))
+        carried = Labels.of([name for name in payloads for _ in targets])
         blocks.append(
             Measurements(
                 joints=chains.joints,
                 q=zeros,
                 values=np.zeros((count, model.width)),
                 target=Labels.of(targets * len(payloads)),
-                payload=Labels.of([name for name in payloads for _ in targets]),
+                conditions=Conditions(carried),
                 start=zeros if model.declaration.relative else np.zeros((0, 0)),
                 **key._asdict(),
             )

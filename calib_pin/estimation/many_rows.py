@@ -124,7 +124,7 @@ class ManyRows:
         # Views: nothing is copied but the joint motions.
         data = data.rows(slice(start, start + CHUNK))
         signs = self._segments.signs
-        q, factors = data.q * signs, self._error.basis(data.q, data.payload)
+        q, factors = data.q * signs, self._error.basis(data.q, data.conditions)
         factors *= signs[self._joints]
         cuts = np.clip(self._stops - start, 0, len(data))
         pieces, first = [], 0

@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.measurement_models import Linearization, MeasurementModel
-from calib_pin.observations import BlockKey, Labels, Measurements, Targets
+from calib_pin.observations import (
+    BlockKey,
+    Conditions,
+    Labels,
+    Measurements,
+    Targets,
+)
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.linearization import PoseLinearization
 
@@ -25,14 +31,14 @@ class Configurations:
         key: The block.
         q: Joint positions, shape (N, n) [rad, m].
         target: Target that the instrument measures in each.
-        payload: Payload that the robot carries in each.
+        conditions: What holds at each beside the joint positions.
         start: Where relative measurements start, shape (N, n); (0, 0) for others.
     """
 
     key: BlockKey
     q: Floats
     target: Labels
-    payload: Labels
+    conditions: Conditions
     start: Floats
 
     def rows(self, index: NDArray[Any]) -> Configurations:
@@ -41,7 +47,7 @@ class Configurations:
             self,
             q=self.q[index],
             target=self.target[index],
-            payload=self.payload[index],
+            conditions=self.conditions.rows(index),
             start=self.start[index] if self.start.size else self.start,
         )
 
@@ -121,11 +127,11 @@ class ToolPoses:
     @cached_property
     def _basis(self) -> Floats:
         """Basis functions of the joint corrections; they depend on commands alone."""
-        return self._error.basis(self._at.q, self._at.payload)
+        return self._error.basis(self._at.q, self._at.conditions)
 
     @cached_property
     def _start_basis(self) -> Floats:
-        return self._error.basis(self._at.start, self._at.payload)
+        return self._error.basis(self._at.start, self._at.conditions.at_start)
 
 
 @dataclass(frozen=True)

@@ -183,7 +183,7 @@ def scale_deviation(
     for some in at:
         part = problem.parts[some.key]
         own = part.of_chain(some)
-        basis = part.error.basis(own.q, own.payload)
+        basis = part.error.basis(own.q, own.conditions)
         of_robot = part.values(theta)[0]
         poses = part.error.linearize(own.q, of_robot, basis)
         count = len(poses.T)

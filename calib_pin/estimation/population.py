@@ -16,6 +16,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.segments import Segments
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Batch, BatchedModel
+from calib_pin.observations import Conditions
 
 WORTHWHILE = 40_000
 """Evaluations of a configuration that are worth a thread: about a millisecond."""
@@ -90,22 +91,24 @@ class _Part:
         self._batch, self._segments, self._part = batch, segments, block.part
         self._comparison = kernels.COMPARISONS.index(batch.comparison)
         error, start = block.part.error, block.data.start
-        payload = block.data.payload[batch.rows]
+        conditions = block.data.conditions.rows(batch.rows)
         joints = [error.screws[k].frame - 1 for k in error.joint_corrections]
         # From base to tool the joints come in the other order and move back.
         forward = slice(None, None, -1 if batch.inward else 1)
         signs = -segments.signs if batch.inward else segments.signs
         revolute = segments.revolute[forward]
 
-        def moving(q: Floats) -> tuple[Floats, NDArray[np.int64], Floats]:
+        def moving(
+            q: Floats, held: Conditions
+        ) -> tuple[Floats, NDArray[np.int64], Floats]:
             motion, starts = motions((q * signs)[:, forward], revolute)
-            factors = error.basis(q, payload) * signs[joints]
+            factors = error.basis(q, held) * signs[joints]
             return motion, starts, factors.T.copy()
 
-        motion, starts, factors = moving(block.data.q[batch.rows])
+        motion, starts, factors = moving(block.data.q[batch.rows], conditions)
         begin, begin_factors = motion[:0], factors[:, :0]
         if start.size:
-            begin, _, begin_factors = moving(start[batch.rows])
+            begin, _, begin_factors = moving(start[batch.rows], conditions.at_start)
         places = np.arange(len(revolute))[forward]
         self._rows = kernels.Rows(
             starts=starts,

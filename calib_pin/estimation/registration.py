@@ -86,9 +86,10 @@ class Located:
         """Register the part of a block, and remember what that has located."""
         (part,) = with_shared_references([block.part], self.references)
         data, scope, of_robot = block.data, part.scope, part.values(theta)[0]
-        F = part.error.tip_poses(data.q, of_robot, data.payload)
+        F = part.error.tip_poses(data.q, of_robot, data.conditions)
         if data.start.size:
-            F = invert(part.error.tip_poses(data.start, of_robot, data.payload)) @ F
+            begun = data.conditions.at_start
+            F = invert(part.error.tip_poses(data.start, of_robot, begun)) @ F
         base, tool = self.bases.get(scope.station), self.tools.get(scope.tool)
         at_end = None if tool is None else tool * scope.offset
         measurement, base, at_end = part.measurement.register(F, data, base, at_end)

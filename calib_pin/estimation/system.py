@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import pinocchio as pin
@@ -119,11 +119,14 @@ class Part(Model):
         """Configurations of all joints with those of its chain alone."""
         if np.array_equal(self.columns, np.arange(at.q.shape[1])):
             return at
-        q, start = at.q[:, self.columns], at.start
-        start = start[:, self.columns] if start.size else start
+        own: dict[str, Any] = {
+            "q": at.q[:, self.columns],
+            "start": at.start[:, self.columns] if at.start.size else at.start,
+            "conditions": at.conditions.of_joints(self.columns),
+        }
         if isinstance(at, Measurements):
-            return replace(at, joints=self.error.chain.joints, q=q, start=start)
-        return replace(at, q=q, start=start)
+            own["joints"] = self.error.chain.joints
+        return replace(at, **own)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib_pin.errors import InputError, RobotError, nearest
 from calib_pin.io.columns import Floats
+from calib_pin.io.condition_columns import read_conditions
 from calib_pin.io.inferred_model import infer_model
 from calib_pin.io.joint_columns import joint_sources, read_positions, spare_columns
 from calib_pin.io.measured_columns import (
@@ -33,6 +34,7 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import (
     BlockKey,
     Booleans,
+    Conditions,
     Indices,
     Labels,
     Measurements,
@@ -104,19 +106,22 @@ def read_blocks(
     read = {name: _read_by(name) for name in names["model"].distinct}
     anybody = frozenset[str]().union(*read.values())
     spare, used = spare_columns(table, chains, joints), set(NAMES)
+    conditions, stating = read_conditions(table, chains.joints)
+    conditions = replace(conditions, payload=names["payload"])
     parts = []
     for key, rows in blocks.items():
-        own, texts = table, names
+        own, texts, held = table, names, conditions
         if len(blocks) > 1:
             own = table.rows(rows, reserved())
             _check_blank(own, key.model, anybody - read[key.model])
             own = _without_blank(own, set(needed(key.model)))
             texts = {name: labels[rows].map(str) for name, labels in names.items()}
+            held = replace(conditions.rows(rows), payload=texts["payload"])
         part, columns = _read_block(
-            own, chains, key, q[rows], texts, spare, orientation
+            own, chains, key, q[rows], texts, held, spare, orientation
         )
         parts.append(part)
-        used |= columns
+        used |= columns | stating
     ignored = table.ignored([name for name in spare if name not in used | OURS])
     if ignored and notice is not None:
         notice(ignored)
@@ -213,6 +218,7 @@ def _read_block(
     key: BlockKey,
     q: Floats,
     texts: Mapping[str, Labels],
+    conditions: Conditions,
     spare: Sequence[str],
     orientation: OrientationSetup | None,
 ) -> tuple[Measurements, set[str]]:
@@ -224,11 +230,14 @@ def _read_block(
         check_spread(table, chains[key.chain], values[:, :3])
     start = np.zeros((0, 0))
     if declared(key.model).relative:
-        row_of = find_starts(table, texts["target"], texts["payload"], values[:, 0], q)
+        row_of = find_starts(
+            table, texts["target"], conditions.payload, values[:, 0], q
+        )
         rows = np.flatnonzero(row_of != np.arange(len(row_of)))
         table, start = table.rows(rows, table.columns), q[row_of[rows]]
         q, values = q[rows], values[rows]
         texts = {name: labels[rows] for name, labels in texts.items()}
+        conditions = conditions.rows(rows)
     sigma_columns, sigma = read_sigma(table, key.model)
     part = Measurements(
         joints=chains.joints,
@@ -236,7 +245,7 @@ def _read_block(
         values=values,
         sigma=sigma,
         target=texts["target"],
-        payload=texts["payload"],
+        conditions=conditions,
         start=start,
         validate=_read_set(table, texts["set"]),
         lines=table.lines,

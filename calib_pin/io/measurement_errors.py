@@ -12,6 +12,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,13 @@ from calib_pin.io.older_results import with_blocks
 from calib_pin.io.result_folder import MEASUREMENTS
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity, declared
-from calib_pin.observations import BlockKey, Labels, Measurements, Observations
+from calib_pin.observations import (
+    BlockKey,
+    Conditions,
+    Labels,
+    Measurements,
+    Observations,
+)
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import AXES, MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
@@ -39,7 +46,8 @@ LEGEND = """\
 calib-pin measurements of a calibration, run {run}; lengths in m, angles in rad, images
 in px. set: train is fitted, validate is predicted by a fit without it. <joint>: the
 commanded position, start.<joint> that of the first configuration of a relative
-measurement. measured.<k>: the values in the layout of the model. weight: 0 is rejected.
+measurement, direction.<joint> the sign of its last motion, 0 where it is not known.
+measured.<k>: the values in the layout of the model. weight: 0 is rejected.
 leverage: of the fit. tool.<axis>: the calibrated tool point in the base link.
 <component>.before, .after: predicted minus measured by the nominal robot (registered)
 and by the calibrated one. .sigma: its standard deviation as it is used, .stated: as it
@@ -157,6 +165,17 @@ def _part(
         found = [columns[column][chosen] for column in names]
         return np.column_stack([np.zeros((len(chosen), 0)), *found])
 
+    def conditions(chosen: Sequence[int], payload: Labels) -> Conditions:
+        stated: dict[str, Any] = {}
+        directions = [f"direction.{joint}" for joint in model.chains.joints]
+        if directions[0] in columns:
+            stated["direction"] = numbers(chosen, *directions).astype(np.int8)
+            stated["source"] = "columns"
+        for column in ("temperature", "time"):
+            if column in columns:
+                stated[column] = numbers(chosen, column)[:, 0]
+        return Conditions(payload, **stated)
+
     def block(key: BlockKey, chosen: Sequence[int]) -> Measurements:
         about = declared(key.model)
         joints, at = model.chains.joints, first[key.model]
@@ -173,7 +192,7 @@ def _part(
             values=numbers(chosen, *measured),
             sigma=None if sigma is None or np.isnan(sigma).all() else sigma,
             target=target,
-            payload=payload,
+            conditions=conditions(chosen, payload),
             start=numbers(chosen, *(f"start.{joint}" for joint in joints))
             if about.relative
             else np.zeros((0, 0)),

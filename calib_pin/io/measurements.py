@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.io.columns import Floats
+from calib_pin.io.condition_columns import read_conditions
 from calib_pin.io.files import write_atomically
 from calib_pin.io.inferred_model import asked_models
 from calib_pin.io.joint_columns import (
@@ -37,7 +38,14 @@ from calib_pin.io.written_columns import (
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models.readings import read_otherwise
-from calib_pin.observations import Labels, Measurements, Observations
+from calib_pin.observations import (
+    Conditions,
+    Labels,
+    Measurements,
+    Observations,
+    approached,
+    with_directions,
+)
 from calib_pin.progress import Progress, portion
 from calib_pin.setup import JointMap, ReadingSetup
 
@@ -139,6 +147,7 @@ def read_measurements(
     data = Observations.of(*_with_joints(parts, chains.named(tuple(names))))
     if reading is not None:
         data = read_otherwise(data, reading)
+    data = with_directions(data)
     check_names(data)
     check_places(data, sockets)
     return data
@@ -174,6 +183,10 @@ def _with_joints(parts: Sequence[Measurements], chains: Chains) -> list[Measurem
             joints=chains.joints,
             q=spread(part.q, part.joints),
             start=spread(part.start, part.joints) if part.start.size else part.start,
+            conditions=part.conditions.among(
+                [chains.joints.index(joint) for joint in part.joints],
+                len(chains.joints),
+            ),
         )
         for part in parts
     ]
@@ -227,6 +240,32 @@ def read_names(
     """
     table = read_table(path, columns=columns)
     return table.texts([column]).get(column, Labels.none())
+
+
+def read_held(
+    path: str | Path,
+    joints: Sequence[str],
+    q: Floats,
+    columns: Mapping[str, str] = {},
+) -> Conditions:
+    """Read only the conditions at the configurations of a CSV file.
+
+    Args:
+        path: CSV file.
+        joints: Names of the joints.
+        q: The configurations, shape (N, n) [rad, m]; directions that the file does not
+            state are those from one to the next.
+        columns: What columns with foreign names are, ours to theirs.
+
+    Raises:
+        InputError: If it is not such a file.
+    """
+    table = read_table(path, columns=columns)
+    held, _ = read_conditions(table, joints)
+    if not held.direction.size:
+        held = replace(held, direction=approached(q), source="order")
+    payload = table.texts(["payload"]).get("payload", Labels.none())
+    return replace(held, payload=payload)
 
 
 def encode_configurations(

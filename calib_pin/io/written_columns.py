@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import OutputError
 from calib_pin.io.columns import Floats, split_header
+from calib_pin.io.condition_columns import DIRECTION
 from calib_pin.io.measured_columns import reserved
 from calib_pin.measurement_models import declared
 from calib_pin.observations import (
     AT,
     BlockKey,
     Booleans,
+    Indices,
     Labels,
     Measurements,
     Observations,
@@ -47,8 +49,25 @@ def measurement_columns(
         names = getattr(data, field)
         if any(names.distinct):
             yield field, writable(field, names[order])
+    yield from stated_conditions(data, order)
     if data.validate.any():
         yield "set", Labels(("train", "validate"), data.validate[order].astype(int))
+
+
+def stated_conditions(
+    data: Observations, order: Indices
+) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Columns of the conditions that are stated, but for the payload.
+
+    Directions that follow from the order of rows, or from their time, do so again.
+    """
+    held = data.conditions
+    if held.source == "columns":
+        for name, column in zip(data.joints, held.direction[order].T, strict=True):
+            yield name + DIRECTION, column
+    for name in ("temperature", "time"):
+        if len(column := getattr(held, name)):
+            yield name, column[order]
 
 
 def _measured(data: Observations) -> dict[str, NDArray[Any]]:

@@ -13,24 +13,36 @@ from calib_pin.observations.blocks import (
     Observations,
     fitted_and_held_out,
     states_sigmas,
+    with_directions,
+)
+from calib_pin.observations.conditions import (
+    UNSTATED,
+    Conditions,
+    Signs,
+    approached,
 )
 from calib_pin.observations.labels import Booleans, Floats, Indices, Labels, grouped
 from calib_pin.observations.measurements import BlockKey, Measurements, trusted
 
 __all__ = [
     "AT",
+    "UNSTATED",
     "BlockKey",
     "Booleans",
+    "Conditions",
     "Floats",
     "Indices",
     "Labels",
     "Measurements",
     "Observations",
+    "Signs",
     "Targets",
+    "approached",
     "fitted_and_held_out",
     "grouped",
     "states_sigmas",
     "trusted",
+    "with_directions",
 ]
 
 Targets = Sequence[str]

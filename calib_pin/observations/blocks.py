@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
+from calib_pin.observations.conditions import Conditions, Source, approached
 from calib_pin.observations.labels import Booleans, Floats, Indices, Labels
 from calib_pin.observations.measurements import BlockKey, Measurements, SourcedRows
 
@@ -115,9 +116,9 @@ class Observations(SourcedRows):
         return Labels.concatenate([block.target for block in self.blocks])
 
     @cached_property
-    def payload(self) -> Labels:
-        """Payload of each row."""
-        return Labels.concatenate([block.payload for block in self.blocks])
+    def conditions(self) -> Conditions:
+        """What holds at each row beside the joint positions."""
+        return Conditions.concatenate([block.conditions for block in self.blocks])
 
     @cached_property
     def files(self) -> Labels:
@@ -154,7 +155,7 @@ class Observations(SourcedRows):
         result = Observations(
             tuple(replace(block, weight=weight[rows]) for block, rows in parts)
         )
-        known = ("q", "target", "payload", "files", "lines", "_groups", "_things")
+        known = ("q", "target", "conditions", "files", "lines", "_groups", "_things")
         for name in known:
             if name in self.__dict__:
                 result.__dict__[name] = self.__dict__[name]
@@ -185,6 +186,39 @@ class Observations(SourcedRows):
         if len(self.blocks) == 1:
             return np.asarray(getattr(self.blocks[0], name))
         return np.concatenate([getattr(block, name) for block in self.blocks])
+
+
+def with_directions(data: Observations) -> Observations:
+    """Measurements with the directions of approach that nothing states.
+
+    They are those from the measurement of the chain before in the file, by the time of
+    the measurements if that is stated, else by their lines. The first motion of a joint
+    is not known, and nothing is of relative measurements, whose starts stand elsewhere.
+
+    Args:
+        data: Measurements of whole files.
+    """
+    source: Source = "time" if len(data.conditions.time) else "order"
+    order = data.in_order
+    if source == "time":
+        order = np.lexsort((data.lines, data.conditions.time, data.files.codes))
+    found = np.zeros(data.q.shape, np.int8)
+    chains = Labels.of([key.chain for key in data.keys]).codes[data.block_of]
+    # Of one file and chain, in their order.
+    group = data.files.codes[order] * len(data.keys) + chains[order]
+    order = order[np.argsort(group, kind="stable")]
+    ends = np.flatnonzero(np.diff(np.sort(group))) + 1
+    for own in np.split(order, ends):
+        found[own] = approached(data.q[own])
+    blocks = []
+    for block, rows in zip(data.blocks, data.slices, strict=True):
+        held, signs = block.conditions, found[rows]
+        if held.direction.size:
+            signs = np.where(held.direction.any(axis=0), held.direction, signs)
+        if not block.start.size and not np.array_equal(signs, held.direction):
+            held = replace(held, direction=signs, source=source)
+        blocks.append(replace(block, conditions=held))
+    return Observations(tuple(blocks))
 
 
 def states_sigmas(data: Observations) -> bool:

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
+from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.observations.labels import Booleans, Floats, Indices, Labels, grouped
 
 ARRAYS = ("q", "values", "validate", "lines", "weight")
-WORDS = ("target", "payload", "files")
-"""Attributes of `Measurements` with one entry for each, beside sigma and start."""
+WORDS = ("target", "files")
+"""Attributes of `Measurements` with one entry for each measurement."""
 
 
 class BlockKey(NamedTuple):
@@ -55,6 +56,15 @@ class SourcedRows:
         @property
         def files(self) -> Labels:
             """File of each row."""
+
+        @property
+        def conditions(self) -> Conditions:
+            """What holds at each row beside the joint positions."""
+
+    @property
+    def payload(self) -> Labels:
+        """Payload of each row; empty strings where the file names none."""
+        return self.conditions.payload
 
     def groups(self) -> Indices:
         """Label rows that must stay together when data are split, see `grouped`."""
@@ -108,8 +118,8 @@ class Measurements(SourcedRows):
             the rotation vector in the tool frame [rad].
         target: Name of the plane, socket or reference point of each row, length N;
             empty strings where the file names none.
-        payload: Name of what the robot carried, length N; empty strings where the
-            file names none.
+        conditions: What held at each row beside the joint positions; a payload for
+            each, empty strings where the file names none.
         start: Joint positions at which the relative measurement of a row starts, shape
             (N, n) [rad, m]; of shape (0, 0) where measurements are absolute.
         validate: True for the rows that must not be fitted, shape (N,).
@@ -133,7 +143,7 @@ class Measurements(SourcedRows):
     values: Floats
     sigma: Floats | None = None
     target: Labels = field(default_factory=Labels.none)
-    payload: Labels = field(default_factory=Labels.none)
+    conditions: Conditions = UNSTATED
     start: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     validate: Booleans = field(default_factory=lambda: np.zeros(0, bool))
     lines: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -166,6 +176,8 @@ class Measurements(SourcedRows):
         for name in ("values", *defaults):
             if len(getattr(self, name)) != count:
                 raise InputError(f"'{name}' has not the {count} rows of q")
+        conditions = self.conditions.of(count, len(self.joints))
+        object.__setattr__(self, "conditions", conditions)
         if self.start.size and self.start.shape != self.q.shape:
             raise InputError(f"start has shape {self.start.shape}, not that of q")
         if not (np.isfinite(self.q).all() and np.isfinite(self.values).all()):
@@ -197,6 +209,7 @@ class Measurements(SourcedRows):
         return replace(
             self,
             **picked,
+            conditions=self.conditions.rows(index),
             sigma=None if self.sigma is None else self.sigma[index],
             start=self.start[index] if self.start.size else self.start,
         )
@@ -232,6 +245,7 @@ class Measurements(SourcedRows):
         }
         for name in WORDS:
             joined[name] = Labels.concatenate([getattr(part, name) for part in parts])
+        joined["conditions"] = Conditions.concatenate([p.conditions for p in parts])
         sigma = np.concatenate(sigmas) if sigmas else None
         ways = {part.orientation for part in parts}
         way = first.orientation if len(ways) == 1 else ""

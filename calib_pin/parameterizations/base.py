@@ -17,6 +17,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import Mimic
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.tree import turns
+from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.parameters import Parameter
 from calib_pin.setup import FrameSetup, Setup
 
@@ -38,15 +39,15 @@ COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 
 
 class BasisFunctions(Protocol):
-    """Basis functions of the commanded joint positions and of the payload."""
+    """Basis functions of the commanded joint positions and of the conditions."""
 
-    def __call__(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
+    def __call__(self, q: Floats, conditions: Conditions = UNSTATED) -> Floats:
         """The values of all functions.
 
         Args:
             q: Joint positions, shape (N, n) [rad, m].
-            payload: Name of the payload of each configuration; default the only
-                payload that there is.
+            conditions: What holds at each configuration; by default nothing is
+                stated, and the only payload that there is is carried.
 
         Returns:
             Values, shape (N, m).

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.parameterizations.base import (
     BasisFunction,
     Drive,
@@ -81,8 +82,8 @@ class _Torques:
     load: Loads
     drives: Sequence[Drive]
 
-    def __call__(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
-        torques = self.load.loads(self.chain.gravity_torques, q, payload)
+    def __call__(self, q: Floats, conditions: Conditions = UNSTATED) -> Floats:
+        torques = self.load.loads(self.chain.gravity_torques, q, conditions)
         factors = np.zeros((len(self.chain.joints), len(self.drives)))
         for k, drive in enumerate(self.drives):
             for other in self.drives:

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.parameterizations.base import (
     BasisFunction,
     Effects,
@@ -73,8 +74,8 @@ class _Moments:
     load: Loads
     axes: Floats
 
-    def __call__(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
-        moments = self.load.loads(self.chain.gravity_moments, q, payload)
+    def __call__(self, q: Floats, conditions: Conditions = UNSTATED) -> Floats:
+        moments = self.load.loads(self.chain.gravity_moments, q, conditions)
         across = np.einsum("nka,kia->nki", moments, self.axes)
         return np.asarray(across.reshape(len(q), -1))
 

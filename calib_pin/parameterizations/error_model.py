@@ -32,6 +32,7 @@ from calib_pin.kinematics.spatial import (
     interpolated_twists,
     se3_exp,
 )
+from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.observations.labels import Labels
 from calib_pin.parameterizations import (
     BasisFunctions,
@@ -185,27 +186,28 @@ class ErrorModel:
             [np.array_equal(s.twist, motions[s.frame]) for s in screws], bool
         )
 
-    def basis(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
+    def basis(self, q: Floats, conditions: Conditions = UNSTATED) -> Floats:
         """Basis functions that multiply the screws of `varying`, shape (N, C).
 
         Args:
             q: Commanded joint positions, shape (N, n) [rad, m].
-            payload: Name of the payload of each configuration; default the only
-                payload that there is.
+            conditions: What holds at each configuration; by default nothing is
+                stated, and the only payload that there is is carried.
 
         Raises:
             InputError: If there are several payloads, or none of that name.
         """
         values: dict[BasisFunctions, Floats] = {}
-        if self.payload and not any(Labels.of(payload).distinct):
-            payload = Labels.all(self.payload, len(q))
+        if self.payload and not any(conditions.payload.distinct):
+            carried = Labels.all(self.payload, len(q))
+            conditions = replace(conditions, payload=carried)
         # Function by function, as they are computed and as kernels take them.
         result = np.empty((len(self.varying), len(q)))
         for k, position in enumerate(self.varying):
             function = self.screws[position].basis
             assert function is not None
             if function.functions not in values:
-                values[function.functions] = function.functions(q, payload)
+                values[function.functions] = function.functions(q, conditions)
             result[k] = values[function.functions][:, function.column]
         return result.T
 
@@ -255,7 +257,7 @@ class ErrorModel:
         )
 
     def tip_poses(
-        self, q: Floats, theta: Floats, payload: Sequence[str] = ()
+        self, q: Floats, theta: Floats, conditions: Conditions = UNSTATED
     ) -> Floats:
         """Poses of the corrected tip in the base link, shape (N, 4, 4).
 
@@ -263,7 +265,7 @@ class ErrorModel:
         Arguments as for `basis` and `poses`.
         """
         theta = self._shifted(theta)
-        basis = self.basis(q, payload)
+        basis = self.basis(q, conditions)
         bends = self._bends(theta, basis)
         _, placements, tip, _ = self._placed(self.corrections(theta), bends)
         moved = self._moved(q, theta, basis)
@@ -321,7 +323,7 @@ class ErrorModel:
         )
 
     def kinematics(
-        self, q: Floats, theta: Floats, payload: Sequence[str] = ()
+        self, q: Floats, theta: Floats, conditions: Conditions = UNSTATED
     ) -> tuple[Floats, Floats]:
         """Tool poses and their derivative by the joint positions.
 
@@ -330,17 +332,17 @@ class ErrorModel:
         Args:
             q: Commanded joint positions, shape (N, n) [rad, m].
             theta: Parameter values, shape (P,).
-            payload: As for `basis`.
+            conditions: As for `basis`.
 
         Returns:
             Poses, shape (N, 4, 4), and body twists of the tool, shape (N, 6, n).
         """
         if self.learned is not None:
-            linear = self.linearize(q, theta, self.basis(q, payload))
+            linear = self.linearize(q, theta, self.basis(q, conditions))
             return linear.T, linear.joint_twists()
         moved, bends = q, Bends()
         if theta[self.varying].any():
-            basis = self.basis(q, payload)
+            basis = self.basis(q, conditions)
             moved, bends = self._moved(q, theta, basis), self._bends(theta, basis)
         base, placements, tip, tool = self._placed(self.corrections(theta), bends)
         F, J = self.chain.jacobian(moved, placements)

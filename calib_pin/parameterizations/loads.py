@@ -11,6 +11,7 @@ import numpy as np
 from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.observations.labels import Labels
 from calib_pin.parameterizations.base import BasisFunctions
 from calib_pin.setup import Payload, Setup
@@ -57,13 +58,16 @@ class Loads:
         """The gravity and the payloads of a setup."""
         return cls(setup.gravity, setup.payloads)
 
-    def loads(self, loading: Loading, q: Floats, payload: Sequence[str] = ()) -> Floats:
+    def loads(
+        self, loading: Loading, q: Floats, conditions: Conditions = UNSTATED
+    ) -> Floats:
         """Loads of configurations under what each of them carries, shape (N, ...).
 
         Raises:
             InputError: If a payload is unknown.
         """
-        names = Labels.of(payload) if len(payload) else Labels.all("", len(q))
+        names = conditions.payload
+        names = names if len(names) else Labels.all("", len(q))
         result = np.empty(0)
         for name in names.distinct:
             rows = names.where(name)
@@ -89,7 +93,7 @@ class Loads:
         parts = np.outer(np.arange(1, SAMPLES + 1), roots) % 1.0
         q = chain.lower + parts * (chain.upper - chain.lower)
         heaviest = max(self.payloads, key=lambda k: self.payloads[k].mass, default="")
-        loads = functions(q, (heaviest,) * len(q))
+        loads = functions(q, Conditions(Labels.all(heaviest, len(q))))
         usual = np.sqrt(np.mean(loads**2, axis=0))
         # A newton-meter for a revolute joint, a newton for a prismatic one.
         if not usual.max() > 1e-6:

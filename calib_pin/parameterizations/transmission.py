@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import OptionError, nearest
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.parameterizations.base import (
     BasisFunction,
     Drive,
@@ -107,7 +108,7 @@ class _Waves:
     frequency: Floats
     phase: Floats
 
-    def __call__(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
+    def __call__(self, q: Floats, conditions: Conditions = UNSTATED) -> Floats:
         result = np.empty((len(self.joint), len(q)))
         for k, (joint, factor) in enumerate(zip(self.joint, self.factor, strict=True)):
             of_drive = (q[:, joint] - self.offset[k]) / factor

@@ -59,13 +59,14 @@ class MeasurementErrors:
             for axis in axes
         )
 
-    def table(self, name: str) -> dict[str, Sequence[Any]]:
+    def table(self, name: str, directions: bool = False) -> dict[str, Sequence[Any]]:
         """Cells of the columns of `measurements.csv`, SI units; NaN where none is.
 
         Model, chain, station and tool are columns unless they go without saying.
 
         Args:
             name: The set, `train` or `validate`.
+            directions: Whether directions of approach are told that no file states.
         """
         rows = self.rows
         found: dict[str, Sequence[Any]] = {
@@ -98,6 +99,15 @@ class MeasurementErrors:
                 stated[part, own] = block.sigma
         if not np.isnan(start).all():
             add((f"start.{joint}" for joint in rows.joints), start)
+        held = rows.conditions
+        if held.direction.size and (directions or held.source == "columns"):
+            add(
+                (f"direction.{joint}" for joint in rows.joints),
+                held.direction.astype(float),
+            )
+        for column in ("temperature", "time"):
+            if len(getattr(held, column)):
+                add((column,), getattr(held, column)[:, None])
         add((f"measured.{k + 1}" for k in range(width)), values)
         add(("weight", "leverage"), np.column_stack([rows.weight, self.leverage]))
         add((f"tool.{axis}" for axis in AXES), self.points)

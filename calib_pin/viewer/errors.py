@@ -111,7 +111,7 @@ def _tool_poses(block: Block, theta: Floats) -> Floats:
     """
     part, data = block.part, block.data
     error, of_robot = part.error, part.values(theta)[0]
-    T = error.poses(data.q, of_robot, error.basis(data.q, data.payload))
+    T = error.poses(data.q, of_robot, error.basis(data.q, data.conditions))
     model = part.measurement
     if isinstance(model, PointModel):
         label, _ = model.names(data.target, data)

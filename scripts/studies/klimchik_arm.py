@@ -11,7 +11,7 @@ import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.observations import Conditions, Labels, Measurements
 from calib_pin.parameterizations.base import COMPONENTS
 from calib_pin.setup import FrameSetup, Payload, PointSetup, Region, Setup
 from studies.klimchik_model import HEAVY, POINTS, robot
@@ -165,7 +165,9 @@ def measure(
         rng,
         q=np.repeat(q, len(states) * len(POINTS), axis=0),
         target=tuple(POINTS) * count,
-        payload=tuple(load for load in states for _ in POINTS) * len(q),
+        conditions=Conditions(
+            Labels.of(tuple(load for load in states for _ in POINTS) * len(q))
+        ),
         noise=noise,
         repeats=repeats,
         average=True,

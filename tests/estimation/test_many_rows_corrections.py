@@ -20,7 +20,7 @@ from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
-from calib_pin.observations import BlockKey, Labels, Observations
+from calib_pin.observations import BlockKey, Conditions, Labels, Observations
 from calib_pin.setup import FrameSetup, Payload, Setup, ToolSetup
 from calib_pin.simulation import draw_errors, simulate
 
@@ -52,7 +52,7 @@ def geared(measured: Measured) -> Measured:
     def make(chain: Chain, model: str, rows: int = ROWS) -> Problem:
         problem = measured(chain, model, KINDS, rows, **STATED)
         names = [("light", "none", "heavy")[k % 3] for k in range(rows)]
-        data = replace(problem.data.only, payload=Labels.of(names))
+        data = replace(problem.data.only, conditions=Conditions(Labels.of(names)))
         return replace(problem, data=Observations.of(data))
 
     return make

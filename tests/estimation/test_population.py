@@ -165,7 +165,7 @@ def test_models_side_by_side(
             q=q,
             values=np.zeros((len(q), problem.parts[key].measurement.width)),
             target=at.target,
-            payload=at.payload,
+            conditions=at.conditions,
             start=at.start,
             **key._asdict(),
         )

@@ -28,7 +28,7 @@ from calib_pin.io.table import read_table
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.robot import Robot
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared, measurement_model
-from calib_pin.observations import BlockKey, Measurements, Observations
+from calib_pin.observations import BlockKey, Conditions, Measurements, Observations
 from calib_pin.setup import CameraSetup, JointMap, Setup
 
 URDF = """<robot name="r">
@@ -479,7 +479,7 @@ def measurements(draw, key=None, chains=None):
         values=values,
         sigma=sigma,
         target=target,
-        payload=payload,
+        conditions=Conditions(payload),
         start=chains.follow(start) if chains and start.size else start,
         validate=draw(arrays(bool, count)),
         **key._asdict(),
@@ -1425,9 +1425,11 @@ def test_what_is_written_of_several_models(tmp_path, write, chain):
     # A model that is left without rows is not in the file.
     write_measurements(file, data.rows(np.array([2])), force=True)
     assert read(file, chain).model == "position"
-    for name in ("payload", "target", "station", "tool", "chain"):
-        names = " p" if name in BlockKey._fields else (" p",) * 2
-        camera = replace(data.blocks[0], **{name: names})
+    two = (" p",) * 2
+    bad = {"payload": {"conditions": Conditions(two)}, "target": {"target": two}}
+    bad |= {name: {name: " p"} for name in ("station", "tool", "chain")}
+    for name, change in bad.items():
+        camera = replace(data.blocks[0], **change)
         with pytest.raises(OutputError, match=f"{name} ' p' would not read back"):
             write_measurements(file, camera, force=True)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +11,7 @@ import pytest
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, se3_exp, se3_left_jacobian
+from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.parameterizations import BasisFunction, Screw
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameters import Parameter
@@ -30,7 +30,7 @@ class Swing:
 
     count: int
 
-    def __call__(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
+    def __call__(self, q: Floats, conditions: Conditions = UNSTATED) -> Floats:
         mixed = np.cos(np.arange(q.shape[1] * self.count)).reshape(q.shape[1], -1)
         return np.asarray(np.sin(q @ mixed + np.arange(self.count)))
 

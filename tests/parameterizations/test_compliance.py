@@ -16,6 +16,7 @@ from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Conditions
 from calib_pin.parameterizations.compliance import DEFLECTION, Compliance
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.loads import LEAST
@@ -290,11 +291,13 @@ def test_each_row_has_the_torques_of_its_payload() -> None:
     chain = calib_pin.load_chain("pa10")
     model = model_of(chain, payloads=LOADS)
     q = chain.random_configurations(6, np.random.default_rng(0))
-    torques = model.basis(q, CARRIED)
+    torques = model.basis(q, Conditions(CARRIED))
     for k, name in enumerate(CARRIED):
         (alone,) = chain.gravity_torques(q[k : k + 1], Setup.gravity, LOADS.get(name))
         np.testing.assert_allclose(torques[k], alone, rtol=0, atol=1e-13)
-    assert np.abs(torques[1] - model.basis(q, ("heavy",) * 6)[1]).max() > 1.0
+    assert (
+        np.abs(torques[1] - model.basis(q, Conditions(("heavy",) * 6))[1]).max() > 1.0
+    )
     # The heaviest one sets the scale.
     names = [f"{joint}.compliance.k" for joint in chain.joints]
     several, heavy = (
@@ -309,17 +312,19 @@ def test_rows_that_name_no_payload(refused: Callable[..., Any]) -> None:
     q = chain.random_configurations(2, np.random.default_rng(0))
     one = model_of(chain, payloads={"only": LOADS["heavy"]})
     # The only one is carried, unless a row says that nothing is.
-    expected = one.basis(q, ("only", "only"))
+    expected = one.basis(q, Conditions(("only", "only")))
     np.testing.assert_array_equal(one.basis(q), expected)
-    np.testing.assert_array_equal(one.basis(q, ("", "only")), expected)
+    np.testing.assert_array_equal(one.basis(q, Conditions(("", "only"))), expected)
     nothing = model_of(chain).basis(q)
-    np.testing.assert_array_equal(one.basis(q, ("none", "none")), nothing)
-    np.testing.assert_array_equal(model_of(chain).basis(q, ("none", "")), nothing)
+    np.testing.assert_array_equal(one.basis(q, Conditions(("none", "none"))), nothing)
+    np.testing.assert_array_equal(
+        model_of(chain).basis(q, Conditions(("none", ""))), nothing
+    )
     allowed = "light, heavy, none"
     with refused(InputError, "several payloads", column="payload", allowed=allowed):
-        model_of(chain, payloads=LOADS).basis(q, ("light", ""))
+        model_of(chain, payloads=LOADS).basis(q, Conditions(("light", "")))
     with refused(InputError, ["'lihgt'", "mean 'light'?"], column="payload"):
-        model_of(chain, payloads=LOADS).basis(q, ("light", "lihgt"))
+        model_of(chain, payloads=LOADS).basis(q, Conditions(("light", "lihgt")))
 
 
 def test_payloads_of_a_problem() -> None:
@@ -330,7 +335,7 @@ def test_payloads_of_a_problem() -> None:
     rng = np.random.default_rng(0)
     theta = calib_pin.draw_errors(problem.parameters, rng)
     q = chain.random_configurations(6, rng)
-    rows = exact_problem(problem, theta, q, ("",) * 6, payload=CARRIED)
+    rows = exact_problem(problem, theta, q, ("",) * 6, conditions=Conditions(CARRIED))
     _, J = rows.linearize(theta)
     for k, name in enumerate(CARRIED):
         loads = {name: LOADS[name]} if name in LOADS else {}
@@ -348,7 +353,9 @@ def test_rows_of_an_unknown_payload(refused: Callable[..., Any]) -> None:
     setup = replace(SETUP, payloads=LOADS)
     problem = nominal_problem(chain, "position", setup)
     zero, q = np.zeros(len(problem.parameters)), np.zeros((2, 7))
-    exact = exact_problem(problem, zero, q, ("", ""), payload=("light", "none"))
+    exact = exact_problem(
+        problem, zero, q, ("", ""), conditions=Conditions(("light", "none"))
+    )
     rows = replace(exact.data.only, lines=np.array([7, 8]), files=("m.csv",) * 2)
     place = {"file": "m.csv", "line": 8, "column": "payload"}
     for name, reason in (
@@ -356,7 +363,9 @@ def test_rows_of_an_unknown_payload(refused: Callable[..., Any]) -> None:
         ("", "several payloads, and the row names none"),
     ):
         with refused(InputError, reason, **place, allowed="light, heavy"):
-            make_problem(chain, replace(rows, payload=("light", name)), setup)
+            make_problem(
+                chain, replace(rows, conditions=Conditions(("light", name))), setup
+            )
 
 
 def test_payloads_in_turn_are_recovered() -> None:

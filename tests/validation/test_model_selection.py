@@ -15,7 +15,7 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Observations
+from calib_pin.observations import Conditions, Observations
 from calib_pin.residual_models import RESIDUAL_MODELS, LearnedCorrection, TrainingRows
 from calib_pin.setup import FrameSetup, Payload, Setup
 from calib_pin.validation.held_out import cross_validate
@@ -94,7 +94,7 @@ def simulated(
             truth[k] = parameter.scale if not joints or joint in joints else 0.0
     rows = calib_pin.simulate(problem, truth, rng, count=count, noise=NOISE).only
     # What is carried in all rows goes without saying.
-    return Observations.of(replace(rows, payload=()))
+    return Observations.of(replace(rows, conditions=Conditions()))
 
 
 def rungs(selected: SelectedModel) -> dict[str, Candidate]:
@@ -369,7 +369,7 @@ def test_rows_say_which_of_several_payloads_they_carry(chain: Chain) -> None:
     rows = simulated(chain, ["placement"], Setup(), count=20)
     with pytest.raises(InputError, match="several payloads, and the row names none"):
         select_model(chain, rows, Setup(payloads=payloads), 0)
-    told = Observations.of(replace(rows.only, payload=("a", "b") * 10))
+    told = Observations.of(replace(rows.only, conditions=Conditions(("a", "b") * 10)))
     selected = select_model(chain, told, Setup(payloads=payloads), 0)
     rung = rungs(selected)["+ compliance"]
     assert not rung.reason and np.isfinite(rung.score)

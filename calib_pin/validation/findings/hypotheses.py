@@ -104,6 +104,7 @@ def _with_joints(data: Observations, joints: Sequence[str]) -> Observations:
                 joints=tuple(joints),
                 q=b.q[:, columns],
                 start=b.start[:, columns] if b.start.size else b.start,
+                conditions=b.conditions.of_joints(columns),
             )
             for b in data.blocks
         )

@@ -66,7 +66,8 @@ def _moved(data: Observations, others: Observations) -> Observations:
         other = of_key[block.key]
         rows = _same_lines(block, other)
         start = other.start[rows] if other.start.size else other.start
-        return replace(block, q=other.q[rows], start=start)
+        held = other.conditions.rows(rows)
+        return replace(block, q=other.q[rows], start=start, conditions=held)
 
     return Observations(tuple(map(moved, data.blocks)))
 

@@ -14,7 +14,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.systematic import MOST, _candidates, systematic
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Observations
+from calib_pin.observations import Conditions, Observations
 from calib_pin.setup import CameraSetup, FrameSetup, Payload, PointSetup, Setup
 
 TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))
@@ -24,7 +24,9 @@ def problem_of(robot: str, setup: Setup | None = None, payload: str = "") -> Pro
     chain = calib_pin.load_chain(robot)
     setup = replace(setup or Setup(), tool_frame=TOOL)
     problem = nominal_problem(chain, "position", setup)
-    rows = replace(problem.data.only, payload=(payload,) * len(problem.data))
+    rows = replace(
+        problem.data.only, conditions=Conditions((payload,) * len(problem.data))
+    )
     return replace(problem, data=Observations.of(rows))
 
 

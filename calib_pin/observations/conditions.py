@@ -1,0 +1,160 @@
+"""Conditions of a measurement beside the joint positions: load, approach, warmth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.errors import InputError
+from calib_pin.observations.labels import SAME, Floats, Labels
+
+Signs = NDArray[np.int8]
+Source = Literal["", "order", "time", "columns"]
+
+SOURCES: tuple[Source, ...] = ("", "order", "time", "columns")
+"""How directions may be known, the least certain first."""
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What holds at each of N rows beside the joint positions.
+
+    An empty array says that nothing is stated. Names may be given as any sequence of
+    strings.
+
+    Attributes:
+        payload: Name of what the robot carries, length N; empty where none is named.
+        direction: Sign of the last motion of each joint, shape (N, n), -1 or +1; 0
+            where it is not known.
+        temperature: Of the robot, shape (N,) [degC].
+        time: When the row was measured, shape (N,) [s].
+        source: How directions are known: by the `order` of rows, by their `time`, or
+            from `columns`; empty where they are not.
+
+    Examples:
+        >>> loaded = Conditions(("heavy", "none"))
+        >>> loaded.rows(np.array([1])).payload[0], loaded.direction.shape
+        ('none', (0, 0))
+    """
+
+    payload: Labels = field(default_factory=Labels.none)
+    direction: Signs = field(default_factory=lambda: np.zeros((0, 0), np.int8))
+    temperature: Floats = field(default_factory=lambda: np.zeros(0))
+    time: Floats = field(default_factory=lambda: np.zeros(0))
+    source: Source = ""
+
+    def __post_init__(self) -> None:
+        """Take names as labels."""
+        object.__setattr__(self, "payload", Labels.of(self.payload))
+
+    def of(self, count: int, joints: int) -> Conditions:
+        """The same with a payload for each of some rows.
+
+        Args:
+            count: Number of rows.
+            joints: Number of joints.
+
+        Raises:
+            InputError: If shapes are not those of the rows, or a number is not finite.
+        """
+        result = self
+        if not len(self.payload):
+            result = replace(self, payload=Labels.all("", count))
+        for name, shape in (
+            ("payload", (count,)),
+            ("direction", (count, joints)),
+            ("temperature", (count,)),
+            ("time", (count,)),
+        ):
+            array = result.payload.codes if name == "payload" else getattr(self, name)
+            if (name == "payload" or array.size) and array.shape != shape:
+                raise InputError(f"'{name}' has not the {count} rows of q")
+            if not np.isfinite(array).all():
+                raise InputError(f"'{name}' must be finite numbers")
+        return result
+
+    def rows(self, index: NDArray[Any] | slice) -> Conditions:
+        """Those of the rows that a mask, a slice or an index array picks."""
+        stated = {
+            name: getattr(self, name)[index]
+            for name in ("payload", "direction", "temperature", "time")
+            if len(getattr(self, name))
+        }
+        return replace(self, **stated)
+
+    def of_joints(self, columns: NDArray[np.int64] | Sequence[int]) -> Conditions:
+        """Those of some of the joints."""
+        known = self.direction.size
+        return replace(self, direction=self.direction[:, columns]) if known else self
+
+    def among(self, columns: Sequence[int], count: int) -> Conditions:
+        """Those of joints that are some of more, at their columns among all."""
+        if not self.direction.size:
+            return self
+        direction = np.zeros((len(self.direction), count), np.int8)
+        direction[:, columns] = self.direction
+        return replace(self, direction=direction)
+
+    @property
+    def at_start(self) -> Conditions:
+        """Where relative measurements start; what came before is not known there."""
+        return replace(self, direction=np.zeros((0, 0), np.int8), source="")
+
+    @staticmethod
+    def concatenate(parts: Sequence[Conditions]) -> Conditions:
+        """Conditions behind one another, with a payload for each row.
+
+        Directions that only some state are unknown in the others. Times and
+        temperatures that only some state are dropped: a row without has none that
+        could be assumed.
+        """
+        if len(parts) == 1:
+            return parts[0]
+        payload = Labels.concatenate([part.payload for part in parts])
+        width = max(part.direction.shape[1] for part in parts)
+        directions = [
+            part.direction
+            if part.direction.size
+            else np.zeros((len(part.payload), width), np.int8)
+            for part in parts
+        ]
+        stated = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ("temperature", "time")
+            if all(len(getattr(part, name)) for part in parts)
+        }
+        sources = [part.source for part in parts if part.source]
+        return Conditions(
+            payload,
+            np.concatenate(directions) if width else np.zeros((0, 0), np.int8),
+            **stated,
+            source=min(sources, key=SOURCES.index, default=""),
+        )
+
+
+UNSTATED = Conditions()
+"""Nothing is stated."""
+
+
+def approached(q: Floats) -> Signs:
+    """Sign of the last motion of each joint, shape (N, n).
+
+    A joint that stood still keeps the sign that it had; before its first motion it is
+    0, unknown.
+
+    Args:
+        q: Joint positions in the order of measuring, shape (N, n) [rad, m].
+
+    Examples:
+        >>> approached(np.array([[0.0], [0.1], [0.1], [0.0]])).ravel().tolist()
+        [0, 1, 1, -1]
+    """
+    moved = np.diff(q, axis=0, prepend=q[:1])
+    sign = np.where(np.abs(moved) > SAME, np.sign(moved), 0.0).astype(np.int8)
+    row = np.arange(len(q))[:, None]
+    last = np.maximum.accumulate(np.where(sign != 0, row, 0), axis=0)
+    return np.take_along_axis(sign, last, axis=0)

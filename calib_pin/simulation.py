@@ -40,8 +40,8 @@ LEG = 10
 def draw_errors(parameters: ParameterSet, rng: np.random.Generator) -> Floats:
     """True errors of a robot, uniform within plus and minus the scale, shape (P,).
 
-    Frames, planes and fixed parameters stay at zero, and no compliance is negative: a
-    joint does not rise under its load.
+    Frames, planes and fixed parameters stay at zero, and no compliance and no growth is
+    negative: a joint does not rise under its load.
 
     Args:
         parameters: The parameters.
@@ -49,7 +49,7 @@ def draw_errors(parameters: ParameterSet, rng: np.random.Generator) -> Floats:
     """
     moved = parameters.free & ~parameters.nuisance
     drawn = rng.uniform(-1.0, 1.0, len(parameters)) * parameters.scales
-    loaded = np.array([p.unit in ("rad/Nm", "m/N") for p in parameters], bool)
+    loaded = np.array([p.unit in ("rad/Nm", "m/N", "1/K") for p in parameters], bool)
     return np.where(moved, np.where(loaded, np.abs(drawn), drawn), 0.0)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import Protocol, Self
 
@@ -16,8 +16,10 @@ from calib_pin.estimation.model import (
     whitened,
     whitened_jacobian,
 )
+from calib_pin.estimation.segments import compilable
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Linearization
+from calib_pin.parameterizations.error_model import flexures
 
 PIECE = 4096
 """Measurements whose Jacobian is held at once, where there are very many."""
@@ -186,6 +188,11 @@ class InPieces:
         return [(R[:, -1], R[:, :-1])]
 
 
+def compiled(evaluators: Iterable[Evaluator]) -> bool:
+    """Whether compiled kernels are among some evaluators."""
+    return not all(isinstance(one, RowByRow | InPieces) for one in evaluators)
+
+
 def evaluated(
     blocks: Sequence[Block], sigma: Floats, many: bool
 ) -> dict[Evaluator, list[int]]:
@@ -205,11 +212,11 @@ def evaluated(
 
     found: dict[object, list[int]] = {}
     for k, block in enumerate(blocks):
-        plain = block.part.error.compilable and not block.data.start.size
+        plain = compilable(block.part.error) and not block.data.start.size
         found.setdefault(alike(block.part) if plain else k, []).append(k)
 
     def alone(block: Block) -> RowByRow | InPieces:
-        bent = len(block.part.error.flexures) and len(block.data) > PIECE
+        bent = len(flexures(block.part.error)) and len(block.data) > PIECE
         return (InPieces if bent else RowByRow)(block, sigma)
 
     return {

@@ -19,7 +19,7 @@ from calib_pin.observations import (
     Measurements,
     Targets,
 )
-from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.parameterizations.error_model import ErrorModel, varying
 from calib_pin.parameterizations.linearization import PoseLinearization
 
 
@@ -225,7 +225,7 @@ class Model:
             measurement=self.measurement.rebased(instrument),
         )
         referred = np.append(error.parameters.nuisance, np.ones(len(instrument), bool))
-        referred[error.varying] = False
+        referred[varying(error)] = False
         return moved, np.where(referred, 0.0, theta)
 
 

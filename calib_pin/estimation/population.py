@@ -13,7 +13,7 @@ from calib_pin.compiled.blocks import motions
 from calib_pin.compiled.threads import Threads
 from calib_pin.estimation.measured import Block
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.segments import Segments
+from calib_pin.estimation.segments import Segments, compilable
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Batch, BatchedModel
 from calib_pin.observations import Conditions
@@ -57,7 +57,7 @@ class PopulationCost:
             measurement = block.part.measurement
             batches: Sequence[Batch] = []
             error = block.part.error
-            if error.compilable and isinstance(measurement, BatchedModel):
+            if compilable(error) and isinstance(measurement, BatchedModel):
                 weights = 1.0 / block.table(problem.sigma)
                 batches = measurement.batches(block.data, weights)
             if not batches:

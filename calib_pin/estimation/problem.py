@@ -21,7 +21,7 @@ from calib_pin.estimation.elimination import (
     square_root,
     station_parameters,
 )
-from calib_pin.estimation.evaluators import Evaluator, InPieces, RowByRow, evaluated
+from calib_pin.estimation.evaluators import Evaluator, RowByRow, evaluated
 from calib_pin.estimation.measured import Measured, assumed_sigma
 from calib_pin.estimation.row_blocks import Blocks, Expected, KnownDistances, Priors
 from calib_pin.estimation.system import Part
@@ -229,12 +229,6 @@ class Problem(Measured):
         """Whether `linearize` returns a smaller system in place of the rows."""
         plain = all(isinstance(one, RowByRow) for one in self.evaluators)
         return not plain or bool(self.own_of_stations)
-
-    @property
-    def compiled(self) -> bool:
-        """Whether compiled kernels evaluate some of the measurements."""
-        by_rows = RowByRow, InPieces
-        return not all(isinstance(one, by_rows) for one in self.evaluators)
 
     @cached_property
     def evaluators(self) -> Mapping[Evaluator, Sequence[int]]:

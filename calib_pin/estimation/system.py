@@ -24,6 +24,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.references import ReferenceObject
 from calib_pin.observations import BlockKey, Indices, Measurements
+from calib_pin.parameterizations.error_model import varying
 from calib_pin.parameters import Parameter, ParameterSet
 from calib_pin.setup import FrameSetup
 
@@ -89,6 +90,11 @@ class Part(Model):
             for k in range(start, start + FRAME):
                 component = own[k].name.rpartition(".")[2]
                 result[k] = replace(own[k], name=f"{name}.{component}")
+        for k, screw in enumerate(self.error.screws[FRAME:-FRAME], start=FRAME):
+            if screw.frame == 0:  # Of the instrument, as the frame of its station.
+                station = self.scope.station.rpartition(".")[0]
+                rest = own[k].name.partition(".")[2]
+                result[k] = replace(own[k], name=f"{station}.{rest}")
         for reference in self.measurement.references:
             name, length = self.scope.reference(reference), len(reference.name)
             result += [
@@ -194,7 +200,7 @@ class System:
         result = self.given.nuisance.copy()
         for part in self.parts.values():
             # How an instrument drifts belongs to no reference.
-            result[part.index[part.error.varying]] = False
+            result[part.index[varying(part.error)]] = False
         return result
 
     def predict(self, theta: Floats, at: Configured) -> Floats:

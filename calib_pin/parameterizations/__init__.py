@@ -20,12 +20,14 @@ from calib_pin.parameterizations.base import (
 from calib_pin.parameterizations.compliance import Compliance
 from calib_pin.parameterizations.cross_compliance import CrossCompliance
 from calib_pin.parameterizations.dh import DenavitHartenberg, FullDenavitHartenberg
+from calib_pin.parameterizations.drift import InstrumentDrift
 from calib_pin.parameterizations.loads import NOTHING
 from calib_pin.parameterizations.placement import (
     JointOffset,
     LinkTransform,
     Placement,
 )
+from calib_pin.parameterizations.thermal import ThermalGrowth
 from calib_pin.parameterizations.transmission import Transmission
 from calib_pin.plugins import Members
 from calib_pin.setup import Setup
@@ -57,6 +59,8 @@ _BUNDLED: tuple[type[Parameterization], ...] = (
     Transmission,
     Compliance,
     CrossCompliance,
+    ThermalGrowth,
+    InstrumentDrift,
 )
 
 PARAMETERIZATIONS: Mapping[str, type[Parameterization]] = Members(

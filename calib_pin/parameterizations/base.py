@@ -158,6 +158,8 @@ class Parameterization(ABC):
         geometric: Whether a URDF can hold all of it.
         requires: Keys of a setup file without which the parameters mean nothing.
         effects: Components that act as random effects unless they are estimated.
+        conditions: What the measurements must state, `temperature` or `time`, for the
+            parameters to mean anything.
     """
 
     name: ClassVar[str]
@@ -165,6 +167,7 @@ class Parameterization(ABC):
     geometric: ClassVar[bool] = True
     requires: ClassVar[tuple[str, ...]] = ()
     effects: ClassVar[Effects | None] = None
+    conditions: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls) -> None:
         """Name the parameters after the parameterization unless stated."""

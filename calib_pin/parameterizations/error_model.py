@@ -144,50 +144,31 @@ class ErrorModel:
         return len(self.chain.joints) + 3
 
     @cached_property
-    def varying(self) -> NDArray[np.intp]:
-        """Positions of the parameters with a basis function, shape (C,)."""
-        found = [k for k, s in enumerate(self.screws) if s.basis is not None]
-        return np.array(found, np.intp)
-
-    @cached_property
     def joint_corrections(self) -> NDArray[np.intp]:
-        """Those that move a joint along its own motion."""
-        return self.varying[self._along]
-
-    @cached_property
-    def flexures(self) -> NDArray[np.intp]:
-        """Those that bend the place where they stand."""
-        return self.varying[~self._along]
-
-    @property
-    def beyond_geometry(self) -> NDArray[np.intp]:
-        """Those that are errors of the robot, which a URDF cannot hold."""
-        return self.varying[~self.parameters.nuisance[self.varying]]
+        """Positions of the parameters that correct a joint's own motion, shape (J,)."""
+        return self._varying[self._along]
 
     @property
     def geometric(self) -> bool:
         """Whether all errors are geometric, so that a URDF can hold them."""
-        return self.learned is None and len(self.beyond_geometry) == 0
+        return self.learned is None and len(beyond_urdf(self)) == 0
 
-    @property
-    def compilable(self) -> bool:
-        """Whether nothing but the joints' own motions changes row by row.
-
-        Compiled kernels know corrections of these alone.
-        """
-        return self.learned is None and len(self.flexures) == 0
+    @cached_property
+    def _varying(self) -> NDArray[np.intp]:
+        found = [k for k, s in enumerate(self.screws) if s.basis is not None]
+        return np.array(found, np.intp)
 
     @cached_property
     def _along(self) -> NDArray[np.bool_]:
         """Of parameters with a basis function, whether they move a joint, (C,)."""
         motions = [np.zeros(6), *self.chain.motions, np.zeros(6), np.zeros(6)]
-        screws = [self.screws[k] for k in self.varying]
+        screws = [self.screws[k] for k in self._varying]
         return np.array(
             [np.array_equal(s.twist, motions[s.frame]) for s in screws], bool
         )
 
     def basis(self, q: Floats, conditions: Conditions = UNSTATED) -> Floats:
-        """Basis functions that multiply the screws of `varying`, shape (N, C).
+        """Basis functions that multiply the screws that vary, shape (N, C).
 
         Args:
             q: Commanded joint positions, shape (N, n) [rad, m].
@@ -202,8 +183,8 @@ class ErrorModel:
             carried = Labels.all(self.payload, len(q))
             conditions = replace(conditions, payload=carried)
         # Function by function, as they are computed and as kernels take them.
-        result = np.empty((len(self.varying), len(q)))
-        for k, position in enumerate(self.varying):
+        result = np.empty((len(self._varying), len(q)))
+        for k, position in enumerate(self._varying):
             function = self.screws[position].basis
             assert function is not None
             if function.functions not in values:
@@ -316,7 +297,7 @@ class ErrorModel:
             columns=columns,
             frames=tuple(screw.frame for screw in self.screws),
             axes=self.chain.motions,
-            varying=self.varying,
+            varying=self._varying,
             basis=basis,
             bends=bends,
             learned=motion,
@@ -341,7 +322,7 @@ class ErrorModel:
             linear = self.linearize(q, theta, self.basis(q, conditions))
             return linear.T, linear.joint_twists()
         moved, bends = q, Bends()
-        if theta[self.varying].any():
+        if theta[self._varying].any():
             basis = self.basis(q, conditions)
             moved, bends = self._moved(q, theta, basis), self._bends(theta, basis)
         base, placements, tip, tool = self._placed(self.corrections(theta), bends)
@@ -381,8 +362,8 @@ class ErrorModel:
 
     def _bends(self, theta: Floats, basis: Floats) -> Bends:
         """How the places are bent, by basis functions of shape (N, C)."""
-        amounts = theta[self.flexures]
-        return Bends.of(self.screws, self.flexures, amounts, basis[:, ~self._along])
+        amounts = theta[flexures(self)]
+        return Bends.of(self.screws, flexures(self), amounts, basis[:, ~self._along])
 
     def _placed(
         self, corrections: Sequence[pin.SE3], bends: Bends
@@ -398,3 +379,18 @@ class ErrorModel:
         ]
         ends = bent(0, self.base * base), bent(last, self.tool * tool)
         return ends[0], placements, bent(last - 1, tip), ends[1]
+
+
+def varying(model: ErrorModel) -> NDArray[np.intp]:
+    """Positions of the parameters with a basis function, shape (C,)."""
+    return model._varying
+
+
+def flexures(model: ErrorModel) -> NDArray[np.intp]:
+    """Those of them that bend the place where they stand."""
+    return model._varying[~model._along]
+
+
+def beyond_urdf(model: ErrorModel) -> NDArray[np.intp]:
+    """Those of them that are errors of the robot, which a URDF cannot hold."""
+    return model._varying[~model.parameters.nuisance[model._varying]]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib_pin.estimation.evaluators import InPieces, RowByRow
+from calib_pin.estimation.evaluators import InPieces, RowByRow, compiled
 from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.segments import Segments
@@ -16,6 +16,7 @@ from calib_pin.estimation.variants import reweighted
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.parameterizations.error_model import flexures
 from calib_pin.setup import Setup
 
 Measured = Callable[..., Problem]
@@ -54,7 +55,7 @@ def test_populations_are_evaluated_one_by_one(
     problem = bending(model, 20)
     costs, theta = PopulationCost(problem), some(problem)
     assert costs.evaluator == "loop"
-    bent = problem.only.index[problem.only.error.flexures]
+    bent = problem.only.index[flexures(problem.only.error)]
     still = theta.copy()
     still[bent] = 0.0
     found = costs(np.array([theta, still]))
@@ -80,7 +81,9 @@ def test_very_many_measurements_go_piece_by_piece(
     ]
     pieces = bending(model, count, many=True)
     (other,) = pieces.evaluators
-    assert isinstance(other, InPieces) and pieces.many and not pieces.compiled
+    assert (
+        isinstance(other, InPieces) and pieces.many and not compiled(pieces.evaluators)
+    )
     for many, (errors, cost, r, J) in zip(
         (pieces, reweighted(pieces, weight), pieces.rebased(theta)[0]),
         expected,

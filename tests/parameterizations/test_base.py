@@ -32,6 +32,12 @@ COMPONENTS = {
     "transmission": ["gain", "sin1", "cos1", "sin2", "cos2", "motor_sin", "motor_cos"],
     "compliance": ["k"],
     "cross-compliance": ["kx", "ky"],
+    "thermal": ["growth"],
+    "instrument-drift": [
+        f"{component}{part}"
+        for component in ("x", "y", "z", "rx", "ry", "rz")
+        for part in range(1, 9)
+    ],
 }
 GEOMETRY = ("placement", "link-transform", "dh", "dh-full", "joint-offset")
 ROBOTS = [
@@ -86,15 +92,17 @@ def test_names(
     chain = load_chain(robot, base=base, tip=tip)
     screws = parameterization(name, framed).screws(chain)
     kind = "dh" if name == "dh-full" else name
-    owners = [*chain.joints, chain.tip_joint]
+    drifts = name == "instrument-drift"
+    owners = ["base"] if drifts else [*chain.joints, chain.tip_joint]
     for screw in screws:
         joint, of_kind, component = screw.parameter.name.rsplit(".", 2)
         assert of_kind == kind
         assert component in COMPONENTS[name]
         assert joint in owners
-        assert 1 <= screw.frame <= len(chain.joints) + 1
+        assert drifts == (screw.frame == 0)
+        assert 0 <= screw.frame <= len(chain.joints) + 1
         assert (screw.basis is None) == (name in GEOMETRY)
-        assert not screw.parameter.nuisance and screw.parameter.free
+        assert screw.parameter.nuisance == drifts and screw.parameter.free
     names = [screw.parameter.name for screw in screws]
     assert len(set(names)) == len(names)
     # Joint by joint from base to tip.

@@ -13,7 +13,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, se3_exp, se3_left_jacobian
 from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.parameterizations import BasisFunction, Screw
-from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.parameterizations.error_model import ErrorModel, flexures, varying
 from calib_pin.parameters import Parameter
 from calib_pin.setup import Setup
 
@@ -71,10 +71,10 @@ def some(model: ErrorModel, count: int = 4) -> tuple[Floats, Floats]:
 def by_definition(model: ErrorModel, q: Floats, theta: Floats) -> Floats:
     """The same poses, each configuration by a chain of its own."""
     basis, found = model.basis(q), []
-    column = {k: c for c, k in enumerate(model.varying)}
+    column = {k: c for c, k in enumerate(varying(model))}
     for row in range(len(q)):
         twists = np.zeros((len(model.chain.joints) + 3, 6))
-        for k in model.flexures:
+        for k in flexures(model):
             screw = model.screws[k]
             twists[screw.frame] += basis[row, column[k]] * theta[k] * screw.twist
         moved = model.joint_positions(q[row : row + 1], theta)
@@ -103,7 +103,7 @@ def test_every_place_bends_behind_its_geometry(name: str, framed: Setup) -> None
     found = model.poses(q, theta), model.linearize(q, theta).T
     for T in (*found, model.kinematics(q, theta)[0]):
         np.testing.assert_allclose(T, expected, rtol=0, atol=1e-12)
-    still = np.where(np.isin(np.arange(len(theta)), model.flexures), 0.0, theta)
+    still = np.where(np.isin(np.arange(len(theta)), flexures(model)), 0.0, theta)
     assert np.abs(model.poses(q, still) - expected).max() > 0.01
     # The ends of the chain are no part of the robot.
     base, tool = np.zeros(len(theta)), theta.copy()
@@ -153,21 +153,21 @@ def test_joint_positions_move_a_bent_chain(framed: Setup) -> None:
 def test_a_screw_along_the_own_motion_is_a_joint_correction(framed: Setup) -> None:
     chain = load_chain("space6")
     corrected = ErrorModel.create(chain, KINDS, setup=framed)
-    assert not len(corrected.flexures) and corrected.compilable
+    assert not len(flexures(corrected))
     model = bent(corrected)
-    assert len(model.flexures) == 2 * (6 + 3) and not model.compilable
+    assert len(flexures(model)) == 2 * (6 + 3)
     names = model.parameters.names
     kinds = {names[k].split(".")[1] for k in model.joint_corrections}
     assert kinds == {"transmission", "compliance"}
-    assert {names[k].split(".")[1] for k in model.flexures} == {"bend"}
-    assert sorted([*model.flexures, *model.joint_corrections]) == list(model.varying)
+    assert {names[k].split(".")[1] for k in flexures(model)} == {"bend"}
+    assert sorted([*flexures(model), *model.joint_corrections]) == list(varying(model))
 
 
 def test_only_errors_of_the_robot_are_beyond_geometry() -> None:
     plain = ErrorModel.create(load_chain("space6"), ["placement"])
     assert not bent(plain).geometric
     drifting = bent(plain, nuisance=True)
-    assert drifting.geometric and not drifting.compilable
+    assert drifting.geometric and len(flexures(drifting))
 
 
 def test_the_left_jacobian_is_the_derivative_of_the_exponential() -> None:

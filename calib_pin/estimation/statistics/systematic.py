@@ -29,6 +29,7 @@ from calib_pin.estimation.statistics.restricted_likelihood import (
     Groups,
     Variances,
     estimate_variances,
+    with_effects,
 )
 from calib_pin.estimation.statistics.variance_components import current_units, grouped
 from calib_pin.estimation.system import Part, assembled
@@ -261,7 +262,7 @@ def _significant(
 
     def estimated(kinds: tuple[str, ...]) -> Variances:
         return estimate_variances(
-            _with_effects(groups, kind_of, kinds),
+            with_effects(groups, kind_of, kinds),
             np.concatenate([current, np.ones(len(kinds))]),
         )
 
@@ -317,28 +318,3 @@ def _shares(
     known = float(noise / current @ (groups.counts - hats))
     predicted = float(squares @ left[first:-1][kept])
     return max(float(left[-1]) - known, 0.0), predicted
-
-
-def _with_effects(
-    groups: Groups, kind_of: NDArray[np.str_], kinds: tuple[str, ...]
-) -> Groups:
-    """Groups with some kinds of effects as pseudo-observations, the others left out."""
-    width = groups.known.shape[0]
-    first = width - 1 - len(kind_of)
-    of_effects = first + np.arange(len(kind_of))
-    out = of_effects[~np.isin(kind_of, kinds)]
-    unit = np.zeros((len(kinds), width, width))
-    for k, kind in enumerate(kinds):
-        own = of_effects[kind_of == kind]
-        unit[k, own, own] = 1.0
-    counts = [np.sum(kind_of == kind) for kind in kinds]
-
-    def kept(products: Floats) -> Floats:
-        rows = np.delete(products, out, axis=-1)
-        return np.asarray(np.delete(rows, out, axis=-2))
-
-    return Groups(
-        np.concatenate([groups.counts, counts]),
-        kept(np.concatenate([groups.products, unit])),
-        kept(groups.known),
-    )

@@ -1,10 +1,12 @@
 """Whether an instrument drifts, and how much, as the measurements say.
 
 Its increments (`parameterizations/drift`) are random effects beside the noise: all
-shifts have one unknown variance, all turns another. The fit of a still instrument gives
-the residuals; restricted maximum likelihood gives the variances, and the likelihood
-ratio says whether either is more than chance. What is not is zero from then on, so that
-an instrument that stands still costs no accuracy.
+shifts have one unknown variance, all turns another. So are gears and compliance that
+the model lacks (`statistics/systematic`): where the robot was measured along a path
+they are as smooth over the time as a drift. The fit of a still instrument gives the
+residuals; restricted maximum likelihood gives all variances, and the likelihood ratio
+says whether a drift is more than chance beside the others. What is not is zero from
+then on, so that an instrument that stands still costs no accuracy.
 """
 
 from __future__ import annotations
@@ -25,10 +27,11 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.restricted_likelihood import (
     EXACT,
     Groups,
+    Variances,
     estimate_variances,
     with_effects,
 )
-from calib_pin.estimation.statistics.systematic import sampled
+from calib_pin.estimation.statistics.systematic import candidates, sampled
 from calib_pin.estimation.statistics.variance_components import current_units, grouped
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
@@ -90,10 +93,17 @@ def _sizes(
     X[: len(measured)] = J[: len(measured), columns]
     X *= moving.given.scales[columns]
     half = half_covariance(jac, fitted.directions.basis, sample.parameters)
-    groups = grouped(sample, np.column_stack([jac @ half, X, fun]))
-    kind_of = np.array(
-        ["shift" if p.unit == "m" else "turn" for p in drifting.values()]
-    )
+    robot, of_robot = np.zeros((len(fun), 0)), np.zeros(0, str)
+    effects = candidates(sample)
+    if effects is not None:
+        rows = np.zeros((len(fun), len(effects.names)))
+        rows[: len(measured)] = effects.rows(sample, fitted.theta)
+        if np.isfinite(rows).all():
+            robot, of_robot = rows, effects.kinds
+    groups = grouped(sample, np.column_stack([jac @ half, robot, X, fun]))
+    of_unit = dict(zip(("m", "rad"), KINDS, strict=True))
+    of_drift = np.array([of_unit[p.unit] for p in drifting.values()])
+    kind_of = np.concatenate([of_robot, of_drift])
     return _significant(groups, kind_of, current_units(sample) ** 2)
 
 
@@ -125,25 +135,24 @@ def _sized(drift: DriftSetup, sizes: Mapping[str, float]) -> DriftSetup:
 def _significant(
     groups: Groups, kind_of: NDArray[np.str_], start: Floats
 ) -> dict[str, float]:
-    """Sizes of the kinds that raise the likelihood enough, the best one first."""
+    """Sizes of what drifts and raises the likelihood enough, the best one first."""
+    others = tuple(dict.fromkeys(kind_of[~np.isin(kind_of, KINDS)].tolist()))
+
+    def estimated(drifting: tuple[str, ...]) -> Variances:
+        kinds = (*others, *drifting)
+        given = np.concatenate([start, np.ones(len(kinds))])
+        return estimate_variances(with_effects(groups, kind_of, kinds), given)
+
     chosen: tuple[str, ...] = ()
-    best = estimate_variances(with_effects(groups, kind_of, chosen), start)
+    best = estimated(chosen)
     for _ in KINDS:
-        tried = {
-            kinds: estimate_variances(
-                with_effects(groups, kind_of, kinds),
-                np.concatenate([start, np.ones(len(kinds))]),
-            )
-            for kind in KINDS
-            if kind not in chosen and kind in kind_of
-            for kinds in [(*chosen, kind)]
-        }
-        kinds = max(tried, key=lambda one: tried[one].likelihood, default=chosen)
-        gain = tried[kinds].likelihood - best.likelihood if tried else 0.0
-        if gain < 0.5 * SIGNIFICANT:
+        left = [kind for kind in KINDS if kind in kind_of and kind not in chosen]
+        tried = {(*chosen, kind): estimated((*chosen, kind)) for kind in left}
+        kinds = max(tried, key=lambda key: tried[key].likelihood, default=())
+        if not kinds or tried[kinds].likelihood - best.likelihood < 0.5 * SIGNIFICANT:
             break
         chosen, best = kinds, tried[kinds]
-    variances = best.values[len(start) :]
+    variances = best.values[len(start) + len(others) :]
     return {
         kind: USUAL * float(np.sqrt(variance))
         for kind, variance in zip(chosen, variances, strict=True)

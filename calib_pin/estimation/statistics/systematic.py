@@ -92,6 +92,11 @@ class Systematic:
     compliance: float
     noise: Floats
 
+    @property
+    def kinds(self) -> NDArray[np.str_]:
+        """Parameterization of each effect, shape (S,)."""
+        return np.array([name.rsplit(".", 2)[1] for name in self.names])
+
     def rows(self, problem: Problem, theta: Floats) -> Floats:
         """Whitened residuals that each effect of its size adds, shape (M, S).
 
@@ -149,7 +154,7 @@ def systematic(
         The effects, or None where nothing shows, all of them are estimated, or the
         nominal robot is where nothing can be measured.
     """
-    effects = _candidates(problem)
+    effects = candidates(problem)
     spare = known_values(problem) - directions.count
     if effects is None or spare < SPARE:
         return None
@@ -176,7 +181,7 @@ def sampled(problem: Problem, count: int = ROWS) -> Observations:
     return data.sample(count)
 
 
-def _candidates(problem: Problem) -> Systematic | None:
+def candidates(problem: Problem) -> Systematic | None:
     """All effects that are not estimated already, in their expected sizes."""
     setup, chains = problem.setup, problem.chains
     payloads = {"", NOTHING, *setup.payloads}
@@ -257,7 +262,7 @@ def _significant(
     The groups are residual rows by quantity, in the columns of what was moved, of all
     effects in their expected sizes and of the residual.
     """
-    kind_of = np.array([name.rsplit(".", 2)[1] for name in effects.names])
+    kind_of = effects.kinds
     current = current_units(problem) ** 2
 
     def estimated(kinds: tuple[str, ...]) -> Variances:

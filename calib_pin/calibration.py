@@ -12,6 +12,7 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, nearest
+from calib_pin.estimation.conditions import require_conditions
 from calib_pin.estimation.drift import with_drift
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import chains_of, geometric_setup, make_parts
@@ -110,6 +111,8 @@ def calibrate(
     training, held, method = split(data, setup, further, holdout, seed)
     _require_ends(chains, setup, training, held)
     setup = with_drift(chains, training, setup, seed)
+    if held is not None:
+        require_conditions(held, setup)
     share = 1.0 if held is not None or not validate else 1.0 / (1 + FOLDS)
     selected = None
 

@@ -11,7 +11,7 @@ from calib_pin.estimation.scopes import scopes
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models import declared
 from calib_pin.observations import Conditions, Observations
-from calib_pin.parameterizations import PARAMETERIZATIONS
+from calib_pin.parameterizations import PARAMETERIZATIONS, beyond_geometry
 from calib_pin.parameterizations.drift import InstrumentDrift
 from calib_pin.parameterizations.thermal import REFERENCE, ThermalGrowth
 from calib_pin.setup import Setup
@@ -39,13 +39,24 @@ def lacking_conditions(data: Observations, parameters: Iterable[str]) -> list[st
     ]
 
 
-def require_conditions(data: Observations, setup: Setup) -> None:
+def require_conditions(
+    data: Observations, setup: Setup, *, of_robot: bool = False
+) -> None:
     """Refuse measurements that do not state what their parameters depend on.
+
+    Args:
+        data: The measurements.
+        setup: The setup.
+        of_robot: Whether only errors of the robot count. Without a time an instrument
+            stands where it was when its drift began.
 
     Raises:
         InputError: If there are such.
     """
-    for condition, name in conditions_needed(setup.parameters).items():
+    names = setup.parameters
+    if of_robot:
+        names = tuple(name for name in names if name in beyond_geometry())
+    for condition, name in conditions_needed(names).items():
         for block in data.blocks:
             if len(block) and not len(getattr(block.conditions, condition)):
                 raise block.error(

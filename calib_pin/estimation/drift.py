@@ -52,7 +52,7 @@ KINDS = ("shift", "turn")
 def with_drift(
     chains: Chains, measurements: Observations, setup: Setup, seed: int
 ) -> Setup:
-    """The setup with the drift of the instruments that the measurements show.
+    """The setup with what it leaves to the measurements, and the drift they show.
 
     Args:
         chains: The nominal chains.
@@ -61,13 +61,13 @@ def with_drift(
         seed: Seed of the fit of an instrument that stands still.
 
     Raises:
-        InputError: If a measurement does not say when it was taken.
+        InputError: If a measurement does not state a condition that is needed.
     """
+    require_conditions(measurements, setup)
+    setup = at_conditions(chains, measurements, setup)
     unknown = [kind for kind in KINDS if getattr(setup.drift, kind) is None]
     if InstrumentDrift.name not in setup.parameters or not unknown:
         return setup
-    require_conditions(measurements, setup)
-    setup = at_conditions(chains, measurements, setup)
     still = _sized(setup.drift, dict.fromkeys(unknown, 0.0))
     plain = replace(setup, drift=still, learned=None)
     fitted = fit(make_problem(chains, measurements, plain), np.random.default_rng(seed))

@@ -36,6 +36,7 @@ from calib_pin.validation.findings.joint_offsets import joint_offset
 from calib_pin.validation.findings.joint_sets import joint_sets
 from calib_pin.validation.findings.joint_turns import joint_turns
 from calib_pin.validation.findings.line_order import line_order
+from calib_pin.validation.findings.modeled_drift import modeled_drift
 from calib_pin.validation.findings.moved_frames import move_findings
 from calib_pin.validation.findings.noise import noise
 from calib_pin.validation.findings.orientations import orientations
@@ -80,6 +81,7 @@ FACTS: tuple[Kind, ...] = (
     design,
     joint_turns,
     coarse_values,
+    modeled_drift,
 )
 """Faults in every fit that the measurements show whatever else is wrong."""
 

@@ -36,12 +36,14 @@ HARMONICS = 2
 
 @dataclass(frozen=True)
 class Transmission(Parameterization):
-    """`<joint>.transmission.gain|sin1|cos1|sin2|cos2`, and `motor_sin|motor_cos`.
+    """`<joint>.transmission.gain|sin1|cos1|sin2|cos2`, and of motors the same.
 
     `dq = gain q + sum_k (sin_k sin(k q) + cos_k cos(k q))`: a gear ratio or a scale
     that is off, an eccentric wheel or encoder (once per turn), an elliptic one (twice).
-    A motor behind a gear of ratio r adds the same once per turn of its own, r q. A
-    prismatic joint has no turn; it has the gain, and the motor's where r is given.
+    A motor behind a gear of ratio r adds the same once (`motor_sin`, `motor_cos`) and
+    twice (`motor_sin2`, `motor_cos2`) per turn of its own, r q: the wave generator of a
+    strain-wave gear is elliptic. A prismatic joint has no turn; it has the gain, and
+    the motor's where r is given.
     Mimic joints move with the errors of their leader, at its position.
 
     Attributes:
@@ -52,6 +54,7 @@ class Transmission(Parameterization):
     name = "transmission"
     geometric = False
     requires = ("gear_ratios",)
+    later: ClassVar[tuple[str, ...]] = ("motor_sin2", "motor_cos2")
     effects: ClassVar[Effects] = Effects(
         ("sin1", "cos1", "sin2", "cos2"), AMPLITUDE_SCALES["rad"]
     )
@@ -125,6 +128,7 @@ def _waves(revolute: bool, ratio: float | None) -> Iterator[tuple[str, float]]:
             yield f"{{}}{k}", float(k)
     if ratio is not None:
         yield "motor_{}", ratio
+        yield "motor_{}2", 2.0 * ratio
 
 
 def _ratios(stated: Mapping[str, float], joints: Sequence[str]) -> dict[str, float]:

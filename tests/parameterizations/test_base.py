@@ -29,7 +29,10 @@ COMPONENTS = {
     "dh": ["theta", "d", "a", "alpha", "beta"],
     "dh-full": ["theta", "d", "a", "alpha", "beta"],
     "joint-offset": ["q"],
-    "transmission": ["gain", "sin1", "cos1", "sin2", "cos2", "motor_sin", "motor_cos"],
+    "transmission": [
+        *("gain", "sin1", "cos1", "sin2", "cos2"),
+        *("motor_sin", "motor_cos", "motor_sin2", "motor_cos2"),
+    ],
     "compliance": ["k"],
     "cross-compliance": ["kx", "ky"],
     "thermal": ["growth"],
@@ -60,7 +63,7 @@ def test_what_the_user_states_reaches_the_parameterization(framed: Setup) -> Non
     names = [s.parameter.name for s in parameterization("transmission").screws(chain)]
     assert not any("motor" in name for name in names)
     with_motors = parameterization("transmission", framed).screws(chain)
-    assert len(with_motors) == len(names) + 2 * 6
+    assert len(with_motors) == len(names) + 4 * 6
     # Without the payload there is nothing to bend this robot.
     with pytest.raises(OptionError, match="no mass that loads a joint"):
         parameterization("compliance").screws(chain)

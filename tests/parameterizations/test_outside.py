@@ -56,7 +56,7 @@ def test_it_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
         assert "offset, poe; beyond" in " ".join(capsys.readouterr().out.split())
     assert main(["identify", "space6", "--model", "pose", "--parameters", "peo"]) == 1
     message = capsys.readouterr().err
-    assert "did you mean 'poe'?" in message and "compliance, poe" in message
+    assert "did you mean 'poe'?" in message and "instrument-drift, poe" in message
 
 
 @pytest.mark.parametrize(

@@ -44,6 +44,7 @@ from calib_pin.validation.findings.outliers import outliers
 from calib_pin.validation.findings.plausibility import plausibility
 from calib_pin.validation.findings.population import population
 from calib_pin.validation.findings.repetitions import repetitions
+from calib_pin.validation.findings.ripple import ripples
 from calib_pin.validation.findings.robot import robots
 from calib_pin.validation.findings.targets import targets
 from calib_pin.validation.findings.units import units, units_of_some
@@ -72,6 +73,7 @@ CONSEQUENCES: tuple[Kind, ...] = (
     outliers,
     noise,
     population,
+    ripples,
 )
 """Faults in every fit that may follow from another one, and then are not told."""
 

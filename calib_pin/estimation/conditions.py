@@ -11,7 +11,7 @@ from calib_pin.estimation.scopes import scopes
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models import declared
 from calib_pin.observations import Conditions, Observations
-from calib_pin.parameterizations import PARAMETERIZATIONS, beyond_geometry
+from calib_pin.parameterizations import PARAMETERIZATIONS, outside_urdf
 from calib_pin.parameterizations.drift import InstrumentDrift
 from calib_pin.parameterizations.thermal import REFERENCE, ThermalGrowth
 from calib_pin.setup import Setup
@@ -55,7 +55,7 @@ def require_conditions(
     """
     names = setup.parameters
     if of_robot:
-        names = tuple(name for name in names if name in beyond_geometry())
+        names = tuple(name for name in names if name in outside_urdf())
     for condition, name in conditions_needed(names).items():
         for block in data.blocks:
             if len(block) and not len(getattr(block.conditions, condition)):

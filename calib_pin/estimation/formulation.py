@@ -32,8 +32,8 @@ from calib_pin.observations import (
 )
 from calib_pin.parameterizations import (
     NOTHING,
-    beyond_geometry,
     frame_pose,
+    outside_urdf,
     required_keys,
 )
 from calib_pin.parameterizations.drift import InstrumentDrift
@@ -325,7 +325,7 @@ def geometric_setup(
         setup: Estimated and known quantities.
     """
     plain = replace(setup, learned=None)
-    beyond = beyond_geometry()
+    beyond = outside_urdf()
     names = tuple(name for name in setup.parameters if name not in beyond)
     if names == setup.parameters:
         return plain

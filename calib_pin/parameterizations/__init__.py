@@ -46,6 +46,7 @@ __all__ = [
     "frame_pose",
     "frame_screws",
     "frame_setup",
+    "outside_urdf",
     "parameterization",
     "required_keys",
 ]
@@ -83,11 +84,16 @@ def parameterization(name: str, setup: Setup | None = None) -> Parameterization:
     return PARAMETERIZATIONS[name].of_setup(setup or Setup())
 
 
-def beyond_geometry() -> tuple[str, ...]:
+def outside_urdf() -> tuple[str, ...]:
     """Names of the parameterizations that a URDF cannot hold."""
     return tuple(
         name for name, member in PARAMETERIZATIONS.items() if not member.geometric
     )
+
+
+def beyond_geometry() -> tuple[str, ...]:
+    """Those of them that are tried where a model is chosen by itself."""
+    return tuple(name for name in outside_urdf() if PARAMETERIZATIONS[name].tried)
 
 
 def required_keys(names: Iterable[str]) -> set[str]:

@@ -160,6 +160,7 @@ class Parameterization(ABC):
         effects: Components that act as random effects unless they are estimated.
         conditions: What the measurements must state, `temperature` or `time`, for the
             parameters to mean anything.
+        tried: Whether a model that is chosen by itself may have it.
         later: Components that older calibrations do not have; there they are zero.
     """
 
@@ -169,6 +170,7 @@ class Parameterization(ABC):
     requires: ClassVar[tuple[str, ...]] = ()
     effects: ClassVar[Effects | None] = None
     conditions: ClassVar[tuple[str, ...]] = ()
+    tried: ClassVar[bool] = True
     later: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls) -> None:

@@ -40,6 +40,7 @@ class CrossCompliance(Loads, Parameterization):
 
     name = "cross-compliance"
     geometric = False
+    tried = False
     effects: ClassVar[Effects] = Effects(("kx", "ky"), DEFLECTION)
 
     def screws(self, chain: Chain) -> Sequence[Screw]:

@@ -51,6 +51,7 @@ class ThermalGrowth(Parameterization):
     materials: Mapping[str, Sequence[str]] = field(default_factory=dict)
     name = "thermal"
     geometric = False
+    tried = False
     requires = ("thermal",)
     conditions: ClassVar[tuple[str, ...]] = ("temperature",)
 

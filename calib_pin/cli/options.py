@@ -148,8 +148,8 @@ Parameters = Annotated[
     robot(
         "--parameters P,...",
         "placement (default), link-transform, dh, dh-full, joint-offset{}; beyond "
-        "geometry transmission, compliance, cross-compliance, thermal{}; of the "
-        "instrument instrument-drift; several may be combined.",
+        "geometry transmission, compliance, motor-ripple, cross-compliance, thermal{}; "
+        "of the instrument instrument-drift; several may be combined.",
     ),
 ]
 

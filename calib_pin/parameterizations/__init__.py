@@ -28,7 +28,7 @@ from calib_pin.parameterizations.placement import (
     Placement,
 )
 from calib_pin.parameterizations.thermal import ThermalGrowth
-from calib_pin.parameterizations.transmission import Transmission
+from calib_pin.parameterizations.transmission import MotorRipple, Transmission
 from calib_pin.plugins import Members
 from calib_pin.setup import Setup
 
@@ -59,6 +59,7 @@ _BUNDLED: tuple[type[Parameterization], ...] = (
     JointOffset,
     Transmission,
     Compliance,
+    MotorRipple,
     CrossCompliance,
     ThermalGrowth,
     InstrumentDrift,

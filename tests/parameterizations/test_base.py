@@ -33,6 +33,7 @@ COMPONENTS = {
         *("gain", "sin1", "cos1", "sin2", "cos2"),
         *("motor_sin", "motor_cos", "motor_sin2", "motor_cos2"),
     ],
+    "motor-ripple": ["motor_sin", "motor_cos", "motor_sin2", "motor_cos2"],
     "compliance": ["k"],
     "cross-compliance": ["kx", "ky"],
     "thermal": ["growth"],
@@ -94,7 +95,7 @@ def test_names(
 ) -> None:
     chain = load_chain(robot, base=base, tip=tip)
     screws = parameterization(name, framed).screws(chain)
-    kind = "dh" if name == "dh-full" else name
+    kind = {"dh-full": "dh", "motor-ripple": "transmission"}.get(name, name)
     drifts = name == "instrument-drift"
     owners = ["base"] if drifts else [*chain.joints, chain.tip_joint]
     for screw in screws:

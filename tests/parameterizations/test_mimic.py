@@ -23,7 +23,8 @@ SETUP = Setup(
     gear_ratios={"*": -31.5},
 )
 MOTIONS = ("joint-offset", "transmission", "compliance")
-OWN = sorted(set(PARAMETERIZATIONS) - {*MOTIONS, "thermal", "instrument-drift"})
+OTHERS = ("motor-ripple", "thermal", "instrument-drift")
+OWN = sorted({*PARAMETERIZATIONS} - {*MOTIONS, *OTHERS})
 """Those that every joint has, whatever it follows and wherever it stands."""
 
 

@@ -47,7 +47,7 @@ from calib_pin.parameterizations import (
 from calib_pin.parameterizations.base import owner
 from calib_pin.parameterizations.compliance import Compliance
 from calib_pin.parameterizations.error_model import ErrorModel
-from calib_pin.parameterizations.transmission import Transmission
+from calib_pin.parameterizations.transmission import AMPLITUDE_SCALES, Transmission
 from calib_pin.setup import Setup
 
 SIGNIFICANT = 5.41
@@ -210,7 +210,7 @@ def candidates(problem: Problem) -> Systematic | None:
         errors=errors,
         names=tuple(found),
         sizes=np.array(list(found.values())),
-        gear=Transmission.effects.size,
+        gear=AMPLITUDE_SCALES["rad"],
         compliance=Compliance.effects.size,
         noise=np.ones(0),
     )

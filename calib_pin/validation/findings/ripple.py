@@ -16,7 +16,7 @@ import numpy as np
 
 from calib_pin.estimation.evidence import Finding
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.parameterizations.transmission import Transmission
+from calib_pin.parameterizations.transmission import MotorRipple, Transmission
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.quick_fit import QuickFit, Score
@@ -94,8 +94,8 @@ def ripples(case: Case) -> Iterator[Finding]:
         for one in found
     ]
     names = case.setup.parameters
-    if Transmission.name not in names:
-        names = (*names, Transmission.name)
+    if not {Transmission.name, MotorRipple.name}.intersection(names):
+        names = (*names, MotorRipple.name)
     lines = {
         "parameters": list(names),
         "gear_ratios": {**case.setup.gear_ratios, **ratios},
@@ -148,14 +148,11 @@ def ripple_of(fit: QuickFit, joint: str) -> Ripple | None:
     best = float(min(best, *(best + 0.25 * step * AROUND), key=left))
     whole = float(round(best))
     gained = np.log(left(whole) / max(left(best), 1e-300))
-    best = whole if 0.5 * fit.left * gained < EVEN else best
+    best = whole if 0.5 * _dof(fit) * gained < EVEN else best
     score = scores[best]
     # Effective length of the motion and width of the band, in waves.
     width = np.sqrt(4.0 * np.pi * np.var(q)) * (HIGHEST - lowest) / (2.0 * np.pi)
-    # What is left is no white noise where a model lacks something: a configuration
-    # counts as one value, whatever is measured there.
-    dof = fit.left * len(data) / max(len(layout.row), 1)
-    alone = max(score.left ** (0.5 * dof), 1e-300)
+    alone = max(_chance(fit, score), 1e-300)
     chance = min(1.0, width * alone * np.sqrt(max(-np.log(alone), 1.0)))
     return Ripple(
         joint=joint,
@@ -192,8 +189,22 @@ def _ratio(fit: QuickFit, found: Ripple) -> float:
     data, layout = fit.problem.data, fit.problem.layout
     column, half = data.joints.index(found.joint), 0.5 * found.frequency
     q, motion = data.q[layout.row, column], fit.by_joints[:, column]
-    seen = fit.score(_waves(q, motion, half)).chance < CHANCE
+    seen = _chance(fit, fit.score(_waves(q, motion, half))) < CHANCE
     return float(f"{half if seen else found.frequency:.4g}")
+
+
+def _dof(fit: QuickFit) -> float:
+    """Values that are left, a configuration counted as one whatever is measured there.
+
+    What a model lacks is no white noise: it moves all values of a configuration.
+    """
+    rows = len(fit.problem.layout.row)
+    return fit.left * len(fit.problem.data) / max(rows, 1)
+
+
+def _chance(fit: QuickFit, score: Score) -> float:
+    """Probability that one frequency explains so much by chance (F test)."""
+    return float(score.left ** (0.5 * _dof(fit)))
 
 
 def _waves(q: Floats, motion: Floats, frequency: float) -> Floats:

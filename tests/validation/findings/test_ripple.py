@@ -66,7 +66,7 @@ def test_a_strain_wave_gear_and_the_lines_that_describe_it() -> None:
     ratio = finding.setup["gear_ratios"]["joint_2"]
     assert ratio in (80.0, 160.0)
     lines = finding.setup
-    assert lines["parameters"] == ["placement", "transmission"]
+    assert lines["parameters"] == ["placement", "motor-ripple"]
     stated = replace(
         PLAIN, parameters=tuple(lines["parameters"]), gear_ratios=lines["gear_ratios"]
     )
@@ -134,7 +134,7 @@ def test_a_ripple_that_is_modeled_costs_no_accuracy() -> None:
         errors = []
         for stated in (finding.setup["gear_ratios"], {"joint_2": 80.0}):
             setup = replace(
-                PLAIN, parameters=("placement", "transmission"), gear_ratios=stated
+                PLAIN, parameters=("placement", "motor-ripple"), gear_ratios=stated
             )
             fit = calib_pin.calibrate(one.chain, one.data, setup, validate=False).model
             off = fit.predict(fit.theta, at) - at.values

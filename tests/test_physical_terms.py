@@ -14,11 +14,12 @@ import pytest
 from numpy.typing import NDArray
 
 import calib_pin
+from calib_pin.control.compensation import commands
 from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.observations import Conditions, Observations
 from calib_pin.setup import FrameSetup, Payload, Setup, ThermalSetup
 from calib_pin.simulation import draw_errors, simulate
@@ -142,3 +143,18 @@ def test_a_small_one_is_found_and_none_is_invented(term: str) -> None:
     # Chi-square of 5 to 12 values is above 3.5 deviations less than once in a hundred.
     invented = [significance(job(term, 0.0, 300 + seed)) > 3.5 for seed in range(40)]
     assert sum(invented) <= 2
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_commands_take_it_into_account(term: str) -> None:
+    """A calibrated robot goes where it shall, whatever bends under way."""
+    one = job(term, 1.0, 5)
+    chain = one.fitted(one.setup).of()
+    rng = np.random.default_rng(0)
+    q = 0.5 * one.chain.random_configurations(5, rng)
+    targets = one.chain.poses(q) @ chain.tool.homogeneous
+    found = commands(chain, targets, q, frame="base")
+    assert found.reached.all()
+    T = invert(chain.error.base.homogeneous) @ chain.poses(found.q)
+    np.testing.assert_allclose(T[:, :3, 3], targets[:, :3, 3], rtol=0, atol=1e-6)
+    assert np.abs(found.q - q).max() > 1e-5

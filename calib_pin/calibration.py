@@ -12,6 +12,8 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, nearest
+from calib_pin.estimation.conditions import require_conditions
+from calib_pin.estimation.drift import with_drift
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import chains_of, geometric_setup, make_parts
 from calib_pin.estimation.tip_accuracy import tip_accuracy
@@ -23,6 +25,7 @@ from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import ReadingSetup, Setup
 from calib_pin.validation.assessment import estimates, fitted_ranks, leverages
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.candidate_scores import USES
 from calib_pin.validation.findings import explained
 from calib_pin.validation.findings.case import NONE, Others
 from calib_pin.validation.held_out import HeldOut, check
@@ -30,7 +33,7 @@ from calib_pin.validation.joint_offsets import encoder_steps
 from calib_pin.validation.judgement import Judgement, judge, quantity_errors
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
-from calib_pin.validation.model_selection import USES, select_model
+from calib_pin.validation.model_selection import select_model
 from calib_pin.validation.result import CalibrationResult, UrdfResult
 from calib_pin.validation.robot_errors import robot_errors
 from calib_pin.validation.shared import breakdown
@@ -111,6 +114,9 @@ def calibrate(
     encoder_steps(setup, chains.joints)
     training, held, method = split(data, setup, further, holdout, seed)
     _require_ends(chains, setup, training, held)
+    setup = with_drift(chains, training, setup, seed)
+    if held is not None:
+        require_conditions(held, setup)
     share = 1.0 if held is not None or not validate else 1.0 / (1 + FOLDS)
     selected = None
 

@@ -41,8 +41,8 @@ LEG = 10
 def draw_errors(parameters: ParameterSet, rng: np.random.Generator) -> Floats:
     """True errors of a robot, uniform within plus and minus the scale, shape (P,).
 
-    Frames, planes and fixed parameters stay at zero, and no compliance or backlash is
-    negative: a joint neither rises under its load nor runs ahead.
+    Frames, planes and fixed parameters stay at zero, and no compliance, growth or
+    backlash is negative: a joint neither rises under its load nor runs ahead.
 
     Args:
         parameters: The parameters.
@@ -52,7 +52,10 @@ def draw_errors(parameters: ParameterSet, rng: np.random.Generator) -> Floats:
     drawn = rng.uniform(-1.0, 1.0, len(parameters)) * parameters.scales
     lagging = ".hysteresis.backlash"
     positive = np.array(
-        [p.unit in ("rad/Nm", "m/N") or p.name.endswith(lagging) for p in parameters],
+        [
+            p.unit in ("rad/Nm", "m/N", "1/K") or p.name.endswith(lagging)
+            for p in parameters
+        ],
         bool,
     )
     return np.where(moved, np.where(positive, np.abs(drawn), drawn), 0.0)

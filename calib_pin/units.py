@@ -13,6 +13,7 @@ DISPLAY = {
     "px": ("px", 1.0),
     "m/N": ("um/N", 1e6),
     "rad/Nm": ("urad/Nm", 1e6),
+    "1/K": ("um/(m K)", 1e6),
 }
 """Unit and factor that people read, by SI unit."""
 

@@ -46,6 +46,7 @@ from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
     DistanceSetup,
+    DriftSetup,
     FrameSetup,
     Payload,
     PlaneSetup,
@@ -137,7 +138,8 @@ def special_chain(request: pytest.FixtureRequest) -> Chain:
 def framed() -> Setup:
     """Frames that are estimated, two planes, a payload, and motors behind gears.
 
-    Gravity does not run along any axis, and what has no mass carries something.
+    Gravity does not run along any axis, what has no mass carries something, and the
+    instrument drifts for an hour.
     """
     return Setup(
         base_frame=FrameSetup((0.1, -0.2, 0.05), (0.3, -0.2, 0.4), estimate=True),
@@ -149,6 +151,7 @@ def framed() -> Setup:
         gravity=(1.0, -2.0, -9.5),
         payloads={"load": Payload(2.0, (0.05, -0.1, 0.2))},
         gear_ratios={"*": -31.5},
+        drift=DriftSetup({"base": (0.0, 3600.0)}, 1e-3, 1e-3),
     )
 
 

@@ -20,7 +20,8 @@ import calib_pin
 from calib_pin.errors import RobotError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.urdf import load_robot
-from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedModel

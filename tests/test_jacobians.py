@@ -16,7 +16,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
-from calib_pin.observations import BlockKey, Observations, Targets
+from calib_pin.observations import BlockKey, Conditions, Observations, Targets
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.setup import Setup
 from calib_pin.simulation import exact_at
@@ -102,7 +102,11 @@ def check_jacobian(problem: Problem, visited: Visited) -> None:
     for key in problem.parts:
         count = max(6, len(named_targets(problem, key)))
         q, target = visited(problem, theta, count, rng, key)
-        at.append(asked(problem, key, q, target))
+        held = Conditions(
+            temperature=rng.uniform(5.0, 45.0, len(q)),
+            time=rng.uniform(-600.0, 4200.0, len(q)),
+        )
+        at.append(asked(problem, key, q, target, held))
     # Measured values away from the prediction: the residual's own curvature counts.
     disturbed = []
     for part, data, _, _ in exact_at(problem, theta, *at).blocks:

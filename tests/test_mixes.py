@@ -23,8 +23,8 @@ from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_robot
 from calib_pin.io.urdf_tree import parse_robot
-from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import BlockKey, Observations

@@ -14,7 +14,7 @@ KNOWN = {
     "--solver": "estimation.solve:SOLVERS",
     "--loss": "estimation.robust.weights:LOSSES",
     "--learned": "residual_models:RESIDUAL_MODELS",
-    "--use": "validation.model_selection:USES",
+    "--use": "validation.candidate_scores:USES",
     "--criterion": "planning.criteria:CRITERIA",
     "--method": "planning.search:METHODS",
 }

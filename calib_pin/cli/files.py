@@ -17,8 +17,8 @@ from calib_pin.errors import (
 )
 
 if TYPE_CHECKING:
-    from calib_pin.kinematics.chain import Robot
     from calib_pin.kinematics.chains import Chains
+    from calib_pin.kinematics.robot import Robot
     from calib_pin.observations import BlockKey, Observations
     from calib_pin.setup import JointMap, Setup
     from calib_pin.validation.calibrated_model import CalibratedModel

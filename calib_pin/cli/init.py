@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from calib_pin.io.first_look import Joints, Look
     from calib_pin.io.foreign_headers import Foreign
     from calib_pin.io.table import Table
-    from calib_pin.kinematics.chain import Robot
+    from calib_pin.kinematics.robot import Robot
     from calib_pin.setup import Setup
 
 TOUCHES = ("fixed-point", "plane-contact", "sphere-contact")

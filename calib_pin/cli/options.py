@@ -148,7 +148,9 @@ Parameters = Annotated[
     robot(
         "--parameters P,...",
         "placement (default), link-transform, dh, dh-full, joint-offset{}; beyond "
-        "geometry transmission, compliance, hysteresis{}; several may be combined.",
+        "geometry transmission, compliance, hysteresis, motor-ripple, "
+        "cross-compliance, thermal{}; of the instrument instrument-drift; several may "
+        "be combined.",
     ),
 ]
 

@@ -136,7 +136,7 @@ def opened(
     from calib_pin.io.measured_columns import place_of
 
     if request.use is not None:
-        from calib_pin.validation.model_selection import USES
+        from calib_pin.validation.candidate_scores import USES
 
         require_known("use", request.use, USES)
     stated = open_setup(
@@ -211,7 +211,7 @@ def calibrated(
     """
     from calib_pin.calibration import calibrate
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
-    from calib_pin.validation.model_selection import USES
+    from calib_pin.validation.candidate_scores import USES
 
     request, files = opened.request, opened.files
     shown = (files is not None and page) or bool(pictures)

@@ -13,7 +13,7 @@ from calib_pin.cli.printing import Bar, notice
 from calib_pin.errors import OptionError, require_known
 
 if TYPE_CHECKING:
-    from calib_pin.kinematics.chain import Robot
+    from calib_pin.kinematics.robot import Robot
     from calib_pin.kinematics.shapes import Shape
     from calib_pin.planning.plan import Plan
     from calib_pin.planning.suggestions import Suggestion

@@ -62,7 +62,8 @@ def asked(
         q: Positions of all joints, shape (K, n) [rad, m].
         target: Target of each.
         conditions: What holds at each. Where it states none the payloads are
-            `payloads_in_turn`, and joints come as from one to the next.
+            `payloads_in_turn`, joints come as from one to the next, and temperatures
+            and times are spread over those of the measurements.
         start: Start configurations of relative measurements, shape (K, n) [rad, m];
             default the configuration before each.
     """
@@ -73,12 +74,33 @@ def asked(
         conditions = replace(conditions, payload=Labels.of(names))
     if not conditions.direction.size:
         conditions = replace(conditions, direction=approached(q), source="order")
+    conditions = _as_measured(problem, key, conditions, len(q))
     return Configurations(
         key,
         q,
         Labels.of(target),
         conditions,
         np.zeros((0, 0)) if start is None else start,
+    )
+
+
+def _as_measured(
+    problem: Problem, key: BlockKey, conditions: Conditions, count: int
+) -> Conditions:
+    """Conditions with temperatures and times as the measurements of a block have."""
+    blocks = [block.conditions for block in problem.data.blocks if block.key == key]
+    if not blocks:
+        return conditions
+
+    def spread(known: Floats) -> Floats:
+        rows = np.linspace(0.0, max(len(known) - 1.0, 0.0), count).astype(np.intp)
+        return known[rows] if len(known) else known
+
+    temperature, time = conditions.temperature, conditions.time
+    return replace(
+        conditions,
+        temperature=temperature if len(temperature) else spread(blocks[0].temperature),
+        time=time if len(time) else spread(blocks[0].time),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from typing import Protocol, Self
 
@@ -16,8 +16,13 @@ from calib_pin.estimation.model import (
     whitened,
     whitened_jacobian,
 )
+from calib_pin.estimation.segments import compilable
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Linearization
+from calib_pin.parameterizations.error_model import flexures
+
+PIECE = 4096
+"""Measurements whose Jacobian is held at once, where there are very many."""
 
 
 class Evaluator(Protocol):
@@ -123,12 +128,78 @@ class RowByRow:
         return [(r, J.reshape(-1, len(part.index)))]
 
 
+class InPieces:
+    """Very many measurements of a block by Pinocchio, some thousand at a time.
+
+    Compiled kernels know nothing of places that bend row by row. It takes its time, and
+    no more memory than a piece.
+
+    Args:
+        block: The block.
+        sigma: Standard deviations of the residual components of all blocks of the
+            problem, shape (M,).
+    """
+
+    def __init__(self, block: Block, sigma: Floats) -> None:
+        """Cut the measurements into pieces."""
+        self._pieces = []
+        for start in range(0, len(block.data), PIECE):
+            data = block.data.rows(slice(start, start + PIECE))
+            first = block.values.start + start * block.part.components
+            stop = first + len(data) * block.part.components
+            piece = block._replace(data=data, values=slice(first, stop))
+            self._pieces.append(RowByRow(piece, sigma))
+
+    def weighted(self, sigma: Floats) -> InPieces:
+        """The same with other standard deviations of all blocks, shape (M,)."""
+        result = copy.copy(self)
+        result._pieces = [piece.weighted(sigma) for piece in self._pieces]
+        return result
+
+    def about(self, blocks: Sequence[Block]) -> InPieces | None:
+        """Nothing: there is nothing prepared that would be worth keeping."""
+        return None
+
+    def errors(self, theta: Floats) -> list[Floats]:
+        """Residuals in their units, shape (N, d)."""
+        return [np.concatenate([piece.errors(theta)[0] for piece in self._pieces])]
+
+    def square(self, theta: Floats) -> float:
+        """Sum of squares of the whitened residuals."""
+        return sum((piece.square(theta) for piece in self._pieces), 0.0)
+
+    def normal(self, theta: Floats) -> list[Floats]:
+        """Products of the columns of Jacobian and residual, (p + 1, p + 1)."""
+        first, *others = self._pieces
+        (total,) = first.normal(theta)
+        for piece in others:
+            total += piece.normal(theta)[0]
+        return [total]
+
+    def factorize(self, theta: Floats) -> list[tuple[Floats, Floats]]:
+        """Residual, shape (M,), and Jacobian, shape (M, p), of a smaller system."""
+        R: Floats | None = None
+        for piece in self._pieces:
+            ((r, J),) = piece.factorize(theta)
+            rows = np.column_stack([J, r])
+            rows = rows if R is None else np.concatenate([R, rows])
+            R = np.asarray(np.linalg.qr(rows, mode="r"))
+        assert R is not None
+        return [(R[:, -1], R[:, :-1])]
+
+
+def compiled(evaluators: Iterable[Evaluator]) -> bool:
+    """Whether compiled kernels are among some evaluators."""
+    return not all(isinstance(one, RowByRow | InPieces) for one in evaluators)
+
+
 def evaluated(
     blocks: Sequence[Block], sigma: Floats, many: bool
 ) -> dict[Evaluator, list[int]]:
     """Evaluators, with the positions of the blocks of each.
 
-    Compiled kernels take measurements that are many and that they can evaluate.
+    Compiled kernels take measurements that are many and that they can evaluate. Where
+    places bend row by row, Pinocchio takes them piece by piece.
 
     Args:
         blocks: The blocks.
@@ -141,10 +212,15 @@ def evaluated(
 
     found: dict[object, list[int]] = {}
     for k, block in enumerate(blocks):
-        plain = block.part.error.learned is None and not block.data.start.size
+        plain = compilable(block.part.error) and not block.data.start.size
         found.setdefault(alike(block.part) if plain else k, []).append(k)
+
+    def alone(block: Block) -> RowByRow | InPieces:
+        bent = len(flexures(block.part.error)) and len(block.data) > PIECE
+        return (InPieces if bent else RowByRow)(block, sigma)
+
     return {
-        RowByRow(blocks[positions[0]], sigma)
+        alone(blocks[positions[0]])
         if isinstance(kind, int)
         else ManyRows([blocks[k] for k in positions], sigma): positions
         for kind, positions in found.items()

@@ -11,6 +11,12 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import OptionError, enumerated, nearest, stated_in
+from calib_pin.estimation.conditions import (
+    at_conditions,
+    require_conditions,
+    station_of,
+    usual_conditions,
+)
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.scopes import prefixed, scopes
 from calib_pin.estimation.system import Part, assembled
@@ -20,7 +26,6 @@ from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import (
     BlockKey,
-    Conditions,
     Labels,
     Measurements,
     Observations,
@@ -28,10 +33,11 @@ from calib_pin.observations import (
 from calib_pin.parameterizations import (
     NOTHING,
     frame_pose,
-    is_geometric,
     needed_conditions,
+    outside_urdf,
     required_keys,
 )
+from calib_pin.parameterizations.drift import InstrumentDrift
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameters import ParameterSet, matching
 from calib_pin.setup import WORLD, PopulationPrior, Setup
@@ -51,7 +57,9 @@ def make_problem(
     data = Observations.of(data)
     chains = chains_of(chains, data)
     _require_payloads(data, setup)
+    require_conditions(data, setup)
     _require_directions(data, setup)
+    setup = at_conditions(chains, data, setup)
     targets = {block.key: block.target.distinct for block in data.blocks}
     parts, given = make_parts(chains, targets, setup)
     setup = _with_prior(chains, given, setup)
@@ -107,11 +115,16 @@ def make_parts(
     parts = []
 
     @cache
-    def created(chain: str, base: bool, tool: bool) -> ErrorModel:
+    def created(chain: str, base: bool, tool: bool, drifting: str) -> ErrorModel:
+        kinds: tuple[str, ...] = setup.parameters if chain != WORLD else ()
+        if chain == WORLD and InstrumentDrift.name in setup.parameters:
+            kinds = (InstrumentDrift.name,)
+        span = setup.drift.spans.get(drifting)
+        drift = replace(setup.drift, spans={"base": span} if span else {})
         return ErrorModel.create(
             chains[chain],
-            setup.parameters if chain != WORLD else (),
-            setup=setup,
+            kinds,
+            setup=replace(setup, drift=drift),
             estimate_base=base,
             estimate_tool=tool,
         )
@@ -120,8 +133,10 @@ def make_parts(
         base, tool = scope.base.estimate, scope.end.estimate
         base = scope.station in outside if base is None else base
         tool = scope.tool in looked_at if tool is None else tool
+        drifting = station_of(scope.station) if scope.station in outside else ""
         with stated_in(setup.file):
-            error = _on_tool(created(key.chain, base, tool), scope.offset)
+            error = created(key.chain, base, tool, drifting)
+            error = _on_tool(error, scope.offset)
         columns, index = chains.columns(key.chain), np.zeros(0, np.intp)
         parts.append(Part(error, models[key], key, scope, columns, index))
     return assembled(prefixed(parts))
@@ -153,12 +168,13 @@ def _require_own_loads(chains: Chains, setup: Setup) -> None:
     moving = [chains[name].joints for name in chains.names if chains[name].joints]
     counts = Counter(joint for joints in moving for joint in joints)
     shared = [joint for joint, count in counts.items() if count > 1]
-    if shared and "compliance" in setup.parameters:
+    loaded = [n for n in setup.parameters if "payloads" in required_keys([n])]
+    if shared and loaded:
         raise OptionError(
             f"joint '{shared[0]}' is part of several chains: its torque depends on all "
             "of them",
             file=setup.file or None,
-            value="compliance",
+            value=loaded[0],
             allowed="other parameters, or one chain",
         )
 
@@ -200,7 +216,11 @@ def nominal_problem(
                 q=zeros,
                 values=np.zeros((count, model.width)),
                 target=Labels.of(targets * len(payloads)),
-                conditions=Conditions(carried, zeros.astype(np.int8)),
+                conditions=replace(
+                    usual_conditions(setup, count),
+                    payload=carried,
+                    direction=zeros.astype(np.int8),
+                ),
                 start=zeros if model.declaration.relative else np.zeros((0, 0)),
                 **key._asdict(),
             )
@@ -327,7 +347,8 @@ def geometric_setup(
         setup: Estimated and known quantities.
     """
     plain = replace(setup, learned=None)
-    names = tuple(filter(is_geometric, setup.parameters))
+    beyond = outside_urdf()
+    names = tuple(name for name in setup.parameters if name not in beyond)
     if names == setup.parameters:
         return plain
     return with_parameters(chains, measurements, plain, names)

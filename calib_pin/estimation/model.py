@@ -19,7 +19,7 @@ from calib_pin.observations import (
     Measurements,
     Targets,
 )
-from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.parameterizations.error_model import ErrorModel, varying
 from calib_pin.parameterizations.linearization import PoseLinearization
 
 
@@ -224,8 +224,9 @@ class Model:
             ),
             measurement=self.measurement.rebased(instrument),
         )
-        nuisance = np.append(error.parameters.nuisance, np.ones(len(instrument), bool))
-        return moved, np.where(nuisance, 0.0, theta)
+        referred = np.append(error.parameters.nuisance, np.ones(len(instrument), bool))
+        referred[varying(error)] = False
+        return moved, np.where(referred, 0.0, theta)
 
 
 def whitened_jacobian(

@@ -13,7 +13,7 @@ from calib_pin.compiled.blocks import motions
 from calib_pin.compiled.threads import Threads
 from calib_pin.estimation.measured import Block
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.segments import Segments
+from calib_pin.estimation.segments import Segments, compilable
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Batch, BatchedModel
 from calib_pin.observations import Conditions
@@ -31,7 +31,8 @@ class PopulationCost:
 
     Attributes:
         evaluator: `kernel`, or `loop` where the members are evaluated one by one: the
-            measurement model has no batch form, or something was learned.
+            measurement model has no batch form, something was learned, or places of
+            the chain bend row by row.
 
     Examples:
         >>> import numpy as np, calib_pin
@@ -55,14 +56,14 @@ class PopulationCost:
         for block in problem.blocks:
             measurement = block.part.measurement
             batches: Sequence[Batch] = []
-            if block.part.error.learned is None and isinstance(
-                measurement, BatchedModel
-            ):
+            error = block.part.error
+            if compilable(error) and isinstance(measurement, BatchedModel):
                 weights = 1.0 / block.table(problem.sigma)
                 batches = measurement.batches(block.data, weights)
             if not batches:
                 self.evaluator = "loop"
-            segments = Segments.of(block.part.error)
+                continue
+            segments = Segments.of(error)
             self._parts += [_Part(block, segments, batch) for batch in batches]
 
     def __call__(self, theta: Floats) -> Floats:

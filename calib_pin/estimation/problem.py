@@ -260,7 +260,11 @@ class Problem(Measured):
     def _priors(self) -> Priors:
         prior, parameters = self.setup.prior, self.parameters
         if isinstance(prior, PopulationPrior):
-            return Priors.together(prior, parameters)
+            together = Priors.together(prior, parameters)
+            # A fleet says nothing of how an instrument drifts.
+            own = np.where(parameters.nuisance, parameters.priors, np.inf)
+            alone = Priors.alone(np.where(parameters.free, own, np.inf))
+            return Priors(np.vstack([together.rows, alone.rows]), together.mean)
         return Priors.alone(np.where(parameters.free, parameters.priors, np.inf))
 
     @property

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations import Screw
-from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.parameterizations.error_model import ErrorModel, flexures
 from calib_pin.parameterizations.linearization import ordered_screws
 
 Factor: TypeAlias = "pin.SE3 | tuple[int, float]"
@@ -51,7 +51,9 @@ class Segments:
 
     @staticmethod
     def of(model: ErrorModel) -> Segments:
-        """The segments of an error model."""
+        """The segments of an error model without bends, see `compilable`."""
+        if len(flexures(model)):
+            raise ValueError("a segment cannot bend row by row")
         constants: list[pin.SE3] = []
         screws: list[Screw] = []
         order: list[int] = []
@@ -108,6 +110,14 @@ class Segments:
             rows = slice(6 * screw.frame, 6 * screw.frame + 6)
             result[rows, self.parameter[k]] = column
         return result
+
+
+def compilable(model: ErrorModel) -> bool:
+    """Whether nothing but the joints' own motions changes row by row.
+
+    Compiled kernels know corrections of these alone.
+    """
+    return model.learned is None and len(flexures(model)) == 0
 
 
 def _split(model: ErrorModel) -> Iterator[list[Factor]]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from calib_pin.errors import require_known, stated_in
 from calib_pin.estimation.directions import Directions
+from calib_pin.estimation.evaluators import compiled
 from calib_pin.estimation.problem import SAMPLE, Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import states_sigmas
@@ -135,7 +136,9 @@ class Solver:
                 scales * directions.nuisances,
                 scales * directions.robot,
             )
-            return Solution(result, "kernel" if problem.many else "pinocchio")
+            return Solution(
+                result, "kernel" if compiled(problem.evaluators) else "pinocchio"
+            )
         searches = self.searches and directions.count > 0
         if self.name == "de" and searches:
             return self._evolve(problem, directions, nominal, start)
@@ -193,7 +196,7 @@ def descend(problem: Problem, directions: Directions, start: Floats) -> Solution
     """Gauss-Newton in some directions from a start, shape (P,)."""
     basis = problem.parameters.scales[:, None] * directions.basis
     result = least_squares(problem, start, basis)
-    return Solution(result, "kernel" if problem.many else "pinocchio")
+    return Solution(result, _evaluator(problem))
 
 
 def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquaresResult:
@@ -240,6 +243,11 @@ def refine(
         spare=problem.many,
         complete=problem.completed,
     )
+
+
+def _evaluator(problem: Problem) -> str:
+    """What evaluates the measurements."""
+    return "kernel" if compiled(problem.evaluators) else "pinocchio"
 
 
 def _box(problem: Problem, directions: Directions, nominal: Floats) -> Floats:

@@ -24,6 +24,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.references import ReferenceObject
 from calib_pin.observations import BlockKey, Indices, Measurements
+from calib_pin.parameterizations.error_model import varying
 from calib_pin.parameters import Parameter, ParameterSet
 from calib_pin.setup import FrameSetup
 
@@ -89,6 +90,11 @@ class Part(Model):
             for k in range(start, start + FRAME):
                 component = own[k].name.rpartition(".")[2]
                 result[k] = replace(own[k], name=f"{name}.{component}")
+        for k, screw in enumerate(self.error.screws[FRAME:-FRAME], start=FRAME):
+            if screw.frame == 0:  # Of the instrument, as the frame of its station.
+                station = self.scope.station.rpartition(".")[0]
+                rest = own[k].name.partition(".")[2]
+                result[k] = replace(own[k], name=f"{station}.{rest}")
         for reference in self.measurement.references:
             name, length = self.scope.reference(reference), len(reference.name)
             result += [
@@ -186,7 +192,16 @@ class System:
         parts = {
             key: part.rebased(theta[part.index])[0] for key, part in self.parts.items()
         }
-        return self.with_parts(parts), np.where(self.given.nuisance, 0.0, theta)
+        return self.with_parts(parts), np.where(self.referred, 0.0, theta)
+
+    @cached_property
+    def referred(self) -> NDArray[np.bool_]:
+        """True for frames and instruments, whose values references hold, (P,)."""
+        result = self.given.nuisance.copy()
+        for part in self.parts.values():
+            # How an instrument drifts belongs to no reference.
+            result[part.index[varying(part.error)]] = False
+        return result
 
     def predict(self, theta: Floats, at: Configured) -> Floats:
         """Noise-free values in the layout of `Measurements.values`, shape (N, D).
@@ -267,11 +282,12 @@ def assembled(parts: Sequence[Part]) -> tuple[dict[BlockKey, Part], ParameterSet
                 group.setdefault(parameter.name, parameter)
         for screw in part.error.screws[FRAME:-FRAME]:
             name = screw.parameter.name
-            # Joints that mimic one another each have a motion of their own.
+            # Joints that mimic one another each have a motion of their own, and several
+            # may share a parameter that bends them.
             joint = (*part.error.chain.joints, "")[screw.frame - 1]
-            key = name, joint if joint in part.error.chain.mimics else ""
-            other = twists.setdefault(key, screw.twist)
-            if screw.basis is None and np.abs(screw.twist - other).max() > 1e-9:
+            own = joint in part.error.chain.mimics or screw.basis is not None
+            other = twists.setdefault((name, joint if own else ""), screw.twist)
+            if np.abs(screw.twist - other).max() > 1e-9:
                 raise OptionError(
                     f"'{name}' is another motion in the chain '{part.key.chain}' than "
                     "in one before it",

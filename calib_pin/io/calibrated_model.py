@@ -123,7 +123,8 @@ def model_of(document: Json, chains: Chains) -> CalibratedModel:
             if (list(part.measurement.targets) or [""]) != blocks[part.key]:
                 raise ValueError("'measurements' have other targets than their model")
     theta = given.vector({name: values.get(name, 0.0) for name in given.names})
-    theta[given.nuisance] = 0.0  # The frames hold these.
+    # The frames hold these.
+    theta[System(chains, parts, given).referred] = 0.0
     return CalibratedModel(
         chains=chains,
         parts=_placed(parts, given, document["frames"], theta),
@@ -241,7 +242,7 @@ def _parts(
         count = count_without_instruments(System(chains, parts, given))
         instrument = given.names[count:]
         names = [name for name in values if name not in instrument]
-        if names == list(given.names[:count]):
+        if names == [n for n in given.names[:count] if n in values or not _later(n)]:
             return parts, given
     raise ValueError("the parameters are not those of this chain, in their order")
 
@@ -324,6 +325,13 @@ def _orders(names: Iterable[str]) -> Iterator[tuple[str, ...]]:
     # Several parameterizations may share a kind of parameters.
     for members in product(*filter(None, kinds)):
         yield from permutations(members)
+
+
+def _later(name: str) -> bool:
+    """Whether older calibrations do not have a parameter of the robot."""
+    _, kind, component = name.rsplit(".", 2)
+    members = (one for one in PARAMETERIZATIONS.values() if one.kind == kind)
+    return any(component in member.later for member in members)
 
 
 def _kind(name: str) -> str:

@@ -18,9 +18,10 @@ from calib_pin.io.packages import locate_mesh
 from calib_pin.io.urdf import locate_robot
 from calib_pin.io.urdf_bytes import parse_document
 from calib_pin.io.urdf_tree import captured_stderr
-from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.collision import Collisions
+from calib_pin.kinematics.robot import Robot
 from calib_pin.setup import Obstacle
 
 CLEARANCE = 0.01

@@ -9,7 +9,7 @@ from math import inf
 
 from calib_pin.io.first_look import Look
 from calib_pin.io.setup import setup_document, yaml_text
-from calib_pin.kinematics.chain import Robot
+from calib_pin.kinematics.robot import Robot
 from calib_pin.measurement_models import declared
 from calib_pin.units import DISPLAY
 

@@ -27,8 +27,9 @@ from calib_pin.io.foreign_headers import (
 )
 from calib_pin.io.measured_columns import reserved
 from calib_pin.io.measurements import read_measurements
-from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.tree import turns
 from calib_pin.observations import Observations
 from calib_pin.setup import Setup

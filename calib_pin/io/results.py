@@ -49,8 +49,9 @@ from calib_pin.io.straightening import straight_source
 from calib_pin.io.urdf import corrected_urdf, locate_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.io.xacro_files import is_xacro
-from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.robot import Robot
 from calib_pin.residual_models import LearnedCorrection, restore
 from calib_pin.residual_models.documents import numbers
 from calib_pin.validation.calibrated_model import CalibratedModel

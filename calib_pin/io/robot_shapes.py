@@ -15,7 +15,7 @@ from calib_pin.io.meshes import MeshReader
 from calib_pin.io.packages import locate_mesh
 from calib_pin.io.urdf import locate_robot
 from calib_pin.io.urdf_bytes import parse_document
-from calib_pin.kinematics.chain import Robot
+from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import (
     Color,
     Shape,

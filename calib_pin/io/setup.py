@@ -274,7 +274,7 @@ def _check_joints(tree: Tree, setup: Setup) -> None:
 
 def _check_names(tree: Tree, setup: Setup) -> None:
     from calib_pin.observations import AT
-    from calib_pin.parameterizations.compliance import NOTHING
+    from calib_pin.parameterizations import NOTHING
 
     for key in ("planes", "targets", "sockets", "spheres", "anchors"):
         for name in getattr(setup, key):

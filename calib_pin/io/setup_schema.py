@@ -15,6 +15,7 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.setup import (
+    ConditionSetup,
     FitSetup,
     Frames,
     FrameSetup,
@@ -110,7 +111,13 @@ class FrameKeys(Section):
 
 @dataclass(frozen=True)
 class SetupFile(
-    StudySetup, PlanSetup, FitSetup, MeasurementSetup, FrameKeys, RobotSetup
+    StudySetup,
+    PlanSetup,
+    ConditionSetup,
+    FitSetup,
+    MeasurementSetup,
+    FrameKeys,
+    RobotSetup,
 ):
     """A setup file of calib-pin.
 

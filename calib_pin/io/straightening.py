@@ -24,7 +24,7 @@ from calib_pin.errors import RobotError, enumerated
 from calib_pin.io.urdf_bytes import Document, Element, parse_document
 from calib_pin.io.urdf_origins import move_origins, read_origin
 from calib_pin.io.urdf_tree import parse_robot
-from calib_pin.kinematics.chain import Robot
+from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 
 TURNING = ("revolute", "continuous")

@@ -17,8 +17,9 @@ from calib_pin.io.straightening import straightened
 from calib_pin.io.urdf_origins import edit_origins
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.io.xacro_files import expand_xacro, is_xacro, split_arguments
-from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.robot import Robot
 from calib_pin.setup import ChainSetup
 
 _EXAMPLE = "example:"

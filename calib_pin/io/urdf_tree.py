@@ -15,8 +15,8 @@ import pinocchio as pin
 from calib_pin.errors import enumerated, nearest
 from calib_pin.io.urdf_bytes import Document, Element, parse_document
 from calib_pin.io.urdf_origins import read_origin
-from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.joint_space import Mimic
+from calib_pin.kinematics.robot import Robot
 
 _TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SINGLE = ("revolute", "continuous", "prismatic")

@@ -13,16 +13,23 @@ errors `M_j Exp(xi_j)`. Joints above the common ancestor cancel and are locked.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
-from calib_pin.errors import RobotError, nearest
-from calib_pin.kinematics.gravity import Body, body, gravity_torques
-from calib_pin.kinematics.joint_space import JointSpace, Mimic
+from calib_pin.errors import RobotError
+from calib_pin.kinematics.gravity import (
+    Body,
+    body,
+    gravity_moments,
+    gravity_torques,
+)
+from calib_pin.kinematics.joint_space import JointSpace
+from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.kinematics.tree import (
     LINK,
@@ -33,36 +40,8 @@ from calib_pin.kinematics.tree import (
 )
 from calib_pin.setup import Payload
 
-
-@dataclass(frozen=True)
-class Robot:
-    """A URDF as it was read.
-
-    Attributes:
-        name: Name in the `<robot>` element.
-        file: Path or bundled name the robot was read from, for messages.
-        source: The bytes of the URDF.
-        model: Pinocchio model of the whole tree.
-        root: Name of the root link.
-        links: Names of all links, in the order of the file.
-        leaves: Names of the links without children.
-        fixed_parents: For each link that hangs on a fixed joint, that joint's name.
-        refused: Joints that a chain cannot contain, each with the reason.
-        mimics: The other mimic joints, each with the driven joint that it follows.
-        remarks: Sentences about the robot being other than its file.
-    """
-
-    name: str
-    file: str
-    source: bytes
-    model: pin.Model
-    root: str
-    links: tuple[str, ...]
-    leaves: tuple[str, ...]
-    fixed_parents: Mapping[str, str] = field(default_factory=dict)
-    refused: Mapping[str, str] = field(default_factory=dict)
-    mimics: Mapping[str, Mimic] = field(default_factory=dict)
-    remarks: tuple[str, ...] = ()
+Placement: TypeAlias = "pin.SE3 | Floats"
+"""Placement of a joint: one, or one of each configuration, shape (N, 4, 4)."""
 
 
 class Chain:
@@ -107,17 +86,8 @@ class Chain:
     ) -> None:
         """Find the path and build the reduced Pinocchio model."""
         self.robot = robot
-        self.base = _link(robot, robot.root if base is None else base, "base")
-        if tip is None:
-            leaves = [leaf for leaf in robot.leaves if leaf != self.base]
-            if len(leaves) != 1:
-                raise RobotError(
-                    f"the robot has {len(leaves)} possible tips, name one with --tip",
-                    file=robot.file,
-                    allowed=", ".join(leaves) or None,
-                )
-            tip = leaves[0]
-        self.tip = _link(robot, tip, "tip")
+        self.base = robot.link(robot.root if base is None else base, "base")
+        self.tip = robot.link(robot.only_tip(self.base) if tip is None else tip, "tip")
 
         full = robot.model
         up = support(full, self.base)
@@ -179,12 +149,13 @@ class Chain:
             robot.fixed_parents[self.tip] if path and on_path else None
         )
 
-    def poses(self, q: Floats, placements: Sequence[pin.SE3] | None = None) -> Floats:
+    def poses(self, q: Floats, placements: Sequence[Placement] | None = None) -> Floats:
         """Tip poses in the base frame.
 
         Args:
             q: Joint positions, shape (N, n) [rad, m].
             placements: Joint placements in chain order; default the nominal ones.
+                One of each configuration, shape (N, 4, 4), where they differ.
 
         Returns:
             `T_base_tip`, shape (N, 4, 4).
@@ -192,13 +163,13 @@ class Chain:
         return self._sweep(q, placements, pin.forwardKinematics)
 
     def regressor(
-        self, q: Floats, placements: Sequence[pin.SE3] | None = None
+        self, q: Floats, placements: Sequence[Placement] | None = None
     ) -> tuple[Floats, Floats]:
         """Tip poses and their derivative by right-multiplied placement errors.
 
         Args:
             q: Joint positions, shape (N, n) [rad, m].
-            placements: Joint placements in chain order; default the nominal ones.
+            placements: As for `poses`.
 
         Returns:
             `T_base_tip`, shape (N, 4, 4), and R, shape (N, 6, 6 n): the body twist of
@@ -214,7 +185,7 @@ class Chain:
         return T, R[:, :, self._columns]
 
     def jacobian(
-        self, q: Floats, placements: Sequence[pin.SE3] | None = None
+        self, q: Floats, placements: Sequence[Placement] | None = None
     ) -> tuple[Floats, Floats]:
         """Tip poses and their derivative by the joint positions.
 
@@ -222,7 +193,7 @@ class Chain:
 
         Args:
             q: Joint positions, shape (N, n) [rad, m].
-            placements: Joint placements in chain order; default the nominal ones.
+            placements: As for `poses`.
 
         Returns:
             `T_base_tip`, shape (N, 4, 4), and body twists of the tip, (N, 6, n).
@@ -260,6 +231,29 @@ class Chain:
         """
         if not self.joints:
             return np.zeros((len(q), 0))
+        order, loaded = self._loaded(q, gravity, payload)
+        return np.ascontiguousarray(gravity_torques(*loaded)[order].T)
+
+    def gravity_moments(
+        self, q: Floats, gravity: Sequence[float], payload: Payload | None = None
+    ) -> Floats:
+        """Moments of gravity about the joints, in the frames before they move.
+
+        Arguments as for `gravity_torques`.
+
+        Returns:
+            Moments, shape (N, n, 3) [Nm].
+        """
+        if not self.joints:
+            return np.zeros((len(q), 0, 3))
+        order, loaded = self._loaded(q, gravity, payload)
+        moments = gravity_moments(*loaded)[order]
+        return np.ascontiguousarray(moments.transpose(2, 0, 1))
+
+    def _loaded(
+        self, q: Floats, gravity: Sequence[float], payload: Payload | None
+    ) -> tuple[NDArray[np.intp], tuple[Sequence[Body], Floats, Floats]]:
+        """Places of the joints in the tree; bodies, positions and gravity there."""
         bodies, tip = list(self._bodies), self._model.frames[self._tip_id]
         if payload is not None and tip.parentJoint:
             one = bodies[tip.parentJoint - 1]
@@ -272,8 +266,7 @@ class Chain:
         order = np.array(self._ids) - 1
         positions[order] = q.T
         root = self._base_at_zero.rotation @ np.asarray(gravity, float)
-        torques = gravity_torques(bodies, positions, root)
-        return np.ascontiguousarray(torques[order].T)
+        return order, (bodies, positions, root)
 
     def joint_frames(self) -> Floats:
         """Joint frames in the base frame at zero joint positions, shape (n, 4, 4)."""
@@ -321,7 +314,7 @@ class Chain:
     def _differentiate(
         self,
         q: Floats,
-        placements: Sequence[pin.SE3] | None,
+        placements: Sequence[Placement] | None,
         width: int,
         prepare: Callable[..., object],
         of_frame: Callable[..., Floats],
@@ -355,19 +348,21 @@ class Chain:
     def _sweep(
         self,
         q: Floats,
-        placements: Sequence[pin.SE3] | None,
+        placements: Sequence[Placement] | None,
         prepare: Callable[..., object],
         fill: Callable[[int], None] | None = None,
     ) -> Floats:
         """Tip poses in the base frame; `fill` is called at each configuration."""
         model, data, place = self._model, self._data, pin.updateFramePlacement
         tip_id, base_id = self._tip_id, self._base_id
-        self._place(placements)
+        varied = self._place(placements)
         tip = np.empty((len(q), 4, 4))
         # Without a joint between them the base stands still in the root.
         bases = len(q) if self.reversed.any() else min(len(q), 1)
         base = np.empty((bases, 4, 4))
         for i, configuration in enumerate(self._configurations(q)):
+            for joint, of_rows in varied:
+                model.jointPlacements[joint] = pin.SE3(of_rows[i])
             prepare(model, data, configuration)
             tip[i] = place(model, data, tip_id).homogeneous
             if i < bases:
@@ -382,18 +377,15 @@ class Chain:
         # With a single degree of freedom Pinocchio returns a plain vector.
         return np.asarray(J.reshape(6, -1)[:, self._model.idx_vs[joint]])
 
-    def _place(self, placements: Sequence[pin.SE3] | None) -> None:
+    def _place(
+        self, placements: Sequence[Placement] | None
+    ) -> Sequence[tuple[int, Floats]]:
+        """Place all joints; those are returned that stand elsewhere row by row."""
         chosen = self.placements if placements is None else placements
+        varied = []
         for joint, placement in zip(self._ids, chosen, strict=True):
-            self._model.jointPlacements[joint] = placement
-
-
-def _link(robot: Robot, name: str, role: str) -> str:
-    if name not in robot.links:
-        raise RobotError(
-            f"the robot has no link '{name}' for the {role}"
-            f"{nearest(name, robot.links)}",
-            file=robot.file,
-            allowed=", ".join(robot.links) if len(robot.links) <= 12 else None,
-        )
-    return name
+            if isinstance(placement, np.ndarray):
+                varied.append((joint, placement))
+            else:
+                self._model.jointPlacements[joint] = placement
+        return varied

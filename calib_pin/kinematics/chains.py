@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import RobotError, nearest
-from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import JointSpace
+from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import WORLD, ChainSetup
 

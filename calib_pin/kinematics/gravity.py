@@ -14,7 +14,7 @@ part of Newton and Euler's recursion (Featherstone, Rigid body dynamics algorith
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -78,6 +78,45 @@ def gravity_torques(bodies: Sequence[Body], q: Floats, gravity: Floats) -> Float
     Returns:
         Torques, shape (n, N) [Nm, N for joints that shift].
     """
+    torques = np.empty(q.shape)
+    for k, mass, moment, there in _carried(bodies, q, gravity):
+        one = bodies[k]
+        if one.revolute:
+            torques[k] = (moment * (one.crossed @ there)).sum(axis=0)
+        else:
+            torques[k] = mass * (one.axis.T @ there)[0]
+    return torques
+
+
+def gravity_moments(bodies: Sequence[Body], q: Floats, gravity: Floats) -> Floats:
+    """Moments of gravity about the origins of the joints, about all axes.
+
+    Along the axis of a joint that turns it is the torque; across it the bearings hold
+    it. Arguments as for `gravity_torques`.
+
+    Returns:
+        Moments in the frames that joints have before they move, shape (n, 3, N) [Nm].
+    """
+    moments = np.empty((len(bodies), 3, q.shape[1]))
+    for k, mass, moment, there in _carried(bodies, q, gravity):
+        one = bodies[k]
+        if one.revolute:
+            held = np.cross(moment, there, axis=0)
+            moments[k] = _turned(one, np.cos(q[k]), np.sin(q[k]), held)
+        else:
+            moments[k] = np.cross(moment + mass * one.axis * q[k], there, axis=0)
+    return moments
+
+
+def _carried(
+    bodies: Sequence[Body], q: Floats, gravity: Floats
+) -> Iterator[tuple[int, float, Floats, Floats]]:
+    """What each joint carries, from the last to the first.
+
+    Yields:
+        Position of the joint, mass, and in its frame the first moment and gravity,
+        shapes (3, N) or (3, 1).
+    """
     cosines, sines = np.cos(q), np.sin(q)
     there: list[Floats] = []
     for k, one in enumerate(bodies):
@@ -88,20 +127,17 @@ def gravity_torques(bodies: Sequence[Body], q: Floats, gravity: Floats) -> Float
         there.append(local)
     masses = [one.mass for one in bodies]
     moments = [one.moment for one in bodies]
-    torques = np.empty(q.shape)
     for k in reversed(range(len(bodies))):
         one, moment = bodies[k], moments[k]
+        yield k, masses[k], moment, there[k]
         if one.revolute:
-            torques[k] = (moment * (one.crossed @ there[k])).sum(axis=0)
             moment = _turned(one, cosines[k], sines[k], moment)
         else:
-            torques[k] = masses[k] * (one.axis.T @ there[k])[0]
             moment = moment + masses[k] * one.axis * q[k]
         if one.parent >= 0:
             masses[one.parent] += masses[k]
             moment = one.rotation @ moment + masses[k] * one.translation
             moments[one.parent] = moments[one.parent] + moment
-    return torques
 
 
 def _turned(joint: Body, cosine: Floats, sine: Floats, v: Floats) -> Floats:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import Shape, box
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.kinematics.tree import Configurations, link_frame

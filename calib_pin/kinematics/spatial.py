@@ -76,6 +76,22 @@ def se3_exp(twist: Floats) -> Floats:
     return result
 
 
+def se3_left_jacobian(twist: Floats) -> Floats:
+    """Derivative of the exponential at a twist, shape (..., 6) -> (..., 6, 6).
+
+    `Exp(twist + d) = Exp(J d) Exp(twist)` to first order. The right Jacobian is that of
+    the negative twist. Sum of `ad^k / (k + 1)!` (Barfoot, State estimation for
+    robotics, 2017, equation 7.81), exact to rounding for turns up to a radian.
+    """
+    small_adjoint = np.zeros((*twist.shape[:-1], 6, 6))
+    small_adjoint[..., :3, :3] = small_adjoint[..., 3:, 3:] = skew(twist[..., 3:])
+    small_adjoint[..., :3, 3:] = skew(twist[..., :3])
+    result = np.broadcast_to(np.eye(6), small_adjoint.shape)
+    for k in reversed(range(2, 20)):
+        result = np.eye(6) + small_adjoint @ result / k
+    return np.asarray(result)
+
+
 def interpolate(first: Floats, last: Floats, part: Floats) -> Floats:
     """Poses between two, shape (..., 4, 4), by the part of the way, shape (...).
 

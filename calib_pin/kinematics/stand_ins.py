@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.kinematics.chain import Robot
+from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import (
     Color,
     Shape,

@@ -17,15 +17,19 @@ from calib_pin.parameterizations.base import (
     frame_screws,
     frame_setup,
 )
-from calib_pin.parameterizations.compliance import NOTHING, Compliance
+from calib_pin.parameterizations.compliance import Compliance
+from calib_pin.parameterizations.cross_compliance import CrossCompliance
 from calib_pin.parameterizations.dh import DenavitHartenberg, FullDenavitHartenberg
+from calib_pin.parameterizations.drift import InstrumentDrift
 from calib_pin.parameterizations.hysteresis import Hysteresis
+from calib_pin.parameterizations.loads import NOTHING
 from calib_pin.parameterizations.placement import (
     JointOffset,
     LinkTransform,
     Placement,
 )
-from calib_pin.parameterizations.transmission import Transmission
+from calib_pin.parameterizations.thermal import ThermalGrowth
+from calib_pin.parameterizations.transmission import MotorRipple, Transmission
 from calib_pin.plugins import Members
 from calib_pin.setup import Setup
 
@@ -38,13 +42,12 @@ __all__ = [
     "Effects",
     "Parameterization",
     "Screw",
-    "beyond_geometry",
     "drives",
     "frame_pose",
     "frame_screws",
     "frame_setup",
-    "is_geometric",
     "needed_conditions",
+    "outside_urdf",
     "parameterization",
     "required_keys",
 ]
@@ -58,6 +61,10 @@ _BUNDLED: tuple[type[Parameterization], ...] = (
     Transmission,
     Compliance,
     Hysteresis,
+    MotorRipple,
+    CrossCompliance,
+    ThermalGrowth,
+    InstrumentDrift,
 )
 
 PARAMETERIZATIONS: Mapping[str, type[Parameterization]] = Members(
@@ -80,26 +87,16 @@ def parameterization(name: str, setup: Setup | None = None) -> Parameterization:
     return PARAMETERIZATIONS[name].of_setup(setup or Setup())
 
 
-def beyond_geometry() -> tuple[str, ...]:
-    """Names of the parameterizations that a URDF cannot hold, and any data can tell.
-
-    Those that need conditions of the measurements are left out.
-    """
+def outside_urdf() -> tuple[str, ...]:
+    """Names of the parameterizations that a URDF cannot hold."""
     return tuple(
-        name
-        for name, member in PARAMETERIZATIONS.items()
-        if not member.geometric and not member.needs
+        name for name, member in PARAMETERIZATIONS.items() if not member.geometric
     )
-
-
-def is_geometric(name: str) -> bool:
-    """Whether a URDF can hold all of a parameterization."""
-    return PARAMETERIZATIONS[name].geometric
 
 
 def needed_conditions(names: Iterable[str]) -> set[str]:
     """Conditions of measurements without which these parameterizations mean nothing."""
-    return {need for name in names for need in PARAMETERIZATIONS[name].needs}
+    return {need for name in names for need in PARAMETERIZATIONS[name].conditions}
 
 
 def required_keys(names: Iterable[str]) -> set[str]:

@@ -82,9 +82,10 @@ class Screw:
             placement, in the joint frame; screws of one frame apply in the order they
             are listed.
         twist: Unit twist (linear, angular), shape (6,), per unit of the parameter.
-        basis: The basis function phi_p that multiplies the amount, for a joint
-            correction `dq_j = sum_p theta_p phi_p(q)`; its twist is the joint's own
-            motion, with which it commutes. None for an error of the geometry.
+        basis: The basis function phi_p that multiplies the amount; None for an error
+            of the geometry. A joint's own motion is corrected where the twist is just
+            that, `dq_j = sum_p theta_p phi_p(q)`. Other twists S_p bend their place
+            behind its geometry and before that motion, `Exp(sum_p S_p theta_p phi_p)`.
     """
 
     parameter: Parameter
@@ -156,16 +157,19 @@ class Parameterization(ABC):
             the name.
         geometric: Whether a URDF can hold all of it.
         requires: Keys of a setup file without which the parameters mean nothing.
-        needs: Conditions of measurements without which they mean nothing.
         effects: Components that act as random effects unless they are estimated.
+        conditions: What the measurements must state, `direction`, `temperature` or
+            `time`, for the parameters to mean anything.
+        later: Components that older calibrations do not have; there they are zero.
     """
 
     name: ClassVar[str]
     kind: ClassVar[str]
     geometric: ClassVar[bool] = True
     requires: ClassVar[tuple[str, ...]] = ()
-    needs: ClassVar[tuple[str, ...]] = ()
     effects: ClassVar[Effects | None] = None
+    conditions: ClassVar[tuple[str, ...]] = ()
+    later: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls) -> None:
         """Name the parameters after the parameterization unless stated."""

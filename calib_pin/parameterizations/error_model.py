@@ -5,7 +5,8 @@
 B is the base link in the measurement frame, F the chain with corrected placements, E an
 error of the tip, and X the tool in the tip frame. Every parameter is a unit screw in
 one of these frames. A joint correction `dq_j = sum_p theta_p phi_p(q)` is a screw along
-the motion of joint j, multiplied by basis functions phi_p of the commanded q. See
+the motion of joint j, multiplied by basis functions phi_p of the commanded q. Other
+screws with basis functions bend their place row by row, see `bending`; see
 `linearization` for the derivatives.
 
 A learned correction, if there is one, moves the joints (adds to dq) or the tool (is
@@ -18,14 +19,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, Protocol
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
-from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chain import Chain, Placement
 from calib_pin.kinematics.spatial import (
     Floats,
     interpolate,
@@ -40,6 +40,8 @@ from calib_pin.parameterizations import (
     frame_screws,
     parameterization,
 )
+from calib_pin.parameterizations.bending import Bends, carried, joined, matrix
+from calib_pin.parameterizations.learned import Learned
 from calib_pin.parameterizations.linearization import (
     Fading,
     PoseLinearization,
@@ -47,31 +49,6 @@ from calib_pin.parameterizations.linearization import (
 )
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
-
-
-class Learned(Protocol):
-    """A learned correction, which has no error parameters."""
-
-    @property
-    def space(self) -> Literal["joint", "tip"]:
-        """Space of the correction: joint positions, or a body twist of the tool."""
-        ...
-
-    @property
-    def shift(self) -> Floats:
-        """Change of the parameters that belongs to it, shape (P,).
-
-        A fit without the correction is biased by what the correction explains.
-        """
-        ...
-
-    def weight(self, q: Floats) -> Floats:
-        """Weight from 1 near training configurations to 0 far away, shape (N,)."""
-        ...
-
-    def __call__(self, q: Floats) -> Floats:
-        """Corrections of commanded joint positions, (N, n) -> (N, n) or (N, 6)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -168,17 +145,30 @@ class ErrorModel:
 
     @cached_property
     def joint_corrections(self) -> NDArray[np.intp]:
-        """Positions of the parameters that are joint corrections, shape (C,)."""
-        found = [k for k, s in enumerate(self.screws) if s.basis is not None]
-        return np.array(found, np.intp)
+        """Positions of the parameters that correct a joint's own motion, shape (J,)."""
+        return self._varying[self._along]
 
     @property
     def geometric(self) -> bool:
         """Whether all errors are geometric, so that a URDF can hold them."""
-        return self.learned is None and len(self.joint_corrections) == 0
+        return self.learned is None and len(beyond_urdf(self)) == 0
+
+    @cached_property
+    def _varying(self) -> NDArray[np.intp]:
+        found = [k for k, s in enumerate(self.screws) if s.basis is not None]
+        return np.array(found, np.intp)
+
+    @cached_property
+    def _along(self) -> NDArray[np.bool_]:
+        """Of parameters with a basis function, whether they move a joint, (C,)."""
+        motions = [np.zeros(6), *self.chain.motions, np.zeros(6), np.zeros(6)]
+        screws = [self.screws[k] for k in self._varying]
+        return np.array(
+            [np.array_equal(s.twist, motions[s.frame]) for s in screws], bool
+        )
 
     def basis(self, q: Floats, conditions: Conditions = UNSTATED) -> Floats:
-        """Basis functions that multiply the screws of joint corrections, shape (N, C).
+        """Basis functions that multiply the screws that vary, shape (N, C).
 
         Args:
             q: Commanded joint positions, shape (N, n) [rad, m].
@@ -193,8 +183,8 @@ class ErrorModel:
             carried = Labels.all(self.payload, len(q))
             conditions = replace(conditions, payload=carried)
         # Function by function, as they are computed and as kernels take them.
-        result = np.empty((len(self.joint_corrections), len(q)))
-        for k, position in enumerate(self.joint_corrections):
+        result = np.empty((len(self._varying), len(q)))
+        for k, position in enumerate(self._varying):
             function = self.screws[position].basis
             assert function is not None
             if function.functions not in values:
@@ -232,9 +222,10 @@ class ErrorModel:
         """
         basis = self.basis(q) if basis is None else basis
         shifted = self._shifted(theta)
-        base, placements, tip, tool = self._placed(self.corrections(shifted))
+        bends = self._bends(shifted, basis)
+        base, placements, tip, tool = self._placed(self.corrections(shifted), bends)
         F = self.chain.poses(self._moved(q, shifted, basis), placements)
-        T = base.homogeneous @ F @ (tip * tool).homogeneous
+        T = matrix(base) @ F @ matrix(joined(tip, tool))
         if self.learned is None:
             return np.asarray(T)
         if self.learned.space == "tip":
@@ -255,9 +246,11 @@ class ErrorModel:
         Arguments as for `basis` and `poses`.
         """
         theta = self._shifted(theta)
-        _, placements, tip, _ = self._placed(self.corrections(theta))
-        moved = self._moved(q, theta, self.basis(q, conditions))
-        return np.asarray(self.chain.poses(moved, placements) @ tip.homogeneous)
+        basis = self.basis(q, conditions)
+        bends = self._bends(theta, basis)
+        _, placements, tip, _ = self._placed(self.corrections(theta), bends)
+        moved = self._moved(q, theta, basis)
+        return np.asarray(self.chain.poses(moved, placements) @ matrix(tip))
 
     def linearize(
         self, q: Floats, theta: Floats, basis: Floats | None = None
@@ -286,11 +279,12 @@ class ErrorModel:
         """The same where the learned correction counts fully."""
         theta = self._shifted(theta)
         columns, corrections = ordered_screws(self.screws, theta, self._frames)
-        base, placements, tip, tool = self._placed(corrections)
+        bends = self._bends(theta, basis)
+        base, placements, tip, tool = self._placed(corrections, bends)
         F, R = self.chain.regressor(self._moved(q, theta, basis), placements)
-        to_tip = (tip * tool).homogeneous
+        to_tip = matrix(joined(tip, tool))
         to_base = F @ to_tip
-        T, motion = base.homogeneous @ to_base, None
+        T, motion = matrix(base) @ to_base, None
         if self.learned is not None and self.learned.space == "tip":
             motion = se3_exp(self.learned(q))
             T = T @ motion
@@ -299,12 +293,13 @@ class ErrorModel:
             regressor=R,
             to_base=to_base,
             to_tip=to_tip,
-            to_tool=tool.homogeneous,
+            to_tool=matrix(tool),
             columns=columns,
             frames=tuple(screw.frame for screw in self.screws),
             axes=self.chain.motions,
-            corrections=self.joint_corrections,
+            varying=self._varying,
             basis=basis,
+            bends=bends,
             learned=motion,
         )
 
@@ -326,14 +321,14 @@ class ErrorModel:
         if self.learned is not None:
             linear = self.linearize(q, theta, self.basis(q, conditions))
             return linear.T, linear.joint_twists()
-        base, placements, tip, tool = self._placed(self.corrections(theta))
-        moved = q
-        if theta[self.joint_corrections].any():
-            moved = self._moved(q, theta, self.basis(q, conditions))
+        moved, bends = q, Bends()
+        if theta[self._varying].any():
+            basis = self.basis(q, conditions)
+            moved, bends = self._moved(q, theta, basis), self._bends(theta, basis)
+        base, placements, tip, tool = self._placed(self.corrections(theta), bends)
         F, J = self.chain.jacobian(moved, placements)
-        to_tool = tip * tool
-        T = base.homogeneous @ F @ to_tool.homogeneous
-        return T, np.asarray(to_tool.toActionMatrixInverse() @ J)
+        to_tool = joined(tip, tool)
+        return matrix(base) @ F @ matrix(to_tool), carried(to_tool, J)
 
     def jacobian(self, q: Floats, theta: Floats) -> tuple[Floats, Floats]:
         """Tool poses and their derivative.
@@ -359,19 +354,43 @@ class ErrorModel:
         moved = q
         if amounts.any():
             joints = [self.screws[k].frame - 1 for k in self.joint_corrections]
-            moved = moved + (basis * amounts) @ np.eye(q.shape[1])[joints]
+            own = basis if self._along.all() else basis[:, self._along]
+            moved = moved + (own * amounts) @ np.eye(q.shape[1])[joints]
         if self.learned is not None and self.learned.space == "joint":
             moved = moved + self.learned(q)
         return moved
 
+    def _bends(self, theta: Floats, basis: Floats) -> Bends:
+        """How the places are bent, by basis functions of shape (N, C)."""
+        amounts = theta[flexures(self)]
+        return Bends.of(self.screws, flexures(self), amounts, basis[:, ~self._along])
+
     def _placed(
-        self, corrections: Sequence[pin.SE3]
-    ) -> tuple[pin.SE3, list[pin.SE3], pin.SE3, pin.SE3]:
+        self, corrections: Sequence[pin.SE3], bends: Bends
+    ) -> tuple[Placement, list[Placement], Placement, Placement]:
+        """Base, joints, tip and tool, each with its errors."""
+        base, *links, tip, tool = corrections
+        bent, last = bends.bent, self._frames - 1
         placements = [
-            nominal * correction
-            for nominal, correction in zip(
-                self.chain.placements, corrections[1:-2], strict=True
+            bent(frame, nominal * link)
+            for frame, (nominal, link) in enumerate(
+                zip(self.chain.placements, links, strict=True), start=1
             )
         ]
-        base, tool = self.base * corrections[0], self.tool * corrections[-1]
-        return base, placements, corrections[-2], tool
+        ends = bent(0, self.base * base), bent(last, self.tool * tool)
+        return ends[0], placements, bent(last - 1, tip), ends[1]
+
+
+def varying(model: ErrorModel) -> NDArray[np.intp]:
+    """Positions of the parameters with a basis function, shape (C,)."""
+    return model._varying
+
+
+def flexures(model: ErrorModel) -> NDArray[np.intp]:
+    """Those of them that bend the place where they stand."""
+    return model._varying[~model._along]
+
+
+def beyond_urdf(model: ErrorModel) -> NDArray[np.intp]:
+    """Those of them that are errors of the robot, which a URDF cannot hold."""
+    return model._varying[~model.parameters.nuisance[model._varying]]

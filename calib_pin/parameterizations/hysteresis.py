@@ -36,7 +36,7 @@ class Hysteresis(Parameterization):
 
     name = "hysteresis"
     geometric = False
-    needs: ClassVar[tuple[str, ...]] = ("direction",)
+    conditions: ClassVar[tuple[str, ...]] = ("direction",)
 
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """One screw along every joint's own motion, against its last one."""

@@ -5,14 +5,16 @@ the frames the Jacobian is
 
     dT/dtheta = R(q) B(theta)
 
-where `B` does not depend on q. The column of a joint correction is multiplied by its
-basis function phi_p(q).
+where `B` does not depend on q. The column of a parameter with a basis function is
+multiplied by that, phi_p(q). Where a place bends by twists xi, what stands before it
+goes through the bend row by row, and the twist xi itself acts through the Jacobian of
+the exponential.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,6 +23,7 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.parameterizations.base import Screw
+from calib_pin.parameterizations.bending import Bends
 
 
 @dataclass(frozen=True)
@@ -37,8 +40,9 @@ class PoseLinearization:
         columns: Body twist in its own frame per parameter, shape (6, P).
         frames: Frame index of each parameter, ascending.
         axes: Unit twists of the joints' own motions, shape (n, 6).
-        corrections: Positions of the parameters that are joint corrections, shape (C,).
+        varying: Positions of the parameters with a basis function, shape (C,).
         basis: Basis functions that multiply their screws, shape (N, C).
+        bends: How places are bent.
         learned: Motion of the tool that was learned, shape (N, 4, 4), None for none.
         fading: The rest of poses at which the learned correction fades, None for none.
     """
@@ -51,8 +55,9 @@ class PoseLinearization:
     columns: Floats
     frames: tuple[int, ...]
     axes: Floats
-    corrections: NDArray[np.intp]
+    varying: NDArray[np.intp]
     basis: Floats
+    bends: Bends = field(default_factory=Bends)
     learned: Floats | None = None
     fading: Fading | None = None
 
@@ -91,7 +96,9 @@ class PoseLinearization:
             self.frames, [0, width // 6, width // 6 + 1], side="right"
         )
         result = np.empty((rows, size, len(self.frames)))
+        last = width // 6 + 2
         at_base = J_pose @ adjoint(invert(self.to_base))
+        at_base = self.bends.before(0, at_base)
         result[:, :, :base] = at_base @ self.columns[:, :base]
         # The parameters of the joints: one block of six rows for each frame.
         B = np.zeros((width, joints - base))
@@ -102,10 +109,36 @@ class PoseLinearization:
         of_joints = at_joints.reshape(rows * size, width) @ B
         result[:, :, base:joints] = of_joints.reshape(rows, size, joints - base)
         at_tip = J_pose @ adjoint(invert(self.to_tool))
+        at_tip = self.bends.before(last - 1, at_tip)
         result[:, :, joints:tip] = at_tip @ self.columns[:, joints:tip]
-        result[:, :, tip:] = J_pose @ self.columns[:, tip:]
-        result[:, :, self.corrections] *= self.basis[:, None, :]
+        at_tool = self.bends.before(last, J_pose)
+        result[:, :, tip:] = at_tool @ self.columns[:, tip:]
+        for frame in self.bends.twists:
+            at = {0: at_base, last - 1: at_tip, last: at_tool}.get(frame)
+            if at is None:
+                behind = at_joints[:, :, 6 * frame - 6 : 6 * frame]
+                at = self.bends.before(frame, behind)
+            self._bend(result, frame, at)
+        result[:, :, self.varying] *= self.basis[:, None, :]
         return result
+
+    def _bend(self, result: Floats, frame: int, before: Floats) -> None:
+        """Take a bend into the columns of its frame, but for the basis functions.
+
+        Args:
+            result: Columns of all parameters, shape (N, d, P), those at a joint as if
+                they stood behind its bend; changed in place.
+            frame: The frame that is bent.
+            before: Derivative by body twists before the bend, shape (N, d, 6).
+        """
+        by_twist = self.bends.by_twist(frame, before)
+        flexures, varying = set(self.bends.flexures), set(self.varying)
+        first, stop = np.searchsorted(self.frames, [frame, frame + 1])
+        for k in range(first, stop):
+            if k in flexures:
+                result[:, :, k] = by_twist @ self.columns[:, k]
+            elif k not in varying:
+                result[:, :, k] = before @ self.columns[:, k]
 
 
 class Fading(NamedTuple):
@@ -145,7 +178,7 @@ def ordered_screws(
         screw, amount = screws[k], theta[k]
         after = behind[screw.frame]
         columns[:, k] = screw.twist
-        # A joint's own motion comes behind all screws of its frame.
+        # What has a basis function comes behind all other screws of its frame.
         if after is not None and screw.basis is None:
             columns[:, k] = after.toActionMatrixInverse() @ screw.twist
         if amount != 0.0 and screw.basis is None:

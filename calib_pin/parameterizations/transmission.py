@@ -36,12 +36,14 @@ HARMONICS = 2
 
 @dataclass(frozen=True)
 class Transmission(Parameterization):
-    """`<joint>.transmission.gain|sin1|cos1|sin2|cos2`, and `motor_sin|motor_cos`.
+    """`<joint>.transmission.gain|sin1|cos1|sin2|cos2`, and of motors the same.
 
     `dq = gain q + sum_k (sin_k sin(k q) + cos_k cos(k q))`: a gear ratio or a scale
     that is off, an eccentric wheel or encoder (once per turn), an elliptic one (twice).
-    A motor behind a gear of ratio r adds the same once per turn of its own, r q. A
-    prismatic joint has no turn; it has the gain, and the motor's where r is given.
+    A motor behind a gear of ratio r adds the same once (`motor_sin`, `motor_cos`) and
+    twice (`motor_sin2`, `motor_cos2`) per turn of its own, r q: the wave generator of a
+    strain-wave gear is elliptic. A prismatic joint has no turn; it has the gain, and
+    the motor's where r is given.
     Mimic joints move with the errors of their leader, at its position.
 
     Attributes:
@@ -49,10 +51,12 @@ class Transmission(Parameterization):
     """
 
     gear_ratios: Mapping[str, float] = field(default_factory=dict)
+    of_joint: ClassVar[bool] = True
     name = "transmission"
     geometric = False
     requires = ("gear_ratios",)
-    effects: ClassVar[Effects] = Effects(
+    later: ClassVar[tuple[str, ...]] = ("motor_sin2", "motor_cos2")
+    effects: ClassVar[Effects | None] = Effects(
         ("sin1", "cos1", "sin2", "cos2"), AMPLITUDE_SCALES["rad"]
     )
 
@@ -60,6 +64,15 @@ class Transmission(Parameterization):
     def of_setup(cls, setup: Setup) -> Self:
         """Transmission errors with the gear ratios of a setup."""
         return cls(setup.gear_ratios)
+
+    def _waves(self, unit: str, ratio: float | None) -> Iterator[tuple[str, float]]:
+        """Names with a place for `sin` and `cos`, and frequencies of the waves."""
+        if unit == "rad" and self.of_joint:
+            for k in range(1, HARMONICS + 1):
+                yield f"{{}}{k}", float(k)
+        if ratio is not None:
+            yield "motor_{}", ratio
+            yield "motor_{}2", 2.0 * ratio
 
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """Screws along every joint's own motion, as large as its position says.
@@ -71,12 +84,15 @@ class Transmission(Parameterization):
         parts: list[tuple[Drive, str, str, float, float, float]] = []
         for drive in drives(chain):
             unit = drive.unit
-            parts.append((drive, "gain", f"{unit}/{unit}", GAIN_SCALE, 0.0, 0.0))
-            for name, frequency in _waves(unit == "rad", ratios.get(drive.joint)):
+            if self.of_joint:
+                parts.append((drive, "gain", f"{unit}/{unit}", GAIN_SCALE, 0.0, 0.0))
+            for name, frequency in self._waves(unit, ratios.get(drive.joint)):
                 for wave, phase in (("sin", 0.0), ("cos", np.pi / 2.0)):
                     component = name.format(wave)
                     scale = AMPLITUDE_SCALES[unit]
                     parts.append((drive, component, unit, scale, frequency, phase))
+        if not parts:
+            return []
         functions = _Waves(
             joint=np.array([part[0].frame - 1 for part in parts], np.intp),
             factor=np.array([part[0].factor for part in parts]),
@@ -93,6 +109,20 @@ class Transmission(Parameterization):
             )
             for column, (drive, component, unit, scale, _, _) in enumerate(parts)
         ]
+
+
+@dataclass(frozen=True)
+class MotorRipple(Transmission):
+    """The `motor_*` of `transmission` alone, of joints whose gear ratio is stated.
+
+    Low waves of a joint bend with what no parameter describes, and hold nowhere else;
+    ripples are what they are wherever the other joints stand.
+    """
+
+    of_joint: ClassVar[bool] = False
+    name = "motor-ripple"
+    kind = "transmission"
+    effects: ClassVar[Effects | None] = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,15 +146,6 @@ class _Waves:
                 np.sin(self.frequency[k] * of_drive + self.phase[k], out=of_drive)
             np.multiply(factor, of_drive, out=result[k])
         return result.T
-
-
-def _waves(revolute: bool, ratio: float | None) -> Iterator[tuple[str, float]]:
-    """Names with a place for `sin` and `cos`, and frequencies of the waves."""
-    if revolute:
-        for k in range(1, HARMONICS + 1):
-            yield f"{{}}{k}", float(k)
-    if ratio is not None:
-        yield "motor_{}", ratio
 
 
 def _ratios(stated: Mapping[str, float], joints: Sequence[str]) -> dict[str, float]:

@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.estimation.system import System
-from calib_pin.parameterizations import is_geometric
+from calib_pin.parameterizations import outside_urdf
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
 from calib_pin.report.tables import (
     SIZES,
@@ -236,7 +236,7 @@ def beyond(result: CalibrationResult) -> Iterator[Block]:
     if result.urdf is None or result.verdict == "no-gain":
         return
     setup = result.model.setup
-    kinds: list[str] = [name for name in setup.parameters if not is_geometric(name)]
+    kinds: list[str] = [name for name in setup.parameters if name in outside_urdf()]
     if setup.learned is not None:
         kinds.append(f"the correction learned by the {TITLES[setup.learned]}")
     said = f"A URDF cannot hold {' and '.join(kinds)}. "

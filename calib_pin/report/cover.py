@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.kinematics.chain import Robot
+from calib_pin.kinematics.robot import Robot
 from calib_pin.report.acceptance_text import PATH, TONES, ends, limit_lines
 from calib_pin.report.accuracy import verdict
 from calib_pin.report.blocks import Cell, Line, Table, Tone, columns

@@ -11,6 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
 
+from calib_pin.setup.conditions import (
+    ConditionSetup,
+    DriftSetup,
+    Payload,
+    ThermalSetup,
+)
 from calib_pin.setup.constraints import (
     Checked,
     Distinct,
@@ -49,7 +55,6 @@ from calib_pin.setup.values import (
     Number,
     OneOf,
     Pair,
-    Position,
     Positive,
     Text,
     Triple,
@@ -69,9 +74,11 @@ __all__ = [
     "BoardSetup",
     "CameraSetup",
     "ChainSetup",
+    "ConditionSetup",
     "Cone",
     "ConvertedSetup",
     "DistanceSetup",
+    "DriftSetup",
     "FrameSetup",
     "Frames",
     "JobSetup",
@@ -93,12 +100,10 @@ __all__ = [
     "SolverSetup",
     "SphereSetup",
     "StudySetup",
+    "ThermalSetup",
     "ToolSetup",
     "Triple",
 ]
-
-HEAVIEST = 1e5
-"""Largest mass of a payload [kg]; more comes from a mistaken unit."""
 
 STRONGEST = 100.0
 """Largest acceleration of gravity [m/s^2]."""
@@ -150,27 +155,6 @@ class JointMap(Section):
     gear: Factor = 1.0
     offset: Annotated[float, Number("rad, m")] = 0.0
     coupled: Mapping[str, Annotated[float, Number()]] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Payload(Section):
-    """A payload of the robot.
-
-    Attributes:
-        mass: Mass [kg].
-        com: Center of mass in the tip frame [m].
-    """
-
-    mass: Annotated[
-        float,
-        Positive(
-            "kg",
-            HEAVIEST,
-            f"a mass in kg, more than 0 and at most {HEAVIEST:g}",
-            always=True,
-        ),
-    ]
-    com: Position
 
 
 @dataclass(frozen=True)
@@ -381,7 +365,9 @@ class StudySetup(Section):
 
 
 @dataclass(frozen=True)
-class Setup(StudySetup, PlanSetup, FitSetup, MeasurementSetup, RobotSetup):
+class Setup(
+    StudySetup, PlanSetup, ConditionSetup, FitSetup, MeasurementSetup, RobotSetup
+):
     """Everything a setup file can state; the defaults are those of an empty file.
 
     Attributes:

@@ -7,14 +7,11 @@ from calendar import monthrange
 from dataclasses import dataclass
 from typing import Annotated
 
+from calib_pin.setup.conditions import Temperature
 from calib_pin.setup.constraints import Checked, Section
-from calib_pin.setup.values import Number
 
 LONGEST = 80
 """Letters of an entry, which have to fit beside its name on one page."""
-
-COLDEST, HOTTEST = -100.0, 200.0
-"""Temperatures at which a robot can be measured [degC]."""
 
 DATE = re.compile(r"([12][0-9]{3})-([0-9]{2})-([0-9]{2})")
 
@@ -59,16 +56,5 @@ class ReportSetup(Section):
     customer: Entry = ""
     operator: Entry = ""
     instrument: Entry = ""
-    temperature: (
-        Annotated[
-            float,
-            Number(
-                "degC",
-                least=COLDEST,
-                most=HOTTEST,
-                words=f"a temperature in degC from {COLDEST:g} to {HOTTEST:g}",
-            ),
-        ]
-        | None
-    ) = None
+    temperature: Temperature | None = None
     date: Date | None = None

@@ -14,7 +14,7 @@ from calib_pin.estimation.system import System
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
-from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.parameterizations.error_model import ErrorModel, beyond_urdf
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import CameraSetup, Setup
 
@@ -57,7 +57,7 @@ class CalibratedChain:
     @property
     def geometric(self) -> bool:
         """Whether there is nothing but geometry, which a URDF can hold."""
-        moved = self.theta[self.error.joint_corrections].any()
+        moved = self.theta[beyond_urdf(self.error)].any()
         return self.error.learned is None and not moved
 
     def urdf_corrections(self) -> dict[str, pin.SE3]:
@@ -138,7 +138,7 @@ class CalibratedModel(System):
         """
         theta, parts = self.theta.copy(), {}
         for key, part in self.parts.items():
-            theta[part.index[part.error.joint_corrections]] = 0.0
+            theta[part.index[beyond_urdf(part.error)]] = 0.0
             parts[key] = replace(part, error=replace(part.error, learned=None))
         return replace(self, parts=parts, theta=theta)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError
+from calib_pin.estimation.conditions import require_conditions
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
@@ -190,6 +191,7 @@ def prepared(
         InputError: If there are no measurements, or they do not fit the model.
     """
     if isinstance(robot, CalibratedModel):
+        require_conditions(rows, robot.setup, of_robot=True)
         problem, theta = robot.problem(rows), robot.theta
     else:
         setup = replace(setup or Setup(), parameters=(), fixed=(), bounds={}, prior={})

@@ -111,7 +111,7 @@ def coupled_frames(fitted: Fit) -> tuple[CoupledFrames, ...]:
     known while their terms are not, as far as they are of several frames.
     """
     problem, parameters = fitted.problem, fitted.problem.parameters
-    nuisances = np.flatnonzero(parameters.free & parameters.nuisance)
+    nuisances = np.flatnonzero(parameters.free & problem.referred)
     if not 0 < len(nuisances) <= UNKNOWNS or problem.own_of_stations:
         return ()
     A = (fitted.result.jac * parameters.scales)[:, nuisances]

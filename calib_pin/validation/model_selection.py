@@ -22,20 +22,29 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, nearest, require_known
+from calib_pin.estimation.conditions import lacking_conditions
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import parameter_names, with_parameters
-from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
-from calib_pin.parameterizations import beyond_geometry
+from calib_pin.parameterizations import PARAMETERIZATIONS, outside_urdf
+from calib_pin.parameterizations.compliance import Compliance
 from calib_pin.parameterizations.placement import JointOffset
+from calib_pin.parameterizations.transmission import MotorRipple, Transmission
 from calib_pin.parameters import matching
 from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.residual_models.base import root_mean_square
 from calib_pin.setup import Setup
+from calib_pin.validation.candidate_scores import (
+    USES,
+    Judged,
+    cluster_sizes,
+    helps,
+    simplest,
+    standard_error,
+)
 from calib_pin.validation.held_out import cross_validate
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.regions import regions
@@ -50,14 +59,8 @@ from calib_pin.workers import SERIAL, Workers
 
 OFFSETS = JointOffset.name
 
-USES = ("both", "near", "away")
-"""Where a model must hold: near the fitted configurations, away from them, or both."""
-
-SURE = 2.0
-"""Standard errors of the difference from which a candidate is worse than another."""
-
-TINY = 1e-300
-"""What no score of measurements that differ at all falls below."""
+TOGETHER = (Transmission.name, Compliance.name)
+"""What is tried together whether it helps alone or not."""
 
 LEARNING = 10.0
 """Time that a training with a residual model takes, in those without."""
@@ -76,20 +79,6 @@ class SelectedModel:
     selection: ModelSelection
     model: FittedModel
     parts: tuple[ModelErrors, ...]
-
-
-@dataclass(frozen=True)
-class _Judged:
-    """A candidate with its fit and cross-validation, without where it cannot be fitted.
-
-    The sizes are those of the whitened errors, mean of every cluster, shape (G,), near
-    the fitted configurations and away from them where that could be tried.
-    """
-
-    candidate: Candidate
-    model: FittedModel | None = None
-    parts: tuple[ModelErrors, ...] = ()
-    sizes: tuple[Floats, ...] = ()
 
 
 @serial_blas
@@ -119,8 +108,10 @@ def select_model(
             candidate, or the measurements do not even suffice to judge the first one.
     """
     require_known("use", use, USES)
-    beyond = beyond_geometry()
-    geometric = tuple(p for p in setup.parameters if p not in (OFFSETS, *beyond))
+    geometric = tuple(
+        p for p in setup.parameters if p not in (OFFSETS, *outside_urdf())
+    )
+    beyond = _further(measurements, setup)
     geometric = geometric or Setup.parameters
     _require_patterns(chains, measurements, setup, (OFFSETS, *geometric, *beyond))
     learned = tuple(RESIDUAL_MODELS) if setup.learned is None else (setup.learned,)
@@ -134,11 +125,11 @@ def select_model(
     geometry = candidates.add("geometric", geometric, extends=(offset,))
     base = geometry if geometry.candidate.helps else offset
     candidates.combine(base, beyond)
-    base = candidates.judged[candidates.simplest()]
+    base = candidates.judged[simplest(candidates.judged, use)]
     for name in learned:
         kinds = base.candidate.parameters
         candidates.add(f"+ {name}", kinds, name, extends=(base,))
-    chosen = candidates.simplest()
+    chosen = simplest(candidates.judged, use)
     found = candidates.judged[chosen]
     assert found.model is not None
     every = tuple(judged.candidate for judged in candidates.judged)
@@ -165,7 +156,7 @@ class _Candidates:
     use: str
     all: float
     done: float = 0.0
-    judged: list[_Judged] = field(default_factory=list)
+    judged: list[Judged] = field(default_factory=list)
 
     def add(
         self,
@@ -173,8 +164,8 @@ class _Candidates:
         parameters: tuple[str, ...],
         learned: str | None = None,
         *,
-        extends: Sequence[_Judged] = (),
-    ) -> _Judged:
+        extends: Sequence[Judged] = (),
+    ) -> Judged:
         """Judge a candidate, and compare it with those that it extends."""
         share = (1.0 if learned is None else LEARNING) / self.all
         tell = portion(named(self.progress, name), self.done, share)
@@ -183,41 +174,52 @@ class _Candidates:
         try:
             found = self._judge(blank, tell)
         except InputError as error:
-            found = _Judged(replace(blank, reason=error.reason))
+            found = Judged(replace(blank, reason=error.reason))
         if found.sizes:
-            helps = all(self._helps(found.sizes, below.sizes) for below in extends)
-            found = replace(found, candidate=replace(found.candidate, helps=helps))
+            better = all(helps(found.sizes, below.sizes, self.use) for below in extends)
+            found = replace(found, candidate=replace(found.candidate, helps=better))
         self.judged.append(found)
         return found
 
-    def combine(self, base: _Judged, kinds: Sequence[str]) -> None:
-        """Judge kinds alone, all together, and these without what is not missed."""
-        stated = base.candidate.parameters
-        tried: dict[tuple[str, ...], _Judged] = {(): base}
+    def combine(self, base: Judged, kinds: Sequence[str]) -> None:
+        """Judge kinds alone, together, and together without what is not missed.
 
-        def judged(added: tuple[str, ...], *extends: _Judged) -> _Judged:
+        Together are those that help alone, and gears and compliance, which may hide
+        each other.
+        """
+        stated = base.candidate.parameters
+        tried: dict[tuple[str, ...], Judged] = {(): base}
+
+        def judged(added: tuple[str, ...], *extends: Judged) -> Judged:
             if added not in tried:
                 name = f"+ {' + '.join(added)}"
                 parts = (*stated, *added)
                 tried[added] = self.add(name, parts, extends=extends)
             return tried[added]
 
-        alone = [judged((kind,), base) for kind in kinds]
-        current, found = tuple(kinds), judged(tuple(kinds), base, *alone)
+        alone = {kind: judged((kind,), base) for kind in kinds}
+        members = {
+            # Of two with parameters of one name, the better one.
+            PARAMETERIZATIONS[kind].kind: kind
+            for kind, found in sorted(alone.items(), key=_score, reverse=True)
+            if found.candidate.helps or kind in TOGETHER
+        }
+        current = tuple(kind for kind in kinds if kind in members.values())
+        found = judged(current, base, *(alone[kind] for kind in current))
         while len(current) > 2 and found.sizes:
             fewer = [tuple(kind for kind in current if kind != one) for one in current]
             left = [judged(some, base) for some in fewer]
             spared = [
                 k
                 for k, other in enumerate(left)
-                if other.sizes and not self._helps(found.sizes, other.sizes)
+                if other.sizes and not helps(found.sizes, other.sizes, self.use)
             ]
             if not spared:
                 break
             best = min(spared, key=lambda k: left[k].candidate.score)
             current, found = fewer[best], left[best]
 
-    def _judge(self, candidate: Candidate, progress: Progress | None) -> _Judged:
+    def _judge(self, candidate: Candidate, progress: Progress | None) -> Judged:
         """Fit a candidate to all measurements once, and then without each fold."""
         chains, measurements, seed = self.chains, self.measurements, self.seed
         setup = replace(self.setup, learned=candidate.learned)
@@ -239,7 +241,7 @@ class _Candidates:
                 chains, measurements, setup, masks, seed, whole, stages, workers
             )
         )
-        sizes = _sizes(grouping, model.problem, ModelErrors.joined(parts))
+        sizes = cluster_sizes(grouping, model.problem, ModelErrors.joined(parts))
         weight, quantities = measurements.weight, model.problem.layout.quantities
         counted = ModelErrors.joined([part.counted(weight) for part in parts])
         judged = replace(
@@ -250,7 +252,7 @@ class _Candidates:
                 for q in quantities
             ),
             score=float(np.nanmean(sizes)),
-            deviation=_standard_error(sizes),
+            deviation=standard_error(sizes),
         )
         apart = tuple(
             part
@@ -267,8 +269,8 @@ class _Candidates:
             if not part.reason and len(part.positions)
         )
         if not apart:
-            return _Judged(judged, model, parts, (sizes,))
-        far = _sizes(grouping, model.problem, ModelErrors.joined(apart))
+            return Judged(judged, model, parts, (sizes,))
+        far = cluster_sizes(grouping, model.problem, ModelErrors.joined(apart))
         counted = ModelErrors.joined([part.counted(weight) for part in apart])
         lengths = [(q, q.errors(counted.after)) for q in quantities]
         away = Away(
@@ -277,96 +279,24 @@ class _Candidates:
                 for q, e in lengths
             ),
             score=float(np.nanmean(far)),
-            deviation=_standard_error(far),
+            deviation=standard_error(far),
         )
-        return _Judged(replace(judged, away=away), model, parts, (sizes, far))
-
-    def _helps(self, sizes: Sequence[Floats], before: Sequence[Floats]) -> bool:
-        """Whether errors are smaller somewhere by more than chance, and larger nowhere.
-
-        More than the standard error of the difference, where the model is used.
-        """
-        gains = self._asked([b - s for b, s in zip(before, sizes, strict=False)])
-        told = [_mean(gain) for gain in gains]
-        return not told or (
-            any(mean > sigma for mean, sigma in told)
-            and not any(mean < -sigma for mean, sigma in told)
-        )
-
-    def simplest(self) -> int:
-        """Position of the simplest that helps and is not significantly worse.
-
-        Than the best one, near or away. Where no candidate is that in both, the one
-        that loses least.
-        """
-        fitted = [k for k, found in enumerate(self.judged) if found.sizes]
-        candidates = [found.candidate for found in self.judged]
-        sizes = {k: self._asked(self.judged[k].sizes) for k in fitted}
-        most = max(map(len, sizes.values()))
-        scores = {
-            k: [_mean(each)[0] for each in own]
-            for k, own in sizes.items()
-            if len(own) == most
-        }
-        best = [min(scores, key=lambda k: scores[k][i]) for i in range(most)]
-
-        def worse(k: int) -> bool:
-            """Whether it is significantly worse than the best, near or away."""
-            told = [
-                _mean(own - sizes[other][i])
-                for i, (own, other) in enumerate(zip(sizes[k], best, strict=True))
-            ]
-            return any(mean > SURE * sigma for mean, sigma in told)
-
-        def loss(k: int) -> float:
-            """By how much it is worse than the best, near or away."""
-            pairs = zip(scores[k], best, strict=True)
-            return max(
-                score / max(scores[other][i], TINY)
-                for i, (score, other) in enumerate(pairs)
-            )
-
-        # Chance may leave the best one short of helping, and what it is compared with
-        # out of reach.
-        helping = [k for k in scores if candidates[k].helps] or list(scores)
-        good = [k for k in helping if not worse(k)]
-        return min(
-            good or [min(helping, key=loss)],
-            key=lambda k: (candidates[k].learned is not None, candidates[k].rank),
-        )
-
-    def _asked(self, of_both: Sequence[Floats]) -> Sequence[Floats]:
-        """Those near and away from what was fitted, as far as the use asks for them."""
-        if self.use == "near":
-            return of_both[:1]
-        return of_both[-1:] if self.use == "away" else of_both
+        return Judged(replace(judged, away=away), model, parts, (sizes, far))
 
 
-def _mean(values: Floats) -> tuple[float, float]:
-    """Mean and standard error of what is known."""
-    return float(np.nanmean(values)), _standard_error(values)
+def _further(measurements: Observations, setup: Setup) -> tuple[str, ...]:
+    """What may join the geometry: that for which enough is stated."""
+    return tuple(
+        name
+        for name in outside_urdf()
+        if not lacking_conditions(measurements, (name,))
+        and (name != MotorRipple.name or setup.gear_ratios)
+    )
 
 
-def _standard_error(values: Floats) -> float:
-    values = values[~np.isnan(values)]
-    return float(values.std(ddof=1) / np.sqrt(len(values)))
-
-
-def _sizes(grouping: Grouping, problem: Problem, errors: ModelErrors) -> Floats:
-    """Mean size of the whitened errors of every cluster of measurements, shape (G,).
-
-    NaN where all of a cluster is set aside.
-    """
-    errors = errors.at(np.argsort(errors.positions, kind="stable"))
-    measurements, positions = grouping.measurements, errors.positions
-    there = replace(problem, data=measurements)
-    sigma = there.layout.table(there.given_sigma, len(measurements))[positions]
-    size = np.sqrt(np.nanmean((errors.after / sigma) ** 2, axis=1))
-    labels = grouping.clusters[positions]
-    kept = measurements.weight[positions] > 0.0
-    counts = np.bincount(labels, kept)
-    totals = np.bincount(labels, np.where(kept, size, 0.0))
-    return np.where(counts > 0, totals / np.maximum(counts, 1), np.nan)
+def _score(found: tuple[str, Judged]) -> float:
+    """Score of a candidate, infinite where it could not be tried."""
+    return float(np.nan_to_num(found[1].candidate.score, nan=np.inf))
 
 
 def _require_patterns(

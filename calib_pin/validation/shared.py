@@ -173,7 +173,7 @@ class _Parts:
     def _open(self) -> Floats:
         """Scaled directions of frames and instruments that nothing shows, (P, k)."""
         fitted, parameters = self.model.fit, self.model.fit.problem.parameters
-        free = np.flatnonzero(parameters.free & parameters.nuisance)
+        free = np.flatnonzero(parameters.free & fitted.problem.referred)
         result = np.zeros((len(parameters), 0))
         if not len(free) or fitted.problem.own_of_stations:
             return result

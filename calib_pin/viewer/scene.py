@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from calib_pin.io.urdf_origins import edit_origins
 from calib_pin.io.urdf_tree import parse_robot
-from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import Shape
 from calib_pin.kinematics.skeleton import Skeleton, base_poses, chain_links
 from calib_pin.kinematics.spatial import Floats

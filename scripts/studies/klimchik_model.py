@@ -16,9 +16,8 @@ import calib_pin
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
-from calib_pin.parameterizations import parameterization
+from calib_pin.parameterizations import NOTHING, parameterization
 from calib_pin.parameterizations.base import COMPONENTS
-from calib_pin.parameterizations.compliance import NOTHING
 from calib_pin.setup import FrameSetup, Payload, PointSetup, Setup, SolverSetup
 from calib_pin.validation.result import CalibrationResult
 

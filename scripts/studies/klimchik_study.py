@@ -23,7 +23,7 @@ from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.solve import descend
 from calib_pin.kinematics.spatial import Floats, invert, so3_log
 from calib_pin.observations import Measurements, Observations
-from calib_pin.parameterizations.compliance import NOTHING
+from calib_pin.parameterizations import NOTHING
 from calib_pin.solvers import Status, alternation
 from calib_pin.solvers.alternation import MEMORY
 from calib_pin.validation.result import CalibrationResult

@@ -18,7 +18,8 @@ from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.segments import Segments
 from calib_pin.io.urdf import load_chain, load_robot
-from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats, so3_exp, so3_log
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 

@@ -25,7 +25,8 @@ from calib_pin.io.measurements import (
     write_measurements,
 )
 from calib_pin.io.table import read_table
-from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.robot import Robot
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared, measurement_model
 from calib_pin.observations import BlockKey, Conditions, Measurements, Observations
 from calib_pin.setup import CameraSetup, JointMap, Setup

@@ -20,7 +20,8 @@ from calib_pin.io.results import read_calibration
 from calib_pin.io.straightening import straightened
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.io.urdf_tree import parse_robot
-from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.robot import Robot
 from calib_pin.setup import Setup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.calibrated_model import CalibratedModel

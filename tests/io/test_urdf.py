@@ -29,8 +29,9 @@ from calib_pin.io.urdf import (
 )
 from calib_pin.io.urdf_origins import edit_origins
 from calib_pin.io.urdf_tree import parse_robot
-from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import Mimic
+from calib_pin.kinematics.robot import Robot
 
 ARM = b"""<?xml version="1.0"?>
 <robot name="arm">

@@ -13,8 +13,9 @@ import pytest
 from calib_pin.errors import RobotError
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.io.urdf_tree import parse_robot
-from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import FREE_TRAVEL
+from calib_pin.kinematics.robot import Robot
 from calib_pin.setup import Payload
 
 UrdfOf = Callable[..., str]

@@ -11,8 +11,9 @@ import pytest
 from calib_pin.errors import RobotError
 from calib_pin.io.urdf import load_chain, load_chains, load_robot
 from calib_pin.io.urdf_tree import parse_robot
-from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import invert
 from calib_pin.setup import WORLD, ChainSetup
 

@@ -29,9 +29,20 @@ COMPONENTS = {
     "dh": ["theta", "d", "a", "alpha", "beta"],
     "dh-full": ["theta", "d", "a", "alpha", "beta"],
     "joint-offset": ["q"],
-    "transmission": ["gain", "sin1", "cos1", "sin2", "cos2", "motor_sin", "motor_cos"],
+    "transmission": [
+        *("gain", "sin1", "cos1", "sin2", "cos2"),
+        *("motor_sin", "motor_cos", "motor_sin2", "motor_cos2"),
+    ],
+    "motor-ripple": ["motor_sin", "motor_cos", "motor_sin2", "motor_cos2"],
     "compliance": ["k"],
     "hysteresis": ["backlash"],
+    "cross-compliance": ["kx", "ky"],
+    "thermal": ["growth"],
+    "instrument-drift": [
+        f"{component}{part}"
+        for component in ("x", "y", "z", "rx", "ry", "rz")
+        for part in range(1, 9)
+    ],
 }
 GEOMETRY = ("placement", "link-transform", "dh", "dh-full", "joint-offset")
 ROBOTS = [
@@ -54,7 +65,7 @@ def test_what_the_user_states_reaches_the_parameterization(framed: Setup) -> Non
     names = [s.parameter.name for s in parameterization("transmission").screws(chain)]
     assert not any("motor" in name for name in names)
     with_motors = parameterization("transmission", framed).screws(chain)
-    assert len(with_motors) == len(names) + 2 * 6
+    assert len(with_motors) == len(names) + 4 * 6
     # Without the payload there is nothing to bend this robot.
     with pytest.raises(OptionError, match="no mass that loads a joint"):
         parameterization("compliance").screws(chain)
@@ -85,16 +96,18 @@ def test_names(
 ) -> None:
     chain = load_chain(robot, base=base, tip=tip)
     screws = parameterization(name, framed).screws(chain)
-    kind = "dh" if name == "dh-full" else name
-    owners = [*chain.joints, chain.tip_joint]
+    kind = {"dh-full": "dh", "motor-ripple": "transmission"}.get(name, name)
+    drifts = name == "instrument-drift"
+    owners = ["base"] if drifts else [*chain.joints, chain.tip_joint]
     for screw in screws:
         joint, of_kind, component = screw.parameter.name.rsplit(".", 2)
         assert of_kind == kind
         assert component in COMPONENTS[name]
         assert joint in owners
-        assert 1 <= screw.frame <= len(chain.joints) + 1
+        assert drifts == (screw.frame == 0)
+        assert 0 <= screw.frame <= len(chain.joints) + 1
         assert (screw.basis is None) == (name in GEOMETRY)
-        assert not screw.parameter.nuisance and screw.parameter.free
+        assert screw.parameter.nuisance == drifts and screw.parameter.free
     names = [screw.parameter.name for screw in screws]
     assert len(set(names)) == len(names)
     # Joint by joint from base to tip.

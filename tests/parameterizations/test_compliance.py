@@ -17,8 +17,9 @@ from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Conditions
-from calib_pin.parameterizations.compliance import DEFLECTION, LEAST, Compliance
+from calib_pin.parameterizations.compliance import DEFLECTION, Compliance
 from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.parameterizations.loads import LEAST
 from calib_pin.setup import FrameSetup, Payload, Setup
 from calib_pin.simulation import exact_problem
 

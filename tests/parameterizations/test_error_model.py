@@ -12,7 +12,8 @@ import pytest
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.parameterizations.error_model import ErrorModel, Learned
+from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.parameterizations.learned import Learned
 from calib_pin.setup import Setup
 
 Space = Literal["joint", "tip"]
@@ -284,7 +285,7 @@ def test_positions_of_joint_corrections(framed: Setup) -> None:
     model = model_of(load_chain("space6"), framed)
     kinds = [name.split(".")[1] for name in model.parameters.names]
     found = [kinds[k] for k in model.joint_corrections]
-    assert found == (["transmission"] * 7 + ["compliance"]) * 6
+    assert found == (["transmission"] * 9 + ["compliance"]) * 6
     assert kinds.count("transmission") + kinds.count("compliance") == len(found)
     q, _ = some(model)
     assert model.basis(q).shape == (len(q), len(found))

@@ -23,6 +23,9 @@ SETUP = Setup(
     gear_ratios={"*": -31.5},
 )
 MOTIONS = ("joint-offset", "transmission", "compliance", "hysteresis")
+OTHERS = ("motor-ripple", "thermal", "instrument-drift")
+OWN = sorted({*PARAMETERIZATIONS} - {*MOTIONS, *OTHERS})
+"""Those that every joint has, whatever it follows and wherever it stands."""
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +93,7 @@ def test_one_parameter_of_all_that_follow(name: str, arm: Chains) -> None:
     assert len(set(robot)) == len({p.name for p in robot})
 
 
-@pytest.mark.parametrize("name", sorted(set(PARAMETERIZATIONS) - set(MOTIONS)))
+@pytest.mark.parametrize("name", OWN)
 def test_their_placements_are_their_own(name: str, arm: Chains) -> None:
     names = ErrorModel.create(arm[""], [name], setup=SETUP).parameters.names
     assert len(set(names)) == len(names)

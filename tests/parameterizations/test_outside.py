@@ -14,7 +14,7 @@ from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.io.results import read_calibration
 from calib_pin.io.urdf import load_chain
-from calib_pin.parameterizations import PARAMETERIZATIONS, beyond_geometry
+from calib_pin.parameterizations import PARAMETERIZATIONS, outside_urdf
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.plugins import extensions
 from calib_pin.setup import Setup
@@ -50,13 +50,13 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
 
 def test_it_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert list(PARAMETERIZATIONS)[-1] == "poe"
-    assert "poe" not in beyond_geometry()
+    assert "poe" not in outside_urdf()
     for command in ("calibrate", "identify", "plan", "simulate"):
         assert main([command, "--help"]) == 0
         assert "offset, poe; beyond" in " ".join(capsys.readouterr().out.split())
     assert main(["identify", "space6", "--model", "pose", "--parameters", "peo"]) == 1
     message = capsys.readouterr().err
-    assert "did you mean 'poe'?" in message and "hysteresis, poe" in message
+    assert "did you mean 'poe'?" in message and "instrument-drift, poe" in message
 
 
 @pytest.mark.parametrize(

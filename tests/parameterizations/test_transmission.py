@@ -27,7 +27,7 @@ ChainOf = Callable[..., Chain]
 
 RATIOS = {"j*": 50.0, "j2": -31.5, "j1": 400.0}
 HARMONICS = ["gain", "sin1", "cos1", "sin2", "cos2"]
-MOTOR = ["motor_sin", "motor_cos"]
+MOTOR = ["motor_sin", "motor_cos", "motor_sin2", "motor_cos2"]
 
 
 @pytest.fixture
@@ -69,8 +69,10 @@ def moved(chain: Chain, q: Floats, values: Mapping[str, float]) -> Floats:
         for n in (1, 2):
             result[:, k] += value(f"sin{n}") * np.sin(n * x)
             result[:, k] += value(f"cos{n}") * np.cos(n * x)
-        result[:, k] += value("motor_sin") * np.sin(ratio[joint] * x)
-        result[:, k] += value("motor_cos") * np.cos(ratio[joint] * x)
+        for n, twice in ((1, ""), (2, "2")):
+            angle = n * ratio[joint] * x
+            result[:, k] += value(f"motor_sin{twice}") * np.sin(angle)
+            result[:, k] += value(f"motor_cos{twice}") * np.cos(angle)
     return result
 
 
@@ -182,8 +184,7 @@ def test_brackets_in_the_name_of_a_joint(urdf_of: UrdfOf, chain_of: ChainOf) -> 
     )
     names = [s.parameter.name for s in Transmission({"j[1]": 9.0}).screws(chain)]
     assert [n for n in names if "motor" in n] == [
-        "j[1].transmission.motor_sin",
-        "j[1].transmission.motor_cos",
+        f"j[1].transmission.{component}" for component in MOTOR
     ]
 
 
@@ -245,8 +246,11 @@ def test_a_motor_that_turns_as_its_joint_is_the_same_wave(
     assert set(sums) == {
         "j0.transmission.sin1 + j0.transmission.motor_sin",
         "j0.transmission.cos1 + j0.transmission.motor_cos",
+        "j0.transmission.sin2 + j0.transmission.motor_sin2",
+        "j0.transmission.cos2 + j0.transmission.motor_cos2",
         "j2.transmission.sin2 - j2.transmission.motor_sin",
         "j2.transmission.cos2 + j2.transmission.motor_cos",
     }
     assert status["j0.transmission.motor_sin"] == "coupled"
-    assert status["j0.transmission.sin2"] == "identifiable"
+    assert status["j0.transmission.sin2"] == "coupled"
+    assert status["j2.transmission.motor_sin2"] == "identifiable"

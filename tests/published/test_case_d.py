@@ -14,7 +14,7 @@ import pytest
 
 import calib_pin
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.parameterizations.compliance import NOTHING
+from calib_pin.parameterizations import NOTHING
 from calib_pin.setup import Setup
 from studies.klimchik import report
 from studies.klimchik_arm import (

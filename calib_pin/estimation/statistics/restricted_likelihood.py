@@ -173,3 +173,35 @@ class _State:
         score = 0.5 * (self.squares - self.redundancies)
         step = np.linalg.pinv(self.information, rcond=1e-10, hermitian=True) @ score
         return np.asarray(np.clip(step, -LONGEST, LONGEST))
+
+
+def with_effects(
+    groups: Groups, kind_of: NDArray[np.str_], kinds: tuple[str, ...]
+) -> Groups:
+    """Groups with some kinds of random effects as pseudo-observations.
+
+    Args:
+        groups: Groups of rows whose last columns, but for the residual, are those of
+            all effects in their expected sizes.
+        kind_of: Kind of each effect, shape (S,).
+        kinds: Those that have a variance; the others are left out.
+    """
+    width = groups.known.shape[0]
+    first = width - 1 - len(kind_of)
+    of_effects = first + np.arange(len(kind_of))
+    out = of_effects[~np.isin(kind_of, kinds)]
+    unit = np.zeros((len(kinds), width, width))
+    for k, kind in enumerate(kinds):
+        own = of_effects[kind_of == kind]
+        unit[k, own, own] = 1.0
+    counts = [np.sum(kind_of == kind) for kind in kinds]
+
+    def kept(products: Floats) -> Floats:
+        rows = np.delete(products, out, axis=-1)
+        return np.asarray(np.delete(rows, out, axis=-2))
+
+    return Groups(
+        np.concatenate([groups.counts, counts]),
+        kept(np.concatenate([groups.products, unit])),
+        kept(groups.known),
+    )

@@ -29,6 +29,7 @@ from calib_pin.estimation.statistics.restricted_likelihood import (
     Groups,
     Variances,
     estimate_variances,
+    with_effects,
 )
 from calib_pin.estimation.statistics.variance_components import current_units, grouped
 from calib_pin.estimation.system import Part, assembled
@@ -46,7 +47,7 @@ from calib_pin.parameterizations import (
 from calib_pin.parameterizations.base import owner
 from calib_pin.parameterizations.compliance import Compliance
 from calib_pin.parameterizations.error_model import ErrorModel
-from calib_pin.parameterizations.transmission import Transmission
+from calib_pin.parameterizations.transmission import AMPLITUDE_SCALES, Transmission
 from calib_pin.setup import Setup
 
 SIGNIFICANT = 5.41
@@ -90,6 +91,11 @@ class Systematic:
     gear: float
     compliance: float
     noise: Floats
+
+    @property
+    def kinds(self) -> NDArray[np.str_]:
+        """Parameterization of each effect, shape (S,)."""
+        return np.array([name.rsplit(".", 2)[1] for name in self.names])
 
     def rows(self, problem: Problem, theta: Floats) -> Floats:
         """Whitened residuals that each effect of its size adds, shape (M, S).
@@ -148,7 +154,7 @@ def systematic(
         The effects, or None where nothing shows, all of them are estimated, or the
         nominal robot is where nothing can be measured.
     """
-    effects = _candidates(problem)
+    effects = candidates(problem)
     spare = known_values(problem) - directions.count
     if effects is None or spare < SPARE:
         return None
@@ -175,7 +181,7 @@ def sampled(problem: Problem, count: int = ROWS) -> Observations:
     return data.sample(count)
 
 
-def _candidates(problem: Problem) -> Systematic | None:
+def candidates(problem: Problem) -> Systematic | None:
     """All effects that are not estimated already, in their expected sizes."""
     setup, chains = problem.setup, problem.chains
     payloads = {"", NOTHING, *setup.payloads}
@@ -204,7 +210,7 @@ def _candidates(problem: Problem) -> Systematic | None:
         errors=errors,
         names=tuple(found),
         sizes=np.array(list(found.values())),
-        gear=Transmission.effects.size,
+        gear=AMPLITUDE_SCALES["rad"],
         compliance=Compliance.effects.size,
         noise=np.ones(0),
     )
@@ -256,12 +262,12 @@ def _significant(
     The groups are residual rows by quantity, in the columns of what was moved, of all
     effects in their expected sizes and of the residual.
     """
-    kind_of = np.array([name.rsplit(".", 2)[1] for name in effects.names])
+    kind_of = effects.kinds
     current = current_units(problem) ** 2
 
     def estimated(kinds: tuple[str, ...]) -> Variances:
         return estimate_variances(
-            _with_effects(groups, kind_of, kinds),
+            with_effects(groups, kind_of, kinds),
             np.concatenate([current, np.ones(len(kinds))]),
         )
 
@@ -317,28 +323,3 @@ def _shares(
     known = float(noise / current @ (groups.counts - hats))
     predicted = float(squares @ left[first:-1][kept])
     return max(float(left[-1]) - known, 0.0), predicted
-
-
-def _with_effects(
-    groups: Groups, kind_of: NDArray[np.str_], kinds: tuple[str, ...]
-) -> Groups:
-    """Groups with some kinds of effects as pseudo-observations, the others left out."""
-    width = groups.known.shape[0]
-    first = width - 1 - len(kind_of)
-    of_effects = first + np.arange(len(kind_of))
-    out = of_effects[~np.isin(kind_of, kinds)]
-    unit = np.zeros((len(kinds), width, width))
-    for k, kind in enumerate(kinds):
-        own = of_effects[kind_of == kind]
-        unit[k, own, own] = 1.0
-    counts = [np.sum(kind_of == kind) for kind in kinds]
-
-    def kept(products: Floats) -> Floats:
-        rows = np.delete(products, out, axis=-1)
-        return np.asarray(np.delete(rows, out, axis=-2))
-
-    return Groups(
-        np.concatenate([groups.counts, counts]),
-        kept(np.concatenate([groups.products, unit])),
-        kept(groups.known),
-    )

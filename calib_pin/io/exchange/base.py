@@ -14,7 +14,8 @@ from calib_pin.errors import OptionError, OutputError
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.results import encode_urdf
 from calib_pin.io.urdf_tree import parse_robot
-from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import JointMap
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel

@@ -37,6 +37,7 @@ from calib_pin.validation.findings.joint_offsets import joint_offset
 from calib_pin.validation.findings.joint_sets import joint_sets
 from calib_pin.validation.findings.joint_turns import joint_turns
 from calib_pin.validation.findings.line_order import line_order
+from calib_pin.validation.findings.modeled_drift import modeled_drift
 from calib_pin.validation.findings.moved_frames import move_findings
 from calib_pin.validation.findings.noise import noise
 from calib_pin.validation.findings.orientations import orientations
@@ -44,6 +45,7 @@ from calib_pin.validation.findings.outliers import outliers
 from calib_pin.validation.findings.plausibility import plausibility
 from calib_pin.validation.findings.population import population
 from calib_pin.validation.findings.repetitions import repetitions
+from calib_pin.validation.findings.ripple import ripples
 from calib_pin.validation.findings.robot import robots
 from calib_pin.validation.findings.targets import targets
 from calib_pin.validation.findings.units import units, units_of_some
@@ -73,6 +75,7 @@ CONSEQUENCES: tuple[Kind, ...] = (
     noise,
     population,
     approach,
+    ripples,
 )
 """Faults in every fit that may follow from another one, and then are not told."""
 
@@ -83,6 +86,7 @@ FACTS: tuple[Kind, ...] = (
     joint_turns,
     coarse_values,
     approach_order,
+    modeled_drift,
 )
 """Faults in every fit that the measurements show whatever else is wrong."""
 

@@ -21,6 +21,7 @@ from calib_pin.estimation.system import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.parameterizations.base import expected_size
+from calib_pin.parameterizations.drift import InstrumentDrift
 from calib_pin.setup import AXES
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
@@ -81,6 +82,17 @@ def drift(case: Case) -> Iterator[Finding]:
     if found:
         _, tell, score, errors = min(found, key=lambda one: one[0])
         yield from tell(case, score, errors)
+
+
+def _remedy(case: Case) -> str:
+    """How to measure without it, or how to let a walk of the instrument be fitted."""
+    names, kind = case.setup.parameters, InstrumentDrift.name
+    if kind in names:
+        return PARTS
+    lines = written({"parameters": [*names, kind]})
+    timed = all(len(block.conditions.time) for block in case.data.blocks)
+    state = "" if timed else " and a column 'time' [s]"
+    return f"{PARTS}; or estimate it, with the setup lines {lines}{state}"
 
 
 Errors = Mapping[str, float]
@@ -166,7 +178,7 @@ def _of_values(
             "sigma": along,
             **errors,
         },
-        f"{PARTS}; or state in the setup file: {written(lines)}",
+        f"{_remedy(case)}; or state in the setup file: {written(lines)}",
         lines,
         "residuals-over-order",
     )
@@ -183,7 +195,7 @@ def _of_instrument(
         "the instrument drifts against the robot from the first measurement to the "
         f"last: without it {100 * after / before:.0f} % of the errors are left",
         errors,
-        PARTS,
+        _remedy(case),
         figure="residuals-over-order",
     )
 

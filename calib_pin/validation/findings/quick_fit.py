@@ -249,6 +249,23 @@ class QuickFit:
         there = problem.residual(self.theta)[: len(row)][order].reshape(count, -1)
         return (there.T - here[:, None]) / STEP
 
+    def explaining(self, columns: Floats) -> Self:
+        """The same fit as if further columns were in it, to first order.
+
+        Args:
+            columns: Change of the whitened residual by each, shape (M, k).
+        """
+        Q, r = self.unexplained
+        X = np.zeros((len(r), columns.shape[1]))
+        X[: len(columns)] = columns
+        U = column_space(X - Q @ (Q.T @ X))
+        result = replace(self)
+        known = self.linear, self.by_joints, self.left - U.shape[1]
+        for name, value in zip(("linear", "by_joints", "left"), known, strict=True):
+            result.__dict__[name] = value
+        result.__dict__["unexplained"] = np.hstack([Q, U]), r - U @ (U.T @ r)
+        return result
+
     def score(self, columns: Floats) -> Score:
         """Try further columns of the Jacobian, in units of their own.
 

@@ -12,7 +12,7 @@ from calib_pin.estimation.directions import Directions
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.statistics.systematic import MOST, _candidates, systematic
+from calib_pin.estimation.statistics.systematic import MOST, candidates, systematic
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Conditions, Observations
 from calib_pin.setup import CameraSetup, FrameSetup, Payload, PointSetup, Setup
@@ -31,20 +31,20 @@ def problem_of(robot: str, setup: Setup | None = None, payload: str = "") -> Pro
 
 
 def names(problem: Problem) -> list[str]:
-    found = _candidates(problem)
+    found = candidates(problem)
     if found is None:
         return []
     return list(found.names)
 
 
 def test_what_is_estimated_is_no_random_effect() -> None:
-    assert len(names(problem_of("pa10"))) == 7 * 5
+    assert len(names(problem_of("pa10"))) == 7 * 7
     gears = replace(Setup(), parameters=("placement", "transmission"))
     assert {name.split(".")[1] for name in names(problem_of("pa10", gears))} == {
-        "compliance"
+        *("compliance", "cross-compliance")
     }
-    both = replace(Setup(), parameters=("transmission", "compliance"))
-    assert names(problem_of("pa10", both)) == []
+    every = ("transmission", "compliance", "cross-compliance")
+    assert names(problem_of("pa10", replace(Setup(), parameters=every))) == []
 
 
 def test_what_has_no_mass_does_not_give() -> None:
@@ -70,7 +70,7 @@ def test_rows_are_those_of_the_parameters(model: str) -> None:
     rng = np.random.default_rng(0)
     zero = np.zeros(len(true.parameters))
     rows = calib_pin.simulate(true, zero, rng, count=12, noise=0.0)
-    effects = _candidates(replace(plain, data=rows))
+    effects = candidates(replace(plain, data=rows))
     assert effects is not None
     plain, true = replace(plain, data=rows), replace(true, data=rows)
     X = effects.rows(plain, np.zeros(len(plain.parameters)))

@@ -1,0 +1,67 @@
+"""What a modeled drift of the instruments came to: no fault, but worth knowing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib_pin.estimation.evidence import Finding
+from calib_pin.parameterizations.drift import INCREMENTS, InstrumentDrift
+from calib_pin.units import DISPLAY
+from calib_pin.validation.findings.case import Case
+
+HOUR, MINUTE = 3600.0, 60.0
+
+
+def modeled_drift(case: Case) -> Iterator[Finding]:
+    """How far every instrument went, and from where to where in the end."""
+    if InstrumentDrift.name not in case.setup.parameters or case.fitted is None:
+        return
+    drift, parameters = case.setup.drift, case.fit.problem.parameters
+    values = dict(zip(parameters.names, case.fit.theta, strict=True))
+    for station, (first, last) in drift.spans.items():
+        ways = {
+            axis: np.cumsum(
+                [
+                    values.get(f"{station}.{InstrumentDrift.name}.{axis}{k + 1}", 0.0)
+                    for k in range(INCREMENTS)
+                ]
+            )
+            for axis in ("x", "y", "z", "rx", "ry", "rz")
+        }
+        shift = np.linalg.norm([ways[axis] for axis in ("x", "y", "z")], axis=0)
+        turn = np.linalg.norm([ways[axis] for axis in ("rx", "ry", "rz")], axis=0)
+        time, moved = _duration(last - first), []
+        for way, unit in ((shift, "m"), (turn, "rad")):
+            if way.any():
+                name, factor = DISPLAY[unit]
+                moved.append(f"{factor * way[-1]:.2g} {name}")
+        owner = "the instrument"
+        if station != "base":
+            owner = f"the instrument at station '{station}'"
+        told = f"{owner} has drifted by {' and '.join(moved)} in {time}"
+        if not moved:
+            told = f"no drift of {owner} shows in {time}"
+        evidence: dict[str, float | str] = {
+            "station": station,
+            "seconds": last - first,
+            "shift": float(shift[-1]),
+            "turn": float(turn[-1]),
+            "largest_shift": float(shift.max()),
+            "largest_turn": float(turn.max()),
+        }
+        yield Finding("modeled-drift", "info", told, evidence)
+
+
+def _duration(seconds: float) -> str:
+    """A time as people tell it.
+
+    Examples:
+        >>> _duration(10800.0), _duration(90.0)
+        ('3 h', '1.5 min')
+    """
+    for unit, size in (("h", HOUR), ("min", MINUTE)):
+        if seconds >= size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} s"

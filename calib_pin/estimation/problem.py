@@ -28,7 +28,7 @@ from calib_pin.estimation.system import Part
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameters import ParameterSet
-from calib_pin.setup import PopulationPrior
+from calib_pin.setup import JointPrior
 
 _Found = TypeVar("_Found")
 
@@ -258,7 +258,7 @@ class Problem(Measured):
     @cached_property
     def _priors(self) -> Priors:
         prior, parameters = self.setup.prior, self.parameters
-        if isinstance(prior, PopulationPrior):
+        if isinstance(prior, JointPrior):
             return Priors.together(prior, parameters)
         return Priors.alone(np.where(parameters.free, parameters.priors, np.inf))
 
@@ -266,7 +266,7 @@ class Problem(Measured):
     def _deviations(self) -> Mapping[str, float]:
         """Standard deviations of priors by name or glob."""
         prior = self.setup.prior
-        if isinstance(prior, PopulationPrior):
+        if isinstance(prior, JointPrior):
             return dict(
                 prior.deviations([p.name for p in self.given if not p.nuisance])
             )

@@ -31,6 +31,7 @@ from calib_pin.validation.judgement import Judgement, judge, quantity_errors
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
 from calib_pin.validation.model_selection import select_model
+from calib_pin.validation.recalibration import Started, started
 from calib_pin.validation.result import CalibrationResult, UrdfResult
 from calib_pin.validation.robot_errors import robot_errors
 from calib_pin.validation.shared import breakdown
@@ -38,6 +39,7 @@ from calib_pin.validation.splits import FOLDS, split
 from calib_pin.validation.summaries import (
     ModelSelection,
     NamedArray,
+    Recalibration,
     SolverSummary,
     Statistics,
     Validation,
@@ -60,6 +62,8 @@ def calibrate(
     progress: Stages | None = None,
     others: Others = NONE,
     workers: Workers = SERIAL,
+    start: CalibrationResult | None = None,
+    process_noise: float | None = None,
 ) -> CalibrationResult:
     """Calibrate a robot.
 
@@ -79,6 +83,10 @@ def calibrate(
         progress: Told the stage and the part that is done, 0 to 1.
         others: Other readings of the files of the measurements.
         workers: Who fits folds and candidates; the result is the same.
+        start: An older calibration of the robot to go on from, with the same
+            parameters; see `validation.recalibration`.
+        process_noise: How far each error of the geometry may have drifted since then,
+            standard deviation [m, rad]; default as the measurements show it.
 
     Returns:
         The result. Look at `verdict` before using it.
@@ -108,6 +116,10 @@ def calibrate(
     encoder_steps(setup, chains.joints)
     training, held, method = split(data, setup, further, holdout, seed)
     _require_ends(chains, setup, training, held)
+    begun = None
+    if start is not None or process_noise is not None:
+        begun = _begun(chains, training, setup, start, process_noise, ladder)
+        setup = begun.setup
     share = 1.0 if held is not None or not validate else 1.0 / (1 + FOLDS)
     selected = None
 
@@ -140,6 +152,9 @@ def calibrate(
         )
     tell = named(progress, "joint readings")
     judgement = judge(chains, model, fitted, held_out, seed, tell, others)
+    if begun is not None:
+        findings = (*begun.findings, *judgement.findings)
+        judgement = replace(judgement, findings=findings)
     files = [*data.files.distinct, *(further.files.distinct if further else ())]
     return _result(
         model,
@@ -151,7 +166,31 @@ def calibrate(
         files=tuple(filter(None, dict.fromkeys(files))),
         selection=None if selected is None else selected.selection,
         urdf=_urdf(chains, training, model, held, seed, validate, judgement, workers),
+        recalibration=None if begun is None else begun.recalibration,
     )
+
+
+def _begun(
+    chains: Chains,
+    training: Observations,
+    setup: Setup,
+    start: CalibrationResult | None,
+    process_noise: float | None,
+    ladder: bool,
+) -> Started:
+    """The beginning by an older calibration.
+
+    Raises:
+        OptionError: If there is none, or it cannot be gone on from.
+    """
+    if start is None:
+        raise OptionError("a process noise belongs to an older calibration, 'start'")
+    if ladder:
+        raise OptionError(
+            "the model of an older calibration is kept; it is not selected anew",
+            allowed="an older calibration, or the selection of a model",
+        )
+    return started(chains, training, setup, start, process_noise)
 
 
 def _result(
@@ -165,6 +204,7 @@ def _result(
     files: tuple[str, ...],
     selection: ModelSelection | None,
     urdf: UrdfResult | None,
+    recalibration: Recalibration | None,
 ) -> CalibrationResult:
     """The result of a calibration, from its steps."""
     fitted = model.fit
@@ -230,6 +270,7 @@ def _result(
         rejected=model.rejected,
         distances=errors.distances + (checked.distances if checked else ()),
         findings=judgement.findings,
+        recalibration=recalibration,
     )
 
 

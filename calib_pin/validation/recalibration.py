@@ -13,6 +13,7 @@ is a single joint that accounts for nearly all.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -46,22 +47,27 @@ from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import (
     DriftSize,
     Jump,
+    NoiseSize,
     Recalibration,
     RecalibrationStep,
 )
 
-EXPECTED = (DriftSize("geometry", 1e-5, 2.0), DriftSize("joint offsets", 3e-5, 2.0))
+EXPECTED = (DriftSize("geometry", 1e-5, 4.0), DriftSize("joint offsets", 3e-5, 4.0))
 """Drift between two calibrations that is expected where nothing is known yet."""
 
 REMEMBERED = 50.0
 """Errors that a drift is worth at most: in a year it may be another one."""
 
-BEYOND = 10.0
+BEYOND = 4.0
 """Drift, in expected sizes, from which it is none: the robot has been changed."""
 
-SURE = 1e3
-"""Evidence for a sudden change by that for none from which it is told: by chance so
-much comes about once in a thousand calibrations."""
+SURE = 50.0
+"""Evidence for a sudden change by that for none from which it is told. Chance brings as
+much in at most one of 50 calibrations; of simulated ones it was one in a thousand."""
+
+CHANCES = {"offset": 1.0, "placement": 0.05, "robot": 0.05}
+"""How likely kinds of sudden changes are beside each other: a joint that was hit slips
+on its axis first of all."""
 
 JUMPS = 4
 """Most causes beside drift and noise that are told, sudden changes and wrong
@@ -76,8 +82,11 @@ WRONG = np.geomspace(3.0, 1e4, 16)
 SOME = 300
 """Measurements that are compared; more do not make it clearer."""
 
-NOISE = 30.0
-"""Values that the noise of the older calibration is worth at most."""
+NOISE = 300.0
+"""Values that known noise is worth at most."""
+
+NOISIER = np.geomspace(1.0, 30.0, 8)
+"""Further noise of another instrument, by what is known of the older one."""
 
 FLOOR = 1e-4
 """Least standard deviation of an error, in its expected size: far below any drift."""
@@ -122,17 +131,17 @@ def started(
             parameters, or must not be trusted.
     """
     _require_usable(chains, setup, start)
-    noise = {c.quantity.split(" ")[0]: c.estimate for c in start.statistics.noise}
-    noise = {name: sigma for name, sigma in noise.items() if sigma > 0.0}
-    stated = replace(setup, prior={}, noise={**noise, **setup.noise})
+    noise = _noise(start)
+    known = {one.quantity: one.sigma for one in noise}
+    stated = replace(setup, prior={}, noise={**known, **setup.noise})
     problem = make_problem(chains, data.sample(SOME), stated)
-    older = _older(problem, start, noise)
+    older = _older(problem, start, known)
     there, theta = _registered(problem, older)
-    compared = _Comparison.of(there, theta, older, start)
+    compared = _Comparison.of(there, theta, older, noise)
     expected = _expected(start, process_noise)
     first = compared.explanation(expected)
     found, sparse = explained(first, compared.sparse, SURE, JUMPS)
-    known = _updated(expected, found)
+    drifted = _updated(expected, found)
     jumps = [cause for cause in sparse if cause.name in compared.sudden]
     step = RecalibrationStep(
         start=start.provenance.file,
@@ -140,7 +149,8 @@ def started(
         measurements=len(data),
         chi2=first.square,
         dof=len(first.values),
-        drifts=known,
+        noise=noise,
+        drifts=drifted,
         jumps=tuple(compared.jump(found, cause) for cause in jumps),
     )
     before = () if start.recalibration is None else start.recalibration.steps
@@ -154,7 +164,7 @@ def started(
         (*before, step),
     )
     return Started(
-        replace(setup, prior=compared.prior(known, jumps)),
+        replace(setup, prior=compared.prior(drifted, jumps)),
         recalibration,
         tuple(older_calibration(recalibration)),
     )
@@ -307,7 +317,10 @@ class _Comparison:
 
     @staticmethod
     def of(
-        problem: Problem, theta: Floats, older: JointPrior, start: CalibrationResult
+        problem: Problem,
+        theta: Floats,
+        older: JointPrior,
+        noise: Sequence[NoiseSize],
     ) -> _Comparison:
         """The comparison of the measurements of a problem, robot and frames at theta.
 
@@ -315,48 +328,66 @@ class _Comparison:
             problem: The problem, without a prior.
             theta: Parameter values, shape (P,).
             older: The errors of the robot as the older calibration knew them.
-            start: That calibration.
+            noise: The noise as it is known.
         """
-        left = sum(c.redundancy * c.values for c in start.statistics.noise)
-        factors = _factors(problem, start)
-        problem = replace(problem, units=factors)
+        problem = replace(problem, units=_factors(problem, noise))
         told = robot_rows(problem, theta, ())
         parameters = problem.parameters
         scales = parameters.scales[told.robot]
         rows, groups = problem.layout.row, problem.data.groups()
+        labels = np.unique(groups)
         return _Comparison(
             older=older,
             scales=scales,
             told=told,
             covariance=np.array(older.covariance) / np.outer(scales, scales),
-            noise=min(max(left, 1.0), NOISE),
+            noise=min(max(sum(one.worth for one in noise), 1.0), NOISE),
             drifting=drifts(problem, told.robot),
             sudden=changes(problem, told.robot),
             wrong=tuple(
-                Sparse(f"measurement {k}", told.along[:, groups[rows] == k], WRONG)
-                for k in np.unique(groups)
+                Sparse(
+                    f"measurement {k}",
+                    told.along[:, groups[rows] == k],
+                    WRONG,
+                    1.0 / len(labels),
+                )
+                for k in labels.tolist()
             ),
         )
 
     @property
-    def sparse(self) -> tuple[tuple[Sparse, ...], ...]:
-        """Kinds of causes that are there or not: single joints, all, measurements."""
-        kinds: dict[str, list[Sparse]] = {}
-        for name, change in self.sudden.items():
-            cause = Sparse(name, self.told.rows @ change.directions, SIZES)
-            kinds.setdefault(change.kind, []).append(cause)
-        return (*map(tuple, kinds.values()), self.wrong)
+    def sparse(self) -> tuple[Sparse, ...]:
+        """Causes that are there or not: of the robot, and of the measurements."""
+        kinds = Counter(change.kind for change in self.sudden.values())
+        of_robot = (
+            Sparse(
+                name,
+                self.told.rows @ change.directions,
+                SIZES,
+                CHANCES[change.kind] / kinds[change.kind],
+            )
+            for name, change in self.sudden.items()
+        )
+        noisier = Sparse("noisier", np.eye(len(self.told.values)), NOISIER)
+        return (*of_robot, *self.wrong, noisier)
 
     def explanation(self, expected: Sequence[DriftSize]) -> Explanation:
         """The innovations, with drift and noise as they are expected."""
         W, K = self.told.rows, len(self.told.values)
+        usual = {drift.name: drift.size for drift in EXPECTED}
         mean = np.array([p.mean for p in self.older.parameters]) / self.scales
         return Explanation(
             self.told.values - W @ mean,
             W @ self.covariance @ W.T,
             (
                 *(
-                    Cause(d.name, W @ self.drifting[d.name], d.size, d.worth, BEYOND)
+                    Cause(
+                        d.name,
+                        W @ self.drifting[d.name],
+                        d.size,
+                        d.worth,
+                        max(BEYOND * usual.get(d.name, 0.0), d.size),
+                    )
                     for d in expected
                 ),
                 Cause("noise", np.eye(K), 1.0, self.noise, np.inf),
@@ -393,17 +424,32 @@ class _Comparison:
         return replace(self.older, covariance=_rows(whole))
 
 
-def _factors(problem: Problem, start: CalibrationResult) -> Floats:
-    """Noise of every quantity by what is given now, as the older calibration knew it.
+def _noise(start: CalibrationResult) -> tuple[NoiseSize, ...]:
+    """The noise of all quantities by an older calibration and those before it."""
+    before = () if start.recalibration is None else start.recalibration.last.noise
+    found = {one.quantity: one for one in before}
+    for own in start.statistics.noise:
+        name, left = own.quantity.split(" ")[0], own.redundancy * own.values
+        known = found.get(name, NoiseSize(name, 0.0, 0.0))
+        worth = known.worth + left
+        if own.estimate > 0.0 and left > 0.0:
+            square = known.worth * known.sigma**2 + left * own.estimate**2
+            sigma = float(np.sqrt(square / worth))
+            found[name] = NoiseSize(name, sigma, min(worth, NOISE))
+    return tuple(found.values())
 
-    Where that has found more than was stated, it is likely to be there again.
+
+def _factors(problem: Problem, noise: Sequence[NoiseSize]) -> Floats:
+    """Noise of every quantity by what is stated now, where it is known to be larger.
+
+    What a robot does that no parameter describes is there whatever the instrument
+    states.
     """
-    older = {c.quantity.split(" ")[0]: c for c in start.statistics.noise}
+    sigmas = {one.quantity: one.sigma for one in noise}
     found = np.ones(len(problem.layout.components))
     for k, component in enumerate(problem.layout.components):
-        noise, own = older.get(component.quantity.name), problem.layout.of_components[k]
-        if noise is None or not len(own) or (noise.stated and not noise.contradicted):
-            continue
-        given = float(np.sqrt(np.mean(problem.given_sigma[own] ** 2)))
-        found[k] = max(noise.estimate / given, 1.0)
+        own = problem.given_sigma[problem.layout.of_components[k]]
+        sigma = sigmas.get(component.quantity.name, 0.0)
+        given = float(np.sqrt(np.mean(own**2))) if len(own) else sigma
+        found[k] = max(sigma / given, 1.0) if sigma > 0.0 else 1.0
     return found

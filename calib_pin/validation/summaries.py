@@ -216,6 +216,21 @@ class DriftSize:
 
 
 @dataclass(frozen=True)
+class NoiseSize:
+    """The noise of a quantity, as several calibrations have shown it.
+
+    Attributes:
+        quantity: Name of the quantity.
+        sigma: Standard deviation of a component [unit of the quantity].
+        worth: Number of redundant values that have told it.
+    """
+
+    quantity: str
+    sigma: float
+    worth: float
+
+
+@dataclass(frozen=True)
 class Jump:
     """A sudden change of the robot since the older calibration.
 
@@ -247,6 +262,7 @@ class RecalibrationStep:
         chi2: Chi-square of the differences from what the older one predicted, with the
             drift that was expected.
         dof: Its degrees of freedom.
+        noise: The noise of every quantity, as far as it was known before.
         drifts: How far the robot drifts, as far as is known now.
         jumps: Sudden changes, the surest first.
     """
@@ -256,6 +272,7 @@ class RecalibrationStep:
     measurements: int
     chi2: float
     dof: int
+    noise: tuple[NoiseSize, ...]
     drifts: tuple[DriftSize, ...]
     jumps: tuple[Jump, ...]
 

@@ -33,7 +33,7 @@ STANDS = 1e-3
 SMALLEST = 1e-3
 """Least size, by the expected one."""
 
-PROMISING = 3
+PROMISING = 6
 """Causes that are looked at closely, of all that might be accepted."""
 
 
@@ -65,11 +65,13 @@ class Sparse:
         name: Its name.
         effects: As for `Cause`.
         sizes: The sizes that it may have, equally likely, ascending.
+        chance: How likely it is beside the others, before any evidence.
     """
 
     name: str
     effects: Floats
     sizes: Floats
+    chance: float = 1.0
 
     def of(self, size: float) -> Cause:
         """The cause with a size."""
@@ -164,14 +166,15 @@ class Explanation:
 
 
 def explained(
-    first: Explanation, several: Sequence[Sequence[Sparse]], sure: float, most: int
+    first: Explanation, causes: Sequence[Sparse], sure: float, most: int
 ) -> tuple[Explanation, tuple[Cause, ...]]:
     """Innovations with the sparse causes that the evidence is sure of, one by one.
 
     Args:
         first: The innovations with the causes that always act, of expected sizes.
-        several: Kinds of sparse causes; those of one kind are equally likely.
-        sure: Ratio of the evidence for a kind of causes from which one is accepted.
+        causes: The sparse causes.
+        sure: Ratio of the evidence for a cause, times its chance, from which it is
+            accepted.
         most: Most sparse causes.
 
     Returns:
@@ -183,15 +186,10 @@ def explained(
         now, _ = replace(first, causes=(*first.causes, *found)).fitted()
         base = now.likelihood + first.expected(now)
         taken = {cause.name for cause in found}
-        better = [
-            (gain - np.log(len(kind)), cause)
-            for kind in several
-            for gain, cause in _best(
-                first, found, now, [c for c in kind if c.name not in taken]
-            )
-        ]
-        gain, cause = max(better, key=lambda pair: pair[0], default=(-np.inf, None))
-        if cause is None or gain - base < np.log(sure):
+        left = [cause for cause in causes if cause.name not in taken]
+        better = _best(first, found, now, left)
+        gain, cause = max(better, key=lambda pair: pair[0])
+        if gain - base < np.log(sure):
             break
         found.append(cause)
     result, _ = replace(first, causes=(*first.causes, *found)).fitted()
@@ -202,22 +200,24 @@ def _best(
     first: Explanation,
     found: Sequence[Cause],
     now: Explanation,
-    kind: Sequence[Sparse],
+    causes: Sequence[Sparse],
 ) -> list[tuple[float, Cause]]:
-    """The causes of a kind with the most evidence, each with that and its size.
+    """The causes with the most evidence, each with that and its size.
 
     What always acts may have grown for want of the cause, and is fitted beside it.
     """
-    promise = [now.evidence(cause)[0] for cause in kind]
+    promise = [now.evidence(cause)[0] + np.log(cause.chance) for cause in causes]
     order = np.argsort(promise)[::-1][:PROMISING]
     result = []
     for k in order.tolist():
-        _, size = now.evidence(kind[k])
-        beside = replace(first, causes=(*first.causes, *found, kind[k].of(size)))
+        cause = causes[k]
+        _, size = now.evidence(cause)
+        beside = replace(first, causes=(*first.causes, *found, cause.of(size)))
         other, _ = beside.fitted()
         without = replace(other, causes=other.causes[:-1])
-        evidence, size = without.evidence(kind[k])
-        result.append((evidence + first.expected(other), kind[k].of(size)))
+        evidence, size = without.evidence(cause)
+        evidence += first.expected(other) + float(np.log(cause.chance))
+        result.append((evidence, cause.of(size)))
     return result
 
 

@@ -31,7 +31,7 @@ from calib_pin.validation.judgement import Judgement, judge, quantity_errors
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
 from calib_pin.validation.model_selection import select_model
-from calib_pin.validation.recalibration import Started, started
+from calib_pin.validation.recalibration import started
 from calib_pin.validation.result import CalibrationResult, UrdfResult
 from calib_pin.validation.robot_errors import robot_errors
 from calib_pin.validation.shared import breakdown
@@ -118,7 +118,7 @@ def calibrate(
     _require_ends(chains, setup, training, held)
     begun = None
     if start is not None or process_noise is not None:
-        begun = _begun(chains, training, setup, start, process_noise, ladder)
+        begun = started(chains, training, setup, start, process_noise, ladder)
         setup = begun.setup
     share = 1.0 if held is not None or not validate else 1.0 / (1 + FOLDS)
     selected = None
@@ -168,29 +168,6 @@ def calibrate(
         urdf=_urdf(chains, training, model, held, seed, validate, judgement, workers),
         recalibration=None if begun is None else begun.recalibration,
     )
-
-
-def _begun(
-    chains: Chains,
-    training: Observations,
-    setup: Setup,
-    start: CalibrationResult | None,
-    process_noise: float | None,
-    ladder: bool,
-) -> Started:
-    """The beginning by an older calibration.
-
-    Raises:
-        OptionError: If there is none, or it cannot be gone on from.
-    """
-    if start is None:
-        raise OptionError("a process noise belongs to an older calibration, 'start'")
-    if ladder:
-        raise OptionError(
-            "the model of an older calibration is kept; it is not selected anew",
-            allowed="an older calibration, or the selection of a model",
-        )
-    return started(chains, training, setup, start, process_noise)
 
 
 def _result(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.system import System
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import LENGTH_SCALE, expected_size, owner
 
@@ -36,40 +36,38 @@ class Change:
     size: float = LENGTH_SCALE
 
 
-def drifts(problem: Problem, robot: NDArray[np.bool_]) -> Mapping[str, Floats]:
+def drifts(system: System, robot: NDArray[np.bool_]) -> Mapping[str, Floats]:
     """How errors drift by independent effects, in their scales, by name.
 
     Of a drift of size one [m, rad] errors without such a unit have the same part of
     their expected sizes as a length.
 
     Args:
-        problem: The problem.
+        system: The robot.
         robot: The K errors of the robot, shape (P,).
     """
-    own = [p for p, of in zip(problem.parameters, robot, strict=True) if of]
-    sizes = [
-        1.0 / (p.scale if p.unit in ("m", "rad") else LENGTH_SCALE) for p in own
-    ]
-    offsets = [column for _, column, _ in _offsets(problem, robot)]
+    own = [p for p, of in zip(system.given, robot, strict=True) if of]
+    sizes = [1.0 / (p.scale if p.unit in ("m", "rad") else LENGTH_SCALE) for p in own]
+    offsets = [column for _, column, _ in _offsets(system, robot)]
     alone = np.column_stack(offsets) if offsets else np.zeros((len(own), 0))
     return {"geometry": np.diag(sizes), "joint offsets": alone}
 
 
-def changes(problem: Problem, robot: NDArray[np.bool_]) -> Mapping[str, Change]:
+def changes(system: System, robot: NDArray[np.bool_]) -> Mapping[str, Change]:
     """The sudden changes that the errors of a robot may show, by name.
 
     Args:
-        problem: The problem.
+        system: The robot.
         robot: The K errors of the robot, shape (P,).
     """
-    own = [p for p, of in zip(problem.parameters, robot, strict=True) if of]
+    own = [p for p, of in zip(system.given, robot, strict=True) if of]
     found = {}
-    for joint, column, unit in _offsets(problem, robot):
+    for joint, column, unit in _offsets(system, robot):
         size = expected_size(unit)
         change = Change(joint, "offset", size * column[:, None], unit, size)
         found[f"offset {joint}"] = change
     every, owners = np.eye(len(own)), [p.name.rsplit(".", 2)[0] for p in own]
-    for joint in problem.chains.joints:
+    for joint in system.chains.joints:
         index = [k for k, name in enumerate(owners) if name == owner(joint)]
         if len(index) > 1:
             of_joint = Change(joint, "placement", every[:, index])
@@ -78,16 +76,14 @@ def changes(problem: Problem, robot: NDArray[np.bool_]) -> Mapping[str, Change]:
     return found
 
 
-def _offsets(
-    problem: Problem, robot: NDArray[np.bool_]
-) -> list[tuple[str, Floats, str]]:
+def _offsets(system: System, robot: NDArray[np.bool_]) -> list[tuple[str, Floats, str]]:
     """Joints whose offset the errors hold, with the errors by an offset of one.
 
     In their scales, shape (K,), and with the unit of the offset.
     """
     place = np.cumsum(robot) - 1
     found: dict[str, tuple[str, Floats, str]] = {}
-    for part in problem.parts.values():
+    for part in system.parts.values():
         chain = part.error.chain
         for frame, joint in enumerate(chain.joints, 1):
             index, twists = [], []

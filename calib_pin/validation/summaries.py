@@ -236,7 +236,7 @@ class Jump:
 
     Attributes:
         name: The joint; empty for the whole robot.
-        kind: `offset` for that of the joint, `placement` for all of its errors, `robot`.
+        kind: `offset` of the joint, `placement` for all of its errors, or `robot`.
         unit: Unit of the offset, rad or m; of others m.
         change: The offset, or how far the origin of the joint has moved.
         sigma: Standard deviation of the offset; NaN for others.

@@ -111,7 +111,7 @@ class Explanation:
         return float(_likelihoods(self.values, self.covariance[None])[0])
 
     def effects(self, cause: Cause) -> tuple[Floats, Floats]:
-        """The likeliest effects of a cause, shape (k,), and their covariance, (k, k)."""
+        """The likeliest effects of a cause, (k,), and their covariance, (k, k)."""
         E, square = cause.effects, cause.size**2
         by = square * np.linalg.solve(self.covariance, E).T
         return by @ self.values, square * np.eye(E.shape[1]) - square * by @ E

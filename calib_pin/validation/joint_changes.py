@@ -85,12 +85,17 @@ def _offsets(system: System, robot: NDArray[np.bool_]) -> list[tuple[str, Floats
     found: dict[str, tuple[str, Floats, str]] = {}
     for part in system.parts.values():
         chain = part.error.chain
+        behind = [*chain.placements, chain.tip_placement]
         for frame, joint in enumerate(chain.joints, 1):
             index, twists = [], []
+            # Errors in the next frame, as those of a DH matrix, move with the joint.
+            to_frame = {frame: np.eye(6), frame + 1: behind[frame].toActionMatrix()}
             for screw, k in zip(part.error.screws, part.of_error, strict=True):
-                if screw.frame == frame and screw.basis is None and robot[k]:
+                own = screw.parameter.name.rsplit(".", 2)[0] == owner(joint)
+                if own and screw.frame in to_frame and screw.basis is None and robot[k]:
                     index.append(int(place[k]))
-                    twists.append(screw.twist * screw.parameter.scale)
+                    twist = to_frame[screw.frame] @ screw.twist
+                    twists.append(twist * screw.parameter.scale)
             if not twists or joint in found:
                 continue
             motion, T = chain.motions[frame - 1], np.array(twists).T

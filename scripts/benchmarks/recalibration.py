@@ -24,6 +24,7 @@ from benchmarks.criteria import run_criteria
 from benchmarks.criterion import Criterion, Line, at_most, between
 from benchmarks.verdict.jobs import SEED, Job, draw, stream
 from benchmarks.verdict.truth import WORKSPACE, position_error
+from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.estimation.robot_rows import robot_rows
 from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.kinematics.chains import Chains
@@ -175,9 +176,11 @@ def run(number: int, weeks: int = WEEKS) -> Outcome:
         at = _planned(job, result, week) if kind.planned else None
         data = job.measured(rng, count=FEW, q=at)
         older = position_error(job, result.model, q)
-        result = calib_pin.calibrate(job.chain, data, start=result)
+        anew = calib_pin.calibrate(job.chain, data, start=result)
+        # A user goes on with the older one where the new one must not be trusted.
+        result = anew if anew.verdict in TRUSTED else result
         covariance = _better(job, data, covariance, robot)
-        assert result.recalibration is not None
+        assert anew.recalibration is not None
         workspace = result.accuracy.workspace
         found.append(
             Week(
@@ -185,14 +188,14 @@ def run(number: int, weeks: int = WEEKS) -> Outcome:
                 older=older,
                 optimal=_expected(job, covariance, robot, q),
                 predicted=np.nan if workspace is None else workspace.calibrated[0],
-                told=bool(result.recalibration.last.jumps),
-                status=result.verdict,
+                told=bool(anew.recalibration.last.jumps),
+                status=anew.verdict,
             )
         )
         if week % (weeks // FULLS or 1) == 0:
             data = job.measured(rng, count=FULL)
-            anew = calib_pin.calibrate(job.chain, data, validate=False)
-            full.append(position_error(job, anew.model, q))
+            whole = calib_pin.calibrate(job.chain, data, validate=False)
+            full.append(position_error(job, whole.model, q))
     return Outcome(number, kind, jump, found, full)
 
 

@@ -187,6 +187,8 @@ def explained(
         base = now.likelihood + first.expected(now)
         taken = {cause.name for cause in found}
         left = [cause for cause in causes if cause.name not in taken]
+        if not left:
+            break
         better = _best(first, found, now, left)
         gain, cause = max(better, key=lambda pair: pair[0])
         if gain - base < np.log(sure):

@@ -26,6 +26,7 @@ from calib_pin.validation.comparison import (
     BOUND,
     Comparison,
     Difference,
+    chained,
     faults,
     robot_groups,
     robot_parameters,
@@ -138,7 +139,7 @@ def _doubts(found: Comparison) -> Iterator[str]:
             "The errors are described by different parameters, which can cause a "
             "difference without any change of the robot."
         )
-    if found.chained:
+    if chained(found.first, found.second):
         yield (
             "B began with A: it tells what the new measurements have changed, and the "
             "noise of both is not independent."

@@ -205,12 +205,6 @@ class Comparison:
         return same and shared_files(self.first, self.second)
 
     @property
-    def chained(self) -> bool:
-        """Whether the second calibration began with the first one."""
-        begun, created = self.second.recalibration, self.first.provenance.created
-        return begun is not None and created in {s.created for s in begun.steps} - {""}
-
-    @property
     def described(self) -> bool:
         """Whether nothing but noise is left in either, so that only a move differs.
 
@@ -334,6 +328,12 @@ def faults(found: Comparison) -> tuple[Finding, ...]:
     """Why tips are so far apart, if hardly any robot has such a drift."""
     models = found.first.model, found.second.model
     return different_robots(*models, found.same_nominal, found.drift.position.rms)
+
+
+def chained(first: CalibrationResult, second: CalibrationResult) -> bool:
+    """Whether the second calibration began with the first one."""
+    begun, created = second.recalibration, first.provenance.created
+    return begun is not None and created in {s.created for s in begun.steps} - {""}
 
 
 def shared_files(first: CalibrationResult, second: CalibrationResult) -> bool:

@@ -145,7 +145,8 @@ class Outcome:
         told = " ".join(f"{1e3 * week.error:.3f}" for week in self.weeks)
         return (
             f"run {self.number}: {self.kind}; jump in week {self.jump + 1} "
-            f"({self.visible:.1f} sigma) {'told' if self.announced else 'missed'}, {self.alarms} false alarms; "
+            f"({self.visible:.1f} sigma) {'told' if self.announced else 'missed'}, "
+            f"{self.alarms} false alarms; "
             f"full {1e3 * _rms(self.full):.3f} mm, weeks {told}"
         )
 

@@ -34,6 +34,7 @@ from calib_pin.validation.judgement import Judgement, judge, quantity_errors
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
 from calib_pin.validation.model_selection import select_model
+from calib_pin.validation.recalibration import started
 from calib_pin.validation.result import CalibrationResult, UrdfResult
 from calib_pin.validation.robot_errors import robot_errors
 from calib_pin.validation.shared import breakdown
@@ -41,6 +42,7 @@ from calib_pin.validation.splits import FOLDS, split
 from calib_pin.validation.summaries import (
     ModelSelection,
     NamedArray,
+    Recalibration,
     SolverSummary,
     Statistics,
     Validation,
@@ -64,6 +66,8 @@ def calibrate(
     progress: Stages | None = None,
     others: Others = NONE,
     workers: Workers = SERIAL,
+    start: CalibrationResult | None = None,
+    process_noise: float | None = None,
 ) -> CalibrationResult:
     """Calibrate a robot.
 
@@ -85,6 +89,10 @@ def calibrate(
         progress: Told the stage and the part that is done, 0 to 1.
         others: Other readings of the files of the measurements.
         workers: Who fits folds and candidates; the result is the same.
+        start: An older calibration of the robot to go on from, with the same
+            parameters; see `validation.recalibration`.
+        process_noise: How far each error of the geometry may have drifted since then,
+            standard deviation [m, rad]; default as the measurements show it.
 
     Returns:
         The result. Look at `verdict` before using it.
@@ -114,6 +122,10 @@ def calibrate(
     encoder_steps(setup, chains.joints)
     training, held, method = split(data, setup, further, holdout, seed)
     _require_ends(chains, setup, training, held)
+    begun = None
+    if start is not None or process_noise is not None:
+        begun = started(chains, training, setup, start, process_noise, ladder)
+        setup = begun.setup
     setup = with_drift(chains, training, setup, seed)
     if held is not None:
         require_conditions(held, setup)
@@ -151,6 +163,9 @@ def calibrate(
         )
     tell = named(progress, "joint readings")
     judgement = judge(chains, model, fitted, held_out, seed, tell, others)
+    if begun is not None:
+        findings = (*begun.findings, *judgement.findings)
+        judgement = replace(judgement, findings=findings)
     files = [*data.files.distinct, *(further.files.distinct if further else ())]
     return _result(
         model,
@@ -162,6 +177,7 @@ def calibrate(
         files=tuple(filter(None, dict.fromkeys(files))),
         selection=None if selected is None else selected.selection,
         urdf=_urdf(chains, training, model, held, seed, validate, judgement, workers),
+        recalibration=None if begun is None else begun.recalibration,
     )
 
 
@@ -176,6 +192,7 @@ def _result(
     files: tuple[str, ...],
     selection: ModelSelection | None,
     urdf: UrdfResult | None,
+    recalibration: Recalibration | None,
 ) -> CalibrationResult:
     """The result of a calibration, from its steps."""
     fitted = model.fit
@@ -241,6 +258,7 @@ def _result(
         rejected=model.rejected,
         distances=errors.distances + (checked.distances if checked else ()),
         findings=judgement.findings,
+        recalibration=recalibration,
     )
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 import calib_pin.cli.options as options
+from calib_pin.cli.older import ProcessNoise, Start
 from calib_pin.cli.printing import (
     notice,
     progress_bar,
@@ -108,6 +109,8 @@ def calibrate(
             options.number(float, "--holdout", "a number between 0 and 1"),
         ),
     ] = None,
+    start: Start = None,
+    process_noise: ProcessNoise = None,
     details: options.Details = False,
     figures: Figures = None,
     figure_format: FigureFormat = "png",
@@ -149,6 +152,8 @@ def calibrate(
         station_per_file,
         validation,
         holdout,
+        start,
+        process_noise,
         seed,
     )
     pictures = figure_files(figures, figure_format, "calibration")

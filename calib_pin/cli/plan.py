@@ -29,6 +29,7 @@ from calib_pin.cli.files import (
     stated_blocks,
     tell_limits,
 )
+from calib_pin.cli.older import PlannedStart, as_before, open_older
 from calib_pin.cli.printing import (
     notice,
     progress_bar,
@@ -74,6 +75,7 @@ def plan(
         list[Path] | None,
         plan_option("--to CSV", "Measurements that exist already; may be repeated."),
     ] = None,
+    start: PlannedStart = None,
     accept: Annotated[
         bool,
         plan_option(
@@ -194,8 +196,11 @@ def plan(
     from calib_pin.report.compensation_text import line_list
     from calib_pin.report.plan_text import plan_report
     from calib_pin.solvers import Status
+    from calib_pin.validation.recalibration import expected_setup
 
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
+    older = open_older(start)
+    stated = as_before(stated, older)
     require_known("criterion", criterion, CRITERION_NAMES)
     require_known("method", method, METHODS)
     if accept:
@@ -206,7 +211,7 @@ def plan(
     wanted = 0 if accept else _count(count, add, to)
     require_distinct(to or [])
     pictures = figure_files(figures, figure_format, "plan")
-    inputs = (robot, setup, srdf, tests, *(to or []))
+    inputs = (robot, setup, srdf, tests, start, *(to or []))
     check_outputs([output, *filter(None, [motion]), *pictures], inputs, force)
     if motion is not None and ignore_collisions:
         raise OptionError("--ignore-collisions contradicts --motion")
@@ -233,6 +238,8 @@ def plan(
     else:
         keys = stated_blocks(stated, *filter(None, [chain]))
         chains = open_chains(robot, stated, keys, package_dir)
+    if older is not None:
+        stated = expected_setup(chains, stated, older)
     if not quiet:
         tell_limits(chains)
     narrower = options.parse_limits(limits or [], chains)

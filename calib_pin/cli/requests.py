@@ -16,6 +16,7 @@ from calib_pin.cli.files import (
     other_readings,
     require_distinct,
 )
+from calib_pin.cli.older import as_before, open_older
 from calib_pin.cli.printing import Bar, notice
 from calib_pin.cli.results import (
     ResultFiles,
@@ -58,12 +59,17 @@ class Request:
     station_per_file: bool = False
     validation: Path | None = None
     holdout: float | None = None
+    start: Path | None = None
+    process_noise: float | None = None
     seed: int = 0
 
     @property
     def inputs(self) -> list[str | Path | None]:
         """The files that it reads, none of which may be written."""
-        return [self.robot, self.setup, self.validation, *self.measurements]
+        from calib_pin.io.result_file import document_file
+
+        older = None if self.start is None else document_file(self.start)
+        return [self.robot, self.setup, self.validation, older, *self.measurements]
 
     def words(self, output: Path) -> tuple[str, ...]:
         """The command line of `calibrate` that asks for the same."""
@@ -89,6 +95,7 @@ class Opened:
         measurements: The measurements.
         validation: Those of the validation file; None without one.
         files: Where the results go; None where they are only printed.
+        older: The older calibration to go on from; None without one.
     """
 
     request: Request
@@ -97,6 +104,7 @@ class Opened:
     measurements: Observations
     validation: Observations | None
     files: ResultFiles | None
+    older: CalibrationResult | None = None
 
 
 @dataclass(frozen=True)
@@ -149,6 +157,9 @@ def opened(
         loss=request.loss,
         learned=request.learned,
     )
+    further = [] if request.validation is None else [request.validation]
+    older = open_older(request.start, [*request.measurements, *further])
+    stated = as_before(stated, older)
     if stated.solver.evolution and stated.solver.name not in ("de", "hybrid"):
         name = stated.solver.name
         notice(f"{name} ignores the options of differential evolution in 'solver'")
@@ -159,7 +170,6 @@ def opened(
     else:
         check_results(files, pictures, chains.robot, request.inputs, force)
     validation, per_file = request.validation, request.station_per_file
-    further = [] if validation is None else [validation]
     require_distinct([*request.measurements, *further])
     chains, rows = open_measurements(
         request.measurements,
@@ -187,7 +197,7 @@ def opened(
             f"the measurements that 'set' marks for validation are not used with "
             f"{option}"
         )
-    return Opened(request, stated, chains, rows, unseen, files)
+    return Opened(request, stated, chains, rows, unseen, files, older)
 
 
 def calibrated(
@@ -235,6 +245,8 @@ def calibrated(
             station_per_file=request.station_per_file,
         ),
         workers=workers,
+        start=opened.older,
+        process_noise=request.process_noise,
     )
     seconds = time.perf_counter() - start
     better = suggestions(

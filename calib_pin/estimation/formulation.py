@@ -40,7 +40,7 @@ from calib_pin.parameterizations import (
 from calib_pin.parameterizations.drift import InstrumentDrift
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameters import ParameterSet, matching
-from calib_pin.setup import WORLD, PopulationPrior, Setup
+from calib_pin.setup import WORLD, JointPrior, Setup
 
 
 def make_problem(
@@ -255,19 +255,19 @@ def restricted(setup: Setup, names: Sequence[str]) -> Setup:
         fixed=tuple(filter(known, setup.fixed)),
         bounds={key: value for key, value in setup.bounds.items() if known(key)},
         prior=setup.prior
-        if isinstance(setup.prior, PopulationPrior)
+        if isinstance(setup.prior, JointPrior)
         else {key: value for key, value in setup.prior.items() if known(key)},
     )
 
 
 def _with_prior(chains: Chains, given: ParameterSet, setup: Setup) -> Setup:
-    """The setup with the noise that the prior of a population states.
+    """The setup with the noise that a joint prior states.
 
     Raises:
         OptionError: If it is the prior of another type, or of other parameters.
     """
     prior = setup.prior
-    if not isinstance(prior, PopulationPrior):
+    if not isinstance(prior, JointPrior):
         return setup
     difference = prior.robot.difference(robot_type(chains))
     if difference:
@@ -284,7 +284,7 @@ def _with_prior(chains: Chains, given: ParameterSet, setup: Setup) -> Setup:
             f"the prior does not have the parameters {enumerated(lacking)}",
             file=prior.file or None,
             value=list(setup.parameters),
-            allowed="the parameters of the robots that it was made from",
+            allowed="the parameters that it was made from",
         )
     return replace(setup, noise={**prior.noise, **setup.noise})
 

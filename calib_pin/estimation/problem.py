@@ -29,7 +29,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.parameters import ParameterSet
-from calib_pin.setup import PopulationPrior
+from calib_pin.setup import JointPrior
 
 _Found = TypeVar("_Found")
 
@@ -259,9 +259,9 @@ class Problem(Measured):
     @cached_property
     def _priors(self) -> Priors:
         prior, parameters = self.setup.prior, self.parameters
-        if isinstance(prior, PopulationPrior):
+        if isinstance(prior, JointPrior):
             together = Priors.together(prior, parameters)
-            # A fleet says nothing of how an instrument drifts.
+            # What robots have says nothing of how an instrument drifts.
             own = np.where(parameters.nuisance, parameters.priors, np.inf)
             alone = Priors.alone(np.where(parameters.free, own, np.inf))
             return Priors(np.vstack([together.rows, alone.rows]), together.mean)
@@ -271,7 +271,7 @@ class Problem(Measured):
     def _deviations(self) -> Mapping[str, float]:
         """Standard deviations of priors by name or glob."""
         prior = self.setup.prior
-        if isinstance(prior, PopulationPrior):
+        if isinstance(prior, JointPrior):
             return dict(
                 prior.deviations([p.name for p in self.given if not p.nuisance])
             )

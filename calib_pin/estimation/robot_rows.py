@@ -33,11 +33,14 @@ class RobotRows:
             them.
         rows: W for these divided by their scales, shape (r, K).
         values: c, shape (r,).
+        along: How each measured value enters these, shape (r, M): the M whitened
+            residuals of the problem times it are `W theta - c`.
     """
 
     robot: NDArray[np.bool_]
     rows: Floats
     values: Floats
+    along: Floats
 
 
 def robot_rows(
@@ -64,7 +67,9 @@ def robot_rows(
     basis = np.zeros((len(parameters), len(values)))
     basis[robot] = Vt[shown].T
     half = np.linalg.cholesky(_noise(problem, theta, components, basis, U))
-    return RobotRows(robot, np.linalg.solve(half, rows), np.linalg.solve(half, values))
+    of_values = U[: len(problem.layout.row)].T
+    told = (np.linalg.solve(half, part) for part in (rows, values, of_values))
+    return RobotRows(robot, *told)
 
 
 def _noise(

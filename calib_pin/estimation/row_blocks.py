@@ -22,7 +22,7 @@ from calib_pin.measurement_models.references import (
     Sphere,
 )
 from calib_pin.parameters import ParameterSet
-from calib_pin.setup import DistanceSetup, PopulationPrior
+from calib_pin.setup import DistanceSetup, JointPrior
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ class Priors:
         return Priors(np.diag(1.0 / sigma)[known], np.zeros(len(sigma)))
 
     @staticmethod
-    def together(prior: PopulationPrior, parameters: ParameterSet) -> Priors:
-        """The prior that robots of the same type have given.
+    def together(prior: JointPrior, parameters: ParameterSet) -> Priors:
+        """The prior by robots of the same type, or by an older calibration.
 
         Args:
             prior: The prior; what the parameters lack of it is left out.

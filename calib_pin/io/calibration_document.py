@@ -115,6 +115,11 @@ def calibration_document(
         "model_ladder": None
         if result.model_selection is None
         else _ladder(result.model_selection),
+        **(
+            {"recalibration": plain(result.recalibration)}
+            if result.recalibration is not None
+            else {}
+        ),
         "urdf": None
         if result.urdf is None
         else _urdf(result.urdf, result.validation.method),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calib_pin.control.compensation import Compensation
-from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.evidence import Finding, PoseErrors
 from calib_pin.estimation.system import System
 from calib_pin.io.json_text import Json, plain
 from calib_pin.io.targets import Targets
@@ -21,11 +21,23 @@ from calib_pin.planning.suggestions import Suggestion
 from calib_pin.setup import LimitSetup
 from calib_pin.validation.acceptance import Acceptance, judged
 from calib_pin.validation.comparison import BOUND, Comparison, Difference, faults
+from calib_pin.validation.frame_drift import Displacement
 from calib_pin.validation.result import (
     CalibrationResult,
     Evaluation,
     Identification,
 )
+
+
+def _displacement(moved: Displacement) -> Json:
+    """The displacement of a frame, with what it moves and its uncertainty."""
+    return {
+        "position": moved.shift,
+        "orientation": moved.turn,
+        "sigma": PoseErrors(*moved.sigma)._asdict(),
+        "chance": moved.chance,
+        "tool_point": moved.motion,
+    }
 
 
 def comparison_document(found: Comparison) -> Json:
@@ -50,8 +62,7 @@ def comparison_document(found: Comparison) -> Json:
         "tip": _tip(found, found.chain),
         **_tips(found),
         "displacements": {
-            name: None if d is None else {"position": d.shift, "orientation": d.turn}
-            for name, d in names.items()
+            name: None if d is None else _displacement(d) for name, d in names.items()
         },
         "bound": BOUND,
         "parameters": [

@@ -1,4 +1,4 @@
-"""The prior that robots of one type have given, as a JSON file.
+"""Joint priors as JSON: that of robots of one type, a file, and that of one robot.
 
     {"format": "calib-pin/fleet-prior", "version": 1,
      "robot": {"name", "joints": [{"name", "axis", "placement"}]},
@@ -6,6 +6,9 @@
      "parameters": [{"name", "unit", "mean", "sigma", "spread", "robots"}],
      "covariance": [],    # of the next robot's errors about the means
      "noise": {}}         # by quantity
+
+That of an older calibration is part of the results that it began. Its format is
+`calib-pin/robot-prior`; it has neither robots nor spreads.
 
 All numbers are in SI units. What they mean stands at `setup.population`.
 """
@@ -22,30 +25,35 @@ import numpy as np
 from calib_pin.errors import InputError
 from calib_pin.io.files import read_bytes, write_atomically
 from calib_pin.io.json_text import Json, decode, encode, plain, require_format, typed
-from calib_pin.setup import PopulationPrior
+from calib_pin.setup import JointPrior, PopulationPrior
 
 FORMAT, VERSION = "calib-pin/fleet-prior", 1
 """The newest format of priors."""
+
+OF_ROBOT = "calib-pin/robot-prior"
+"""The format of that by an older calibration."""
 
 SYMMETRIC = 1e-9
 """Largest part of a correlation that may differ from its mirror image."""
 
 
-def prior_document(prior: PopulationPrior) -> Json:
+def prior_document(prior: JointPrior) -> Json:
     """A prior as plain data."""
     content = plain(prior)
     del content["file"]
-    return {"format": FORMAT, "version": VERSION, **content}
+    name = FORMAT if isinstance(prior, PopulationPrior) else OF_ROBOT
+    return {"format": name, "version": VERSION, **content}
 
 
-def prior_of(document: Mapping[str, Any]) -> PopulationPrior:
+def prior_of(document: Mapping[str, Any]) -> JointPrior:
     """The prior of plain data.
 
     Raises:
         ValueError: If it is none; the message says why.
     """
+    kind = JointPrior if document.get("format") == OF_ROBOT else PopulationPrior
     try:
-        prior = typed(PopulationPrior, document)
+        prior = typed(kind, document)
     except KeyError as error:
         raise ValueError(f"{error} is missing") from error
     except (TypeError, AttributeError) as error:
@@ -75,6 +83,7 @@ def read_population_prior(path: str | Path) -> PopulationPrior:
     except ValueError as mistake:
         reason = f"damaged or edited prior: {mistake}"
         raise InputError(reason, file=path) from mistake
+    assert isinstance(prior, PopulationPrior)
     return replace(prior, file=str(path))
 
 
@@ -95,14 +104,14 @@ def write_population_prior(
     write_atomically(Path(path), encode(prior_document(prior)), force=force)
 
 
-def _require_whole(prior: PopulationPrior) -> None:
+def _require_whole(prior: JointPrior) -> None:
     """Refuse numbers that are no prior.
 
     Raises:
         ValueError: If they are none.
     """
     count = len(prior.parameters)
-    if prior.robots < 1 or not count:
+    if not count or (isinstance(prior, PopulationPrior) and prior.robots < 1):
         raise ValueError("it is of no robots, or of no parameters")
     for kind, names in (
         ("parameters", prior.names),

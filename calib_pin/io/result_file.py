@@ -54,6 +54,7 @@ from calib_pin.validation.summaries import (
     ModelSelection,
     NamedArray,
     Provenance,
+    Recalibration,
     SolverSummary,
     Statistics,
     ToolAccuracy,
@@ -191,6 +192,9 @@ def _result(
         rejected=document.get("rejected_residual_model", ""),
         distances=typed(tuple[FoundDistance, ...], document.get("distances", ())),
         findings=typed(tuple[Finding, ...], document.get("findings", ())),
+        recalibration=typed(Recalibration, begun)
+        if (begun := document.get("recalibration"))
+        else None,
         provenance=Provenance(
             command=typed(tuple[str, ...], made.get("command", ())),
             created=typed(str, made.get("created", "")),

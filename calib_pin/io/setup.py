@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from calib_pin.errors import InputError, nearest
 from calib_pin.io.json_text import plain
-from calib_pin.setup import WORLD, PopulationPrior, Setup
+from calib_pin.setup import WORLD, JointPrior, Setup
 
 WIDTH = 60
 """Column after which a list is continued in the next line."""
@@ -155,7 +155,7 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         for key, value in _plain(asdict(file)).items()
         if getattr(file, key) != getattr(empty, key) or key in required
     }
-    if isinstance(setup.prior, PopulationPrior):
+    if isinstance(setup.prior, JointPrior):
         from calib_pin.io.population_prior import prior_document
 
         found["prior"] = prior_document(setup.prior)

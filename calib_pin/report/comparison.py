@@ -26,12 +26,14 @@ from calib_pin.validation.comparison import (
     BOUND,
     Comparison,
     Difference,
+    chained,
     faults,
     robot_groups,
     robot_parameters,
     shared_files,
     stated_noise,
 )
+from calib_pin.validation.frame_drift import Displacement
 from calib_pin.validation.result import CalibrationResult
 
 
@@ -137,6 +139,11 @@ def _doubts(found: Comparison) -> Iterator[str]:
             "The errors are described by different parameters, which can cause a "
             "difference without any change of the robot."
         )
+    if chained(found.first, found.second):
+        yield (
+            "B began with A: it tells what the new measurements have changed, and the "
+            "noise of both is not independent."
+        )
     if shared_files(found.first, found.second):
         yield "They share a measurement file: their noise is not independent."
     elif (
@@ -162,6 +169,9 @@ def _origin(record: CalibrationResult) -> str:
         f"{' + '.join(kinds)}{day}"
     )
 
+
+INSIGNIFICANT = 0.01
+"""Probability by chance from which a displacement is none."""
 
 FAR = 0.01
 """Distance between the tools from which it matters which of them is compared [m]."""
@@ -242,17 +252,38 @@ def _farthest(found: Comparison) -> Facts:
     )
 
 
-def _frames(found: Comparison) -> Iterator[Facts]:
+def _frames(found: Comparison) -> Iterator[Block]:
     """The displacements of base and tool, which are no drift of the robot."""
-    entries = []
-    for moved in found.displacements:
-        words = amount(moved.shift, "m")
-        if moved.turn is not None:
-            words += f" and {amount(moved.turn, 'rad')}"
-        words += f", relative to the {'tip link' if moved.of_tool else 'instrument'}"
-        entries.append((moved.frame, words))
-    if entries:
-        yield Facts("Displaced in B, which is no drift of the robot", entries)
+    entries = [(d.frame, _displaced(d)) for d in found.displacements]
+    if not entries:
+        return
+    yield Facts("Displaced in B, which is no drift of the robot", entries)
+    moving = [d for d in found.displacements if math.isfinite(d.motion)]
+    if moving:
+        parts = [
+            f"{amount(d.motion, 'm')} by the "
+            f"{'tool' if d.of_tool else 'instrument'} ({d.frame})"
+            for d in moving
+        ]
+        parts.append(f"{amount(found.drift.position.rms, 'm')} by the robot")
+        noise = ""
+        if found.explained is not None:
+            noise = f", where noise explains {amount(found.explained[0], 'm')}"
+        yield Line(f"Measured tool points moved {', '.join(parts)}{noise}.", "note")
+
+
+def _displaced(moved: Displacement) -> str:
+    """The displacement of a frame in words, with its uncertainty where it is known."""
+    sizes = [(moved.shift, "m", moved.sigma[0])]
+    if moved.turn is not None:
+        sizes.append((moved.turn, "rad", moved.sigma[1]))
+    words = " and ".join(
+        amount(size, unit)
+        + (f" +- {amount(sigma, unit)}" if math.isfinite(sigma) else "")
+        for size, unit, sigma in sizes
+    )
+    words += f", relative to the {'tip link' if moved.of_tool else 'instrument'}"
+    return words + ("; no more than noise" if moved.chance > INSIGNIFICANT else "")
 
 
 def parameter_changes(found: Comparison) -> Iterator[Block]:

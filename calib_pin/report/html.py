@@ -38,6 +38,7 @@ from calib_pin.report.identification import (
     unknown,
 )
 from calib_pin.report.places import frame_blocks
+from calib_pin.report.recalibration import recalibrated
 from calib_pin.report.robot_errors import offsets
 from calib_pin.report.tables import (
     STATUS,
@@ -236,6 +237,7 @@ def _sections(
         "findings": list(_findings(result, figures)),
         "accuracy": [
             *accuracy(result),
+            *recalibrated(result),
             *parts(result),
             *moves(result),
             *expected(result),

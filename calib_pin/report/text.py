@@ -11,6 +11,7 @@ from calib_pin.report.blocks import Block
 from calib_pin.report.breakdown import frames_told, parts, told
 from calib_pin.report.identification import identified, summary
 from calib_pin.report.places import frame_blocks
+from calib_pin.report.recalibration import recalibrated
 from calib_pin.report.robot_errors import corrections, held, offsets, offsets_alone
 from calib_pin.report.tables import listed
 from calib_pin.report.terminal import plain_text
@@ -66,6 +67,7 @@ def report(
     yield from (*before, said, *behind)
     yield subject(result)
     yield from accuracy(result, details=details)
+    yield from recalibrated(result, details=details)
     yield from parts(result)
     alone = offsets_alone(result)
     if details or not alone:

@@ -26,7 +26,7 @@ from calib_pin.setup.constraints import (
     listed,
 )
 from calib_pin.setup.fleet import JobSetup, MonteCarloSetup
-from calib_pin.setup.population import PopulationPrior
+from calib_pin.setup.population import JointPrior, PopulationPrior
 from calib_pin.setup.printing import ReportSetup
 from calib_pin.setup.reading import (
     AXES,
@@ -83,6 +83,7 @@ __all__ = [
     "Frames",
     "JobSetup",
     "JointMap",
+    "JointPrior",
     "LimitSetup",
     "MonteCarloSetup",
     "Obstacle",
@@ -297,7 +298,7 @@ class FitSetup(Section):
         default_factory=dict
     )
     prior: Annotated[
-        Mapping[str, float] | PopulationPrior,
+        Mapping[str, float] | JointPrior,
         OrFile(
             Mapping[str, Annotated[float, Positive("SI")]],
             "the file of a fleet's prior, or a mapping of names to standard deviations",
@@ -311,8 +312,8 @@ class FitSetup(Section):
 
     @property
     def prior_by_glob(self) -> Mapping[str, float]:
-        """Prior standard deviations about zero by glob; none with a fleet's prior."""
-        return {} if isinstance(self.prior, PopulationPrior) else self.prior
+        """Prior standard deviations about zero by glob; none with a joint one."""
+        return {} if isinstance(self.prior, JointPrior) else self.prior
 
     @property
     def heaviest(self) -> str:

@@ -1,4 +1,4 @@
-"""The prior of a robot by others of its type."""
+"""The prior of a robot by others of its type, or by an older calibration of it."""
 
 from __future__ import annotations
 
@@ -64,45 +64,51 @@ class RobotType:
 
 
 @dataclass(frozen=True)
-class ParameterPrior:
-    """An error parameter over the robots of a type.
+class ExpectedParameter:
+    """The value that an error parameter is expected to have.
 
     Attributes:
         name: Name of the parameter.
         unit: Its unit.
-        mean: Mean of the robots.
+        mean: The most likely value.
+    """
+
+    name: str
+    unit: str
+    mean: float
+
+
+@dataclass(frozen=True)
+class ParameterPrior(ExpectedParameter):
+    """An error parameter over the robots of a type; its mean is theirs.
+
+    Attributes:
         sigma: Standard deviation of the mean, as far as it is known.
         spread: Standard deviation among robots.
         robots: Number of robots that the spread is known from: one counts in full that
             tells the parameter without error; 0 where no robot tells anything.
     """
 
-    name: str
-    unit: str
-    mean: float
     sigma: float
     spread: float
     robots: float
 
 
 @dataclass(frozen=True)
-class PopulationPrior:
-    """A normal prior of the errors of the next robot of a type.
+class JointPrior:
+    """A normal prior of all errors of a robot together.
 
     Attributes:
-        robot: The type.
-        robots: Number of robots that it was made from.
-        parameters: Mean and spread of every parameter, P of them.
-        covariance: Of the next robot's errors about the means, shape (P, P): spreads,
-            and what is unknown of these and of the means.
-        noise: Standard deviation of the measurements by quantity, the median of the
-            robots; it counts as stated where nobody states another one.
+        robot: The type of the robot.
+        parameters: What is expected of every parameter, P of them.
+        covariance: Of the errors about their means, shape (P, P).
+        noise: Standard deviation of the measurements by quantity; it counts as stated
+            where nobody states another one.
         file: Where it was read from, for messages.
     """
 
     robot: RobotType
-    robots: int
-    parameters: tuple[ParameterPrior, ...]
+    parameters: tuple[ExpectedParameter, ...]
     covariance: tuple[Row, ...]
     noise: Mapping[str, float] = field(default_factory=dict)
     file: str = ""
@@ -117,3 +123,19 @@ class PopulationPrior:
         for k, name in enumerate(self.names):
             if name in names:
                 yield name, self.covariance[k][k] ** 0.5
+
+
+@dataclass(frozen=True)
+class PopulationPrior(JointPrior):
+    """A normal prior of the errors of the next robot of a type.
+
+    Its covariance holds the spreads, and what is unknown of these and of the means; its
+    noise is the median of the robots.
+
+    Attributes:
+        robots: Number of robots that it was made from.
+        parameters: Mean and spread of every parameter.
+    """
+
+    parameters: tuple[ParameterPrior, ...]
+    robots: int = field(kw_only=True)

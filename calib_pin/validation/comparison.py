@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,13 +12,12 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.system import FRAME
 from calib_pin.validation.counterparts import (
-    Displacement,
-    displacements,
     partners,
     require_comparable,
     same_nominal,
 )
 from calib_pin.validation.findings.different_robots import different_robots
+from calib_pin.validation.frame_drift import Displacement, displacements
 from calib_pin.validation.result import (
     CalibrationResult,
     CoupledGroup,
@@ -308,26 +307,33 @@ def compare(
     nothing: tuple[tuple[str, ...], int] = (), 0
     here = _alone(first, second) if same else nothing
     there = _alone(second, first) if same else nothing
-    return Comparison(
+    found = Comparison(
         first=first,
         second=second,
         same_nominal=same,
         differences=differences(first, second) if same else (),
         alone=(here[0], there[0]),
         sums_alone=(here[1], there[1]),
-        displacements=tuple(
-            displacements(
-                first.model, second.model, _oriented(first) and _oriented(second)
-            )
-        ),
+        displacements=(),
         drifts=drifts,
     )
+    blurred = 1.0
+    if found.explained is not None and not found.identical:
+        blurred = max(found._size(found.chain), 1.0)
+    moved = displacements(first, second, found.oriented, seed, blurred)
+    return replace(found, displacements=moved)
 
 
 def faults(found: Comparison) -> tuple[Finding, ...]:
     """Why tips are so far apart, if hardly any robot has such a drift."""
     models = found.first.model, found.second.model
     return different_robots(*models, found.same_nominal, found.drift.position.rms)
+
+
+def chained(first: CalibrationResult, second: CalibrationResult) -> bool:
+    """Whether the second calibration began with the first one."""
+    begun, created = second.recalibration, first.provenance.created
+    return begun is not None and created in {s.created for s in begun.steps} - {""}
 
 
 def shared_files(first: CalibrationResult, second: CalibrationResult) -> bool:

@@ -1,9 +1,6 @@
-"""Two calibrations of one robot side by side: chains, nominal robots, frames."""
+"""Two calibrations of one robot side by side: chains and nominal robots."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -15,24 +12,6 @@ from calib_pin.validation.result import CalibrationResult
 
 SAME = 1e-9
 """Largest difference between places of one nominal robot, or of a frame [m, rad]."""
-
-
-@dataclass(frozen=True)
-class Displacement:
-    """How far a frame stands from where it stood.
-
-    Attributes:
-        frame: `base`, seen from the measurement frame, or `tool`, seen from the tip; of
-            several the name of the station or the tool.
-        shift: Distance between both origins [m].
-        turn: Angle between both orientations [rad]; None where rows do not tell.
-        of_tool: Whether it is that of a tool.
-    """
-
-    frame: str
-    shift: float
-    turn: float | None
-    of_tool: bool = False
 
 
 def partners(first: CalibratedModel, second: CalibratedModel) -> dict[str, str]:
@@ -97,38 +76,6 @@ def _same_chain(A: Chain, B: Chain) -> bool:
     return np.allclose(A.axes, B.axes, rtol=0.0, atol=SAME) and all(
         _same(a, b) for a, b in pairs
     )
-
-
-def displacements(
-    first: CalibratedModel, second: CalibratedModel, told: bool
-) -> Iterator[Displacement]:
-    """How far the frames that both have stand from where they stood.
-
-    Args:
-        first: One calibrated robot.
-        second: The other.
-        told: Whether the measurements of both tell how the tool is turned.
-    """
-    A, B = _frames(first), _frames(second)
-    for place in (found for found in A if found in B):
-        a, b = A[place], B[place]
-        if not _same(a, b):
-            shift = float(np.linalg.norm(b.translation - a.translation))
-            turn = float(np.linalg.norm(pin.log3(a.rotation.T @ b.rotation)))
-            of_tool = place[0] == "tool"
-            known = turn if told or not of_tool else None
-            yield Displacement(place[1], shift, known, of_tool)
-
-
-def _frames(model: CalibratedModel) -> dict[tuple[str, str], pin.SE3]:
-    """Base and tool, or the frames of all stations and tools by their names."""
-    found: dict[tuple[str, str], pin.SE3] = {}
-    for key, part in model.parts.items():
-        at, scope = model.of(key), part.scope
-        found.setdefault(("base", scope.station.rpartition(".")[0]), at.error.base)
-        tool = at.tool * scope.offset.inverse()
-        found.setdefault(("tool", scope.tool.rpartition(".")[0]), tool)
-    return found
 
 
 def _same(a: pin.SE3, b: pin.SE3) -> bool:

@@ -21,6 +21,7 @@ from calib_pin.validation.summaries import (
     ModelSelection,
     NamedArray,
     Provenance,
+    Recalibration,
     SolverSummary,
     Statistics,
     Validation,
@@ -307,6 +308,7 @@ class CalibrationResult(Tables, Identification, Breakdown):
         distances: Known distances beside those that were found.
         findings: Defects of the data or the result.
         provenance: How it came about.
+        recalibration: How it went on from an older calibration; None where it did not.
     """
 
     model: CalibratedModel
@@ -327,6 +329,7 @@ class CalibrationResult(Tables, Identification, Breakdown):
     distances: tuple[FoundDistance, ...] = ()
     findings: tuple[Finding, ...] = ()
     provenance: Provenance = field(default_factory=Provenance)
+    recalibration: Recalibration | None = None
 
     @property
     def geometry(self) -> CalibratedModel | None:

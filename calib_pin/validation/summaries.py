@@ -16,6 +16,7 @@ from calib_pin.estimation.evidence import (
     TipAccuracy,
     VarianceComponent,
 )
+from calib_pin.validation.accuracy import Accuracy
 
 
 class NamedArray(np.ndarray):
@@ -230,3 +231,100 @@ class Provenance:
     versions: Mapping[str, str] = field(default_factory=dict)
     file: str = ""
     hashes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class DriftSize:
+    """How far errors of a robot drift from one calibration to the next.
+
+    Attributes:
+        name: The errors: `geometry` for each of them, `joint offsets`.
+        size: Standard deviation of one, of an angle as of a length [rad, m].
+        worth: Number of errors that have told it, or that it was given the weight of;
+            infinite where the user states it.
+    """
+
+    name: str
+    size: float
+    worth: float
+
+
+@dataclass(frozen=True)
+class NoiseSize:
+    """The noise of a quantity, as several calibrations have shown it.
+
+    Attributes:
+        quantity: Name of the quantity.
+        sigma: Standard deviation of a component [unit of the quantity].
+        worth: Number of redundant values that have told it.
+    """
+
+    quantity: str
+    sigma: float
+    worth: float
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A sudden change of the robot since the older calibration.
+
+    Attributes:
+        name: The joint; empty for the whole robot.
+        kind: `offset` of the joint, `placement` for all of its errors, or `robot`.
+        unit: Unit of the offset, rad or m; of others m.
+        change: The offset, or how far the origin of the joint has moved.
+        sigma: Standard deviation of the offset; NaN for others.
+        turn: How far the joint has turned beside [rad]; zero for an offset.
+    """
+
+    name: str
+    kind: str
+    unit: str
+    change: float
+    sigma: float
+    turn: float = 0.0
+
+
+@dataclass(frozen=True)
+class RecalibrationStep:
+    """A calibration that began with an older one.
+
+    Attributes:
+        start: File of the older one; empty for one in memory.
+        created: When that was made, ISO 8601; empty where nobody knows.
+        measurements: Number of new measurements.
+        chi2: Chi-square of the differences from what the older one predicted, with the
+            drift that was expected.
+        dof: Its degrees of freedom.
+        noise: The noise of every quantity, as far as it was known before.
+        drifts: How far the robot drifts, as far as is known now.
+        jumps: Sudden changes, the surest first.
+    """
+
+    start: str
+    created: str
+    measurements: int
+    chi2: float
+    dof: int
+    noise: tuple[NoiseSize, ...]
+    drifts: tuple[DriftSize, ...]
+    jumps: tuple[Jump, ...]
+
+
+@dataclass(frozen=True)
+class Recalibration:
+    """How a calibration went on from an older one.
+
+    Attributes:
+        errors: Name, unit and accuracy of every quantity of the new measurements by the
+            older calibration, base, tool and instrument registered.
+        steps: All such calibrations since the first one, the last is this one.
+    """
+
+    errors: tuple[tuple[str, str, Accuracy], ...]
+    steps: tuple[RecalibrationStep, ...]
+
+    @property
+    def last(self) -> RecalibrationStep:
+        """This calibration."""
+        return self.steps[-1]

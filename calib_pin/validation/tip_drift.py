@@ -91,6 +91,13 @@ def tip_drift(
 
 
 def absorbed(A: Floats, B: Floats, *, left: bool, right: bool) -> Floats:
+    """The moved poses of `absorbing`, shape (N, 4, 4)."""
+    return absorbing(A, B, left=left, right=right)[0]
+
+
+def absorbing(
+    A: Floats, B: Floats, *, left: bool, right: bool
+) -> tuple[Floats, Floats, Floats]:
     """Move poses onto others by one displacement on the left and one on the right.
 
     `L B R` is brought to `A` by least squares (Gauss-Newton). Orientations count as
@@ -103,8 +110,9 @@ def absorbed(A: Floats, B: Floats, *, left: bool, right: bool) -> Floats:
         right: Whether there is an R.
 
     Returns:
-        The moved poses, shape (N, 4, 4).
+        The moved poses, shape (N, 4, 4), L and R, shape (4, 4).
     """
+    L, R_ = np.eye(4), np.eye(4)
     free = np.repeat([left, right], 6)
     for _ in range(STEPS if free.any() else 0):
         R, p = B[:, :3, :3], B[:, :3, 3]
@@ -117,10 +125,11 @@ def absorbed(A: Floats, B: Floats, *, left: bool, right: bool) -> Floats:
         step[free] = np.linalg.lstsq(
             J.reshape(-1, 12)[:, free], missing.reshape(-1), rcond=1e-9
         )[0]
-        B = se3_exp(step[:6]) @ B @ se3_exp(step[6:])
+        by_left, by_right = se3_exp(step[:6]), se3_exp(step[6:])
+        B, L, R_ = by_left @ B @ by_right, by_left @ L, R_ @ by_right
         if np.abs(step).max() < 1e-10:
             break
-    return B
+    return B, L, R_
 
 
 def _tools(

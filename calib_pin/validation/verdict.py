@@ -19,6 +19,7 @@ from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import distinct_values, known_values
 from calib_pin.estimation.statistics.distributions import chi_square_quantile, f_tail
 from calib_pin.parameterizations.base import expected_size
+from calib_pin.setup import JointPrior
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.gains import PRESS
@@ -229,6 +230,8 @@ def _unchecked(grounds: Grounds) -> str:
         )
     left = sum(v.redundancy * v.values for v in fitted.noise)
     sure = all(noise.stated and not noise.contradicted for noise in fitted.noise)
+    prior = fitted.problem.setup.prior
+    sure |= isinstance(prior, JointPrior) and bool(prior.noise)
     if not sure and left < OPTIONS.redundant:
         return (
             f"{left:.1f} redundant values are too few to estimate the noise; measure "

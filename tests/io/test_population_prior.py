@@ -21,13 +21,13 @@ from calib_pin.setup.population import JointType, ParameterPrior, RobotType
 
 PRIOR = PopulationPrior(
     RobotType("arm", (JointType("a", (0.0, 0.0, 1.0), ()),)),
-    12,
     (
         ParameterPrior("a.placement.x", "m", 1e-3, 1e-4, 3e-4, 11.5),
         ParameterPrior("a.placement.rz", "rad", -1 / 3e3, 1e-4, 1e-4, 0.1),
     ),
     ((1e-7, 2e-8), (2e-8, 4e-8)),
     {"position": 1.1e-4},
+    robots=12,
 )
 
 

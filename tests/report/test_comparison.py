@@ -18,7 +18,7 @@ from calib_pin.validation.comparison import (
     Difference,
     compare,
 )
-from calib_pin.validation.counterparts import Displacement
+from calib_pin.validation.frame_drift import Displacement
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,231 @@
+"""How far measurements are from what was predicted, and which causes explain that.
+
+Innovations `v ~ N(0, V)` are new measurements minus their prediction, with
+
+    V = V_0 + sum_g s_g^2 E_g E_g',
+
+V_0 by what was uncertain before, and causes g that act by independent effects of one
+size s_g: the drift of a robot, the noise of the measurements, a joint that was hit, a
+measurement that is wrong. A size that was expected beforehand counts like as many
+effects as it is worth; the sizes are the most likely ones (the rounds are those of
+MacKay, Bayesian interpolation, 1992).
+
+A sparse cause is accepted by its evidence: the likelihood with it, averaged over all
+sizes that it may have, by that without. Were there no such cause, a ratio of k would
+come about in at most one of k cases (Markov's inequality, as `E[L_1/L_0] = 1`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib_pin.kinematics.spatial import Floats
+
+ROUNDS = 300
+"""Most rounds; some dozens are usual."""
+
+STANDS = 1e-3
+"""Relative change of a variance that no longer matters."""
+
+SMALLEST = 1e-3
+"""Least size, by the expected one."""
+
+PROMISING = 6
+"""Causes that are looked at closely, of all that might be accepted."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A cause of innovations.
+
+    Attributes:
+        name: Its name.
+        effects: E, the innovations by its effects of size one, shape (r, k).
+        size: Their expected size s.
+        worth: Number of effects that the expected size is worth against those that
+            show; infinite where the size is known.
+        most: Largest size.
+    """
+
+    name: str
+    effects: Floats
+    size: float
+    worth: float
+    most: float = np.inf
+
+
+@dataclass(frozen=True)
+class Sparse:
+    """A cause that is there or, far more likely, not.
+
+    Attributes:
+        name: Its name.
+        effects: As for `Cause`.
+        sizes: The sizes that it may have, equally likely, ascending.
+        chance: How likely it is beside the others, before any evidence.
+    """
+
+    name: str
+    effects: Floats
+    sizes: Floats
+    chance: float = 1.0
+
+    def of(self, size: float) -> Cause:
+        """The cause with a size."""
+        return Cause(self.name, self.effects, size, np.inf)
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Innovations and the causes that explain them.
+
+    Attributes:
+        values: The innovations v, shape (r,).
+        known: Their covariance V_0 by what was uncertain before, shape (r, r).
+        causes: The causes; their sizes count.
+    """
+
+    values: Floats
+    known: Floats
+    causes: tuple[Cause, ...]
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance V of the innovations, shape (r, r)."""
+        result = self.known.copy()
+        for cause in self.causes:
+            result += cause.size**2 * cause.effects @ cause.effects.T
+        return result
+
+    @property
+    def square(self) -> float:
+        """Chi-square of the innovations, of as many degrees of freedom as they are."""
+        return float(self.values @ np.linalg.solve(self.covariance, self.values))
+
+    @property
+    def likelihood(self) -> float:
+        """Logarithm of their density, but for a constant."""
+        return float(_likelihoods(self.values, self.covariance[None])[0])
+
+    def effects(self, cause: Cause) -> tuple[Floats, Floats]:
+        """The likeliest effects of a cause, (k,), and their covariance, (k, k)."""
+        E, square = cause.effects, cause.size**2
+        by = square * np.linalg.solve(self.covariance, E).T
+        return by @ self.values, square * np.eye(E.shape[1]) - square * by @ E
+
+    def fitted(self) -> tuple[Explanation, tuple[float, ...]]:
+        """The likeliest sizes, and the number of effects that tell each of them."""
+        v, sizes = self.values, np.array([cause.size for cause in self.causes])
+        expected = sizes.copy()
+        worth = np.array([cause.worth for cause in self.causes])
+        most = np.array([cause.most for cause in self.causes])
+        open_ = np.isfinite(worth)
+        told = np.zeros(len(sizes))
+        for _ in range(ROUNDS):
+            inverse = np.linalg.inv(replace(self, causes=self._of(sizes)).covariance)
+            new = sizes.copy()
+            for k in np.flatnonzero(open_):
+                E = self.causes[k].effects
+                by = inverse @ E
+                told[k] = sizes[k] ** 2 * float(np.sum(E * by))
+                found = sizes[k] ** 4 * float(np.sum((by.T @ v) ** 2))
+                square = (worth[k] * expected[k] ** 2 + found) / (worth[k] + told[k])
+                least = SMALLEST * expected[k]
+                new[k] = np.clip(np.sqrt(square), least, most[k])
+            change = np.abs(np.log(new / sizes)).max(initial=0.0)
+            sizes = new
+            if 2.0 * change < STANDS:
+                break
+        return replace(self, causes=self._of(sizes)), tuple(told.tolist())
+
+    def _of(self, sizes: Floats) -> tuple[Cause, ...]:
+        pairs = zip(self.causes, sizes.tolist(), strict=True)
+        return tuple(replace(cause, size=size) for cause, size in pairs)
+
+    def evidence(self, cause: Sparse) -> tuple[float, float]:
+        """Logarithm of the mean likelihood with a cause, and its likeliest size."""
+        EE = cause.effects @ cause.effects.T
+        V = self.covariance + cause.sizes[:, None, None] ** 2 * EE
+        found = _likelihoods(self.values, V)
+        best = float(found.max())
+        mean = best + float(np.log(np.mean(np.exp(found - best))))
+        return mean, float(cause.sizes[int(np.argmax(found))])
+
+    def expected(self, other: Explanation) -> float:
+        """Logarithm of how likely the sizes are beforehand by those of another one."""
+        result = 0.0
+        pairs = zip(self.causes, other.causes, strict=False)
+        for own, cause in pairs:
+            if np.isfinite(own.worth):
+                ratio = (cause.size / own.size) ** 2
+                result -= 0.5 * own.worth * (np.log(ratio) + 1.0 / ratio - 1.0)
+        return result
+
+
+def explained(
+    first: Explanation, causes: Sequence[Sparse], sure: float, most: int
+) -> tuple[Explanation, tuple[Cause, ...]]:
+    """Innovations with the sparse causes that the evidence is sure of, one by one.
+
+    Args:
+        first: The innovations with the causes that always act, of expected sizes.
+        causes: The sparse causes.
+        sure: Ratio of the evidence for a cause, times its chance, from which it is
+            accepted.
+        most: Most sparse causes.
+
+    Returns:
+        The innovations with all causes of their likeliest sizes, and the sparse ones
+        among these, in the order in which they were accepted.
+    """
+    found: list[Cause] = []
+    for _ in range(most):
+        now, _ = replace(first, causes=(*first.causes, *found)).fitted()
+        base = now.likelihood + first.expected(now)
+        taken = {cause.name for cause in found}
+        left = [cause for cause in causes if cause.name not in taken]
+        if not left:
+            break
+        better = _best(first, found, now, left)
+        gain, cause = max(better, key=lambda pair: pair[0])
+        if gain - base < np.log(sure):
+            break
+        found.append(cause)
+    result, _ = replace(first, causes=(*first.causes, *found)).fitted()
+    return result, tuple(found)
+
+
+def _best(
+    first: Explanation,
+    found: Sequence[Cause],
+    now: Explanation,
+    causes: Sequence[Sparse],
+) -> list[tuple[float, Cause]]:
+    """The causes with the most evidence, each with that and its size.
+
+    What always acts may have grown for want of the cause, and is fitted beside it.
+    """
+    promise = [now.evidence(cause)[0] + np.log(cause.chance) for cause in causes]
+    order = np.argsort(promise)[::-1][:PROMISING]
+    result = []
+    for k in order.tolist():
+        cause = causes[k]
+        _, size = now.evidence(cause)
+        beside = replace(first, causes=(*first.causes, *found, cause.of(size)))
+        other, _ = beside.fitted()
+        without = replace(other, causes=other.causes[:-1])
+        evidence, size = without.evidence(cause)
+        evidence += first.expected(other) + float(np.log(cause.chance))
+        result.append((evidence, cause.of(size)))
+    return result
+
+
+def _likelihoods(v: Floats, V: Floats) -> Floats:
+    """Logarithms of normal densities, shapes (r,) and (K, r, r) -> (K,)."""
+    half = np.linalg.cholesky(V)
+    logarithm = np.log(np.diagonal(half, axis1=1, axis2=2)).sum(axis=1)
+    rest = np.linalg.solve(half, np.broadcast_to(v[:, None], (len(V), len(v), 1)))
+    return np.asarray(-logarithm - 0.5 * np.sum(rest[:, :, 0] ** 2, axis=1))

@@ -1,0 +1,115 @@
+"""Causes of innovations: sizes by likelihood, sparse ones by evidence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib_pin.estimation.statistics.innovations import (
+    Cause,
+    Explanation,
+    Sparse,
+    explained,
+)
+
+COUNT = 24
+
+
+def innovations(seed: int, sizes, jump=0.0) -> Explanation:
+    """Innovations by a prior, two causes of true sizes, and a jump of one effect."""
+    rng = np.random.default_rng(seed)
+    half = 0.3 * rng.normal(size=(COUNT, 10))
+    E = rng.normal(size=(COUNT, 30))
+    direction = np.random.default_rng(7).normal(size=(COUNT, 1))
+    values = (
+        half @ rng.normal(size=10)
+        + sizes[0] * E @ rng.normal(size=30)
+        + sizes[1] * rng.normal(size=COUNT)
+        + jump * direction[:, 0]
+    )
+    causes = (
+        Cause("drift", E, 0.1, 2.0),
+        Cause("noise", np.eye(COUNT), 1.0, 50.0),
+    )
+    return Explanation(values, half @ half.T, causes)
+
+
+def jump_of(sizes=(0.3, 30.0)) -> Sparse:
+    direction = np.random.default_rng(7).normal(size=(COUNT, 1))
+    return Sparse("jump", direction, np.geomspace(*sizes, 12))
+
+
+def test_sizes_are_found_on_average() -> None:
+    found = [innovations(seed, (0.4, 1.0)).fitted() for seed in range(60)]
+    drift = np.sqrt(np.mean([e.causes[0].size ** 2 for e, _ in found]))
+    noise = np.sqrt(np.mean([e.causes[1].size ** 2 for e, _ in found]))
+    # A few effects tell it each time, beside two that expected a quarter of it.
+    assert 0.3 < drift < 0.5
+    assert noise == pytest.approx(1.0, abs=0.1)
+    told = np.mean([counts for _, counts in found], axis=0)
+    assert 2.0 < told.sum() < COUNT and (told > 0.0).all()
+
+
+def test_the_likeliest_sizes_are_a_maximum() -> None:
+    """Of the likelihood with what was expected, by differences."""
+    first = innovations(3, (0.4, 1.2))
+    found, _ = first.fitted()
+
+    def height(k: int, factor: float) -> float:
+        causes = list(found.causes)
+        causes[k] = replace(causes[k], size=factor * causes[k].size)
+        there = replace(found, causes=tuple(causes))
+        return there.likelihood + first.expected(there)
+
+    for k in (0, 1):
+        best = height(k, 1.0)
+        assert height(k, 1.05) < best and height(k, 0.95) < best
+
+
+def test_stated_sizes_stay_and_others_have_a_limit() -> None:
+    first = innovations(0, (3.0, 1.0))
+    drift, noise = first.causes
+    fixed = replace(first, causes=(replace(drift, worth=np.inf), noise))
+    assert fixed.fitted()[0].causes[0].size == drift.size
+    free = first.fitted()[0].causes[0].size
+    bounded = replace(first, causes=(replace(drift, most=0.5 * free), noise))
+    assert bounded.fitted()[0].causes[0].size == pytest.approx(0.5 * free)
+
+
+def test_effects_are_those_of_a_linear_normal_model() -> None:
+    first = innovations(1, (0.1, 1.0), jump=5.0)
+    cause = jump_of().of(4.0)
+    both = replace(first, causes=(*first.causes, cause))
+    value, covariance = both.effects(cause)
+    inverse = np.linalg.inv(first.covariance)
+    E = cause.effects
+    information = E.T @ inverse @ E + 1.0 / 4.0**2
+    assert covariance == pytest.approx(1.0 / information)
+    assert value == pytest.approx(E.T @ inverse @ first.values / information[0, 0])
+    assert value[0] == pytest.approx(5.0, abs=4.0 * covariance[0, 0] ** 0.5)
+
+
+def test_a_jump_is_told_and_none_is_invented() -> None:
+    told = [
+        len(explained(innovations(k, (0.1, 1.0), jump=4.0), [jump_of()], 50.0, 2)[1])
+        for k in range(20)
+    ]
+    assert told == [1] * 20
+    invented = [
+        len(explained(innovations(k, (0.1, 1.0)), [jump_of()], 50.0, 2)[1])
+        for k in range(200)
+    ]
+    # At most one in fifty by Markov's inequality: more than 12 of 200 have a
+    # probability below 1e-3.
+    assert sum(invented) <= 12
+
+
+def test_the_cause_that_explains_it_wins() -> None:
+    """A wide one that holds the narrow one has less evidence."""
+    wide = np.column_stack([jump_of().effects, np.eye(COUNT)[:, :5]])
+    others = [Sparse("wide", wide, jump_of().sizes), jump_of()]
+    found, sparse = explained(innovations(2, (0.1, 1.0), jump=6.0), others, 50.0, 2)
+    assert [cause.name for cause in sparse] == ["jump"]
+    assert found.causes[0].size < 0.4

@@ -1,0 +1,224 @@
+"""An older calibration that goes on: it holds, drifts, jumps, or is refused."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.errors import OptionError
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.kinematics.chains import Chains
+from calib_pin.observations import Observations
+from calib_pin.setup import FrameSetup, JointPrior, Setup
+from calib_pin.simulation import simulate
+from calib_pin.validation.recalibration import expected_setup
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.tip_drift import absorbed
+
+TOOL = FrameSetup((0.05, 0.08, 0.12), estimate=True)
+NOISE = 1e-4
+HERE = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A robot with known errors, and its first calibration."""
+
+    problem: object
+    theta: np.ndarray
+    first: CalibrationResult
+
+    @property
+    def chain(self):
+        return self.problem.chains[""]
+
+    def measured(
+        self, seed, count=10, changes=None, noise=NOISE, moved=(0.0, 0.0, 0.0)
+    ):
+        """Measurements by a tracker that was moved, without stated noise."""
+        theta = self.changed(changes)
+        base = FrameSetup((1.0 + moved[0], *moved[1:]), (0.1, 0.2, 0.3), estimate=True)
+        problem = nominal_problem(
+            self.chain, "position", Setup(base_frame=base, tool_frame=TOOL)
+        )
+        rng = np.random.default_rng(seed)
+        rows = simulate(problem, theta, rng, count=count, noise=noise).only
+        return Observations.of(replace(rows, sigma=None))
+
+    def changed(self, changes):
+        theta = self.theta.copy()
+        for name, change in (changes or {}).items():
+            theta[self.problem.parameters.index(name)] += change
+        return theta
+
+    def error(self, result, changes=None):
+        """True error of the tool over the workspace, rms [m]."""
+        q = self.chain.random_configurations(200, np.random.default_rng(5))
+        part = self.problem.only
+        A = part.error.poses(q, self.changed(changes))
+        B = absorbed(A, result.model.of().poses(q), left=True, right=True)
+        squares = np.sum((B[:, :3, 3] - A[:, :3, 3]) ** 2, axis=1)
+        return float(np.sqrt(squares.mean()))
+
+
+@pytest.fixture(scope="module")
+def bench() -> Bench:
+    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
+    problem = nominal_problem(chain, "position", Setup(tool_frame=TOOL))
+    parameters, rng = problem.parameters, np.random.default_rng(3)
+    robot = parameters.free & ~parameters.nuisance
+    theta = np.where(robot, parameters.scales * rng.normal(size=len(robot)), 0.0)
+    bare = Bench(problem, theta, None)
+    first = calib_pin.calibrate(chain, bare.measured(1, 80))
+    assert first.verdict == "good"
+    return replace(bare, first=first)
+
+
+def again(bench, data, **options):
+    return calib_pin.calibrate(bench.chain, data, start=bench.first, **options)
+
+
+def codes(result):
+    return {finding.code: finding for finding in result.findings}
+
+
+def test_ten_measurements_keep_it(bench) -> None:
+    """The tracker stands elsewhere, and nothing else has changed."""
+    result = again(bench, bench.measured(2, moved=(0.3, -0.2, 0.1)))
+    assert result.verdict == "good"
+    found = codes(result)["old-calibration-holds"]
+    assert found.severity == "info" and "still holds" in found.message
+    step = result.recalibration.last
+    assert step.measurements == 10 and step.jumps == ()
+    # Of as many innovations as the robot has errors that positions tell.
+    assert step.dof == 18 and 6.0 < step.chi2 < 40.0
+    assert bench.error(result) < 1.2 * bench.error(bench.first)
+    alone = calib_pin.calibrate(bench.chain, bench.measured(2), validate=False)
+    assert bench.error(result) < 0.5 * bench.error(alone)
+    # What the older one predicts is worse than the fit, and far better than nominal.
+    (name, unit, older), (error,) = result.recalibration.errors[0], result.errors
+    assert (name, unit) == ("position", "m")
+    assert error.after.rms < older.rms < 0.2 * error.before.rms
+
+
+JUMP = {"elbow_joint.placement.ry": 1.5e-3}
+
+
+def test_a_hit_joint_is_told_and_followed(bench) -> None:
+    result = again(bench, bench.measured(4, changes=JUMP))
+    found = codes(result)["old-calibration-no-longer-holds"]
+    assert found.severity == "warning" and "'elbow_joint' has changed" in found.message
+    (jump,) = result.recalibration.last.jumps
+    assert (jump.name, jump.kind, jump.unit) == ("elbow_joint", "offset", "rad")
+    assert jump.change == pytest.approx(1.5e-3, abs=4.0 * jump.sigma)
+    assert jump.sigma < 1.5e-4
+    assert result.verdict == "good"
+    assert bench.error(result, JUMP) < 0.15 * bench.error(bench.first, JUMP)
+    # The jump does not count as drift, neither now nor the next time.
+    sizes = {drift.name: drift.size for drift in result.recalibration.last.drifts}
+    assert sizes["joint offsets"] < 6e-5 and sizes["geometry"] < 2e-5
+
+
+def test_a_chain_of_calibrations(bench) -> None:
+    """History and certainty are carried along; a jump is told once."""
+    result, changes = bench.first, {}
+    for week in range(3):
+        if week == 1:
+            changes = JUMP
+        data = bench.measured(10 + week, changes=changes)
+        result = calib_pin.calibrate(bench.chain, data, start=result, validate=False)
+    steps = result.recalibration.steps
+    assert [bool(step.jumps) for step in steps] == [False, True, False]
+    worths = [step.drifts[0].worth for step in steps]
+    assert worths == sorted(worths)
+    prior = result.model.setup.prior
+    assert isinstance(prior, JointPrior) and prior.names
+    # Twenty measurements have seen where the joint is now, eighty the rest.
+    assert bench.error(result, changes) < 2.5 * bench.error(bench.first)
+
+
+def test_a_wrong_measurement_is_no_jump(bench) -> None:
+    data = bench.measured(20)
+    (block,) = data.blocks
+    values = block.values.copy()
+    values[3] += [4e-3, -2e-3, 3e-3]
+    result = again(bench, Observations.of(replace(block, values=values)))
+    assert "old-calibration-holds" in codes(result)
+    assert {outlier.row for outlier in result.statistics.outliers} == {3}
+    assert bench.error(result) < 1.5 * bench.error(bench.first)
+
+
+def test_a_noisier_instrument_is_no_jump(bench) -> None:
+    result = again(bench, bench.measured(21, noise=4.0 * NOISE))
+    assert "old-calibration-holds" in codes(result)
+    assert bench.error(result) < 2.0 * bench.error(bench.first)
+
+
+def test_many_changes_are_another_robot(bench) -> None:
+    rng = np.random.default_rng(0)
+    parameters = bench.problem.parameters
+    changes = {
+        p.name: 0.5 * p.scale * rng.normal() for p in parameters if not p.nuisance
+    }
+    result = again(bench, bench.measured(22, 60, changes), validate=False)
+    assert "old-calibration-no-longer-holds" in codes(result)
+    assert bench.error(result, changes) < 0.2 * bench.error(bench.first, changes)
+
+
+def test_a_stated_process_noise(bench) -> None:
+    """The larger, the less the older calibration counts."""
+    data, predicted = bench.measured(2), []
+    for size in (1e-6, 1e-3):
+        result = again(bench, data, process_noise=size, validate=False)
+        (drift,) = result.recalibration.last.drifts
+        assert (drift.size, drift.worth) == (size, np.inf)
+        predicted.append(result.accuracy.tip.of_robot[0])
+    assert predicted[1] > 3.0 * predicted[0]
+    with pytest.raises(OptionError, match="standard deviation"):
+        again(bench, data, process_noise=-1.0)
+    with pytest.raises(OptionError, match="belongs to an older calibration"):
+        calib_pin.calibrate(bench.chain, data, process_noise=1e-5)
+
+
+def test_refusals(bench) -> None:
+    data, first = bench.measured(2), bench.first
+    cases = [
+        (replace(first, verdict="untrusted", reason="why"), Setup(), "untrusted"),
+        (first, Setup(parameters=("dh",)), "other parameters"),
+        (first, Setup(learned="gaussian-process"), "learned correction"),
+        (replace(first, covariance=first.covariance * np.nan), Setup(), "how sure"),
+    ]
+    for start, setup, words in cases:
+        with pytest.raises(OptionError, match=words):
+            calib_pin.calibrate(bench.chain, data, setup, start=start)
+    with pytest.raises(OptionError, match="not selected anew"):
+        again(bench, data, ladder=True)
+    other = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="ee_link")
+    with pytest.raises(OptionError, match="not of this robot"):
+        calib_pin.calibrate(other, data, start=first)
+    fixed = Setup(fixed=("elbow_joint.placement.x",))
+    narrow = calib_pin.calibrate(bench.chain, bench.measured(1, 40), fixed)
+    with pytest.raises(OptionError, match="has not estimated"):
+        calib_pin.calibrate(bench.chain, data, start=narrow)
+
+
+def test_a_plan_for_the_next_one(bench) -> None:
+    """What is known already need not be measured again."""
+    setup = expected_setup(Chains.of(bench.chain), Setup(tool_frame=TOOL), bench.first)
+    plan = calib_pin.plan(bench.chain, "position", 10, setup, method="greedy")
+    result = again(bench, bench.measured(30), validate=False)
+    data = bench.measured(30)
+    rows = simulate(
+        nominal_problem(bench.chain, "position", Setup(tool_frame=TOOL)),
+        bench.theta,
+        np.random.default_rng(30),
+        q=plan.q,
+        noise=NOISE,
+    ).only
+    planned = again(bench, Observations.of(replace(rows, sigma=None)), validate=False)
+    assert len(data) == len(planned.fitted) == 10
+    ours, random = (r.accuracy.tip.of_robot[0] for r in (planned, result))
+    assert ours < random

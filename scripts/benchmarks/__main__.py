@@ -1,6 +1,7 @@
 """`scripts/benchmark [NAMES] [OPTIONS]`: run the benchmarks that are named, or all.
 
-Options belong to the benchmark that knows them, such as `verdict`.
+Options belong to the benchmark that knows them, such as `verdict`
+and `accuracy`.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import sys
 
 from benchmarks import (
+    accuracy,
     camera,
     candidates,
     evolution,
@@ -47,6 +49,7 @@ BENCHMARKS = {
     "verdict": verdict.main,
     "findings": findings.main,
     "fleet-prior": fleet_prior.main,
+    "accuracy": accuracy.main,
 }
 
 

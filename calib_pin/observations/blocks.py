@@ -209,7 +209,8 @@ def with_directions(data: Observations) -> Observations:
     order = order[np.argsort(group, kind="stable")]
     ends = np.flatnonzero(np.diff(np.sort(group))) + 1
     for own in np.split(order, ends):
-        found[own] = approached(data.q[own])
+        for joint, position in enumerate(data.q.T):
+            found[own, joint] = approached(position[own, None])[:, 0]
     blocks = []
     for block, rows in zip(data.blocks, data.slices, strict=True):
         held, signs = block.conditions, found[rows]

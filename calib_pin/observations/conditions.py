@@ -153,8 +153,12 @@ def approached(q: Floats) -> Signs:
         >>> approached(np.array([[0.0], [0.1], [0.1], [0.0]])).ravel().tolist()
         [0, 1, 1, -1]
     """
-    moved = np.diff(q, axis=0, prepend=q[:1])
-    sign = np.where(np.abs(moved) > SAME, np.sign(moved), 0.0).astype(np.int8)
-    row = np.arange(len(q))[:, None]
-    last = np.maximum.accumulate(np.where(sign != 0, row, 0), axis=0)
-    return np.take_along_axis(sign, last, axis=0)
+    result = np.zeros(q.shape, np.int8)
+    # Joint by joint: there may be millions of rows.
+    for own, position in zip(result.T, q.T, strict=True):
+        moved = np.diff(position)
+        (rows,) = np.nonzero(np.abs(moved) > SAME)
+        signs = np.sign(moved[rows]).astype(np.int8)
+        if len(rows):
+            own[rows[0] + 1 :] = np.repeat(signs, np.diff(rows, append=len(q) - 1))
+    return result

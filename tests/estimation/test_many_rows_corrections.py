@@ -47,12 +47,20 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def geared(measured: Measured) -> Measured:
-    """Problem whose rows carry one payload after the other: `geared(chain, model)`."""
+    """Problem whose rows carry one payload after the other: `geared(chain, model)`.
 
-    def make(chain: Chain, model: str, rows: int = ROWS) -> Problem:
-        problem = measured(chain, model, KINDS, rows, **STATED)
+    Joints come from either side, or nobody knows from where.
+    """
+
+    def make(
+        chain: Chain, model: str, rows: int = ROWS, kinds: Sequence[str] = KINDS
+    ) -> Problem:
+        problem = measured(chain, model, kinds, rows, **STATED)
         names = [("light", "none", "heavy")[k % 3] for k in range(rows)]
-        data = replace(problem.data.only, conditions=Conditions(Labels.of(names)))
+        shape = problem.data.q.shape
+        sides = np.random.default_rng(4).integers(-1, 2, shape).astype(np.int8)
+        held = Conditions(Labels.of(names), sides)
+        data = replace(problem.data.only, conditions=held)
         return replace(problem, data=Observations.of(data))
 
     return make
@@ -123,6 +131,14 @@ def test_the_same_as_row_by_row(model: str, size: float, geared: Measured) -> No
     for kind in KINDS[1:]:
         assert any(f".{kind}." in name for name in names)
     assert_same(problem, values_of(problem, size))
+
+
+def test_sides_of_the_joints(special_chain: Chain, geared: Measured) -> None:
+    kinds = ("placement", "hysteresis")
+    problem = geared(special_chain, "position", ROWS, kinds)
+    corrections = problem.only.error.joint_corrections
+    assert len(corrections) >= len(special_chain.joints) - 1
+    assert_same(problem, values_of(problem, 1.0))
 
 
 def test_joints_of_any_kind(special_chain: Chain, geared: Measured) -> None:

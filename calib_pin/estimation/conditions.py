@@ -27,18 +27,6 @@ def conditions_needed(parameters: Iterable[str]) -> dict[str, str]:
     }
 
 
-def lacking_conditions(data: Observations, parameters: Iterable[str]) -> list[str]:
-    """What some measurements do not state and these parameterizations need.
-
-    A model that is chosen by itself has no members that need what is not there.
-    """
-    return [
-        condition
-        for condition in conditions_needed(parameters)
-        if not all(len(getattr(b.conditions, condition)) for b in data.blocks)
-    ]
-
-
 def require_conditions(
     data: Observations, setup: Setup, *, of_robot: bool = False
 ) -> None:

@@ -307,3 +307,32 @@ def test_damage_is_told_in_one_line(
     change(document)
     with refused(InputError, file="calibration.json", reason=("damaged", message)):
         stored(document)
+
+
+def test_an_older_calibration_has_no_waves_twice_per_turn(tmp_path: Path) -> None:
+    """They are zero in what was fitted before there were such."""
+    chain = calib_pin.load_chain("space6")
+    setup = Setup(parameters=("placement", "transmission"), gear_ratios={"*": 80.0})
+    problem = nominal_problem(chain, "pose", setup)
+    rng = np.random.default_rng(0)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    data = calib_pin.simulate(problem, theta, rng, count=60, noise=1e-5)
+    result = calib_pin.calibrate(chain, data, setup, validate=False)
+    made = Provenance(("calib-pin",), "2026-01-01", 0.5, {})
+    document = json.loads(encode(calibration_document(result, made)))
+    later = ("motor_sin2", "motor_cos2")
+    document["parameters"] = [
+        entry for entry in document["parameters"] if not entry["name"].endswith(later)
+    ]
+    (tmp_path / "nominal.urdf").write_bytes(chain.robot.source)
+    file = tmp_path / "calibration.json"
+    file.write_text(json.dumps(document))
+    found, model = read_calibration(file), result.model
+    assert found.given.names == model.given.names
+    old = np.array([name.endswith(later) for name in model.given.names])
+    np.testing.assert_array_equal(found.theta, np.where(old, 0.0, model.theta))
+    # Others must be there.
+    del document["parameters"][20]
+    file.write_text(json.dumps(document))
+    with pytest.raises(InputError, match="not those of this chain"):
+        read_calibration(file)

@@ -114,7 +114,7 @@ def _drifts(case: Case) -> Iterator[tuple[Told, Floats]]:
             yield _of_values, 1.0 / problem.sigma[:, None]
     if len(case.data.joints) > 1:
         # Of few measurements one joint may stand out, but not six.
-        X, (_, r) = _further(case, fit.by_joints), fit.unexplained
+        X, (_, r) = case.fit.beyond(_linear(case, fit.by_joints)), fit.unexplained
         along = np.abs(r @ X) / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
         joint = int(np.argmax(along))
         yield partial(_of_joints, first=joint), fit.by_joints[:, [joint]]
@@ -235,19 +235,11 @@ def _severity(case: Case, errors: Errors) -> Severity:
     return "error" if large else "warning"
 
 
-def _further(case: Case, columns: Floats) -> Floats:
-    """That part of a drift that the fit cannot explain."""
-    Q, r = case.fit.unexplained
-    X = np.zeros((len(r), columns.shape[1]))
-    X[: len(columns)] = _linear(case, columns)
-    return np.asarray(X - Q @ (Q.T @ X))
-
-
 def _errors(case: Case, columns: Floats) -> dict[str, float]:
     """Errors now, and without a drift, rms in the unit of the first quantity."""
     fit, (_, r) = case.fit, case.fit.unexplained
     problem = fit.problem
-    U = column_space(_further(case, columns))
+    U = column_space(case.fit.beyond(_linear(case, columns)))
     first = np.flatnonzero(problem.layout.component == 0)
     left = np.linalg.norm((r - U @ (U.T @ r))[first]) / np.linalg.norm(r[first])
     sizes = problem.layout.quantities[0].errors(error_table(problem, fit.theta))

@@ -256,9 +256,7 @@ class QuickFit:
             columns: Change of the whitened residual by each, shape (M, k).
         """
         Q, r = self.unexplained
-        X = np.zeros((len(r), columns.shape[1]))
-        X[: len(columns)] = columns
-        U = column_space(X - Q @ (Q.T @ X))
+        U = column_space(self.beyond(columns))
         result = replace(self)
         known = self.linear, self.by_joints, self.left - U.shape[1]
         for name, value in zip(("linear", "by_joints", "left"), known, strict=True):
@@ -266,17 +264,22 @@ class QuickFit:
         result.__dict__["unexplained"] = np.hstack([Q, U]), r - U @ (U.T @ r)
         return result
 
+    def beyond(self, columns: Floats) -> Floats:
+        """That part of further columns that the fit cannot do, as rows of `system`."""
+        Q, r = self.unexplained
+        X = np.zeros((len(r), columns.shape[1]))
+        X[: len(columns)] = columns
+        X -= Q @ (Q.T @ X)
+        return X
+
     def score(self, columns: Floats) -> Score:
         """Try further columns of the Jacobian, in units of their own.
 
         Args:
             columns: Change of the whitened residual by each, shape (M, k).
         """
-        Q, r = self.unexplained
-        X = np.zeros((len(r), columns.shape[1]))
-        X[: len(columns)] = columns
-        size = float(np.linalg.norm(X))
-        X -= Q @ (Q.T @ X)
+        _, r = self.unexplained
+        X, size = self.beyond(columns), float(np.linalg.norm(columns))
         total = float(r @ r)
         U, s, Vt = np.linalg.svd(X, full_matrices=False)
         # What the fit can do already leaves rounding.

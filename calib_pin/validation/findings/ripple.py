@@ -35,7 +35,7 @@ WAVES = 3.0
 FINER = 4
 """Frequencies within the resolution of the motion."""
 
-AROUND = np.linspace(-1.0, 1.0, 9)
+AROUND = np.linspace(-1.0, 1.0, 65)
 """Where better frequencies are sought around one, in steps."""
 
 PEAKS = 3
@@ -134,7 +134,8 @@ def ripple_of(fit: QuickFit, joint: str) -> Ripple | None:
         return None
     step = 2.0 * np.pi / (FINER * span)
     frequencies = np.arange(lowest, HIGHEST, step)
-    gains = periodogram(q, motion, fit.unexplained[1][: len(q)], frequencies)
+    rest = fit.unexplained[1][: len(q)]
+    gains = periodogram(q, motion, rest, frequencies)
     scores: dict[float, Score] = {}
 
     def left(frequency: float) -> float:
@@ -142,10 +143,11 @@ def ripple_of(fit: QuickFit, joint: str) -> Ripple | None:
             scores[frequency] = fit.score(_waves(q, motion, frequency))
         return scores[frequency].left
 
-    best = float(frequencies[0])
+    peaks = []
     for k in np.argsort(-gains, kind="stable")[:PEAKS]:
-        best = min(best, *(frequencies[k] + step * AROUND), key=left)
-    best = float(min(best, *(best + 0.25 * step * AROUND), key=left))
+        near = frequencies[k] + step * AROUND
+        peaks.append(float(near[np.argmax(periodogram(q, motion, rest, near))]))
+    best = min(peaks, key=left)
     whole = float(round(best))
     gained = np.log(left(whole) / max(left(best), 1e-300))
     best = whole if 0.5 * _dof(fit) * gained < EVEN else best

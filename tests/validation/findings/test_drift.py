@@ -9,7 +9,7 @@ import pytest
 
 from calib_pin.estimation.fit import fit_model
 from calib_pin.measurement_models.readings import read_otherwise
-from calib_pin.observations import Observations
+from calib_pin.observations import Conditions, Observations
 from calib_pin.setup import ReadingSetup, Setup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.drift import drift
@@ -48,6 +48,16 @@ def test_a_drift_and_its_size(moved_job, model, size, severity) -> None:
     (x, y, z) = finding.setup["reading"]["drift"]
     back = read_otherwise(Observations.of(spoilt), ReadingSetup(drift=(x, y, z)))
     assert found(job, back.only) == []
+
+
+def test_it_points_to_what_models_it(moved_job) -> None:
+    job = moved_job((), (), model="pose")
+    spoilt = drifting(job.plain.only, 3e-4)
+    (finding,) = found(job, spoilt)
+    assert "instrument-drift" in finding.remedy and "column 'time'" in finding.remedy
+    timed = Conditions(time=np.arange(len(spoilt), dtype=float))
+    (finding,) = found(job, replace(spoilt, conditions=timed))
+    assert "instrument-drift" in finding.remedy and "column" not in finding.remedy[99:]
 
 
 def test_a_bent_path_is_no_drift(moved_job) -> None:

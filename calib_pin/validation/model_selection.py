@@ -22,13 +22,16 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, nearest, require_known
-from calib_pin.estimation.conditions import lacking_conditions
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import parameter_names, with_parameters
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
-from calib_pin.parameterizations import PARAMETERIZATIONS, outside_urdf
+from calib_pin.parameterizations import (
+    PARAMETERIZATIONS,
+    needed_conditions,
+    outside_urdf,
+)
 from calib_pin.parameterizations.compliance import Compliance
 from calib_pin.parameterizations.placement import JointOffset
 from calib_pin.parameterizations.transmission import MotorRipple, Transmission
@@ -289,7 +292,11 @@ def _further(measurements: Observations, setup: Setup) -> tuple[str, ...]:
     return tuple(
         name
         for name in outside_urdf()
-        if not lacking_conditions(measurements, (name,))
+        if all(
+            len(getattr(block.conditions, condition))
+            for condition in needed_conditions((name,))
+            for block in measurements.blocks
+        )
         and (name != MotorRipple.name or setup.gear_ratios)
     )
 

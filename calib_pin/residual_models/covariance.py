@@ -261,7 +261,9 @@ def most_likely(
         except LinAlgError:
             return np.inf, np.zeros(1)
         alpha = cho_solve((L, True), y, check_finite=False)
-        inverse = cho_solve((L, True), np.eye(len(y)), check_finite=False)
+        lower, _ = dpotri(L, lower=1)
+        inverse = lower + lower.T  # Above the diagonal there are zeros.
+        inverse[np.diag_indices_from(inverse)] *= 0.5
         by_K = 0.5 * (inverse - np.outer(alpha, alpha))
         by_noise = noise * np.trace(by_K)
         by_kinds = [

@@ -5,7 +5,7 @@ motion. Where a joint came from depends on where it is: high positions are reach
 below. So the side to be expected at a position is fitted along, as are smooth errors of
 the joints where they show, and what the sides explain beside these counts. Measurements
 between two reversals of a joint may share what the model lacks; each such run counts
-once.
+once, and the sides of measurements before and behind must not explain nearly as much.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from calib_pin.errors import enumerated
 from calib_pin.estimation.directions import column_space
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.problem import EXACT
-from calib_pin.estimation.statistics.distributions import student_tail
+from calib_pin.estimation.statistics.distributions import f_tail, student_tail
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Signs
+from calib_pin.observations import Indices, Signs
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.setup_lines import written
@@ -36,6 +36,9 @@ DEGREE = 3
 
 RUNS = 10
 """Least number of reversals of a joint of which something can be said."""
+
+LAGS = 40
+"""Lags by which sides of other measurements are tried."""
 
 SEEN = 0.02
 """Least part of a joint's side that nothing else explains, of its sum of squares."""
@@ -140,9 +143,11 @@ def lost_motions(case: Case) -> tuple[Floats, Floats, Floats]:
     b = -(B.T @ left)
     rest = left + X[:, told] @ b
     plain = np.sqrt(float(rest @ rest) / dof * np.sum(B**2, axis=0))
+    V = column_space(X[:, told])
     order = np.argsort(case.rank)
     for k, j in enumerate(told.tolist()):
-        turned = np.diff(data.conditions.direction[order, j], prepend=0) != 0
+        own = data.conditions.direction[order, j]
+        turned = np.diff(own, prepend=0) != 0
         run = np.empty(len(order), np.int64)
         run[order] = np.cumsum(turned)
         sums = np.bincount(run[row], (B[:, k] * rest)[: len(row)])
@@ -158,7 +163,32 @@ def lost_motions(case: Case) -> tuple[Floats, Floats, Floats]:
             student_tail(size, dof),
             student_tail(float(b[k] / max(shared, 1e-300)), runs - 1),
         )
+        if chances[j] * count > CHANCE:
+            continue
+        # Along a path what the model lacks changes as slowly as sides do: those of
+        # other measurements must explain far less.
+        others = unexplained(by_joints[:, [j]] * _lagged(own, order)[row])
+        others -= U @ (U.T @ others)
+        others -= V @ (V.T @ others)
+        norms = np.maximum(np.sum(others**2, axis=0), 1e-300)
+        theirs = max(float(np.mean((others.T @ rest) ** 2 / norms)), 1e-300)
+        gain = float(b[k] ** 2 / np.sum(B[:, k] ** 2))
+        chances[j] = max(chances[j], f_tail(gain / theirs, 1, others.shape[1]))
     return values, deviations, chances
+
+
+def _lagged(sides: Signs, order: Indices) -> Floats:
+    """Sides of other measurements, evenly farther in the files, (N,) -> (N, K).
+
+    Args:
+        sides: Sides of a joint in the order of the files.
+        order: Position of each of these measurements.
+    """
+    count = min(LAGS, len(order) - 1)
+    found = np.empty((len(order), count))
+    for k in range(count):
+        found[order, k] = np.roll(sides, (k + 1) * len(order) // (count + 1))
+    return found
 
 
 def _usual_sides(q: Floats, sides: Signs) -> Floats:

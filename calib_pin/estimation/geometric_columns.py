@@ -124,7 +124,8 @@ def geometric_columns(system: System, parameters: ParameterSet) -> Columns:
             part.index[inner].tolist(), part.error.screws[inner], strict=True
         ):
             stem = screw.parameter.name.rpartition(".")[0]
-            if parameters[position].free and position not in labels:
+            own = parameters[position]
+            if own.free and not own.nuisance and position not in labels:
                 together[screw.frame, stem].append((position, screw))
                 labels[position] = Label(*_beyond(screw))
         for (frame, _), entries in together.items():

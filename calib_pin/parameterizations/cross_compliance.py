@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.parameterizations.base import (
     BasisFunction,
-    Effects,
     Parameterization,
     Screw,
 )
@@ -40,7 +38,6 @@ class CrossCompliance(Loads, Parameterization):
 
     name = "cross-compliance"
     geometric = False
-    effects: ClassVar[Effects] = Effects(("kx", "ky"), DEFLECTION)
 
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """Two screws about axes across every joint.

@@ -54,7 +54,7 @@ NOISIER = np.geomspace(1.0, 30.0, 8)
 
 @dataclass(frozen=True)
 class Found:
-    """What explains the differences from a prediction.
+    """Causes of the differences from a prediction.
 
     Attributes:
         drifts: How far the robot drifts, as far as is known now.

@@ -69,6 +69,13 @@ def open_older(
     return found
 
 
+def older_files(path: Path) -> list[Path]:
+    """The file of an older calibration, which nothing may replace."""
+    from calib_pin.io.result_file import document_file
+
+    return [document_file(path)]
+
+
 def as_before(setup: Setup, older: CalibrationResult | None) -> Setup:
     """A setup with the parameters of an older calibration, and the ends of its chain.
 

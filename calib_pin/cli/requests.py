@@ -16,7 +16,7 @@ from calib_pin.cli.files import (
     other_readings,
     require_distinct,
 )
-from calib_pin.cli.older import as_before, open_older
+from calib_pin.cli.older import as_before, older_files, open_older
 from calib_pin.cli.printing import Bar, notice
 from calib_pin.cli.results import (
     ResultFiles,
@@ -66,10 +66,8 @@ class Request:
     @property
     def inputs(self) -> list[str | Path | None]:
         """The files that it reads, none of which may be written."""
-        from calib_pin.io.result_file import document_file
-
-        older = None if self.start is None else document_file(self.start)
-        return [self.robot, self.setup, self.validation, older, *self.measurements]
+        older = [] if self.start is None else older_files(self.start)
+        return [self.robot, self.setup, self.validation, *older, *self.measurements]
 
     def words(self, output: Path) -> tuple[str, ...]:
         """The command line of `calibrate` that asks for the same."""

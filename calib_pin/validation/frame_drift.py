@@ -1,9 +1,9 @@
 """Displacements of instrument and tool between two calibrations of one robot.
 
-Of the change of the tool poses in the measuring frame, `T_A(q)` to `T_B(q)`, one motion
-of the instrument and one of the tool explain what they can; the rest is of the robot.
-Parameters do not enter, so that it does not matter which of them hold what a frame can
-absorb: with another base, another first joint is the same robot.
+Of the change of the tool poses in the measurement frame, `T_A(q)` to `T_B(q)`, one
+motion of the instrument and one of the tool explain as much as they can; the rest is of
+the robot. Parameters do not enter, so that it does not matter which of them hold what a
+frame can absorb: with another base, another first joint is the same robot.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ SURE = 30.0
 """Evidence for a sudden change by that for none from which it is told.
 
 By chance as much comes about in at most one of 30 calibrations (Markov's inequality,
-which is wide: of 528 simulated weeks without a change none was told to have one)."""
+which is wide: of 660 simulated weeks without a change none was told to have one)."""
 
 CHANCES = {"offset": 1.0, "placement": 0.05, "robot": 0.05}
 """How likely kinds of sudden changes are beside each other: a joint that was hit slips
@@ -54,7 +54,7 @@ NOISIER = np.geomspace(1.0, 30.0, 8)
 
 @dataclass(frozen=True)
 class Found:
-    """What explains the differences from a prediction.
+    """Causes of the differences from a prediction.
 
     Attributes:
         drifts: How far the robot drifts, as far as is known now.

@@ -75,7 +75,9 @@ def test_a_collision_is_told_in_the_chain(robot, run) -> None:
     assert there.last.jumps[0].change == pytest.approx(1.5e-3, abs=3e-4)
     details = run(f"{words}2 --details").out
     assert "Calibrations since the first one" in details and "joint_3" in details
-    compared = " ".join(run("compare later/calibration.json hit").out.split())
+    compared = " ".join(
+        run("compare later/calibration.json hit/calibration.json").out.split()
+    )
     assert "B began with A" in compared
 
 

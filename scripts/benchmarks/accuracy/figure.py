@@ -56,8 +56,8 @@ def figure_of(found: Sequence[Measured]) -> Drawn:
             size = MM * getattr(line.errors[method], which)
             axes.plot([size], [place], **sign)
             drawn.append(size)
-        if line.where == "away" and measured.predicted is not None:
-            size = MM * getattr(measured.predicted, which)
+        if (predicted := measured.predicted_beside(line)) is not None:
+            size = MM * getattr(predicted, which)
             axes.plot([size], [place], **PREDICTED)
             drawn.append(size)
         for other in _others(measured, line):

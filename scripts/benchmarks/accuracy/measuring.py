@@ -65,6 +65,11 @@ class Measured:
     lines: tuple[Errors, ...]
     predicted: AwayErrors | None
 
+    def predicted_beside(self, line: Errors) -> AwayErrors | None:
+        """What is predicted away, for lines away or, where there are none, near."""
+        away = any(each.where == "away" for each in self.lines)
+        return self.predicted if line.where == "away" or not away else None
+
 
 def measure(
     data_set: DataSet,

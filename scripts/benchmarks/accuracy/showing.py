@@ -26,11 +26,11 @@ HEADERS = {
 
 def table(found: Iterable[Measured]) -> Table:
     """Errors of every data set, mean and rms in mm."""
-    result = Table(box=box.SIMPLE_HEAD, title="mean / rms [mm], not fitted")
+    result = Table(box=box.SIMPLE_HEAD, title="mean / rms in mm, not fitted")
     result.add_column("data set")
     for name in ("measurements", *(HEADERS[method] for method in METHODS)):
         result.add_column(name)
-    result.add_column("predicted")
+    result.add_column("predicted away")
     result.add_column("others")
     for measured in found:
         name = f"{measured.data_set.name}\n{measured.model}"
@@ -39,20 +39,17 @@ def table(found: Iterable[Measured]) -> Table:
                 name if k == 0 else "",
                 f"{line.where}: {line.what}, {line.count}",
                 *(_pair(line.errors[method]) for method in METHODS),
-                _predicted(measured, line),
+                _pair(measured.predicted_beside(line)),
                 _others(measured, line),
                 end_section=k + 1 == len(measured.lines),
             )
     return result
 
 
-def _pair(errors: Accuracy | AwayErrors) -> str:
+def _pair(errors: Accuracy | AwayErrors | None) -> str:
+    if errors is None:
+        return ""
     return f"{MM * errors.mean:.3f} / {MM * errors.rms:.3f}"
-
-
-def _predicted(measured: Measured, line: Errors) -> str:
-    away = measured.predicted if line.where == "away" else None
-    return "" if away is None else _pair(away)
 
 
 def _others(measured: Measured, line: Errors) -> str:

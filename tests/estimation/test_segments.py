@@ -132,7 +132,7 @@ def test_joint_corrections_belong_to_no_segment(framed: Setup) -> None:
     kinds = ("transmission", "placement", "compliance")
     model = ErrorModel.create(chain, kinds, setup=framed)
     corrections = set(model.joint_corrections.tolist())
-    assert len(corrections) == 14 * (7 + 1)
+    assert len(corrections) == 14 * (9 + 1)
     segments = Segments.of(model)
     assert corrections.isdisjoint(segments.parameter.tolist())
     assert len(segments.parameter) + len(corrections) == len(model.parameters)

@@ -20,9 +20,6 @@ USES = ("both", "near", "away")
 SURE = 2.0
 """Standard errors of the difference from which a candidate is worse than another."""
 
-TINY = 1e-300
-"""What no score of measurements that differ at all falls below."""
-
 
 @dataclass(frozen=True)
 class Judged:
@@ -59,47 +56,36 @@ def helps(sizes: Sequence[Floats], before: Sequence[Floats], use: str) -> bool:
 def simplest(found: Sequence[Judged], use: str) -> int:
     """Position of the simplest that helps and is not significantly worse.
 
-    Than the best one, near or away. Where no candidate is that in both, the one
-    that loses least.
+    Than the best one, near or away. Where no candidate is that in both, of those that
+    are not worse away the simplest that is not worse than another of them near: what
+    carries over badly does its harm where nobody looks.
 
     Args:
         found: The candidates, simplest first, at least one of them fitted.
         use: One of `USES`.
     """
-    fitted = [k for k, one in enumerate(found) if one.sizes]
     candidates = [one.candidate for one in found]
-    sizes = {k: asked(found[k].sizes, use) for k in fitted}
+    sizes = {k: asked(one.sizes, use) for k, one in enumerate(found) if one.sizes}
     most = max(map(len, sizes.values()))
-    scores = {
-        k: [_mean(each)[0] for each in own]
-        for k, own in sizes.items()
-        if len(own) == most
-    }
-    best = [min(scores, key=lambda k: scores[k][i]) for i in range(most)]
+    full = [k for k, own in sizes.items() if len(own) == most]
 
-    def worse(k: int) -> bool:
-        """Whether it is significantly worse than the best, near or away."""
-        told = [
-            _mean(own - sizes[other][i])
-            for i, (own, other) in enumerate(zip(sizes[k], best, strict=True))
-        ]
-        return any(mean > SURE * sigma for mean, sigma in told)
+    def as_good(among: Sequence[int], place: int) -> list[int]:
+        """Those that are not significantly worse there than the best of them."""
+        best = min(among, key=lambda k: _mean(sizes[k][place])[0])
+        told = {k: _mean(sizes[k][place] - sizes[best][place]) for k in among}
+        return [k for k in among if told[k][0] <= SURE * told[k][1]]
 
-    def loss(k: int) -> float:
-        """By how much it is worse than the best, near or away."""
-        pairs = zip(scores[k], best, strict=True)
-        return max(
-            score / max(scores[other][i], TINY)
-            for i, (score, other) in enumerate(pairs)
-        )
-
-    # Chance may leave the best one short of helping, and what it is compared with
-    # out of reach.
-    helping = [k for k in scores if candidates[k].helps] or list(scores)
-    good = [k for k in helping if not worse(k)]
+    # Chance may leave the best one short of helping, and what it is compared with out
+    # of reach.
+    helping = [k for k in full if candidates[k].helps] or full
+    good = set(helping).intersection(*(as_good(full, i) for i in range(most)))
+    if not good:
+        good = set(helping)
+        for place in reversed(range(most)):
+            good = set(as_good(sorted(good), place))
     return min(
-        good or [min(helping, key=loss)],
-        key=lambda k: (candidates[k].learned is not None, candidates[k].rank),
+        good,
+        key=lambda k: (candidates[k].learned is not None, candidates[k].rank, k),
     )
 
 

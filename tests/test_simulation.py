@@ -400,7 +400,7 @@ def test_images_show_all_corners_that_are_seen(given: bool) -> None:
         image = rows.rows(rows.groups() == label)
         each = np.repeat(image.q[:1], len(names), axis=0)
         carried = (image.payload[0],) * len(names)
-        at = asked(problem, part.key, each, names, carried)
+        at = asked(problem, part.key, each, names, Conditions(carried))
         seen = problem.observable(theta, at)
         assert list(image.target) == [n for n, s in zip(names, seen, strict=True) if s]
     # Some images lack a corner, and beams and wires have one target all the same.

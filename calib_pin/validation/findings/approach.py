@@ -173,7 +173,9 @@ def lost_motions(case: Case) -> tuple[Floats, Floats, Floats]:
         norms = np.maximum(np.sum(others**2, axis=0), 1e-300)
         theirs = max(float(np.mean((others.T @ rest) ** 2 / norms)), 1e-300)
         gain = float(b[k] ** 2 / np.sum(B[:, k] ** 2))
-        chances[j] = max(chances[j], f_tail(gain / theirs, 1, others.shape[1]))
+        # Sides that hardly change are alike at neighboring lags.
+        apart = min(others.shape[1], runs - 1)
+        chances[j] = max(chances[j], f_tail(gain / theirs, 1, apart))
     return values, deviations, chances
 
 

@@ -13,6 +13,7 @@ from rich.console import Console
 
 from benchmarks.accuracy.converters import converted
 from benchmarks.accuracy.data_sets import DATA_SETS, DataSet
+from benchmarks.accuracy.figure import figure_of
 from benchmarks.accuracy.measuring import Measured, measure
 from benchmarks.accuracy.published import PUBLISHED
 from benchmarks.accuracy.showing import document, table
@@ -47,8 +48,6 @@ def main() -> None:
             text = encode(document(found, options.seed))
             write_atomically(options.output, text, force=True)
         if options.figure is not None:
-            from benchmarks.accuracy.figure import figure_of
-
             with drawing():
                 drawn = figure_of(found)
             picture = drawn.picture(options.figure.suffix[1:])
@@ -77,9 +76,12 @@ def _measured(
                     bar(f"{key}, {stage}", part)
 
             try:
-                yield measure(data_set, folder, options.seed, tell, workers)
+                found = measure(data_set, folder, options.seed, tell, workers)
             except CalibPinError as error:
                 faults.append(f"{data_set.key}: {error}")
+                continue
+            print(f"{data_set.key}: {found.model}, {found.verdict}", flush=True)
+            yield found
 
 
 def _there(data_set: DataSet, folder: Path) -> bool:

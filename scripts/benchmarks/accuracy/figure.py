@@ -32,7 +32,7 @@ SIGNS = {
     NOMINAL: marks(BEFORE, "o", hollow=True),
     "placement": marks(MUTED, "v"),
     "compliance": marks(GROUPS[2], "^"),
-    CHOSEN: marks(AFTER, "s", 5.0),
+    CHOSEN: marks(AFTER, "s", 8.0, hollow=True),
 }
 PREDICTED = marks(AFTER, "|", 11.0, hollow=True)
 OTHERS = marks(INK, "x", 5.0, hollow=True)

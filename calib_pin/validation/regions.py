@@ -30,6 +30,9 @@ class RegionOptions:
         joints: Most joints with such a part, those that moved most.
         clusters: Number of clusters.
         fewest: Configurations of a region that can tell anything.
+        most: Largest part of the measurements in a region; what is fitted without
+            more of them is another calibration (of 37 postures of a TIAGo, 33 are in
+            one cluster).
         rounds: Rounds in which clusters settle; they need not do so to the last
             configuration.
     """
@@ -38,6 +41,7 @@ class RegionOptions:
     joints: int = 7
     clusters: int = 4
     fewest: int = 4
+    most: float = 0.5
     rounds: int = 20
 
 
@@ -66,7 +70,7 @@ def regions(grouping: Grouping, seed: int) -> list[NDArray[np.bool_]]:
     found: dict[bytes, NDArray[np.bool_]] = {}
     for mask in map(grouping.spared, masks):
         count = len(np.unique(configuration[mask]))
-        if OPTIONS.fewest <= count and not mask.all():
+        if OPTIONS.fewest <= count and mask.mean() <= OPTIONS.most:
             found.setdefault(mask.tobytes(), mask)
     return list(found.values())
 

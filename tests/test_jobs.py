@@ -338,7 +338,12 @@ def only(data: Observations, problem: Problem) -> Observations:
     columns = [data.joints.index(name) for name in joints]
     return Observations(
         tuple(
-            replace(block, joints=joints, q=block.q[:, columns])
+            replace(
+                block,
+                joints=joints,
+                q=block.q[:, columns],
+                conditions=block.conditions.of_joints(columns),
+            )
             for block in data.blocks
             if block.key in problem.parts
         )

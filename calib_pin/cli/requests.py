@@ -54,7 +54,6 @@ class Request:
     solver: str | None = None
     loss: str | None = None
     learned: str | None = None
-    model_ladder: bool = False
     use: str | None = None
     station_per_file: bool = False
     validation: Path | None = None
@@ -232,7 +231,7 @@ def calibrated(
         opened.setup,
         validation=opened.validation,
         holdout=request.holdout,
-        ladder=request.model_ladder or request.use is not None,
+        ladder=request.use is not None,
         use=request.use or USES[0],
         seed=request.seed,
         progress=bar,

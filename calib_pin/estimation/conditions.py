@@ -1,4 +1,4 @@
-"""What a setup leaves to the conditions of the measurements."""
+"""Parts of a setup that are left to the conditions of the measurements."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from calib_pin.setup import Setup
 
 
 def conditions_needed(parameters: Iterable[str]) -> dict[str, str]:
-    """What measurements must state, each with the parameterization that needs it."""
+    """Conditions that measurements must state, each with what needs it."""
     return {
         condition: name
         for name in parameters

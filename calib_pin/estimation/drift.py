@@ -45,7 +45,7 @@ in two hundred (half of it has none at all, Self and Liang 1987), and once in a 
 for either of two."""
 
 KINDS = ("shift", "turn")
-"""What may drift, as a setup states it."""
+"""Names of all that may drift, as a setup states it."""
 
 
 @serial_blas

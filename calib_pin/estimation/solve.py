@@ -246,7 +246,7 @@ def refine(
 
 
 def _evaluator(problem: Problem) -> str:
-    """What evaluates the measurements."""
+    """Name of the way in which measurements are evaluated."""
     return "kernel" if compiled(problem.evaluators) else "pinocchio"
 
 

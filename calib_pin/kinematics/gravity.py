@@ -111,7 +111,7 @@ def gravity_moments(bodies: Sequence[Body], q: Floats, gravity: Floats) -> Float
 def _carried(
     bodies: Sequence[Body], q: Floats, gravity: Floats
 ) -> Iterator[tuple[int, float, Floats, Floats]]:
-    """What each joint carries, from the last to the first.
+    """Load that each joint carries, from the last to the first.
 
     Yields:
         Position of the joint, mass, and in its frame the first moment and gravity,

@@ -82,7 +82,7 @@ class InstrumentDrift(Parameterization):
 
 @dataclass(frozen=True)
 class _Ramps:
-    """What part of each increment is past; nothing where no time is stated."""
+    """Part of each increment that is past; nothing where no time is stated."""
 
     first: float
     last: float

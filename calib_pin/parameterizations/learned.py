@@ -1,4 +1,4 @@
-"""What an error model asks of a correction that was learned."""
+"""The protocol of a learned correction, as an error model needs it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What gravity loads a chain with: the part that all compliances share."""
+"""Loads of gravity on a chain: the part that all compliances share."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SAMPLES = 200
 
 
 class Loading(Protocol):
-    """What a payload and gravity do at configurations, shape (N, n) -> (N, ...)."""
+    """Loads of a payload and gravity at configurations, shape (N, n) -> (N, ...)."""
 
     def __call__(
         self, q: Floats, gravity: Sequence[float], payload: Payload | None

@@ -55,7 +55,7 @@ STEPS = 40
 
 
 class Form(NamedTuple):
-    """What a process is made of.
+    """Functions that a process is made of.
 
     Attributes:
         space: Space of the corrections.

@@ -1,4 +1,4 @@
-"""What is known beforehand of a shift of the geometry that is learned along.
+"""A shift of the geometry that is learned along, and its prior.
 
 The fit has taken along what it could of the effects that are to be learned, so they are
 estimated together: a shift of the parameters beside the correction. Left free it would

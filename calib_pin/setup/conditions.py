@@ -1,4 +1,4 @@
-"""What the conditions of measurements do to a robot and to an instrument."""
+"""Effects of the conditions of measurements on a robot and an instrument."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class DriftSetup(Section):
 
 @dataclass(frozen=True)
 class ConditionSetup(Section):
-    """What depends on temperature and time.
+    """Statements about the effects of temperature and time.
 
     Attributes:
         thermal: How links grow with the temperature.

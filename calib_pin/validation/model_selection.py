@@ -63,7 +63,7 @@ from calib_pin.workers import SERIAL, Workers
 OFFSETS = JointOffset.name
 
 TOGETHER = (Transmission.name, Compliance.name)
-"""What is tried together whether it helps alone or not."""
+"""Effects that are tried together whether they help alone or not."""
 
 LEARNING = 10.0
 """Time that a training with a residual model takes, in those without."""
@@ -211,7 +211,7 @@ class _Candidates:
         found = judged(current, base, *(alone[kind] for kind in current))
         while len(current) > 2 and found.sizes:
             fewer = [tuple(kind for kind in current if kind != one) for one in current]
-            left = [judged(some, base) for some in fewer]
+            left = [judged(some, base, *(alone[k] for k in some)) for some in fewer]
             spared = [
                 k
                 for k, other in enumerate(left)
@@ -288,7 +288,7 @@ class _Candidates:
 
 
 def _further(measurements: Observations, setup: Setup) -> tuple[str, ...]:
-    """What may join the geometry: that for which enough is stated."""
+    """Effects that may join the geometry: those for which enough is stated."""
     return tuple(
         name
         for name in outside_urdf()

@@ -730,7 +730,9 @@ def test_a_model_ladder(here, run, monkeypatch):
     ladder = found["model_ladder"]
     assert ladder["chosen"] == "joint offset"
     names = [rung["name"] for rung in ladder["rungs"]]
-    beyond = ["+ transmission", "+ compliance", "+ transmission + compliance"]
+    # The lines of a file stand in the order of measuring: sides are known.
+    effects = ("transmission", "compliance", "hysteresis", "cross-compliance")
+    beyond = [*(f"+ {name}" for name in effects), "+ transmission + compliance"]
     assert names == ["joint offset", "geometric", *beyond]
     assert ladder["rungs"][3]["score"] is None
     assert found["setup"]["parameters"] == ["joint-offset"]

@@ -91,6 +91,7 @@ def test_so_does_one_of_many_measurements(
         root=np.ones(2),
         spread=np.array([0.1, 0.0, 0.2]),
         held_out=(1.0, 0.5),
+        released=np.zeros((0, 0)),
     )
     network = learned.model.only.error.learned
     assert isinstance(network, LearnedCorrection)

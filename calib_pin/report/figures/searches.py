@@ -67,7 +67,7 @@ WHERE = {
     "away": "The model is for use away from the fitted configurations.",
     "both": "The model is for use everywhere.",
 }
-"""What each use of a model means, see `ModelSelection.use`."""
+"""Meaning of each use of a model, see `ModelSelection.use`."""
 
 
 def model_ladder(result: CalibrationResult) -> Drawn | None:

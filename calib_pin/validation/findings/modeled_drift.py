@@ -1,4 +1,4 @@
-"""What a modeled drift of the instruments came to: no fault, but worth knowing."""
+"""The size of a modeled drift of the instruments: no fault, but worth knowing."""
 
 from __future__ import annotations
 

@@ -17,8 +17,14 @@ from calib_pin.validation.summaries import Candidate
 USES = ("both", "near", "away")
 """Where a model must hold: near the fitted configurations, away from them, or both."""
 
-SURE = 2.0
-"""Standard errors of the difference from which a candidate is worse than another."""
+SURE = 1.645
+"""Standard errors of the difference from which a candidate is worse than another: by
+chance in 5 of 100 cases (Student's t of many differences, one side). On 200 simulated
+robots that have errors of their geometry alone nothing else was chosen."""
+
+
+TINY = 1e-300
+"""No score of measurements that differ at all is smaller."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +93,12 @@ def simplest(found: Sequence[Judged], use: str) -> int:
         good,
         key=lambda k: (candidates[k].learned is not None, candidates[k].rank, k),
     )
+
+
+def mean_score(found: Judged, use: str) -> float:
+    """Mean of the logarithms of the scores where a candidate is used."""
+    means = [max(_mean(each)[0], TINY) for each in asked(found.sizes, use)]
+    return float(np.mean(np.log(means)))
 
 
 def asked(of_both: Sequence[Floats], use: str) -> Sequence[Floats]:

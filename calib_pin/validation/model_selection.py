@@ -6,11 +6,11 @@ together, and *away* from them by whole regions of joint space (`validation.regi
 Physics carries over; what interpolates may or may not, and only the second tells. A
 candidate helps if it lowers the error of the candidates it extends by more than the
 standard error of the difference, and raises it nowhere by as much. Gears and compliance
-pass for each other in part, so they are tried alone, together, and together without
-what is not missed. In the end the simplest candidate is chosen that is not
-significantly worse than the best, near, away, or in both, as the robot is to be used:
-by the differences in the same measurements, which tell more than the scores (Breiman et
-al., Classification and Regression Trees, 1984, section 3.4.3, compare these).
+pass for each other in part, so they are tried alone and together. In the end the
+simplest candidate is chosen that is not significantly worse than the best, near, away,
+or in both, as the robot is to be used: by the differences in the same measurements,
+which tell more than the scores (Breiman et al., Classification and Regression Trees,
+1984, section 3.4.3, compare these).
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ from calib_pin.validation.candidate_scores import (
     Judged,
     cluster_sizes,
     helps,
+    mean_score,
     simplest,
     standard_error,
 )
@@ -185,42 +186,39 @@ class _Candidates:
         return found
 
     def combine(self, base: Judged, kinds: Sequence[str]) -> None:
-        """Judge kinds alone, together, and together without what is not missed.
+        """Judge kinds alone, then the best with one more as long as that helps.
 
-        Together are those that help alone, and gears and compliance, which may hide
-        each other.
+        Gears and compliance, which may hide each other, are tried together in any case.
         """
         stated = base.candidate.parameters
-        tried: dict[tuple[str, ...], Judged] = {(): base}
+        tried: dict[tuple[str, ...], Judged] = {}
 
         def judged(added: tuple[str, ...], *extends: Judged) -> Judged:
+            added = tuple(kind for kind in kinds if kind in added)
             if added not in tried:
                 name = f"+ {' + '.join(added)}"
-                parts = (*stated, *added)
-                tried[added] = self.add(name, parts, extends=extends)
+                tried[added] = self.add(name, (*stated, *added), extends=extends)
             return tried[added]
 
         alone = {kind: judged((kind,), base) for kind in kinds}
-        members = {
-            # Of two with parameters of one name, the better one.
-            PARAMETERIZATIONS[kind].kind: kind
-            for kind, found in sorted(alone.items(), key=_score, reverse=True)
-            if found.candidate.helps or kind in TOGETHER
-        }
-        current = tuple(kind for kind in kinds if kind in members.values())
-        found = judged(current, base, *(alone[kind] for kind in current))
-        while len(current) > 2 and found.sizes:
-            fewer = [tuple(kind for kind in current if kind != one) for one in current]
-            left = [judged(some, base, *(alone[k] for k in some)) for some in fewer]
-            spared = [
-                k
-                for k, other in enumerate(left)
-                if other.sizes and not helps(found.sizes, other.sizes, self.use)
+        both = tuple(kind for kind in TOGETHER if kind in kinds)
+        if len(both) > 1:
+            judged(both, base, *(alone[kind] for kind in both))
+        while True:
+            found = {key: one for key, one in tried.items() if one.candidate.helps}
+            if not found:
+                return
+            current = min(found, key=lambda key: mean_score(found[key], self.use))
+            of_names = {PARAMETERIZATIONS[kind].kind for kind in current}
+            left = [
+                judged((*current, kind), found[current], alone[kind])
+                for kind in kinds
+                # What has parameters of the same names cannot join.
+                if alone[kind].candidate.helps
+                and PARAMETERIZATIONS[kind].kind not in of_names
             ]
-            if not spared:
-                break
-            best = min(spared, key=lambda k: left[k].candidate.score)
-            current, found = fewer[best], left[best]
+            if not any(one.candidate.helps for one in left):
+                return
 
     def _judge(self, candidate: Candidate, progress: Progress | None) -> Judged:
         """Fit a candidate to all measurements once, and then without each fold."""
@@ -299,11 +297,6 @@ def _further(measurements: Observations, setup: Setup) -> tuple[str, ...]:
         )
         and (name != MotorRipple.name or setup.gear_ratios)
     )
-
-
-def _score(found: tuple[str, Judged]) -> float:
-    """Score of a candidate, infinite where it could not be tried."""
-    return float(np.nan_to_num(found[1].candidate.score, nan=np.inf))
 
 
 def _require_patterns(

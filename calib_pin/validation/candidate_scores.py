@@ -19,8 +19,8 @@ USES = ("both", "near", "away")
 
 SURE = 1.645
 """Standard errors of the difference from which a candidate is worse than another: by
-chance in 5 of 100 cases (Student's t of many differences, one side). On 200 simulated
-robots that have errors of their geometry alone nothing else was chosen."""
+chance in 5 of 100 cases (one side). Of 200 simulated robots that have errors of their
+geometry alone, 2 were given another effect."""
 
 
 TINY = 1e-300

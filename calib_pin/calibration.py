@@ -126,11 +126,12 @@ def calibrate(
     if start is not None or process_noise is not None:
         begun = started(chains, training, setup, start, process_noise, ladder)
         setup = begun.setup
+    drift = setup.drift
     setup = with_drift(chains, training, setup, seed)
     if held is not None:
         require_conditions(held, setup)
     share = 1.0 if held is not None or not validate else 1.0 / (1 + FOLDS)
-    selected = None
+    selected, parts = None, None
 
     def checking(stage: str, part: float) -> None:
         if progress is not None:
@@ -141,7 +142,13 @@ def calibrate(
             selected = select_model(
                 chains, training, setup, seed, progress, workers, use
             )
-            model = selected.model
+            model, parts = selected.model, selected.parts
+            # What hid a drift of the instrument may be explained now.
+            chosen = replace(model.fit.problem.setup, drift=drift)
+            chosen = with_drift(chains, training, chosen, seed)
+            if chosen.drift != setup.drift:
+                setup, parts = chosen, None
+                model = fit_model(chains, training, setup, seed)
         else:
             tell = portion(named(progress, "fit"), 0.0, share)
             model = fit_model(chains, training, setup, seed, tell)
@@ -157,7 +164,7 @@ def calibrate(
             validation=held,
             method=method,
             validate=validate and not hopeless,
-            parts=None if selected is None else selected.parts,
+            parts=parts,
             progress=checking,
             workers=workers,
         )

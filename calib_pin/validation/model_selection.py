@@ -211,11 +211,11 @@ class _Candidates:
             current = min(found, key=lambda key: mean_score(found[key], self.use))
             of_names = {PARAMETERIZATIONS[kind].kind for kind in current}
             left = [
-                judged((*current, kind), found[current], alone[kind])
+                # A larger effect may have hidden it when it was alone.
+                judged((*current, kind), found[current])
                 for kind in kinds
                 # What has parameters of the same names cannot join.
-                if alone[kind].candidate.helps
-                and PARAMETERIZATIONS[kind].kind not in of_names
+                if PARAMETERIZATIONS[kind].kind not in of_names
             ]
             if not any(one.candidate.helps for one in left):
                 return

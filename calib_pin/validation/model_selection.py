@@ -189,6 +189,7 @@ class _Candidates:
         """Judge kinds alone, then the best with one more as long as that helps.
 
         Gears and compliance, which may hide each other, are tried together in any case.
+        At last each is left out again.
         """
         stated = base.candidate.parameters
         tried: dict[tuple[str, ...], Judged] = {}
@@ -204,21 +205,31 @@ class _Candidates:
         both = tuple(kind for kind in TOGETHER if kind in kinds)
         if len(both) > 1:
             judged(both, base, *(alone[kind] for kind in both))
-        while True:
+
+        def best() -> tuple[str, ...]:
             found = {key: one for key, one in tried.items() if one.candidate.helps}
-            if not found:
-                return
-            current = min(found, key=lambda key: mean_score(found[key], self.use))
+            return min(found, key=lambda k: mean_score(found[k], self.use), default=())
+
+        current: tuple[str, ...] = ()
+        while current != best():
+            current = best()
             of_names = {PARAMETERIZATIONS[kind].kind for kind in current}
-            left = [
-                # A larger effect may have hidden it when it was alone.
-                judged((*current, kind), found[current])
-                for kind in kinds
-                # What has parameters of the same names cannot join.
-                if PARAMETERIZATIONS[kind].kind not in of_names
-            ]
-            if not any(one.candidate.helps for one in left):
-                return
+            for kind in kinds:
+                # What has parameters of the same names cannot join. A larger effect may
+                # have hidden the others when they were alone.
+                if PARAMETERIZATIONS[kind].kind not in of_names:
+                    judged((*current, kind), tried[current])
+        # What came first may have stood for what came later, or for a part of itself.
+        current = ()
+        while current != best() and len(best()) > 1:
+            current = best()
+            for one in current:
+                left = tuple(kind for kind in current if kind != one)
+                judged(left, base)
+                for kind in kinds:
+                    alike = PARAMETERIZATIONS[kind].kind == PARAMETERIZATIONS[one].kind
+                    if alike and kind != one:
+                        judged((*left, kind), base)
 
     def _judge(self, candidate: Candidate, progress: Progress | None) -> Judged:
         """Fit a candidate to all measurements once, and then without each fold."""

@@ -53,7 +53,7 @@ def test_a_robot_with_errors_of_its_geometry_alone() -> None:
 
 @pytest.mark.slow
 def test_none_is_invented() -> None:
-    """At most 5 % of the jobs: 200 of them had 2."""
+    """At most 5 % of the jobs: 200 of them had 1."""
     assert chosen(("placement",), range(40))["geometric"] >= 38
 
 

@@ -21,7 +21,8 @@ TOOL = FrameSetup((0.05, 0.08, 0.12))
 
 @pytest.fixture(autouse=True)
 def no_residual_models(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    for name in list(RESIDUAL_MODELS):
+    # The last one first, so that they come back in their order.
+    for name in reversed(list(RESIDUAL_MODELS)):
         monkeypatch.delitem(RESIDUAL_MODELS, name)  # type: ignore[arg-type]
     yield
 

@@ -303,7 +303,7 @@ def _model_selection(entry: Mapping[str, Any] | None) -> ModelSelection | None:
 
 
 def _away(entry: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
-    """Errors away from fitted configurations, as `Away` declares them."""
+    """Errors away from fitted configurations, as `HeldOutErrors` declares them."""
     if entry is None:
         return None
     errors = [{"name": name, **error} for name, error in entry["errors"].items()]

@@ -26,6 +26,7 @@ from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import parameter_names, with_parameters
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import (
     PARAMETERIZATIONS,
@@ -54,10 +55,10 @@ from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.regions import regions
 from calib_pin.validation.splits import FOLDS, Grouping, folds
 from calib_pin.validation.summaries import (
-    Away,
-    AwayErrors,
     Candidate,
+    HeldOutErrors,
     ModelSelection,
+    QuantityError,
 )
 from calib_pin.workers import SERIAL, Workers
 
@@ -119,8 +120,9 @@ def select_model(
     geometric = geometric or Setup.parameters
     _require_patterns(chains, measurements, setup, (OFFSETS, *geometric, *beyond))
     learned = tuple(RESIDUAL_MODELS) if setup.learned is None else (setup.learned,)
-    work = 2.0 + len(beyond) * (len(beyond) + 1) / 2 + LEARNING * len(learned)
-    given = chains, measurements, setup, seed, progress, workers, use, work
+    learning = LEARNING * len(learned)
+    work = 2.0 + len(beyond) * (len(beyond) + 1) / 2 + learning
+    given = chains, measurements, setup, seed, progress, workers, use, work, learning
     candidates = _Candidates(*given)
 
     offset = candidates.add("joint offset", (OFFSETS,))
@@ -148,7 +150,12 @@ def select_model(
 class _Candidates:
     """The candidates that were judged, simplest first; see `select_model`.
 
-    The work, all and done, counts in candidates without a learned correction.
+    How many there will be is not known beforehand: each takes its part of what is left.
+
+    Attributes:
+        work: Work that is left, in candidates without a learned correction.
+        learning: The part of it that is kept for learned corrections.
+        done: Part of the time that has passed.
     """
 
     chains: Chain | Chains
@@ -158,7 +165,8 @@ class _Candidates:
     progress: Stages | None
     workers: Workers
     use: str
-    all: float
+    work: float
+    learning: float
     done: float = 0.0
     judged: list[Judged] = field(default_factory=list)
 
@@ -171,7 +179,12 @@ class _Candidates:
         extends: Sequence[Judged] = (),
     ) -> Judged:
         """Judge a candidate, and compare it with those that it extends."""
-        share = (1.0 if learned is None else LEARNING) / self.all
+        if learned is None:
+            own, work = 1.0, max(self.work, self.learning + 1.0)
+        else:
+            own, work = LEARNING, self.learning
+            self.learning -= LEARNING
+        self.work, share = work - own, (1.0 - self.done) * own / work
         tell = portion(named(self.progress, name), self.done, share)
         self.done += share
         blank = Candidate(name, parameters, learned)
@@ -253,47 +266,42 @@ class _Candidates:
                 chains, measurements, setup, masks, seed, whole, stages, workers
             )
         )
-        sizes = cluster_sizes(grouping, model.problem, ModelErrors.joined(parts))
-        weight, quantities = measurements.weight, model.problem.layout.quantities
-        counted = ModelErrors.joined([part.counted(weight) for part in parts])
+        sizes, near = _scored(grouping, model, parts)
         judged = replace(
             candidate,
             rank=model.fit.rank,
-            errors=tuple(
-                (q.name, q.unit, float(q.errors(counted.after).mean()))
-                for q in quantities
-            ),
-            score=float(np.nanmean(sizes)),
-            deviation=standard_error(sizes),
+            errors=tuple((e.name, e.unit, e.mean) for e in near.errors),
+            score=near.score,
+            deviation=near.deviation,
         )
-        apart = tuple(
-            part
-            for part in cross_validate(
-                chains,
-                measurements,
-                setup,
-                regions(grouping, seed),
-                seed,
-                whole,
-                None,
-                workers,
-            )
-            if not part.reason and len(part.positions)
+        masks = regions(grouping, seed)
+        found = cross_validate(
+            chains, measurements, setup, masks, seed, whole, None, workers
         )
+        apart = [part for part in found if not part.reason and len(part.positions)]
         if not apart:
             return Judged(judged, model, parts, (sizes,))
-        far = cluster_sizes(grouping, model.problem, ModelErrors.joined(apart))
-        counted = ModelErrors.joined([part.counted(weight) for part in apart])
-        lengths = [(q, q.errors(counted.after)) for q in quantities]
-        away = Away(
-            errors=tuple(
-                AwayErrors(q.name, q.unit, float(e.mean()), root_mean_square(e))
-                for q, e in lengths
-            ),
-            score=float(np.nanmean(far)),
-            deviation=standard_error(far),
-        )
+        far, away = _scored(grouping, model, apart)
         return Judged(replace(judged, away=away), model, parts, (sizes, far))
+
+
+def _scored(
+    grouping: Grouping, model: FittedModel, parts: Sequence[ModelErrors]
+) -> tuple[Floats, HeldOutErrors]:
+    """Sizes of errors on held-out measurements, see `Judged`, and what they come to."""
+    sizes = cluster_sizes(grouping, model.problem, ModelErrors.joined(parts))
+    weight = grouping.measurements.weight
+    counted = ModelErrors.joined([part.counted(weight) for part in parts])
+    quantities = model.problem.layout.quantities
+    lengths = [(q, q.errors(counted.after)) for q in quantities]
+    return sizes, HeldOutErrors(
+        errors=tuple(
+            QuantityError(q.name, q.unit, float(e.mean()), root_mean_square(e))
+            for q, e in lengths
+        ),
+        score=float(np.nanmean(sizes)),
+        deviation=standard_error(sizes),
+    )
 
 
 def _further(measurements: Observations, setup: Setup) -> tuple[str, ...]:

@@ -47,8 +47,8 @@ class NamedArray(np.ndarray):
         self.rows, self.columns = (), ()
 
 
-class AwayErrors(NamedTuple):
-    """Errors of one quantity in regions that were held out whole, in its unit."""
+class QuantityError(NamedTuple):
+    """Errors of one quantity of held-out measurements, in its unit."""
 
     name: str
     unit: str
@@ -57,17 +57,16 @@ class AwayErrors(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Away:
-    """How far a candidate carries over: errors away from what was fitted.
+class HeldOutErrors:
+    """Errors of a candidate on measurements that were held out.
 
     Attributes:
-        errors: Errors of every quantity in regions of joint space that were held out
-            whole, see `validation.regions`.
-        score: As that of the candidate, there.
+        errors: Those of every quantity.
+        score: Their mean, as that of a candidate.
         deviation: Standard error of the score.
     """
 
-    errors: tuple[AwayErrors, ...]
+    errors: tuple[QuantityError, ...]
     score: float
     deviation: float
 
@@ -89,8 +88,9 @@ class Candidate:
             than the standard error of the difference, and does not raise them where
             the model is used.
         reason: Why it could not be tried; empty where it was.
-        away: Its errors away from the fitted configurations; None where measurements do
-            not suffice to hold out regions.
+        away: Its errors away from the fitted configurations, in regions of joint space
+            that were held out whole (`validation.regions`); None where measurements do
+            not suffice for that.
     """
 
     name: str
@@ -102,7 +102,7 @@ class Candidate:
     deviation: float = float("nan")
     helps: bool = False
     reason: str = ""
-    away: Away | None = None
+    away: HeldOutErrors | None = None
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from calib_pin.report.figures.estimates import beside
 from calib_pin.report.figures.labels import log_axis, log_limits, shortened, unit_of
 from calib_pin.report.tables import number
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import Away, Candidate, ModelSelection
+from calib_pin.validation.summaries import Candidate, HeldOutErrors, ModelSelection
 
 
 def convergence(result: CalibrationResult) -> Drawn | None:
@@ -130,7 +130,7 @@ def _scale(axes: Axes, rungs: Sequence[Candidate]) -> None:
     best = min(rungs, key=lambda rung: rung.score)
     axes.axvline(best.score + best.deviation, color=MUTED, linestyle=":")
     away = [rung.away for rung in rungs if rung.away is not None]
-    shown: list[Candidate | Away] = [*rungs, *away]
+    shown: list[Candidate | HeldOutErrors] = [*rungs, *away]
     lows, highs = (
         np.array([one.score + sign * one.deviation for one in shown])
         for sign in (-1.0, 1.0)

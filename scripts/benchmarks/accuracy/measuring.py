@@ -13,7 +13,7 @@ from calib_pin.progress import Stages
 from calib_pin.setup import Setup
 from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.result import CalibrationResult, Evaluation
-from calib_pin.validation.summaries import AwayErrors, Candidate
+from calib_pin.validation.summaries import Candidate, QuantityError
 from calib_pin.workers import SERIAL, Workers
 
 PLAIN: Mapping[str, tuple[str, ...]] = {
@@ -63,9 +63,9 @@ class Measured:
     model: str
     verdict: str
     lines: tuple[Errors, ...]
-    predicted: AwayErrors | None
+    predicted: QuantityError | None
 
-    def predicted_beside(self, line: Errors) -> AwayErrors | None:
+    def predicted_beside(self, line: Errors) -> QuantityError | None:
         """What is predicted away, for lines away or, where there are none, near."""
         away = any(each.where == "away" for each in self.lines)
         return self.predicted if line.where == "away" or not away else None

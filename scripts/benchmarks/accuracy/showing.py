@@ -12,7 +12,7 @@ from rich.table import Table
 from benchmarks.accuracy.measuring import METHODS, Errors, Measured
 from benchmarks.accuracy.published import published
 from calib_pin.validation.accuracy import Accuracy
-from calib_pin.validation.summaries import AwayErrors
+from calib_pin.validation.summaries import QuantityError
 
 MM = 1e3
 HEADERS = {
@@ -46,7 +46,7 @@ def table(found: Iterable[Measured]) -> Table:
     return result
 
 
-def _pair(errors: Accuracy | AwayErrors | None) -> str:
+def _pair(errors: Accuracy | QuantityError | None) -> str:
     if errors is None:
         return ""
     return f"{MM * errors.mean:.3f} / {MM * errors.rms:.3f}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -11,20 +10,10 @@ from calib_pin.estimation.scopes import scopes
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models import declared
 from calib_pin.observations import Conditions, Observations
-from calib_pin.parameterizations import PARAMETERIZATIONS, outside_urdf
+from calib_pin.parameterizations import needed_conditions, outside_urdf
 from calib_pin.parameterizations.drift import InstrumentDrift
 from calib_pin.parameterizations.thermal import REFERENCE, ThermalGrowth
 from calib_pin.setup import Setup
-
-
-def conditions_needed(parameters: Iterable[str]) -> dict[str, str]:
-    """Conditions that measurements must state, each with what needs it."""
-    return {
-        condition: name
-        for name in parameters
-        if name in PARAMETERIZATIONS
-        for condition in PARAMETERIZATIONS[name].conditions
-    }
 
 
 def require_conditions(
@@ -44,7 +33,7 @@ def require_conditions(
     names = setup.parameters
     if of_robot:
         names = tuple(name for name in names if name in outside_urdf())
-    for condition, name in conditions_needed(names).items():
+    for condition, name in needed_conditions(names).items():
         if condition == "direction":
             continue  # Where it is not known a joint stands in the middle.
         for block in data.blocks:
@@ -60,7 +49,7 @@ def require_conditions(
 
 def usual_conditions(setup: Setup, count: int) -> Conditions:
     """Conditions of so many rows that no one has measured: those of the reference."""
-    stated, needed = setup.thermal.reference, conditions_needed(setup.parameters)
+    stated, needed = setup.thermal.reference, needed_conditions(setup.parameters)
     reference, none = REFERENCE if stated is None else stated, np.zeros(0)
     return Conditions(
         temperature=np.full(count, reference) if "temperature" in needed else none,

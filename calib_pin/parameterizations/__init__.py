@@ -94,9 +94,17 @@ def outside_urdf() -> tuple[str, ...]:
     )
 
 
-def needed_conditions(names: Iterable[str]) -> set[str]:
-    """Conditions of measurements without which these parameterizations mean nothing."""
-    return {need for name in names for need in PARAMETERIZATIONS[name].conditions}
+def needed_conditions(names: Iterable[str]) -> dict[str, str]:
+    """Conditions that measurements must state, each with the name that needs it.
+
+    Names that do not exist need none; others say so.
+    """
+    return {
+        condition: name
+        for name in names
+        if name in PARAMETERIZATIONS
+        for condition in PARAMETERIZATIONS[name].conditions
+    }
 
 
 def required_keys(names: Iterable[str]) -> set[str]:

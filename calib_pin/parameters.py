@@ -95,6 +95,11 @@ class ParameterSet:
         return tuple(p.name for p in self.parameters)
 
     @cached_property
+    def kinds(self) -> NDArray[np.str_]:
+        """Kind of each parameter, the middle word of its name, shape (P,)."""
+        return np.array([name.rsplit(".", 2)[-2] for name in self.names], str)
+
+    @cached_property
     def scales(self) -> Floats:
         """Scales, shape (P,)."""
         return np.array([p.scale for p in self.parameters])

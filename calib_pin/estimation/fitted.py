@@ -101,7 +101,7 @@ def posterior(
     directions: Directions,
     components: Sequence[VarianceComponent] = (),
     systematic: Systematic | None = None,
-    size: float | None = None,
+    sizes: Floats | None = None,
     known: tuple[Floats, Floats] | None = None,
     effects: Floats | None = None,
 ) -> Posterior:
@@ -113,15 +113,15 @@ def posterior(
         directions: The directions that were moved.
         components: The noise of every quantity; default as the units say.
         systematic: Random effects of gears and compliance, None for none.
-        size: Expected size of errors, in scales, see `shrinkage`; None where the rows
-            alone decide.
+        sizes: Expected size of every error, in scales, see `shrinkage`, shape (P,);
+            None where the rows alone decide.
         known: Whitened residual and Jacobian about these references, where they have
             been computed.
         effects: The same of `systematic.rows`.
     """
     fun, jac = problem.factorize(theta) if known is None else known
     stations = problem.stations(theta)
-    basis, held = _held(problem, directions, size)
+    basis, held = _held(problem, directions, sizes)
     half = half_covariance(np.concatenate([jac, held]), basis, problem.parameters)
     noise = np.ones(len(problem.layout.components))
     if systematic is not None:
@@ -165,7 +165,7 @@ def posterior(
 
 
 def _held(
-    problem: Problem, directions: Directions, size: float | None
+    problem: Problem, directions: Directions, sizes: Floats | None
 ) -> tuple[Floats, Floats]:
     """Moved directions, shape (P, k), and the rows of a prior on them, (p, P).
 
@@ -173,10 +173,10 @@ def _held(
     away from it they show a little.
     """
     parameters = problem.parameters
-    if size is None:
+    if sizes is None:
         return directions.basis, np.zeros((0, len(parameters)))
     alone = parameters.free & ~parameters.nuisance & ~np.isfinite(parameters.priors)
-    rows = np.diag(1.0 / (size * parameters.scales))[alone]
+    rows = np.diag(1.0 / (sizes * parameters.scales))[alone]
     return np.eye(len(parameters))[:, parameters.free], rows
 
 
@@ -329,7 +329,7 @@ class Fit:
 
 
 def posterior_about(
-    fitted: Fit, problem: Problem, theta: Floats, size: float | None = None
+    fitted: Fit, problem: Problem, theta: Floats, sizes: Floats | None = None
 ) -> Posterior:
     """Deviations of a fit about any references.
 
@@ -337,18 +337,19 @@ def posterior_about(
         fitted: The fit.
         problem: Its problem about these.
         theta: The solution about them, shape (P,).
-        size: Expected size of errors, in scales, in place of the likeliest one.
+        sizes: Expected size of every error, in scales, in place of the likeliest ones,
+            shape (P,).
     """
     own = problem is fitted.problem
-    if size is None and fitted.evidence is not None:
-        size = fitted.evidence.expected.size
+    if sizes is None and fitted.evidence is not None:
+        sizes = fitted.evidence.expected.sizes
     found = posterior(
         problem,
         theta,
         fitted.directions,
         fitted.noise,
         fitted.effects,
-        size,
+        sizes,
         (fitted.result.fun, fitted.result.jac) if own else None,
         fitted._by_effects if own else None,
     )
@@ -361,9 +362,9 @@ def posterior_about(
 
 
 def likely_posteriors(fitted: Fit) -> tuple[Posterior, ...]:
-    """Posteriors for each of the likely sizes of errors, see `Evidence.sizes`."""
+    """Posteriors for each of the likely sizes of errors, see `Evidence.likely`."""
     if fitted.evidence is None:
         return (fitted.posterior,)
     problem, theta = fitted.problem, fitted.theta
-    sizes = fitted.evidence.sizes.tolist()
-    return tuple(posterior_about(fitted, problem, theta, size) for size in sizes)
+    likely = fitted.evidence.likely
+    return tuple(posterior_about(fitted, problem, theta, sizes) for sizes in likely)

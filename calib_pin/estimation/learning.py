@@ -212,11 +212,10 @@ def shift_directions(
         frames[part.of_instrument] = 0.0
     frames = frames[:, frames.any(axis=0)]
     free, count = np.zeros(frames.shape[1]), robot.shape[1]
-    of_kind = np.array([name.rsplit(".", 2)[-2] for name in parameters.names])
     shown = robot.any(axis=1)
     kinds = []
-    for kind in dict.fromkeys(of_kind[shown].tolist()):
-        own = robot[shown & (of_kind == kind)].T
+    for kind in dict.fromkeys(parameters.kinds[shown].tolist()):
+        own = robot[shown & (parameters.kinds == kind)].T
         kinds.append(np.concatenate([np.zeros((len(free), own.shape[1])), own]))
     values = robot.T @ (fitted.theta / parameters.scales)
     known = Shifts(np.concatenate([free, values]), tuple(kinds) if count else ())

@@ -24,32 +24,43 @@ from calib_pin.measurement_models.references import (
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import DistanceSetup, JointPrior
 
+RANK = 1e-12
+"""Singular values below this part of the largest are rounding."""
+
 
 @dataclass(frozen=True)
 class Expected:
     """A normal prior about zero on directions of the robot's errors.
 
     Attributes:
-        directions: Orthonormal, of the parameters divided by their scale, shape (P, k).
-        size: Standard deviation along each of them, in scales.
+        directions: Of the parameters divided by their scale, shape (P, k).
+        sizes: Standard deviation of every parameter, in scales, shape (P,).
         scales: Scales of the parameters, shape (P,).
     """
 
     directions: Floats
-    size: float
+    sizes: Floats
     scales: Floats
 
     def __len__(self) -> int:
-        """Number k of directions."""
-        return int(self.directions.shape[1])
+        """Number p of rows, at most k."""
+        return len(self._rows)
 
     def residual(self, theta: Floats) -> Floats:
-        """Distances from zero in standard deviations, (..., P) -> (..., k)."""
-        return np.asarray((theta / self.scales) @ self.directions / self.size)
+        """Independent sums in standard deviations, (..., P) -> (..., p)."""
+        return np.asarray(theta @ self._rows.T)
 
     def jacobian(self, theta: Floats) -> Floats:
-        """Their derivative, shape (k, P)."""
-        return self.residual(np.eye(len(theta))).T
+        """Their derivative, shape (p, P)."""
+        return self._rows
+
+    @cached_property
+    def _rows(self) -> Floats:
+        half = self.sizes[:, None] * self.directions
+        _, s, Wt = np.linalg.svd(half, full_matrices=False)
+        shown = s > RANK * s.max(initial=0.0)
+        rows = Wt[shown] @ self.directions.T / self.scales
+        return np.asarray(rows / s[shown, None])
 
 
 @dataclass(frozen=True)

@@ -3,14 +3,17 @@
 Measurements in a corner of the workspace determine some directions of the error space
 well and others hardly. To estimate the latter freely makes the robot worse everywhere
 else; to leave them alone by a hard cut makes it a matter of a threshold. Here every
-direction of the robot has a normal prior about nominal, whose size the measurements
-tell where they can (evidence, or type II maximum likelihood: MacKay, Bayesian
-interpolation, 1992), and the solution is the mode of the posterior. Of all estimates it
-has the least expected error at every configuration.
+error of the robot has a normal prior about nominal, and the solution is the mode of the
+posterior. Of all estimates it has the least expected error at every configuration. The
+size of errors, one for each kind of parameter (placement, compliance, ...), is told by
+the measurements where they can (evidence, or type II maximum likelihood: MacKay,
+Bayesian interpolation, 1992): what a kind shows nowhere does not grow where the
+measurements do not see it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,11 +31,23 @@ With as few the evidence of a handful of well determined directions prevails."""
 SIZES = np.geomspace(1e-3, 1e3, 601)
 """Sizes that are tried, in scales; far finer than any is known."""
 
+SWEEPS = 50
+"""Most rounds over the kinds; a few suffice."""
+
 PARTS = 3
 """Sizes that stand for the distribution where predictions are averaged over it."""
 
 NOTICED = 1e-3
 """Change of an estimate, in its own standard deviations, that nobody can notice."""
+
+CLEAR = 100.0
+"""Deviation, by that of the best determined direction, up to which it counts as
+evidence.
+
+Directions that are determined worse collect what the model lacks, rather than noise:
+gears with the size that they show in 500 poses of a UR10 made its other motions worse
+than nominal (1.2 mm rms; 0.5 mm with any limit from 25 to 300).
+"""
 
 VISIBLE = 1e-9
 """Part of the largest singular value below which the rows do not see a direction."""
@@ -44,7 +59,7 @@ class Evidence:
 
     Attributes:
         expected: The prior.
-        sizes: Sizes in the place of its own that are as likely, see `expected_size`.
+        likely: Sizes in the place of its own that are as likely, shape (PARTS, P).
         matters: Whether it changes the solution by anything to speak of.
         square: Sum of the squared estimates in their standard deviations: chi-square
             of `count` degrees of freedom if the robot is as nominal.
@@ -52,7 +67,7 @@ class Evidence:
     """
 
     expected: Expected
-    sizes: Floats
+    likely: Floats
     matters: bool
     square: float
     count: int
@@ -86,6 +101,50 @@ def expected_size(values: Floats, variances: Floats) -> tuple[float, Floats]:
     return float(SIZES[np.argmin(terms)]), parts
 
 
+def expected_sizes(
+    values: Floats, variances: Floats, halves: Sequence[Floats]
+) -> tuple[Floats, Floats]:
+    """The size of errors of each kind by their evidence, in scales.
+
+    Estimates `b ~ N(0, sum_k tau_k^2 H_k H_k^T + diag(v))`; one size after the other is
+    chosen beside the others until none changes.
+
+    Args:
+        values: Estimates b, shape (k,).
+        variances: Their variances v, shape (k,).
+        halves: What errors of every kind, one scale large, contribute to them: H, shape
+            (k, p) each, K of them.
+
+    Returns:
+        The most likely sizes, shape (K,), and for each kind the middles of `PARTS`
+        equally likely parts of its distribution beside the others, (K, PARTS).
+    """
+    sizes, parts = np.ones(len(halves)), np.ones((len(halves), PARTS))
+    deviations = np.sqrt(variances)
+    values = values / deviations
+    halves = [half / deviations[:, None] for half in halves]
+    for _ in range(SWEEPS):
+        before = sizes.copy()
+        for k, half in enumerate(halves):
+            others = [sizes[j] * halves[j] for j in range(len(halves)) if j != k]
+            P, t = _principal(np.hstack([np.zeros((len(values), 0)), *others]))
+            # In these units all but this kind is one, and this kind diagonal.
+            units = (P / np.hypot(1.0, t)).T
+            U, s, _ = np.linalg.svd(units @ half, full_matrices=False)
+            told = s > VISIBLE * s.max(initial=0.0)
+            along = U[:, told].T @ units @ values
+            sizes[k], parts[k] = expected_size(along / s[told], s[told] ** -2.0)
+        if np.array_equal(sizes, before):
+            break
+    return sizes, parts
+
+
+def _principal(G: Floats) -> tuple[Floats, Floats]:
+    """All directions of an (n, p) matrix, shape (n, n), and their lengths, (n,)."""
+    P, t, _ = np.linalg.svd(G)
+    return P, np.append(t, np.zeros(len(P) - len(t)))
+
+
 def expected_errors(
     directions: Directions,
     parameters: ParameterSet,
@@ -106,22 +165,32 @@ def expected_errors(
     """
     V = np.column_stack([directions.robot, directions.weak])
     V = V * ~np.isfinite(parameters.priors)[:, None]
+    of_kind = [parameters.kinds == kind for kind in np.unique(parameters.kinds)]
+    of_kind = [own for own in of_kind if V[own].any()]
     A = jac * parameters.scales
     system = projected(np.column_stack([A @ V, fun]), A, parameters)
     triangle = np.asarray(np.linalg.qr(system, mode="r"))
     U, s, Wt = np.linalg.svd(triangle[:, :-1], full_matrices=False)
-    shown = s > VISIBLE * s.max(initial=0.0)
-    s, Wt = s[shown], Wt[shown]
+    seen = s > VISIBLE * s.max(initial=0.0)
+    s, Wt = s[seen], Wt[seen]
     variances = (unit / s) ** 2
     current = Wt @ (V.T @ (theta / parameters.scales))
     # At the least squares what was moved has no gradient; what was not, has.
-    values = current - (U[:, shown].T @ triangle[:, -1]) / s
-    size, sizes = expected_size(values, variances)
-    part = size**2 / (size**2 + variances)
-    shift = (part * values - current) / np.sqrt(part * variances)
+    values = current - (U[:, seen].T @ triangle[:, -1]) / s
+    clear = variances <= CLEAR**2 * variances.min(initial=np.inf)
+    halves = [Wt[clear] @ V[own].T for own in of_kind]
+    found = expected_sizes(values[clear], variances[clear], halves)
+    sizes, likely = np.ones(len(V)), np.ones((PARTS, len(V)))
+    for own, size, parts in zip(of_kind, *found, strict=True):
+        sizes[own], likely[:, own] = size, parts[:, None]
+    deviations = np.sqrt(variances)
+    P, t = _principal((Wt @ V.T) * sizes / deviations[:, None])
+    kept = (P * (t / np.hypot(1.0, t)) ** 2) @ P.T
+    change = kept @ (values / deviations) - current / deviations
+    shift = change / np.sqrt(np.diag(kept))
     return Evidence(
-        expected=Expected(V, size, parameters.scales),
-        sizes=sizes,
+        expected=Expected(V, sizes, parameters.scales),
+        likely=likely,
         matters=bool(np.abs(shift).max(initial=0.0) > NOTICED),
         square=float(np.sum(values**2 / variances)),
         count=len(values),

@@ -295,7 +295,7 @@ def _shrunk(
     if not evidence.matters or found.status not in led:
         return replace(evidence, matters=False), found
     # Whitened like the rows, whose unit weight is not in their standard deviations.
-    expected = replace(evidence.expected, size=evidence.expected.size / unit)
+    expected = replace(evidence.expected, sizes=evidence.expected.sizes / unit)
     basis = problem.parameters.scales[:, None] * last.directions.every
     shrunk = refine(expecting(problem, expected), found.x, basis)
     return evidence, replace(

@@ -153,9 +153,9 @@ def test_it_belongs_to_its_references() -> None:
 def test_under_an_expected_size_it_is_the_covariance_of_the_fit() -> None:
     fitted = job(0, 0.0).fitted
     assert fitted.evidence is not None
-    size = fitted.evidence.expected.size
+    sizes = fitted.evidence.expected.sizes
     found = posterior(
-        fitted.problem, fitted.theta, fitted.directions, size=size
+        fitted.problem, fitted.theta, fitted.directions, sizes=sizes
     ).covariance
     deviations = np.sqrt(np.diag(fitted.covariance))
     deviations[deviations == 0.0] = 1.0

@@ -111,7 +111,8 @@ def test_a_fit_knows_a_little_more_by_the_expected_size_of_errors() -> None:
         np.linalg.eigvalsh(V.T @ C @ V)
         for C in (plan.predicted.covariance, fitted.covariance)
     )
-    expected = before / (1.0 + before / fitted.evidence.expected.size**2)
+    (size,) = set(fitted.evidence.expected.sizes[~fitted.problem.parameters.nuisance])
+    expected = before / (1.0 + before / size**2)
     assert before.max() > 1.05 * expected.max()
     # The fit is at the robot that it has found, noise away from the nominal one.
     np.testing.assert_allclose(found, expected, rtol=0.01)

@@ -249,7 +249,9 @@ def _sought(
     parameters = problem.parameters
     robot = parameters.free & ~parameters.nuisance
     expected = Expected(
-        np.eye(len(parameters))[:, robot], OPTIONS.size, parameters.scales
+        np.eye(len(parameters))[:, robot],
+        np.full(len(parameters), OPTIONS.size),
+        parameters.scales,
     )
     every = in_units(expecting(consensus(_plain(problem), rng), expected), np.zeros(0))
     few = replace(every, data=every.data.sample(SAMPLE)) if every.many else every

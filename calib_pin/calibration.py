@@ -13,9 +13,9 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, nearest
 from calib_pin.estimation.conditions import require_conditions
-from calib_pin.estimation.drift import with_drift
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import chains_of, geometric_setup, make_parts
+from calib_pin.estimation.time_course import time_course, with_time_course
 from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -126,8 +126,8 @@ def calibrate(
     if start is not None or process_noise is not None:
         begun = started(chains, training, setup, start, process_noise, ladder)
         setup = begun.setup
-    drift = setup.drift
-    setup = with_drift(chains, training, setup, seed)
+    stated = setup
+    setup = with_time_course(chains, training, setup, seed)
     if held is not None:
         require_conditions(held, setup)
     share = 1.0 if held is not None or not validate else 1.0 / (1 + FOLDS)
@@ -144,9 +144,10 @@ def calibrate(
             )
             model, parts = selected.model, selected.parts
             # What hid a drift of the instrument may be explained now.
-            chosen = replace(model.fit.problem.setup, drift=drift)
-            chosen = with_drift(chains, training, chosen, seed)
-            if chosen.drift != setup.drift:
+            chosen = model.fit.problem.setup
+            chosen = replace(chosen, drift=stated.drift, thermal=stated.thermal)
+            chosen = with_time_course(chains, training, chosen, seed)
+            if time_course(chosen) != time_course(setup):
                 setup, parts = chosen, None
                 model = fit_model(chains, training, setup, seed)
         else:

@@ -30,6 +30,7 @@ NOISE = 2e-5
 TERMS: dict[str, dict[str, Any]] = {
     "cross-compliance": {"payloads": {"load": Payload(20.0, (0.1, 0.0, 0.1))}},
     "thermal": {"thermal": ThermalSetup(20.0)},
+    "warm-up": {"thermal": ThermalSetup(switched_on=(0.0,), warm_up_time=300.0)},
     "motor-ripple": {"gear_ratios": {"joint_2": 80.0, "joint_3": 101.0}},
 }
 """Terms with what a setup states of them."""

@@ -149,8 +149,8 @@ Parameters = Annotated[
         "--parameters P,...",
         "placement (default), link-transform, dh, dh-full, joint-offset{}; beyond "
         "geometry transmission, compliance, hysteresis, motor-ripple, "
-        "cross-compliance, thermal{}; of the instrument instrument-drift; several may "
-        "be combined.",
+        "cross-compliance, thermal, warm-up{}; of the instrument instrument-drift; "
+        "several may be combined.",
     ),
 ]
 

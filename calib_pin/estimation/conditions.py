@@ -12,7 +12,7 @@ from calib_pin.measurement_models import declared
 from calib_pin.observations import Conditions, Observations
 from calib_pin.parameterizations import needed_conditions, outside_urdf
 from calib_pin.parameterizations.drift import InstrumentDrift
-from calib_pin.parameterizations.thermal import REFERENCE, ThermalGrowth
+from calib_pin.parameterizations.thermal import REFERENCE, ThermalGrowth, WarmUp
 from calib_pin.setup import Setup
 
 
@@ -70,6 +70,13 @@ def at_conditions(chains: Chains, data: Observations, setup: Setup) -> Setup:
         # A tenth of a degree is as good, and looks like a temperature.
         mean = round(float(np.mean(held.temperature)), 1)
         setup = replace(setup, thermal=replace(setup.thermal, reference=mean))
+    if WarmUp.name in setup.parameters and len(held.time):
+        thermal, span = setup.thermal, float(np.ptp(held.time))
+        if not thermal.switched_on:
+            thermal = replace(thermal, switched_on=(float(held.time.min()),))
+        if thermal.warm_up_time is None and span > 0.0:
+            thermal = replace(thermal, warm_up_time=span / 3.0)
+        setup = replace(setup, thermal=thermal)
     if InstrumentDrift.name not in setup.parameters:
         return setup
     spans = dict(setup.drift.spans)

@@ -28,7 +28,7 @@ from calib_pin.parameterizations.placement import (
     LinkTransform,
     Placement,
 )
-from calib_pin.parameterizations.thermal import ThermalGrowth
+from calib_pin.parameterizations.thermal import ThermalGrowth, WarmUp
 from calib_pin.parameterizations.transmission import MotorRipple, Transmission
 from calib_pin.plugins import Members
 from calib_pin.setup import Setup
@@ -64,6 +64,7 @@ _BUNDLED: tuple[type[Parameterization], ...] = (
     MotorRipple,
     CrossCompliance,
     ThermalGrowth,
+    WarmUp,
     InstrumentDrift,
 )
 

@@ -174,7 +174,7 @@ class Parameterization(ABC):
     def __init_subclass__(cls) -> None:
         """Name the parameters after the parameterization unless stated."""
         super().__init_subclass__()
-        if "kind" not in vars(cls):
+        if "name" in vars(cls) and "kind" not in vars(cls):
             cls.kind = cls.name
 
     @classmethod

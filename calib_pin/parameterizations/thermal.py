@@ -1,7 +1,8 @@
-"""Links that grow with the temperature."""
+"""Links that grow with the temperature, measured or as a robot warms up."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, Self
@@ -14,6 +15,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.parameterizations.base import (
     BasisFunction,
+    BasisFunctions,
     Parameterization,
     Screw,
     owner,
@@ -28,38 +30,41 @@ EXPANSION = 2e-5
 REFERENCE = 20.0
 """Temperature at which lengths hold where nothing else is known [degC] (ISO 1)."""
 
+WARMER = 20.0
+"""Temperature by which a robot that works is warmer than one that stood [K]."""
+
+WARM_UP = 1800.0
+"""Time constant of a robot's warm-up where nothing else is known [s]."""
+
 SHORTEST = 1e-6
 """Length from which a link can grow [m]."""
 
 
 @dataclass(frozen=True)
-class ThermalGrowth(Parameterization):
-    """`<joint>.thermal.growth`: growth of the link before a joint [1/K].
+class _Growth(Parameterization):
+    """`<joint>.<kind>.growth`: growth of the link before a joint.
 
     The joint moves along the nominal way from the joint before it, by the length of
-    that way times `growth (temperature - reference)`; so does the tip, named after the
-    fixed joint that carries it. Links of one material share its growth,
-    `<material>.thermal.growth`. The prior is as wide as the expected size: no material
-    grows ten times as much.
+    that way times the growth times a function of the conditions; so does the tip, named
+    after the fixed joint that carries it. Links of one material share its growth,
+    `<material>.<kind>.growth`. The prior is as wide as the expected size.
 
     Attributes:
-        reference: Temperature at which the geometry holds [degC].
         materials: Names or globs of joints by the name of a material.
+        unit: Unit of the growth.
+        size: Its expected size.
     """
 
-    reference: float = REFERENCE
     materials: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    name = "thermal"
     geometric = False
     requires = ("thermal",)
-    conditions: ClassVar[tuple[str, ...]] = ("temperature",)
+    unit: ClassVar[str]
+    size: ClassVar[float]
 
-    @classmethod
-    def of_setup(cls, setup: Setup) -> Self:
-        """The growth from the reference temperature of a setup."""
-        stated = setup.thermal.reference
-        reference = REFERENCE if stated is None else stated
-        return cls(reference, setup.thermal.materials)
+    @property
+    @abstractmethod
+    def function(self) -> BasisFunctions:
+        """Function of the conditions that the growth is multiplied by."""
 
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """A screw along the way to every joint and to the tip, per unit of growth.
@@ -70,14 +75,14 @@ class ThermalGrowth(Parameterization):
         robot = chain.robot
         joints = [*list(robot.model.names)[1:], *robot.fixed_parents.values()]
         owners = self._owners(joints)
-        functions = _Warmth(self.reference)
+        functions = self.function
         return [
             Screw(
                 Parameter(
                     f"{owners.get(joint, owner(joint))}.{self.kind}.growth",
-                    "1/K",
-                    EXPANSION,
-                    prior=EXPANSION,
+                    self.unit,
+                    self.size,
+                    prior=self.size,
                 ),
                 frame,
                 np.concatenate([way, np.zeros(3)]),
@@ -101,6 +106,68 @@ class ThermalGrowth(Parameterization):
                     )
                 result.update({joints[k]: owner(material) for k in found})
         return result
+
+
+@dataclass(frozen=True)
+class ThermalGrowth(_Growth):
+    """`<joint>.thermal.growth`: growth by `temperature - reference`, see `_Growth`.
+
+    No material grows ten times as much as expected.
+
+    Attributes:
+        reference: Temperature at which the geometry holds [degC].
+    """
+
+    reference: float = REFERENCE
+    name = "thermal"
+    conditions: ClassVar[tuple[str, ...]] = ("temperature",)
+    unit: ClassVar[str] = "1/K"
+    size: ClassVar[float] = EXPANSION
+
+    @classmethod
+    def of_setup(cls, setup: Setup) -> Self:
+        """The growth from the reference temperature of a setup."""
+        stated = setup.thermal.reference
+        return cls(setup.thermal.materials, REFERENCE if stated is None else stated)
+
+    @property
+    def function(self) -> BasisFunctions:
+        """Temperature from the reference on [K]."""
+        return _Warmth(self.reference)
+
+
+@dataclass(frozen=True)
+class WarmUp(_Growth):
+    """`<joint>.warm-up.growth`: relative growth as a robot warms up, see `_Growth`.
+
+    From the time t0 at which it was switched on a link lacks `growth exp((t0 - t) / T)`
+    of the length that it has when it is warm. The geometry, and so the URDF, is that of
+    the warm robot, as it is where no time is stated. To take another time for t0 only
+    scales the growth.
+
+    Attributes:
+        since: Times at which the robot was switched on, ascending [s].
+        time: Time constant T [s].
+    """
+
+    since: tuple[float, ...] = (0.0,)
+    time: float = WARM_UP
+    name = "warm-up"
+    conditions: ClassVar[tuple[str, ...]] = ("time",)
+    unit: ClassVar[str] = "1"
+    size: ClassVar[float] = WARMER * EXPANSION
+
+    @classmethod
+    def of_setup(cls, setup: Setup) -> Self:
+        """The growth since the times of a setup."""
+        thermal = setup.thermal
+        since = tuple(sorted(thermal.switched_on)) or cls.since
+        return cls(thermal.materials, since, thermal.warm_up_time or cls.time)
+
+    @property
+    def function(self) -> BasisFunctions:
+        """The lack of final length by the growth: -1 when it is cold."""
+        return _Coldness(self.since, self.time)
 
 
 def _ways(chain: Chain) -> Iterator[tuple[int, str, Floats]]:
@@ -130,3 +197,33 @@ class _Warmth:
         if not len(conditions.temperature):
             return np.zeros((len(q), 1))
         return np.asarray(conditions.temperature[:, None] - self.reference)
+
+
+@dataclass(frozen=True)
+class _Coldness:
+    """Minus one when a robot was switched on, and later zero; zero without a time."""
+
+    since: tuple[float, ...]
+    constant: float
+
+    def __call__(self, q: Floats, conditions: Conditions = UNSTATED) -> Floats:
+        if not len(conditions.time):
+            return np.zeros((len(q), 1))
+        since = passed(conditions.time, self.since)
+        return np.asarray(-np.exp(-since / self.constant))[:, None]
+
+
+def passed(time: Floats, since: Sequence[float]) -> Floats:
+    """Time that has passed since a robot was last switched on, (N,) [s].
+
+    Args:
+        time: Times, shape (N,) [s].
+        since: Times at which it was switched on, ascending [s].
+
+    Examples:
+        >>> passed(np.array([-1.0, 5.0, 30.0]), (0.0, 20.0)).tolist()
+        [0.0, 5.0, 10.0]
+    """
+    last = np.searchsorted(since, time, side="right") - 1
+    result = time - np.array(since)[np.maximum(last, 0)]
+    return np.asarray(np.maximum(result, 0.0))

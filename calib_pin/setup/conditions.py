@@ -49,17 +49,23 @@ class Payload(Section):
 
 @dataclass(frozen=True)
 class ThermalSetup(Section):
-    """How links grow with the temperature, for the parameters `thermal`.
+    """How links grow with the temperature: for the parameters `thermal`, `warm-up`.
 
     Attributes:
         reference: Temperature at which the geometry holds [degC]; None for the mean of
             the measurements.
         materials: Names or globs of joints by the name of a material: the links before
             these joints, and to a tip on such a fixed joint, grow alike.
+        switched_on: Times since which the robot grows warm [s]; empty for that of the
+            first measurement.
+        warm_up_time: Time in which it covers 63 % of the way from cold to warm [s];
+            None for that which suits the measurements best.
     """
 
     reference: Temperature | None = None
     materials: Mapping[str, tuple[Text, ...]] = field(default_factory=dict)
+    switched_on: tuple[Annotated[float, Number("s")], ...] = ()
+    warm_up_time: Annotated[float, Positive("s")] | None = None
 
 
 Span = Annotated[

@@ -38,6 +38,7 @@ COMPONENTS = {
     "hysteresis": ["backlash"],
     "cross-compliance": ["kx", "ky"],
     "thermal": ["growth"],
+    "warm-up": ["growth"],
     "instrument-drift": [
         f"{component}{part}"
         for component in ("x", "y", "z", "rx", "ry", "rz")

@@ -37,7 +37,7 @@ from calib_pin.validation.findings.joint_offsets import joint_offset
 from calib_pin.validation.findings.joint_sets import joint_sets
 from calib_pin.validation.findings.joint_turns import joint_turns
 from calib_pin.validation.findings.line_order import line_order
-from calib_pin.validation.findings.modeled_drift import modeled_drift
+from calib_pin.validation.findings.modeled_drift import modeled_drift, modeled_warm_up
 from calib_pin.validation.findings.moved_frames import move_findings
 from calib_pin.validation.findings.noise import noise
 from calib_pin.validation.findings.orientations import orientations
@@ -87,6 +87,7 @@ FACTS: tuple[Kind, ...] = (
     coarse_values,
     approach_order,
     modeled_drift,
+    modeled_warm_up,
 )
 """Faults in every fit that the measurements show whatever else is wrong."""
 

@@ -1,4 +1,4 @@
-"""The size of a modeled drift of the instruments: no fault, but worth knowing."""
+"""The size of modeled changes in the course of time: no fault, but worth knowing."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib_pin.estimation.evidence import Finding
+from calib_pin.observations import Conditions
 from calib_pin.parameterizations.drift import INCREMENTS, InstrumentDrift
+from calib_pin.parameterizations.thermal import WarmUp
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
 
@@ -52,6 +54,30 @@ def modeled_drift(case: Case) -> Iterator[Finding]:
             "largest_turn": float(turn.max()),
         }
         yield Finding("modeled-drift", "info", told, evidence)
+
+
+def modeled_warm_up(case: Case) -> Iterator[Finding]:
+    """How far the tool moves as the robot warms up, rms where it was measured."""
+    if WarmUp.name not in case.setup.parameters or case.fitted is None:
+        return
+    problem, theta = case.fit.problem, case.fit.theta
+    thermal, moved = problem.setup.thermal, []
+    for block in problem.data.blocks:
+        part = problem.parts[block.key]
+        q, own = block.q[:, part.columns], theta[part.of_error]
+        cold = Conditions(time=np.full(len(q), thermal.switched_on[0]))
+        T = part.error.poses(q, own, part.error.basis(q, cold))
+        moved.append((T - part.error.poses(q, own))[:, :3, 3])
+    size = float(np.sqrt(np.mean(np.sum(np.concatenate(moved) ** 2, axis=1))))
+    constant, (name, factor) = thermal.warm_up_time or 0.0, DISPLAY["m"]
+    yield Finding(
+        "modeled-warm-up",
+        "info",
+        f"the cold robot has its tool {factor * size:.2g} {name} (rms) from where the "
+        f"warm one has it, and covers 63 % of that in {_duration(constant)}; the "
+        "geometry is that of the warm robot",
+        {"cold": size, "time_constant": constant},
+    )
 
 
 def _duration(seconds: float) -> str:

@@ -124,13 +124,13 @@ def both(one: Job) -> tuple[Setup, Setup]:
 @pytest.mark.slow
 @pytest.mark.parametrize("term", TERMS)
 def test_a_small_one_is_found_and_none_is_invented(term: str) -> None:
-    """A fifth of the expected size in each of 20 robots; none in 40 others.
+    """A quarter of the expected size in each of 20 robots; none in 40 others.
 
     The fit of a robot without the term, where none is asked for, is as good as any.
     """
     found, ratios = [], []
     for seed in range(20):
-        one = job(term, 0.2, 200 + seed)
+        one = job(term, 0.25, 200 + seed)
         found.append(significance(one) > 5.0)
         same = job(term, 0.0, 200 + seed)
         (with_it,), (_, right) = one.errors(one.setup), same.errors(*both(same))

@@ -40,13 +40,13 @@ PARTS = 3
 NOTICED = 1e-3
 """Change of an estimate, in its own standard deviations, that nobody can notice."""
 
-CLEAR = 100.0
-"""Deviation, by that of the best determined direction, up to which it counts as
-evidence.
+CLEAR = 10.0
+"""Deviation of a direction, by that of the last of the best determined quarter, from
+which it counts as evidence by more than noise.
 
-Directions that are determined worse collect what the model lacks, rather than noise:
-gears with the size that they show in 500 poses of a UR10 made its other motions worse
-than nominal (1.2 mm rms; 0.5 mm with any limit from 25 to 300).
+The worse a direction is determined, the more of what the model lacks it collects: gears
+with the size that noise alone allows made other motions of a real UR10 worse than
+nominal (1.2 mm rms; 0.51 to 0.52 mm with any limit from 3 to 30).
 """
 
 VISIBLE = 1e-9
@@ -177,9 +177,10 @@ def expected_errors(
     current = Wt @ (V.T @ (theta / parameters.scales))
     # At the least squares what was moved has no gradient; what was not, has.
     values = current - (U[:, seen].T @ triangle[:, -1]) / s
-    clear = variances <= CLEAR**2 * variances.min(initial=np.inf)
-    halves = [Wt[clear] @ V[own].T for own in of_kind]
-    found = expected_sizes(values[clear], variances[clear], halves)
+    quarter = np.quantile(variances, 0.25) if len(variances) else np.inf
+    beside = variances * (1.0 + variances / (CLEAR**2 * quarter))
+    halves = [Wt @ V[own].T for own in of_kind]
+    found = expected_sizes(values, beside, halves)
     sizes, likely = np.ones(len(V)), np.ones((PARTS, len(V)))
     for own, size, parts in zip(of_kind, *found, strict=True):
         sizes[own], likely[:, own] = size, parts[:, None]

@@ -131,7 +131,8 @@ def select_model(
     geometry = candidates.add("geometric", geometric, extends=(offset,))
     base = geometry if geometry.candidate.helps else offset
     candidates.combine(base, beyond)
-    base = candidates.judged[simplest(candidates.judged, use)]
+    # Learning makes up for what is left near; away, what it builds on decides.
+    base = candidates.judged[simplest(candidates.judged, _carrying(use))]
     for name in learned:
         kinds = base.candidate.parameters
         candidates.add(f"+ {name}", kinds, name, extends=(base,))
@@ -144,6 +145,11 @@ def select_model(
     ranges = dict(zip(measurements.joints, near, strict=True))
     selection = ModelSelection(every, chosen, use, ranges)
     return SelectedModel(selection, found.model, found.parts)
+
+
+def _carrying(use: str) -> str:
+    """The use by which a model is chosen that a correction is learned beside."""
+    return use if use == "near" else "away"
 
 
 @dataclass

@@ -129,7 +129,7 @@ def _ur10(letter: str, folder: str, others: str) -> DataSet:
         "laser tracker, T-Mac",
         *("example:ur10_robot", "base_link", "tool0", "position"),
         Part("train", folder, BOTH[:1]),
-        Part("unseen", folder, BOTH[1:]),
+        Part("held out", folder, BOTH[1:]),
         tuple(map(_series, others)),
     )
 

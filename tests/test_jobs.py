@@ -136,8 +136,8 @@ def about_solution(fitted: Fit) -> tuple[Problem, Floats]:
     problem, theta = fitted.problem.rebased(fitted.theta)
     assert fitted.evidence is not None
     found = [
-        posterior_about(fitted, problem, theta, size).covariance
-        for size in fitted.evidence.sizes.tolist()
+        posterior_about(fitted, problem, theta, sizes).covariance
+        for sizes in fitted.evidence.likely
     ]
     return problem, np.mean(found, axis=0)
 

@@ -32,7 +32,7 @@ SURE = 30.0
 """Evidence for a sudden change by that for none from which it is told.
 
 By chance as much comes about in at most one of 30 calibrations (Markov's inequality,
-which is wide: of 660 simulated weeks without a change none was told to have one)."""
+which is wide: of 704 simulated weeks without a change one was told to have one)."""
 
 CHANCES = {"offset": 1.0, "placement": 0.05, "robot": 0.05}
 """How likely kinds of sudden changes are beside each other: a joint that was hit slips
@@ -59,7 +59,8 @@ class Found:
     Attributes:
         drifts: How far the robot drifts, as far as is known now.
         jumps: Sudden changes by name, the surest first.
-        sizes: Their sizes, in expected sizes of errors.
+        sizes: Their sizes, in expected sizes of errors, and those of joints that may
+            have been hit instead.
     """
 
     drifts: tuple[DriftSize, ...]
@@ -177,7 +178,7 @@ class Comparison:
             first: The innovations, see `explanation`.
             expected: The drift that it expects.
         """
-        found, sparse = explained(first, self.sparse, SURE, JUMPS)
+        found, sparse, rivals = explained(first, self.sparse, SURE, JUMPS)
         _, told = found.fitted()
         drifts = tuple(
             replace(drift, size=cause.size, worth=min(drift.worth + count, REMEMBERED))
@@ -186,10 +187,12 @@ class Comparison:
             for drift, cause, count in zip(expected, found.causes, told, strict=False)
         )
         jumps = [cause for cause in sparse if cause.name in self.sudden]
+        offsets = {name for name, c in self.sudden.items() if c.kind == "offset"}
+        instead = [cause for cause in rivals if cause.name in offsets]
         return Found(
             drifts,
             {cause.name: self._jump(found, cause) for cause in jumps},
-            {cause.name: cause.size for cause in jumps},
+            {cause.name: cause.size for cause in (*jumps, *instead)},
         )
 
     def _jump(self, found: Explanation, cause: Cause) -> Jump:

@@ -167,7 +167,7 @@ class Explanation:
 
 def explained(
     first: Explanation, causes: Sequence[Sparse], sure: float, most: int
-) -> tuple[Explanation, tuple[Cause, ...]]:
+) -> tuple[Explanation, tuple[Cause, ...], tuple[Cause, ...]]:
     """Innovations with the sparse causes that the evidence is sure of, one by one.
 
     Args:
@@ -178,10 +178,12 @@ def explained(
         most: Most sparse causes.
 
     Returns:
-        The innovations with all causes of their likeliest sizes, and the sparse ones
-        among these, in the order in which they were accepted.
+        The innovations with all causes of their likeliest sizes; the sparse ones among
+        these, in the order in which they were accepted; and their rivals, of which the
+        evidence is not as sure that they are not meant.
     """
     found: list[Cause] = []
+    rivals: dict[str, Cause] = {}
     for _ in range(most):
         now, _ = replace(first, causes=(*first.causes, *found)).fitted()
         base = now.likelihood + first.expected(now)
@@ -194,8 +196,11 @@ def explained(
         if gain - base < np.log(sure):
             break
         found.append(cause)
+        rivals |= {other.name: other for g, other in better if gain - g < np.log(sure)}
     result, _ = replace(first, causes=(*first.causes, *found)).fitted()
-    return result, tuple(found)
+    accepted = {cause.name for cause in found}
+    others = (cause for name, cause in rivals.items() if name not in accepted)
+    return result, tuple(found), tuple(others)
 
 
 def _best(

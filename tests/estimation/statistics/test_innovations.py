@@ -110,6 +110,25 @@ def test_the_cause_that_explains_it_wins() -> None:
     """A wide one that holds the narrow one has less evidence."""
     wide = np.column_stack([jump_of().effects, np.eye(COUNT)[:, :5]])
     others = [Sparse("wide", wide, jump_of().sizes), jump_of()]
-    found, sparse = explained(innovations(2, (0.1, 1.0), jump=6.0), others, 50.0, 2)
+    found, sparse, rivals = explained(
+        innovations(2, (0.1, 1.0), jump=6.0), others, 50.0, 2
+    )
     assert [cause.name for cause in sparse] == ["jump"]
+    assert {cause.name for cause in rivals} <= {"wide"}
     assert found.causes[0].size < 0.4
+
+
+def test_causes_that_measurements_hardly_tell_apart_are_rivals() -> None:
+    first, jump = innovations(2, (0.1, 1.0), jump=6.0), jump_of()
+    rng = np.random.default_rng(0)
+    size = np.linalg.norm(jump.effects) / np.sqrt(COUNT)
+    alike, unlike = (
+        Sparse(name, effects, jump.sizes)
+        for name, effects in (
+            ("alike", jump.effects + 0.01 * size * rng.normal(size=(COUNT, 1))),
+            ("unlike", size * rng.normal(size=(COUNT, 1))),
+        )
+    )
+    _, sparse, rivals = explained(first, [jump, alike, unlike], 50.0, 1)
+    names = {cause.name for cause in (*sparse, *rivals)}
+    assert len(sparse) == 1 and names == {"jump", "alike"}

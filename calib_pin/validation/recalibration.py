@@ -31,7 +31,7 @@ from calib_pin.observations import Observations
 from calib_pin.setup import JointPrior, Setup
 from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.findings.older_calibration import older_calibration
-from calib_pin.validation.joint_changes import drifts
+from calib_pin.validation.joint_changes import changes, drifts
 from calib_pin.validation.older_calibration import (
     expected_drifts,
     older_prior,
@@ -42,6 +42,10 @@ from calib_pin.validation.older_calibration import (
 from calib_pin.validation.older_predictions import Comparison
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import Recalibration, RecalibrationStep
+
+SELDOM = 0.01
+"""Chance that the offset of a joint changes at once between two calibrations, for which
+measurements are planned."""
 
 SOME = 300
 """Measurements that are compared; more do not make it clearer."""
@@ -160,6 +164,9 @@ def expected_setup(
     drifted = [
         (d.size, directions[d.name]) for d in expected_drifts(start, process_noise)
     ]
+    # Which joint was hit, if one was, must show as well.
+    hit = [c for c in changes(start.model, robot).values() if c.kind == "offset"]
+    drifted += [(SELDOM**0.5, change.directions) for change in hit]
     return replace(setup, prior=wider(older, given.scales[robot], drifted))
 
 

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.estimation.directions import inverse_root
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.references import (
     Anchor,
@@ -23,9 +24,6 @@ from calib_pin.measurement_models.references import (
 )
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import DistanceSetup, JointPrior
-
-RANK = 1e-12
-"""Singular values below this part of the largest are rounding."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +54,8 @@ class Expected:
 
     @cached_property
     def _rows(self) -> Floats:
-        half = self.sizes[:, None] * self.directions
-        _, s, Wt = np.linalg.svd(half, full_matrices=False)
-        shown = s > RANK * s.max(initial=0.0)
-        rows = Wt[shown] @ self.directions.T / self.scales
-        return np.asarray(rows / s[shown, None])
+        root = inverse_root(self.sizes[:, None] * self.directions)
+        return np.asarray(root.T @ self.directions.T / self.scales)
 
 
 @dataclass(frozen=True)

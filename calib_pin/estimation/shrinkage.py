@@ -179,13 +179,13 @@ def expected_errors(
     values = current - (U[:, seen].T @ triangle[:, -1]) / s
     quarter = np.quantile(variances, 0.25) if len(variances) else np.inf
     beside = variances * (1.0 + variances / (CLEAR**2 * quarter))
-    halves = [Wt @ V[own].T for own in of_kind]
-    found = expected_sizes(values, beside, halves)
+    half = Wt @ V.T
+    found = expected_sizes(values, beside, [half[:, own] for own in of_kind])
     sizes, likely = np.ones(len(V)), np.ones((PARTS, len(V)))
     for own, size, parts in zip(of_kind, *found, strict=True):
         sizes[own], likely[:, own] = size, parts[:, None]
     deviations = np.sqrt(variances)
-    P, t = _principal((Wt @ V.T) * sizes / deviations[:, None])
+    P, t = _principal(half * sizes / deviations[:, None])
     kept = (P * (t / np.hypot(1.0, t)) ** 2) @ P.T
     change = kept @ (values / deviations) - current / deviations
     shift = change / np.sqrt(np.diag(kept))

@@ -14,7 +14,7 @@ from calib_pin.estimation.time_course import with_warm_up
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Conditions, Observations
-from calib_pin.setup import FrameSetup, Setup, ThermalSetup
+from calib_pin.setup import FrameSetup, Payload, Setup, ThermalSetup
 from calib_pin.simulation import draw_errors, simulate
 
 HOUR = 3600.0
@@ -86,6 +86,21 @@ def test_the_geometry_is_that_of_the_warm_robot() -> None:
             assert told[0].evidence["cold"] == pytest.approx(size, rel=0.3)
     with_it, without = errors
     assert with_it < 0.4 * without
+
+
+def test_it_is_told_of_a_robot_that_carries_one_thing_or_another() -> None:
+    loads = {"light": Payload(1.0, (0.0, 0.0, 0.1)), "heavy": Payload(5.0, (0.0,) * 3)}
+    thermal = ThermalSetup(switched_on=(0.0,), warm_up_time=900.0)
+    parameters = ("joint-offset", "compliance", "warm-up")
+    setup = replace(SETUP, parameters=parameters, thermal=thermal, payloads=loads)
+    problem, rng = nominal_problem(CHAIN, "position", setup), np.random.default_rng(4)
+    theta = draw_errors(problem.parameters, rng)
+    held = Conditions(payload=("light", "heavy") * 40, time=np.linspace(0.0, HOUR, 80))
+    q = CHAIN.random_configurations(80, rng)
+    data = simulate(problem, theta, rng, q=q, conditions=held, noise=2e-5)
+    result = calib_pin.calibrate(CHAIN, data, setup, validate=False)
+    (told,) = [f for f in result.findings if f.code == "modeled-warm-up"]
+    assert told.evidence["cold"] > 0.0
 
 
 def test_each_morning_anew() -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from calib_pin.estimation.evidence import Finding
-from calib_pin.observations import Conditions
 from calib_pin.parameterizations.drift import INCREMENTS, InstrumentDrift
 from calib_pin.parameterizations.thermal import WarmUp
 from calib_pin.units import DISPLAY
@@ -65,9 +65,14 @@ def modeled_warm_up(case: Case) -> Iterator[Finding]:
     for block in problem.data.blocks:
         part = problem.parts[block.key]
         q, own = block.q[:, part.columns], theta[part.of_error]
-        cold = Conditions(time=np.full(len(q), thermal.switched_on[0]))
-        T = part.error.poses(q, own, part.error.basis(q, cold))
-        moved.append((T - part.error.poses(q, own))[:, :3, 3])
+        first, none = np.full(len(q), thermal.switched_on[0]), np.zeros(0)
+        cold, warm = (
+            part.error.poses(
+                q, own, part.error.basis(q, replace(block.conditions, time=time))
+            )
+            for time in (first, none)
+        )
+        moved.append((cold - warm)[:, :3, 3])
     size = float(np.sqrt(np.mean(np.sum(np.concatenate(moved) ** 2, axis=1))))
     constant, (name, factor) = thermal.warm_up_time or 0.0, DISPLAY["m"]
     yield Finding(

@@ -8,6 +8,7 @@ chain in `SPECIAL`.
 from __future__ import annotations
 
 import importlib.metadata
+import importlib.util
 import io
 import logging
 import os
@@ -17,6 +18,7 @@ import subprocess
 import sys
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
@@ -99,6 +101,39 @@ SPECIAL = {
 
 SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 """WebGL without a graphics card."""
+
+
+GROUPS = {
+    "browser": ("playwright",),
+    "cluster": ("distributed",),
+    "docs": ("mkdocs", "latex2mathml"),
+    "parquet": ("pyarrow",),
+    "pdf-reading": ("pypdf",),
+    "view": ("viser",),
+    "vision": ("cv2",),
+}
+"""What only `scripts/test --all` installs, by what it serves."""
+
+
+def absent(group: str) -> list[str]:
+    """Modules of a group that are not installed."""
+    return [name for name in GROUPS[group] if importlib.util.find_spec(name) is None]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    missing = {group: ", ".join(absent(group)) for group in GROUPS}
+    for item in items:
+        for mark in item.iter_markers("needs"):
+            for group in filter(missing.get, mark.args):
+                reason = f"needs {missing[group]} ({group}), scripts/test --all has it"
+                item.add_marker(pytest.mark.skip(reason))
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """How many tests were skipped, and why."""
+    reasons = [report.longrepr[2] for report in terminalreporter.getreports("skipped")]
+    for reason, count in sorted(Counter(reasons).items()):
+        terminalreporter.line(f"{count} skipped: {reason.removeprefix('Skipped: ')}")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -381,20 +416,69 @@ def measured(
 
 @pytest.fixture(scope="session")
 def simulated() -> Callable[..., tuple[Problem, Floats]]:
-    """Rows of `space6` without noise: `simulated(model, setup, count, size)`.
+    """Measurements of a robot: `simulated(model, setup, count, size, seed, ...)`.
 
     Returns the problem with the rows, and the true errors: those of the robot have so
-    many times their expected size.
+    many times their expected size, and changes by name come on top. The robot, space6
+    by default, is a name or a chain; without `noise` there is none.
     """
 
     def make(
-        model: str, setup: Setup, count: int = 40, size: float = 0.0, seed: int = 0
+        model: str,
+        setup: Setup | None = None,
+        count: int = 40,
+        size: float = 0.0,
+        seed: int = 0,
+        *,
+        robot: str | Chain = "space6",
+        noise: float = 0.0,
+        changes: Mapping[str, float] | None = None,
     ) -> tuple[Problem, Floats]:
         rng = np.random.default_rng(seed)
-        problem = nominal_problem(load_chain("space6"), model, setup)
+        chain = load_chain(robot) if isinstance(robot, str) else robot
+        problem = nominal_problem(chain, model, setup or Setup())
         theta = size * draw_errors(problem.parameters, rng)
-        rows = simulate(problem, theta, rng, count=count, noise=0.0)
+        for name, change in (changes or {}).items():
+            theta[problem.parameters.index(name)] += change
+        rows = simulate(problem, theta, rng, count=count, noise=noise)
         return replace(problem, data=rows), theta
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def calibrated_robot(
+    simulated: Callable[..., tuple[Problem, Floats]],
+) -> Callable[..., Any]:
+    """Calibration of a simulated robot: `calibrated_robot(model, setup, count, ...)`.
+
+    Arguments are those of `simulated`, further ones go to `calibrate`. Equal arguments
+    give the same result, which is made once in a process.
+    """
+    made: dict[str, Any] = {}
+
+    def make(
+        model: str = "position",
+        setup: Setup | None = None,
+        count: int = 60,
+        size: float = 1.0,
+        seed: int = 0,
+        *,
+        robot: str | Chain = "space6",
+        noise: float = 1e-4,
+        changes: Mapping[str, float] | None = None,
+        **options: Any,
+    ) -> Any:
+        from calib_pin.calibration import calibrate
+
+        job = (model, setup or Setup(), count, size, seed)
+        more = {"robot": robot, "noise": noise, "changes": changes}
+        key = repr((job, more, options))
+        if key not in made:
+            problem, _ = simulated(*job, **more)
+            chain = problem.chains[""]
+            made[key] = calibrate(chain, problem.data, job[1], **options)
+        return made[key]
 
     return make
 

@@ -7,8 +7,6 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
 
 REPLACED = {
@@ -59,13 +57,14 @@ FILES = sorted(
 )
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_words(path: Path) -> None:
+def test_words() -> None:
+    patterns = {re.compile(p, re.IGNORECASE): better for p, better in REPLACED.items()}
     found = [
-        f"line {line}: '{match.group()}', better: {better}"
+        f"{path.relative_to(ROOT)}:{line}: '{match.group()}', better: {better}"
+        for path in FILES
         for line, text in texts(path)
-        for pattern, better in REPLACED.items()
-        for match in re.finditer(pattern, text, re.IGNORECASE)
         if text not in KEYS
+        for pattern, better in patterns.items()
+        for match in pattern.finditer(text)
     ]
     assert found == []

@@ -35,35 +35,25 @@ wrote out/robot.urdf
 """
 
 
-@pytest.mark.parametrize(
-    "expected",
-    [
+def test_an_output_is_as_expected():
+    for expected in (
         PRINTED,
         PRINTED.replace("0.447", "0.450"),
         "GOOD: position error 0.447 mm\nrms instead of 0.847 mm.\n...",
-        "...\nwrote out/robot.urdf",
         "GOOD:\n...\nrank 25\n...\nwrote out/robot.urdf",
-        "...\n",
-    ],
-)
-def test_an_output_is_as_expected(expected: str):
-    assert difference(expected.splitlines(), PRINTED) == ""
+    ):
+        assert difference(expected.splitlines(), PRINTED) == ""
 
 
-@pytest.mark.parametrize(
-    ("expected", "said"),
-    [
-        (PRINTED.replace("0.447", "0.497"), "expected 'GOOD: position error 0.497"),
-        (PRINTED.replace("25", "26"), "expected"),
-        (PRINTED.replace("GOOD", "UNTRUSTED"), "expected"),
-        ("wrote out/robot.urdf\n...", "expected"),
-        ("GOOD: position error 0.447 mm", "also printed 'rms instead"),
-        ("...\nwrote out/robot.urdf again", "expected"),
-        ("...\nwrote out/robot.urdf\n...\nGOOD:\n...", "expected 'GOOD:'"),
-    ],
-)
-def test_an_output_that_differs_is_told(expected: str, said: str):
-    assert said in difference(expected.splitlines(), PRINTED)
+def test_an_output_that_differs_is_told():
+    for expected in (
+        PRINTED.replace("0.447", "0.497"),
+        PRINTED.replace("25", "26"),
+        "wrote out/robot.urdf\n...",
+        "GOOD: position error 0.447 mm",
+        "...\nwrote out/robot.urdf\n...\nGOOD:\n...",
+    ):
+        assert difference(expected.splitlines(), PRINTED), expected
 
 
 def page(tmp_path: Path, text: str) -> Path:
@@ -77,14 +67,10 @@ def page(tmp_path: Path, text: str) -> Path:
     [
         ("```python\nassert 1 == 2\n```\n", "page.md:1: AssertionError"),
         ("\n```yaml\ntop: tool0\n```\n", "page.md:2: "),
-        ("```ruby\nputs 1\n```\n", "language 'ruby'"),
         ("```\nnothing said\n```\n", "language ''"),
         ("```bash\nrm -r .\n```\n", "unknown command 'rm'"),
         ("```bash\ncalib-pin calibrate nowhere.urdf a.csv\n```\n", "nowhere.urdf"),
-        ("```bash\npip install calib-pin[magic]\n```\n", "no 'calib-pin[magic]'"),
         ("```bash\nscripts/benchmark magic\n```\n", "knows no ['magic']"),
-        ("```bash\nscripts/magic\n```\n", "no 'scripts/magic'"),
-        ("```toml\na = \n```\n", "TOMLDecodeError"),
         ("```console\n$ calib-pin robots\nnone\n```\n", "expected 'none'"),
     ],
 )

@@ -12,17 +12,16 @@ import calib_pin
 from documentation.__main__ import documents
 from documentation.api_reference import TOPICS
 from documentation.blocks import ROOT
-from documentation.hooks import with_formulas
 from documentation.site import build
 
 DOCS = ROOT / "docs"
 LINK = re.compile(r"\]\((?!https?:|mailto:)([^)#\s]*)(?:#([^)\s]+))?\)")
 
 
-@pytest.mark.parametrize("name", documents())
-def test_generated_documents_are_current(name: str):
+def test_generated_documents_are_current():
     """Where this fails, `scripts/document` writes them anew."""
-    assert (DOCS / name).read_text() == documents()[name]
+    for name, text in documents().items():
+        assert (DOCS / name).read_text() == text, name
 
 
 def test_every_public_name_is_in_the_reference():
@@ -47,7 +46,10 @@ def test_links_of_the_repository_lead_somewhere(name: str):
         assert not anchor or anchor in anchors(target), f"{path}#{anchor}"
 
 
+@pytest.mark.needs("docs")
 def test_formulas_become_mathml():
+    from documentation.hooks import with_formulas
+
     text = "Of $`a_1`$:\n\n```math\n\\sum_i x_i\n```\n\n`$x`\n"
     found = with_formulas(text)
     assert found.count("<math") == 2 and "`$x`" in found and "```" not in found
@@ -59,6 +61,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.needs("docs")
 def test_the_site_builds_without_a_warning(site: Path):
     pages = sorted(path.relative_to(DOCS) for path in DOCS.rglob("*.md"))
     assert len(pages) > 30
@@ -67,6 +70,7 @@ def test_the_site_builds_without_a_warning(site: Path):
 
 
 @pytest.mark.slow
+@pytest.mark.needs("docs")
 def test_the_site_needs_no_network(site: Path):
     """Whatever a page loads lies beside it; links to other sites are followed only."""
     loads = re.compile(r'<(?:script|img|link|iframe)[^>]*(?:src|href)="(?://|https?:)')
@@ -80,6 +84,7 @@ def test_the_site_needs_no_network(site: Path):
 
 
 @pytest.mark.slow
+@pytest.mark.needs("docs")
 def test_a_link_that_leads_nowhere_is_told(tmp_path: Path):
     """The build fails where it should."""
     configuration = (ROOT / "scripts/documentation/mkdocs.yml").read_text()

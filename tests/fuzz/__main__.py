@@ -13,8 +13,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import redirect_stdout
 from itertools import count
 
-os.environ["NUMBA_NUM_THREADS"] = "1"  # Threads do not survive a fork.
-
 from tests.fuzz.cases import Case, Outcome, Pool, fault, make_case
 from tests.fuzz.corpus import written
 from tests.fuzz.reduction import reduced

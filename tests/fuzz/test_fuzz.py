@@ -2,98 +2,51 @@
 
 from __future__ import annotations
 
+import argparse
+import faulthandler
 import os
 import random
 import signal
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.fuzz import cases, corpus
+from tests.fuzz.__main__ import run
 from tests.fuzz.cases import Case, Outcome, Pool, fault, make_case
 from tests.fuzz.mutators import damaged
-from tests.fuzz.reduction import reduced, smallest
-
-ROOT = Path(__file__).parents[2]
-
-
-def fuzz(*options: str) -> None:
-    run = subprocess.run(
-        [sys.executable, "-m", "tests.fuzz", *options],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-    )
-    assert run.returncode == 0, run.stdout + run.stderr
-
-
-def test_damaged_files() -> None:
-    fuzz("--cases", "300", "--seed", "19")
-
-
-@pytest.mark.slow
-def test_many_damaged_files() -> None:
-    fuzz("--cases", "5000", "--seed", "1900", "--no-reduction")
-
+from tests.fuzz.reduction import reduced
 
 # --- the fuzzer itself -------------------------------------------------------------
-
-
-@pytest.fixture
-def running(
-    monkeypatch: pytest.MonkeyPatch,
-) -> Callable[[Callable[[list[str]], int]], Outcome]:
-    """The outcome of a case whose command is a function."""
-
-    def run(command: Callable[[list[str]], int]) -> Outcome:
-        monkeypatch.setattr(cases, "main", command)
-        monkeypatch.setattr(cases, "SECONDS", 0.5)
-        ((_, outcome),) = Pool().run([CASE])
-        return outcome
-
-    return run
 
 
 CASE = Case("0/0", "report a.csv", "a.csv", {"a.csv": b"x\n1\n"}, "")
 
 
-def die(_: list[str]) -> int:
+def die() -> int:
+    faulthandler.disable()  # Its dump would look like a crash of the tests.
     os.kill(os.getpid(), signal.SIGSEGV)
     return 0
 
 
-def hang(_: list[str]) -> int:
+def hang() -> int:
     while True:
         pass
 
 
-def wait(_: list[str]) -> int:
-    signal.pause()
-    return 0
-
-
-def swallow(_: list[str]) -> int:
-    return len(bytearray(cases.MEMORY))
-
-
-def fail(_: list[str]) -> int:
+def fail() -> int:
     raise KeyError("x")
 
 
-def saying(text: str, status: int) -> Callable[[list[str]], int]:
-    def say(_: list[str]) -> int:
-        os.write(2, text.encode())  # As C++ does.
-        return status
-
-    return say
+def swallow() -> int:
+    return len(bytearray(cases.MEMORY))
 
 
-def spoil(_: list[str]) -> int:
+def spoil() -> int:
     Path("a.csv").write_text("")
-    return saying("calib-pin: a.csv: bad\n", 1)([])
+    os.write(2, b"calib-pin: a.csv: bad\n")  # As C++ does.
+    return 1
 
 
 @pytest.mark.parametrize(
@@ -101,49 +54,47 @@ def spoil(_: list[str]) -> int:
     [
         (die, "SIGSEGV"),
         (hang, "slow"),
-        (wait, "hang"),
         (swallow, "traceback"),
         (fail, "traceback"),
-        (saying("", 0), None),
-        (saying("calib-pin: note: a\ncalib-pin: note: b\n", 2), None),
-        (saying("calib-pin: a.csv: bad\n", 1), None),
-        (saying("calib-pin: bad; see --help\n", 1), None),
-        (saying("calib-pin: bad\n", 1), "neither file nor option named"),
-        (saying("", 1), "0 lines"),
-        (saying("calib-pin: note: a\ncalib-pin: a.csv: bad\n", 1), "2 lines"),
-        (saying(f"calib-pin: a.csv: {'x' * 300}\n", 1), "long message"),
-        (saying("calib-pin: a.csv: \x1b[2J\n", 1), "unprintable message"),
-        (saying("calib-pin: internal error: a.csv\n", 1), "internal error"),
-        (saying("a.py:3: RuntimeWarning: overflow\n", 0), "foreign line"),
-        (saying("", 139), "status 139"),
         (spoil, "written"),
     ],
 )
-def test_what_is_a_failure(command, what, running, monkeypatch) -> None:
-    monkeypatch.setattr(cases, "PATIENCE", 6.0 if command is hang else 2.0)
-    assert fault(CASE, running(command)) == what
+def test_a_process_that_fails(command, what, monkeypatch) -> None:
+    monkeypatch.setattr(cases, "main", lambda words: command())
+    monkeypatch.setattr(cases, "SECONDS", 0.3)
+    ((_, outcome),) = Pool().run([CASE])
+    assert fault(CASE, outcome) == what
+
+
+@pytest.mark.parametrize(
+    ("status", "said", "what"),
+    [
+        (0, "", None),
+        (2, "calib-pin: note: a\ncalib-pin: note: b\n", None),
+        (1, "calib-pin: a.csv: bad\n", None),
+        (1, "calib-pin: bad\n", "neither file nor option named"),
+        (1, "calib-pin: note: a\ncalib-pin: a.csv: bad\n", "2 lines"),
+        (1, f"calib-pin: a.csv: {'x' * 300}\n", "long message"),
+        (1, "calib-pin: a.csv: \x1b[2J\n", "unprintable message"),
+        (1, "calib-pin: internal error: a.csv\n", "internal error"),
+        (0, "a.py:3: RuntimeWarning: overflow\n", "foreign line"),
+        (139, "", "status 139"),
+    ],
+)
+def test_what_is_a_failure(status: int, said: str, what: str | None) -> None:
+    assert fault(CASE, Outcome(status, said)) == what
 
 
 def test_after_a_death_the_others_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cases, "main", lambda words: die([]) if words == ["b"] else 0)
+    monkeypatch.setattr(cases, "main", lambda words: die() if words == ["b"] else 0)
     run = Pool(2).run(Case(word, word, "", {}, "") for word in "abcd")
     found = {case.name: outcome.status for case, outcome in run}
     assert found == {"a": 0, "b": None, "c": 0, "d": 0}
 
 
-def test_the_smallest_file() -> None:
-    left = [1000]
-    found = smallest(
-        [b"%d\n" % k for k in range(100)],
-        lambda parts: b"7\n" in parts and b"42\n" in parts,
-        left,
-    )
-    assert found == [b"7\n", b"42\n"]
-
-
 def test_the_smallest_file_of_a_case(monkeypatch: pytest.MonkeyPatch) -> None:
     def command(_: list[str]) -> int:
-        return die([]) if b"bad" in Path("a.csv").read_bytes() else 0
+        return die() if b"bad" in Path("a.csv").read_bytes() else 0
 
     monkeypatch.setattr(cases, "main", command)
     text = b"".join(b"%d,good\n" % k for k in range(30)) + b"31,bad,1\n32,good\n"
@@ -158,6 +109,17 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, bytes]
         yield corpus.written()
 
 
+@pytest.mark.slow
+def test_damaged_files(
+    files: dict[str, bytes], capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = {"first": 0, "minutes": None, "jobs": 1, "no_reduction": True}
+    for seed, count in ((19, 200), (1900, 500)):
+        asked = argparse.Namespace(seed=seed, cases=count, **options)
+        assert run(asked, files) == 0, capsys.readouterr().out
+
+
+@pytest.mark.slow
 def test_the_corpus_is_valid(files: dict[str, bytes]) -> None:
     jobs = [
         Case("", job.words, "", corpus.needed(job.words, files), "")
@@ -171,20 +133,15 @@ def test_the_corpus_is_valid(files: dict[str, bytes]) -> None:
         assert any(name.endswith(kind) for name in damageable), kind
 
 
+@pytest.mark.slow
 def test_a_case_is_the_same_in_every_run(files: dict[str, bytes]) -> None:
     first, again = make_case(3, 7, files), make_case(3, 7, dict(files))
     assert first == again
-    assert (
-        len(
-            {
-                make_case(3, k, files).files[make_case(3, k, files).file]
-                for k in range(50)
-            }
-        )
-        > 45
-    )
+    made = [make_case(3, k, files) for k in range(50)]
+    assert len({case.files[case.file] for case in made}) > 45
 
 
+@pytest.mark.slow
 def test_all_mutators_do_something(files: dict[str, bytes]) -> None:
     told = set[str]()
     for k in range(400):

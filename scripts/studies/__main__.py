@@ -8,11 +8,11 @@ from importlib import import_module
 from calib_pin.errors import CalibPinError
 
 STUDIES = ("aoyagi2010", "klimchik", "liu2012", "liu2022")
-"""Modules with a function `main(words)`."""
+"""Modules with a function `main(words)` that tells whether all conditions are met."""
 
 
 def main() -> None:
-    """Run the study that the first argument names."""
+    """Run the study that the first argument names; status 2 if a condition fails."""
     name, *words = sys.argv[1:] or [""]
     if name in ("-h", "--help"):
         print(f"usage: reproduce NAME [options]; NAME is {', '.join(STUDIES)}")
@@ -21,9 +21,11 @@ def main() -> None:
         problem = f"unknown study '{name}'" if name else "name a study"
         sys.exit(f"reproduce: {problem}; there is {', '.join(STUDIES)}")
     try:
-        import_module(f"studies.{name}").main(words)
+        met = import_module(f"studies.{name}").main(words)
     except CalibPinError as error:
         sys.exit(f"reproduce: {error}")
+    if not met:
+        sys.exit(2)
 
 
 if __name__ == "__main__":

@@ -56,10 +56,16 @@ RATIOS: Mapping[str, Callable[[Case], float]] = {
 """Columns of the table of ratios."""
 
 
-def main(words: Sequence[str]) -> None:
-    """Run the study, print it, and write its files."""
-    limit = (max(Settings.counts), "largest number of points, less")
-    chosen = shared.options("aoyagi2010", SOURCE, 5, words, points=limit)
+def main(words: Sequence[str]) -> bool:
+    """Run the study, print it, write its files; whether all conditions are met."""
+    most = max(Settings.counts)
+    chosen = shared.options(
+        "aoyagi2010",
+        SOURCE,
+        words,
+        seeds=shared.Number(2, 5, "number of robots"),
+        points=shared.Number(most, most, "largest number of points"),
+    )
     counts = tuple(n for n in Settings.counts if n <= chosen.points)
     settings = Settings(counts=counts or (chosen.points,))
     genetic = [n for n in settings.counts if n <= settings.genetic]
@@ -68,7 +74,7 @@ def main(words: Sequence[str]) -> None:
     work = partial(study, settings, selected)
     seeds = shared.each(work, range(chosen.seeds), "seed")
     result = report(settings, selected, seeds)
-    result.publish(chosen.output, FIGURES, (settings, seeds))
+    return result.publish(chosen.output, FIGURES, (settings, seeds))
 
 
 def report(

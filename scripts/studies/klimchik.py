@@ -50,15 +50,22 @@ ACCURACIES: Mapping[str, tuple[Callable[[Accuracy], float], str]] = {
 """Lines of the table of reference points, with their units."""
 
 
-def main(words: Sequence[str]) -> None:
-    """Run the study, print it, and write its files."""
-    limit = (Settings.candidates, "configurations that the plan chooses from, fewer")
-    chosen = shared.options("klimchik", SOURCE, 10, words, candidates=limit)
+def main(words: Sequence[str]) -> bool:
+    """Run the study, print it, write its files; whether all conditions are met."""
+    candidates = Settings.candidates
+    chosen = shared.options(
+        "klimchik",
+        SOURCE,
+        words,
+        seeds=shared.Number(5, 10, "number of robots"),
+        candidates=shared.Number(candidates, candidates, "candidates of the plan"),
+    )
     settings = Settings(candidates=chosen.candidates)
+    shared.stage("plan")
     planned = plan_poses(settings)
     seeds = shared.each(partial(study, settings, planned), range(chosen.seeds), "seed")
     result = report(settings, planned, seeds)
-    result.publish(chosen.output, FIGURES, (settings, seeds))
+    return result.publish(chosen.output, FIGURES, (settings, seeds))
 
 
 def report(settings: Settings, planned: Floats, seeds: Sequence[Seed]) -> Report:

@@ -161,9 +161,8 @@ class Case:
 
     @property
     def difference(self) -> float:
-        """Relative difference of the costs of hybrid and Gauss-Newton."""
-        reference = self.fits["gauss-newton"]
-        return abs(self.fits["hybrid"] - reference) / reference
+        """Difference of chi-square, twice the cost, of hybrid and Gauss-Newton."""
+        return 2.0 * abs(self.fits["hybrid"] - self.fits["gauss-newton"])
 
     def numbers(self) -> dict[str, object]:
         """The numbers that are written."""

@@ -47,21 +47,23 @@ EXACT = 1e-9
 of the tool, in m and rad."""
 
 
-def main(words: Sequence[str]) -> None:
-    """Run the study, print it, and write its files."""
+def main(words: Sequence[str]) -> bool:
+    """Run the study, print it, write its files; whether all conditions are met."""
     chosen = shared.options(
         "liu2022",
         SOURCE,
-        20,
         words,
-        starts=(Settings.starts, "starts of our search, less"),
-        iterations=(Settings.iterations, "iterations of a swarm, less"),
+        seeds=shared.Number(8, 20, "number of seeds of the noise"),
+        starts=shared.Number(Settings.starts, Settings.starts, "starts of our search"),
+        iterations=shared.Number(
+            Settings.iterations, Settings.iterations, "iterations of a swarm"
+        ),
     )
     settings = Settings(starts=chosen.starts, iterations=chosen.iterations)
     result = study(settings, chosen.seeds)
     write_plan(chosen.output / "plan.csv", result.apart)
     about = settings, result
-    report(settings, result).publish(chosen.output, FIGURES, about, "plan.csv")
+    return report(settings, result).publish(chosen.output, FIGURES, about, "plan.csv")
 
 
 def write_plan(path: Path, ours: Search) -> None:

@@ -256,8 +256,10 @@ class Report:
         figures: shared.Figures,
         about: Sequence[object],
         *files: str,
-    ) -> None:
+    ) -> bool:
         """Print, write the JSON file and the figures, and name all files.
+
+        Returns whether all conditions are met.
 
         Args:
             folder: The folder of the files.
@@ -272,6 +274,7 @@ class Report:
         print()
         for file in (f"{self.name}.json", *files, *figures):
             print(f"wrote {folder / file}")
+        return all(self.met().values())
 
 
 def number(value: float, digits: int = 3) -> str:

@@ -8,9 +8,10 @@ import json
 import platform
 import re
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import is_dataclass
+from dataclasses import dataclass, is_dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
@@ -63,17 +64,31 @@ class _Parser(argparse.ArgumentParser):
         sys.exit(f"{self.prog}: {message}")
 
 
+@dataclass(frozen=True)
+class Number:
+    """An option that is a number.
+
+    Attributes:
+        short: Its default, for a run of about a minute.
+        full: Its value with `--full`, that of the whole study.
+        help: What it is the number of.
+    """
+
+    short: int
+    full: int
+    help: str
+
+
 def options(
-    name: str, source: str, seeds: int, words: Sequence[str], **limits: tuple[int, str]
+    name: str, source: str, words: Sequence[str], **numbers: Number
 ) -> argparse.Namespace:
     """The options of a study.
 
     Args:
         name: Name of the study.
         source: The publication.
-        seeds: Number of seeds of the whole study.
         words: The words of the command line.
-        limits: Default and help of further options that are numbers, by name.
+        numbers: The options that are numbers, by name.
     """
 
     def whole(word: str) -> int:
@@ -88,14 +103,15 @@ def options(
         return Path(word)
 
     parser = _Parser(prog=f"reproduce {name}", description=source)
-    limits = {"seeds": (seeds, "number of seeds, fewer"), **limits}
-    for option, (default, text) in limits.items():
+    parser.add_argument(
+        "--full", action="store_true", help="the whole study, which takes minutes"
+    )
+    for option, number in numbers.items():
         parser.add_argument(
             *(f"--{option}",),
             type=whole,
-            default=default,
             metavar="N",
-            help=f"{text} for a short run (default: %(default)s)",
+            help=f"{number.help} (default: {number.short}, --full: {number.full})",
         )
     parser.add_argument(
         *("-o", "--output"),
@@ -104,7 +120,12 @@ def options(
         metavar="DIR",
         help="folder of the results (default: %(default)s)",
     )
-    return parser.parse_args(words)
+    chosen = parser.parse_args(words)
+    for option, number in numbers.items():
+        if getattr(chosen, option) is None:
+            default = number.full if chosen.full else number.short
+            setattr(chosen, option, default)
+    return chosen
 
 
 def each(
@@ -115,7 +136,7 @@ def each(
     Args:
         work: A function of a module.
         items: What it is called with.
-        what: Name of an item, for the progress on a terminal.
+        what: Name of an item, for the progress.
     """
     items = list(items)
     with LocalProcesses(patience=0.0) as workers:
@@ -127,13 +148,23 @@ def _called(work: Callable[[_Item], _Result], item: _Item) -> _Result:
 
 
 def _told(results: Iterable[_Result], count: int, what: str) -> Iterator[_Result]:
-    terminal = sys.stderr.isatty()
+    """Results as they come, with progress: on a terminal of each, else of the stage."""
+    terminal, began = sys.stderr.isatty(), time.monotonic()
+    if not terminal:
+        stage(f"{what} 1 to {count}")
     for k, result in enumerate(results, 1):
         if terminal:
             print(f"\r{what} {k} of {count}", end="", file=sys.stderr, flush=True)
         yield result
     if terminal:
         print("\r\x1b[K", end="", file=sys.stderr)
+    else:
+        stage(f"{what} 1 to {count}: {time.monotonic() - began:.0f} s")
+
+
+def stage(text: str) -> None:
+    """A line of progress."""
+    print(f"reproduce: {text}", file=sys.stderr, flush=True)
 
 
 def versions() -> dict[str, str]:

@@ -57,7 +57,10 @@ def written(folder: Path, study: str, *words: str, others: int = 0) -> Any:
     Besides the document and the figures, as many other files are named.
     """
     ended = reproduce(study, *words, "-o", str(folder))
-    assert ended.code == 0 and ended.err == ""
+    # A line of progress for each stage, and a status that tells of the conditions.
+    assert all(line.startswith("reproduce: ") for line in ended.err.splitlines())
+    document = json.loads((folder / f"{study}.json").read_text())
+    assert ended.code == (0 if all(document["conditions"].values()) else 2)
     names = {file.name for file in folder.iterdir()}
     figures = {name for name in names if name.endswith(".png")}
     assert len(names) == len(figures) + 1 + others
@@ -67,7 +70,7 @@ def written(folder: Path, study: str, *words: str, others: int = 0) -> Any:
     assert all(len(line) <= 80 for line in lines[: -len(names)])
     for name in figures:
         assert (folder / name).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    return json.loads((folder / f"{study}.json").read_text())
+    return document
 
 
 @pytest.mark.slow
@@ -133,9 +136,9 @@ def test_liu2022_writes_numbers_figures_and_a_plan(planned: Path) -> None:
     assert {file.name for file in planned.iterdir()} == names
     arm, document = Arm.load(), json.loads((planned / "liu2022.json").read_text())
     q = read_configurations(planned / "plan.csv", arm.problem.chains)
-    assert q.shape == (6, 7) and np.degrees(np.abs(q)).max() <= 120 + 1e-12
+    assert q.shape == (6, 7) and np.degrees(np.abs(q)).max() <= 120 + 1e-9
     found = document["sets"]["ours"]["condition"]
-    assert condition(arm, q) == pytest.approx(found, rel=1e-12)
+    assert condition(arm, q) == pytest.approx(found, rel=1e-9)
     assert document["ours_without_self_collision"]["condition"] == found < 5.5
     assert arm.collisions().free(q).all()
     assert document["ours"]["condition"] < 5.5
@@ -198,7 +201,7 @@ def test_spatial_twists_against_central_differences() -> None:
     empty = Arm.load().measure(np.zeros((5, 7)), Arm.load().preset, {}, 0)
     data = replace(empty, values=model.predict(T, instrument, target))
     linear = model.linearize(T, instrument, data)
-    assert np.abs(linear.residual).max() < 1e-14
+    assert np.abs(linear.residual).max() < 1e-12  # Of poses a meter away.
     np.testing.assert_array_equal(linear.J_pose, adjoint(T))
     curvature = model.curvature(T, instrument, target)
     assert curvature.J_instrument.shape == (5, 6, 0, 6)

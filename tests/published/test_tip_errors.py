@@ -26,8 +26,8 @@ def test_errors_are_those_in_the_base_frame() -> None:
     predicted[:, :3, 3] += shifts
     predicted[:, :3, :3] = so3_exp(turns) @ true[:, :3, :3]
     found = tip_errors(true, predicted)
-    np.testing.assert_allclose(found.position, shifts, atol=1e-15)
-    np.testing.assert_allclose(found.orientation, turns, atol=1e-14)
+    np.testing.assert_allclose(found.position, shifts, atol=1e-12)
+    np.testing.assert_allclose(found.orientation, turns, atol=1e-12)
     np.testing.assert_allclose(found.distances, np.linalg.norm(shifts, axis=1))
     np.testing.assert_allclose(found.angles, np.linalg.norm(turns, axis=1))
     assert found.largest == pytest.approx((np.abs(shifts).max(), np.abs(turns).max()))

@@ -133,6 +133,11 @@ ROUNDING = 1e-7
 matrix has up to 2e-8. The diagonal of the factor would not do, it may be 1e-4."""
 
 
+ALONE = 1e-9
+"""Pivot of `I - Y Y'` below which rows hold all that is known of something: without
+them nothing remains of it but rounding, which conditioning enlarges, of either sign."""
+
+
 def whiten(L: Floats, rows: Floats) -> Floats:
     """`L^-1` times the rows of each configuration, (pairs, T) and (d, T, m)."""
     result = np.empty_like(rows)
@@ -169,8 +174,7 @@ def _factors_of(products: Floats, sign: float) -> Floats:
                     rest -= L[_pair(a, c)] * L[_pair(b, c)]
                 L[_pair(a, b)] = rest / L[_pair(b, b)]
                 pivot -= L[_pair(a, b)] ** 2
-            # The root of a negative number is NaN, that of zero must be as well.
-            L[_pair(a, a)] = np.sqrt(np.where(pivot > 0.0, pivot, np.nan))
+            L[_pair(a, a)] = np.sqrt(np.where(pivot > ALONE, pivot, np.nan))
     return L
 
 
@@ -198,7 +202,7 @@ def log_determinants(products: Floats, sign: float) -> Floats:
                 ratio = A[_pair(b, a)] / pivot
                 for c in range(a + 1, b + 1):
                     A[_pair(b, c)] -= ratio * A[_pair(c, a)]
-        return np.asarray(np.log(np.where(least > 0.0, determinant, np.nan)))
+        return np.asarray(np.log(np.where(least > ALONE, determinant, np.nan)))
 
 
 def _about_identity(products: Floats, sign: float) -> Floats:

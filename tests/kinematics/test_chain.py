@@ -44,7 +44,8 @@ def some_chains(robot: Robot, rng: np.random.Generator) -> list[Chain]:
 def assert_regressor(chain: Chain, q: np.ndarray, step: float = 1e-5) -> None:
     """Compare with central differences of the body twist of the tip."""
     T, R = chain.regressor(q)
-    np.testing.assert_allclose(T, chain.poses(q), rtol=0, atol=1e-14)
+    # Products of up to 30 placements of a meter: some hundred eps.
+    np.testing.assert_allclose(T, chain.poses(q), rtol=0, atol=1e-13)
     assert R.shape == (len(q), 6, 6 * len(chain.joints))
     for k in range(R.shape[2]):
         poses = []
@@ -83,32 +84,6 @@ def test_poses_agree_with_yourdfpy(
         np.testing.assert_allclose(found, [pose], rtol=0, atol=1e-9)
 
 
-BRANCHES = [
-    ("example:talos_reduced", "gripper_left_base_link", "gripper_right_base_link"),
-    ("example:talos_full_v2", "left_sole_link", "gripper_left_base_link"),
-    ("example:talos_reduced", "gripper_left_base_link", "base_link"),
-    ("example:talos_reduced", "arm_left_3_link", "torso_1_link"),
-    ("example:tiago_dual", "arm_left_4_link", "arm_right_tool_link"),
-    ("example:baxter", "left_gripper_base_link", "right_wrist"),
-    ("example:panda", "panda_link2", "panda_hand"),
-    ("example:anymal-kinova", "LF_FOOT", "RH_FOOT"),
-    ("example:so100", "base", "jaw"),
-]
-
-
-@pytest.mark.parametrize(("name", "base", "tip"), BRANCHES)
-def test_any_two_links(
-    name: str, base: str, tip: str, independent_poses: IndependentPoses
-) -> None:
-    chain = load_chain(name, base=base, tip=tip)
-    q = chain.random_configurations(2, np.random.default_rng(5))
-    for row, pose in zip(q, chain.poses(q), strict=True):
-        named = dict(zip(chain.joints, row, strict=True))
-        (expected,) = independent_poses(chain.robot.source, named, [(base, tip)])
-        np.testing.assert_allclose(pose, expected, rtol=0, atol=1e-9)
-    assert_regressor(chain, q)
-
-
 def test_joints_from_base_to_tip() -> None:
     base, tip = "gripper_left_base_link", "gripper_right_base_link"
     chain = load_chain("example:talos_reduced", base=base, tip=tip)
@@ -122,27 +97,22 @@ def test_joints_from_base_to_tip() -> None:
     q = chain.random_configurations(3, np.random.default_rng(0))
     product = chain.poses(q) @ back.poses(q[:, ::-1])
     np.testing.assert_allclose(product, np.tile(np.eye(4), (3, 1, 1)), atol=1e-12)
-
-
-def test_chain_in_parts() -> None:
-    robot = load_robot("example:ur10_robot")
-    whole = Chain(robot, tip="tool0")
-    first = Chain(robot, tip="forearm_link")
-    second = Chain(robot, "forearm_link", "tool0")
-    assert first.joints + second.joints == whole.joints
-    assert (first.joints, second.joints) == (whole.joints[:3], whole.joints[3:])
-    q = whole.random_configurations(5, np.random.default_rng(0))
-    parts = first.poses(q[:, :3]) @ second.poses(q[:, 3:])
-    np.testing.assert_allclose(parts, whole.poses(q), rtol=0, atol=1e-13)
+    assert_regressor(chain, q[:1])
 
 
 # Kinds of joints.
 
-AXES = [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0), (1, 2, 3), (-2, 0.1, 0)]
+KINDS = [
+    ("revolute", (0, 0, 1)),
+    ("continuous", (0, 0, -1)),
+    ("prismatic", (0, -1, 0)),
+    ("revolute", (1, 2, 3)),
+    ("continuous", (-2, 0.1, 0)),
+    ("prismatic", (0, 3, 4)),
+]
 
 
-@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic"])
-@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize(("kind", "axis"), KINDS)
 def test_joint_kinds_and_axes(
     kind: str,
     axis: tuple[float, ...],
@@ -185,17 +155,7 @@ def test_joint_kinds_and_axes(
     assert_regressor(chain_of(urdf, "c", "a"), q[:, ::-1])
 
 
-def test_prismatic_axis_need_not_be_a_unit_vector(
-    urdf_of: UrdfOf, chain_of: ChainOf
-) -> None:
-    joint = {"name": "j", "parent": "a", "child": "b", "type": "prismatic"}
-    chain = chain_of(urdf_of({**joint, "axis": (0, 3, 4)}))
-    T = chain.poses(np.array([[0.5]]))[0]
-    np.testing.assert_allclose(T[:3, 3], [0.0, 0.3, 0.4], atol=1e-15)
-
-
-@pytest.mark.parametrize("base", ["a", "a1", "b1"])
-@pytest.mark.parametrize("tip", ["c", "c1", "c2"])
+@pytest.mark.parametrize(("base", "tip"), [("a", "c2"), ("a1", "c1"), ("b1", "c")])
 def test_fixed_joints_anywhere(
     base: str,
     tip: str,
@@ -239,88 +199,16 @@ def test_fixed_joints_anywhere(
         (expected,) = independent_poses(urdf.encode(), named, [(base, tip)])
         np.testing.assert_allclose(pose, expected, rtol=0, atol=1e-12)
     assert_regressor(chain, q)
-    # The tip hangs on its own moving joint, whatever lies between.
-    data = chain.robot.model.createData()
-    pin.framesForwardKinematics(chain.robot.model, data, pin.neutral(chain.robot.model))
-    carrier = chain.robot.model.getJointId("three")
-    at_tip = data.oMf[chain.robot.model.getFrameId(tip, pin.FrameType.BODY)]
-    assert chain.tip_placement.isApprox(data.oMi[carrier].actInv(at_tip), 1e-12)
-
-
-def test_one_moving_joint(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
-    urdf = urdf_of(
-        {"name": "j", "parent": "a", "child": "b", "axis": (1, 2, 3)},
-        {"name": "k", "parent": "b", "child": "c", "type": "fixed"},
-    )
-    chain = chain_of(urdf)
-    assert chain.joints == ("j",)
-    assert chain.axes.shape == (1, 3)
-    assert chain.joint_frames().shape == (1, 4, 4)
-    q = np.array([[0.3], [-1.0]])
-    assert_regressor(chain, q)
-    assert chain.poses(q[:0]).shape == (0, 4, 4)
-    assert chain.regressor(q[:0])[1].shape == (0, 6, 6)
-
-
-def test_joint_frames() -> None:
-    chain = load_chain(
-        "example:talos_reduced", base="arm_left_3_link", tip="arm_right_4_link"
-    )
-    # The frame of a joint is that of the link it carries.
-    assert chain.joints[:2] == ("arm_left_3_joint", "arm_left_2_joint")
-    links = [name.replace("_joint", "_link") for name in chain.joints]
-    for frame, link in zip(chain.joint_frames(), links, strict=True):
-        if link == chain.base:
-            expected = np.eye(4)
-        else:
-            part = Chain(chain.robot, chain.base, link)
-            expected = part.poses(np.zeros((1, len(part.joints))))[0]
-        np.testing.assert_allclose(frame, expected, rtol=0, atol=1e-12)
 
 
 # What a chain leaves alone.
 
 
-def test_joints_outside_do_not_matter(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
-    rng = np.random.default_rng(1)
-    arm = [
-        {
-            "name": f"j{k}",
-            "parent": f"l{k}",
-            "child": f"l{k + 1}",
-            "placement": placement(rng),
-            "axis": rng.normal(size=3),
-        }
-        for k in range(4)
-    ]
-    others = [
-        {"name": "free", "parent": "world", "child": "l0", "type": "floating"},
-        {"name": "flat", "parent": "l1", "child": "m", "type": "planar"},
-        {
-            "name": "copy",
-            "parent": "l2",
-            "child": "n",
-            "more": '<mimic joint="j0" multiplier="2"/>',
-        },
-        {"name": "above", "parent": "ground", "child": "world", "type": "continuous"},
-    ]
-    plain, full = urdf_of(*arm), urdf_of(*arm, *others)
-    q = rng.uniform(-1, 1, (3, 4))
-    for base, tip in (("l0", "l4"), ("l4", "l0"), ("l0", "l2"), ("l3", "l1")):
-        first, second = chain_of(plain, base, tip), chain_of(full, base, tip)
-        assert first.joints == second.joints
-        count = len(first.joints)
-        for one, other in zip(
-            first.regressor(q[:, :count]), second.regressor(q[:, :count]), strict=True
-        ):
-            np.testing.assert_allclose(one, other, rtol=0, atol=1e-13)
-        np.testing.assert_allclose(first.lower, second.lower)
-
-
 def test_robot_is_never_changed() -> None:
-    robot = load_robot("example:talos_reduced")
+    robot = load_robot("example:panda")
     before = robot.model.copy()
-    chain = Chain(robot, "gripper_left_base_link", "gripper_right_base_link")
+    chain = Chain(robot, tip="panda_link8")
+    other = Chain(robot, "panda_link8", "panda_leftfinger")
     q = chain.random_configurations(2, np.random.default_rng(0))
     nominal = chain.poses(q)
     kept = [M.copy() for M in chain.placements]
@@ -328,23 +216,13 @@ def test_robot_is_never_changed() -> None:
     moved = [M * pin.exp6(rng.normal(size=6)) for M in chain.placements]
     assert np.abs(chain.poses(q, moved) - nominal).max() > 0.1
     chain.regressor(q, moved)
+    # Another chain of the same robot has its own model.
+    other.poses(np.zeros((1, 1)), [pin.SE3.Identity()])
     # Without placements the nominal ones are back, and none has been touched.
     np.testing.assert_array_equal(chain.poses(q), nominal)
     np.testing.assert_array_equal(chain.regressor(q)[0], nominal)
     assert all(a == b for a, b in zip(kept, chain.placements, strict=True))
     assert robot.model == before
-    assert [f.name for f in robot.model.frames] == [f.name for f in before.frames]
-    # Another chain of the same robot has its own model.
-    Chain(robot, tip="gripper_left_base_link").poses(
-        np.zeros((1, 9)), [pin.SE3.Identity()] * 9
-    )
-    np.testing.assert_array_equal(chain.poses(q), nominal)
-
-
-def test_number_of_placements_is_checked() -> None:
-    chain = load_chain("space6")
-    with pytest.raises(ValueError, match="zip"):
-        chain.poses(np.zeros((1, 6)), chain.placements[:5])
 
 
 # Gravity.
@@ -391,20 +269,19 @@ def heavy_urdf(urdf_of: UrdfOf) -> str:
     )
 
 
-CHAINS_UNDER_GRAVITY = [
-    ("a", "tool"),
-    ("tool", "a"),
-    # The joint above is locked, and turns the frame that gravity is given in.
-    ("b", "e"),
-    ("e", "b"),
-    # Two branches, with a locked joint beyond the base.
-    ("f", "tool"),
-    ("tool", "g"),
-]
-
-
-@pytest.mark.parametrize("payload", [None, LOAD])
-@pytest.mark.parametrize(("base", "tip"), CHAINS_UNDER_GRAVITY)
+@pytest.mark.parametrize(
+    ("base", "tip", "payload"),
+    [
+        ("a", "tool", LOAD),
+        ("tool", "a", LOAD),
+        # The joint above is locked, and turns the frame that gravity is given in.
+        ("b", "e", None),
+        ("e", "b", LOAD),
+        # Two branches, with a locked joint beyond the base.
+        ("f", "tool", LOAD),
+        ("tool", "g", None),
+    ],
+)
 def test_torques_of_gravity_are_its_virtual_work(
     base: str,
     tip: str,
@@ -448,44 +325,6 @@ def test_torques_of_gravity_are_its_virtual_work(
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("payload", [None, LOAD])
-def test_torques_of_gravity_are_pinocchio_s(
-    payload: Payload | None, heavy_urdf: str, chain_of: ChainOf
-) -> None:
-    """Many configurations at once, to rounding."""
-    chain = chain_of(heavy_urdf, "a", "tool")
-    q = chain.random_configurations(50, np.random.default_rng(1))
-    model = pin.buildModelFromXML(heavy_urdf)
-    model.gravity.linear = np.array(GRAVITY)
-    if payload is not None:
-        tip = model.frames[model.getFrameId("tool")]
-        mass = pin.Inertia(payload.mass, np.array(payload.com), np.zeros((3, 3)))
-        model.appendBodyToJoint(tip.parentJoint, mass, tip.placement)
-    data, expected = model.createData(), np.empty(q.shape)
-    joints = [model.joints[model.getJointId(name)] for name in chain.joints]
-    for row, positions in enumerate(q):
-        there = pin.neutral(model)
-        for joint, position in zip(joints, positions, strict=True):
-            turn = [np.cos(position), np.sin(position)]
-            there[joint.idx_q : joint.idx_q + joint.nq] = (
-                turn if joint.nq == 2 else position
-            )
-        holding = pin.computeGeneralizedGravity(model, data, there)
-        expected[row] = [-holding[joint.idx_v] for joint in joints]
-    found = chain.gravity_torques(q, GRAVITY, payload)
-    assert np.abs(expected).max() > 50.0
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
-
-
-def test_a_payload_on_the_root_bends_nothing(
-    heavy_urdf: str, chain_of: ChainOf
-) -> None:
-    chain = chain_of(heavy_urdf, "tool", "a")
-    q = chain.random_configurations(3, np.random.default_rng(0))
-    bare, loaded = (chain.gravity_torques(q, GRAVITY, load) for load in (None, LOAD))
-    np.testing.assert_array_equal(loaded, bare)
-
-
 def test_torques_are_those_of_nominal_geometry(
     heavy_urdf: str, chain_of: ChainOf
 ) -> None:
@@ -500,6 +339,11 @@ def test_torques_are_those_of_nominal_geometry(
     np.testing.assert_array_equal(chain.gravity_torques(q, GRAVITY, LOAD), torques)
     np.testing.assert_array_equal(chain.poses(q), T)
     assert chain.gravity_torques(q[:0], GRAVITY).shape == (0, len(chain.joints))
+    # A payload on the root bends nothing.
+    back = chain_of(heavy_urdf, "tool", "a")
+    q_back = back.random_configurations(3, rng)
+    bare, loaded = (back.gravity_torques(q_back, GRAVITY, one) for one in (None, LOAD))
+    np.testing.assert_array_equal(loaded, bare)
     # A turn more of a joint without limits is the same place.
     turned = q + 2.0 * np.pi * np.isin(chain.joints, ("one", "aside"))
     np.testing.assert_allclose(
@@ -533,19 +377,6 @@ def test_link_and_joint_of_one_name(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
             assert chain.joints == twin.joints
             q = rng.normal(size=(2, len(chain.joints)))
             np.testing.assert_array_equal(chain.poses(q), twin.poses(q))
-
-
-def test_anymal_c_has_links_and_joints_of_one_name() -> None:
-    # Locking these joints failed in Pinocchio: several frames match the name.
-    robot = load_robot("example:anymal_c_simple_description/urdf/anymal")
-    assert {"LF_HAA", "LF_HFE"} <= set(robot.links) & set(robot.model.names)
-    chain = Chain(robot, tip="LF_FOOT")
-    assert chain.joints == ("LF_HAA", "LF_HFE", "LF_KFE")
-
-
-def test_names_that_contain_each_other() -> None:
-    joints = load_chain("example:tiago_dual", tip="arm_left_tool_link").joints
-    assert [name for name in joints if "arm_left_1" in name] == ["arm_left_1_joint"]
 
 
 # Limits.
@@ -584,34 +415,27 @@ def test_limits(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
     assert (span > 0.97 * (chain.upper - chain.lower)).all()
     again = chain.random_configurations(1000, np.random.default_rng(0))
     np.testing.assert_array_equal(q, again)
-
-
-def test_limits_run_along_the_chain() -> None:
-    chain = load_chain("example:panda", tip="panda_link8")
-    back = load_chain("example:panda", base="panda_link8", tip="panda_link0")
+    back = chain_of(urdf, "l7", "l0")
     np.testing.assert_array_equal(chain.lower[::-1], back.lower)
     np.testing.assert_array_equal(chain.upper[::-1], back.upper)
-    assert chain.lower[3] == -3.0718
 
 
 # What is refused.
 
 
 @pytest.mark.parametrize(
-    ("changes", "reason"),
+    ("base", "tip", "changes"),
     [
-        ({"type": "floating"}, "a floating joint"),
-        ({"type": "planar"}, "a planar joint"),
-        ({"more": '<mimic joint="j"/>'}, "a mimic joint without a driven leader"),
-        ({"more": '<mimic joint="j10"/>'}, "a mimic joint without a driven leader"),
+        ("a", "d", {"type": "floating"}),
+        ("d", "a", {"type": "planar"}),
+        ("e", "d", {"more": '<mimic joint="j"/>'}),
+        ("a", "d", {"more": '<mimic joint="j10"/>'}),
     ],
 )
-@pytest.mark.parametrize(("base", "tip"), [("a", "d"), ("d", "a"), ("e", "d")])
 def test_refused_joints(
     base: str,
     tip: str,
     changes: dict[str, str],
-    reason: str,
     urdf_of: UrdfOf,
     chain_of: ChainOf,
     refused: Callable[..., Any],
@@ -622,52 +446,43 @@ def test_refused_joints(
         {"name": "j11", "parent": "c", "child": "d"},
         {"name": "j12", "parent": "a", "child": "e"},
     )
-    parts = f"joint 'j10' between '{base}' and '{tip}'", reason
-    with refused(RobotError, parts, file="test.urdf"):
+    with refused(RobotError, "'j10'", file="test.urdf"):
         chain_of(urdf, base, tip)
     assert chain_of(urdf, "e", "b").joints == ("j12", "j1")
 
 
-def test_unknown_frames(
+def test_frames_that_make_no_chain(
     urdf_of: UrdfOf, chain_of: ChainOf, refused: Callable[..., Any]
 ) -> None:
-    urdf = urdf_of({"name": "j", "parent": "base_link", "child": "flange"})
-    reason = "no link 'flnge' for the tip", "'flange'?"
-    with refused(RobotError, reason, allowed="base_link, flange"):
+    joint = {"name": "j", "parent": "base_link", "child": "flange"}
+    urdf, frames = urdf_of(joint), {"allowed": "base_link, flange"}
+    with refused(RobotError, ["'flnge'", "'flange'?"], **frames):
         chain_of(urdf, tip="flnge")
-    with refused(RobotError, ["no link 'bas_link' for the base", "'base_link'?"]):
+    with refused(RobotError, ["'bas_link'", "'base_link'?"], **frames):
         chain_of(urdf, base="bas_link")
     # A joint is not a frame.
-    with refused(RobotError, "no link 'j'"):
+    with refused(RobotError, "'j'", **frames):
         chain_of(urdf, tip="j")
+    with refused(RobotError, "0 possible tips"):
+        chain_of(urdf, "flange")
+    with refused(RobotError, "'flange'", file="test.urdf"):
+        chain_of(urdf_of({**joint, "type": "fixed"}))
     # Sixty links are too many to list.
-    with refused(RobotError, "no link 'gripper_left'", allowed=None):
+    with refused(RobotError, "'gripper_left'", allowed=None):
         load_chain("example:talos_reduced", tip="gripper_left")
-
-
-def test_several_leaves(
-    urdf_of: UrdfOf, chain_of: ChainOf, refused: Callable[..., Any]
-) -> None:
-    urdf = urdf_of(
+    fork = urdf_of(
         {"name": "j", "parent": "a", "child": "b"},
         {"name": "k", "parent": "b", "child": "c", "type": "fixed"},
         {"name": "l", "parent": "b", "child": "d", "type": "fixed"},
     )
     with refused(RobotError, "2 possible tips", file="test.urdf", allowed="c, d"):
-        chain_of(urdf)
+        chain_of(fork)
     # From one leaf only the other is left.
-    with refused(RobotError, "no moving joint between 'c' and 'd'"):
-        chain_of(urdf, "c")
-
-
-def test_no_moving_joint(
-    urdf_of: UrdfOf, chain_of: ChainOf, refused: Callable[..., Any]
-) -> None:
-    joint = {"name": "j", "parent": "a", "child": "b"}
-    with refused(RobotError, "no moving joint between 'a' and 'b'", file="test.urdf"):
-        chain_of(urdf_of({**joint, "type": "fixed"}))
-    with refused(RobotError, "0 possible tips"):
-        chain_of(urdf_of(joint), "b")
+    with refused(RobotError, ["'c'", "'d'"]):
+        chain_of(fork, "c")
+    alone = parse_robot(b'<robot name="r"><link name="a"/></robot>', "r.urdf")
+    with refused(RobotError, file="r.urdf"):
+        Chain(alone)
 
 
 def test_a_link_stands_still_in_itself(heavy_urdf: str, chain_of: ChainOf) -> None:
@@ -676,7 +491,7 @@ def test_a_link_stands_still_in_itself(heavy_urdf: str, chain_of: ChainOf) -> No
         chain = chain_of(heavy_urdf, link, link)
         assert (chain.joints, chain.tip_joint) == ((), None)
         still = np.tile(np.eye(4), (3, 1, 1))
-        np.testing.assert_allclose(chain.poses(q), still, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(chain.poses(q), still, rtol=0, atol=1e-13)
         for derivatives in (chain.regressor, chain.jacobian):
             T, J = derivatives(q)
             np.testing.assert_array_equal(T, chain.poses(q))
@@ -686,9 +501,3 @@ def test_a_link_stands_still_in_itself(heavy_urdf: str, chain_of: ChainOf) -> No
         assert chain.motions.shape == (0, 6)
         drawn = chain.random_configurations(3, np.random.default_rng(0))
         assert drawn.shape == (3, 0)
-
-
-def test_single_link() -> None:
-    robot = parse_robot(b'<robot name="r"><link name="a"/></robot>', "r.urdf")
-    with pytest.raises(RobotError, match="possible tips"):
-        Chain(robot)

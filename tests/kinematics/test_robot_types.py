@@ -40,44 +40,23 @@ def arm(chain_of, **changes: object) -> RobotType:
 
 
 @pytest.mark.parametrize(
-    "changes",
+    ("changes", "differing"),
     [
-        {"name": "arm_17"},
-        {"mount": "1 2 3", "height": 0.4},
-        {"end": 0.5},
-        {"length": 0.10000001},
+        # Mounts, tools and names do not matter, nor does the eighth digit.
+        ({"name": "arm_17", "end": 0.5, "length": 0.10000001}, ()),
+        ({"mount": "1 2 3", "height": 0.4}, ()),
+        ({"length": 0.101}, ("'b'", "placement")),
+        ({"axis": "1 0 0"}, ("'b'", "axis")),
     ],
 )
-def test_of_one_type(chain_of, changes) -> None:
-    """Mounts, tools and names do not matter, nor does the eighth digit."""
-    assert arm(chain_of).difference(arm(chain_of, **changes)) == ""
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"length": 0.101}, "its joint 'b' has another nominal placement"),
-        ({"axis": "1 0 0"}, "its joint 'b' has another nominal axis"),
-    ],
-)
-def test_of_other_geometry(chain_of, changes, words) -> None:
-    assert arm(chain_of).difference(arm(chain_of, **changes)) == words
+def test_of_one_type(chain_of, changes, differing) -> None:
+    told = arm(chain_of).difference(arm(chain_of, **changes))
+    assert bool(told) == bool(differing) and all(word in told for word in differing)
 
 
 def test_of_other_joints(chain_of) -> None:
     own, other = arm(chain_of), robot_type(Chains.of(load_chain("space6")))
     name = other.joints[0].name
-    assert own.difference(other) == f"it has a joint '{name}'"
-    fewer = replace(own, joints=own.joints[:1])
-    assert own.difference(fewer) == "it has no joint 'b'"
-    turned = replace(own, joints=own.joints[::-1])
-    assert own.difference(turned) == "its joints stand in another order"
-
-
-def test_an_arm_from_tip_to_base(chain_of) -> None:
-    """The same joints from the other end: none of them stands against the base."""
-    forth = arm(chain_of)
-    back = robot_type(Chains.of(chain_of(ARM.format(**GIVEN), "tip", "base")))
-    assert [joint.name for joint in back.joints] == ["b", "a"]
-    assert back.difference(back) == "" and forth.difference(back) != ""
-    assert [len(joint.placement) for joint in back.joints] == [12, 0]
+    assert f"'{name}'" in own.difference(other)
+    assert "'b'" in own.difference(replace(own, joints=own.joints[:1]))
+    assert own.difference(replace(own, joints=own.joints[::-1]))

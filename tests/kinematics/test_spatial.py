@@ -40,7 +40,7 @@ def motions(count: int) -> Floats:
     return np.array([pin.exp6(rng.normal(size=6)).homogeneous for _ in range(count)])
 
 
-@pytest.mark.parametrize("shape", [(), (4,), (2, 3)])
+@pytest.mark.parametrize("shape", [(), (0,), (2, 3)])
 def test_stacks_of_any_shape(shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(2)
     vectors = rng.normal(size=(*shape, 3))
@@ -66,22 +66,11 @@ def test_stacks_of_any_shape(shape: tuple[int, ...]) -> None:
             np.testing.assert_allclose(result[index], one, rtol=0, atol=1e-14)
 
 
-def test_empty_stacks() -> None:
-    assert so3_log(np.zeros((0, 3, 3))).shape == (0, 3)
-    assert so3_exp(np.zeros((0, 3))).shape == (0, 3, 3)
-    assert se3_exp(np.zeros((0, 6))).shape == (0, 4, 4)
-    assert adjoint(np.zeros((0, 4, 4))).shape == (0, 6, 6)
-    assert invert(np.zeros((0, 4, 4))).shape == (0, 4, 4)
-
-
-def test_skew_is_the_cross_product() -> None:
+def test_skew_invert_and_adjoint() -> None:
     a, b = np.random.default_rng(3).normal(size=(2, 20, 3))
     np.testing.assert_allclose(
-        (skew(a) @ b[:, :, None])[:, :, 0], np.cross(a, b), atol=1e-15
+        (skew(a) @ b[:, :, None])[:, :, 0], np.cross(a, b), atol=1e-14
     )
-
-
-def test_invert_and_adjoint() -> None:
     T = motions(20)
     for matrix, inverse, action in zip(T, invert(T), adjoint(T), strict=True):
         motion = pin.SE3(matrix)
@@ -109,22 +98,6 @@ def test_exp_of_motions(size: float) -> None:
     twists = np.column_stack([rng.normal(size=(29, 3)), size * directions(20)])
     expected = np.array([pin.exp6(twist).homogeneous for twist in twists])
     np.testing.assert_allclose(se3_exp(twists), expected, rtol=0, atol=2e-14)
-    # And the series of the exponential of 4 x 4 matrices.
-    A = np.zeros((len(twists), 4, 4))
-    A[:, :3, :3], A[:, :3, 3] = skew(twists[:, 3:]), twists[:, :3]
-    # Halved and squared again, so that the sum stays small.
-    term = total = np.tile(np.eye(4), (len(twists), 1, 1))
-    for k in range(1, 20):
-        term = term @ A / (16.0 * k)
-        total = total + term
-    for _ in range(4):
-        total = total @ total
-    np.testing.assert_allclose(se3_exp(twists), total, rtol=0, atol=2e-14)
-
-
-def test_log_of_small_rotations_is_precise() -> None:
-    vectors = 1e-9 * directions(20)
-    np.testing.assert_allclose(so3_log(so3_exp(vectors)), vectors, rtol=1e-6)
 
 
 def test_log_at_half_turns() -> None:
@@ -134,11 +107,11 @@ def test_log_at_half_turns() -> None:
     np.testing.assert_allclose(np.linalg.norm(log, axis=1), np.pi, rtol=ROUNDING)
     # Both directions are right.
     np.testing.assert_allclose(so3_exp(log), turns, rtol=0, atol=ROUNDING)
-
-
-def test_log_of_large_vectors_wraps() -> None:
-    axes = directions(10)
+    # Beyond, it comes back from the other side.
     np.testing.assert_allclose(so3_log(so3_exp(4.0 * axes)), (4 - 2 * np.pi) * axes)
+    # Small ones keep their digits.
+    small = 1e-9 * axes
+    np.testing.assert_allclose(so3_log(so3_exp(small)), small, rtol=0, atol=1e-15)
 
 
 def test_quaternions() -> None:
@@ -156,28 +129,23 @@ def test_quaternions() -> None:
     np.testing.assert_allclose(
         from_quaternion(-quaternions), from_quaternion(quaternions)
     )
-
-
-def test_quaternion_order_is_x_y_z_w() -> None:
-    quarter = so3_exp(np.array([0.0, 0.0, np.pi / 2]))
-    half = np.sqrt(0.5)
-    np.testing.assert_allclose(to_quaternion(quarter), [0, 0, half, half], atol=1e-15)
+    quarter, half = so3_exp(np.array([0.0, 0.0, np.pi / 2])), np.sqrt(0.5)
+    np.testing.assert_allclose(
+        to_quaternion(quarter), [0, 0, half, half], atol=ROUNDING
+    )
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-5, 9e-5, 1.1e-4, 1e-3, 0.1, 1.0, 3.0])
 def test_log_derivative(size: float) -> None:
     vectors = size * directions(5)
     found = so3_log_derivative(vectors)
-    # Pinocchio's own is off by 7e-11 at 1e-3 rad.
-    expected = [pin.Jlog3(pin.exp3(vector)) for vector in vectors]
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
     # The inverse of the right Jacobian, the sum of (-K)^k / (k + 1)!.
     term, right = np.tile(np.eye(3), (len(vectors), 1, 1)), 0.0
     for k in range(1, 40):
         right = right + term
         term = -term @ skew(vectors) / (k + 1)
     np.testing.assert_allclose(
-        found @ right, [np.eye(3)] * len(vectors), rtol=0, atol=1e-14
+        found @ right, [np.eye(3)] * len(vectors), rtol=0, atol=ROUNDING
     )
     # Logarithms up to 3 long are known to some eps: 1e-10 of the quotient at this step.
     R, step = so3_exp(vectors), 1e-5
@@ -196,18 +164,13 @@ def test_log_derivative_at_a_half_turn() -> None:
 
 def test_nearest_rotation() -> None:
     rng = np.random.default_rng(5)
-    for _ in range(50):
-        M = rng.normal(size=(3, 3))
+    for M in (rng.normal(size=(3, 3)), -np.eye(3), np.diag([1.0, 2.0, 0.0])):
         R = nearest_rotation(M)
-        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
+        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=ROUNDING)
         assert np.linalg.det(R) > 0.0
         best = np.linalg.norm(M - R)
-        others = so3_exp(rng.normal(size=(50, 3))) @ R
-        assert (np.linalg.norm(M - others, axis=(1, 2)) >= best).all()
-    for rank in range(3):
-        M = np.diag([1.0, 2.0, 3.0][:rank] + [0.0] * (3 - rank))
-        R = nearest_rotation(M)
-        np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
-        assert np.linalg.det(R) > 0.0
+        others = so3_exp(rng.normal(size=(200, 3))) @ R
+        assert np.linalg.norm(M - others, axis=(1, 2)).min() >= best - 1e-12
+    assert np.linalg.det(nearest_rotation(np.zeros((3, 3)))) > 0.0
     R = so3_exp(np.array([0.3, -2.0, 1.0]))
-    np.testing.assert_allclose(nearest_rotation(7.0 * R), R, atol=1e-15)
+    np.testing.assert_allclose(nearest_rotation(7.0 * R), R, atol=ROUNDING)

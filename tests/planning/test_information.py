@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.planning.information import Information, Trials, whiten
+from calib_pin.planning.information import Information, Trials
 from calib_pin.planning.planned_problem import identification
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 
 COLUMNS = 9
-SHAPES = [(d, f) for d in (1, 3, 6) for f in (0, 4)]
+SHAPES = [(1, 4), (3, 0), (6, 4)]
 
 
 def table(d: int, count: int, seed: int = 0) -> Floats:
@@ -59,17 +57,19 @@ def factored(M: Floats, f: int) -> Information:
     return found
 
 
-@pytest.mark.parametrize("f", [0, 1, 4, COLUMNS - 1])
+@pytest.mark.parametrize("f", [0, 4, COLUMNS - 1])
 def test_factor_holds_the_matrix_and_its_schur_complement(f: int) -> None:
     M = gram(table(3, 20))
     found = factored(M, f)
     assert (np.tril(found.factor, -1) == 0.0).all()
-    np.testing.assert_allclose(found.factor.T @ found.factor, M, rtol=1e-12)
-    np.testing.assert_allclose(
-        found.inverse @ found.factor, np.eye(COLUMNS), atol=1e-10
-    )
+    np.testing.assert_allclose(found.factor.T @ found.factor, M, rtol=1e-9)
+    np.testing.assert_allclose(found.inverse @ found.factor, np.eye(COLUMNS), atol=1e-8)
     S = schur(M, f)
-    np.testing.assert_allclose(found.singular_values**2, np.linalg.svd(S)[1], rtol=1e-7)
+    # The least of S is known to some eps of the largest.
+    noise = 1e-14 * np.linalg.norm(S)
+    np.testing.assert_allclose(
+        found.singular_values**2, np.linalg.svd(S)[1], rtol=1e-7, atol=noise
+    )
     left, s, right = found.svd
     assert (np.diff(s) <= 0.0).all()
     np.testing.assert_allclose(
@@ -78,85 +78,50 @@ def test_factor_holds_the_matrix_and_its_schur_complement(f: int) -> None:
     np.testing.assert_allclose((left * s) @ right.T, found.factor[f:, f:], atol=1e-9)
 
 
-def test_singular_values_are_those_of_the_projected_rows() -> None:
-    """The nuisances projected out of the rows, without any information matrix."""
-    U = table(3, 20).reshape(-1, COLUMNS)
-    Q = np.linalg.qr(U[:, :4])[0]
-    projected = U[:, 4:] - Q @ (Q.T @ U[:, 4:])
-    expected = np.linalg.svd(projected, compute_uv=False)
-    found = factored(U.T @ U, 4)
-    np.testing.assert_allclose(found.singular_values, expected, rtol=1e-8)
-
-
-def dependent(kind: str) -> Floats:
-    rows = table(3, 20)
+@pytest.mark.parametrize(
+    "kind",
+    ["null column", "equal columns", "sum of columns", "few rows", "nuisances"],
+)
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_singular_matrices_have_no_factor(kind: str, scale: float) -> None:
+    rows = scale * table(3, 20)
     if kind == "null column":
         rows[:, :, 5] = 0.0
     elif kind == "equal columns":
         rows[:, :, 7] = 1e3 * rows[:, :, 1]
     elif kind == "sum of columns":
         rows[:, :, 8] = rows[:, :, :8] @ np.random.default_rng(1).normal(size=8)
-    elif kind == "too few rows":
+    elif kind == "few rows":
         rows = rows[:2]
-    elif kind == "dependent nuisances":
+    else:
         rows[:, :, 2] = rows[:, :, 0] - rows[:, :, 1]
-    return rows
+    assert Information.of(gram(rows), 4) is None
+    # Columns that are nearly equal are not.
+    almost = table(3, 20)
+    noise = np.random.default_rng(3).normal(size=(20, 3))
+    largest = np.abs(almost[:, :, 1]).max()
+    almost[:, :, 7] = almost[:, :, 1] + 1e-5 * noise * largest
+    assert Information.of(gram(almost), 2) is not None
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "null column",
-        "equal columns",
-        "sum of columns",
-        "too few rows",
-        "dependent nuisances",
-    ],
-)
-@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
-def test_singular_matrices_have_no_factor(kind: str, scale: float) -> None:
-    M = gram(scale * dependent(kind))
-    assert np.linalg.matrix_rank(dependent(kind).reshape(-1, COLUMNS)) < COLUMNS
-    assert Information.of(M, 4) is None
-
-
-@pytest.mark.parametrize(
-    ("robot", "model"), [("space7", "position"), ("pa10", "pose"), ("space7", "ranger")]
-)
-def test_too_few_rows_are_never_enough(robot: str, model: str) -> None:
+def test_too_few_rows_are_never_enough() -> None:
     """Of a robot, whose columns hardly differ; one row less than columns, or none."""
-    setup = Setup(tool_frame=FrameSetup((0.05, 0.08, 0.12)))
-    if model == "ranger":
-        model, planes = "plane-distance", {"wall": PlaneSetup((1.0, 0.3, 0.2), -3.0)}
-        setup = replace(setup, planes=planes)
-    problem = nominal_problem(calib_pin.load_chain(robot), model, setup)
-    rng = np.random.default_rng(0)
-    workspace = Workspace.create(problem)
-    candidates = workspace.candidates(500, rng)
-    _, rows, _ = identification(problem, workspace.aims, candidates)
-    U = rows.rows(candidates.q, candidates.aim)
-    size, d = U.shape[2], U.shape[1]
-    for _ in range(400):
-        few = U[rng.choice(500, (size - 1) // d, replace=False)]
-        assert Information.of(gram(few), rows.nuisances) is None
-        enough = U[rng.choice(500, -(-size // d) + 1, replace=False)]
-        assert Information.of(gram(enough), rows.nuisances) is not None
-
-
-def test_no_information_has_no_factor() -> None:
-    assert Information.of(np.zeros((3, 3)), 1) is None
-
-
-@pytest.mark.parametrize("gap", [1e-3, 1e-5])
-def test_almost_singular_is_not_singular(gap: float) -> None:
-    rows = table(3, 20)
-    rows[:, :, 7] = (
-        rows[:, :, 1]
-        + gap
-        * np.random.default_rng(3).normal(size=(20, 3))
-        * np.abs(rows[:, :, 1]).max()
+    setup = Setup(
+        tool_frame=FrameSetup((0.05, 0.08, 0.12)),
+        planes={"wall": PlaneSetup((1.0, 0.3, 0.2), -3.0)},
     )
-    assert Information.of(gram(rows), 2) is not None
+    for robot, model in (("pa10", "pose"), ("space7", "plane-distance")):
+        problem = nominal_problem(calib_pin.load_chain(robot), model, setup)
+        rng, workspace = np.random.default_rng(0), Workspace.create(problem)
+        candidates = workspace.candidates(300, rng)
+        _, rows, _ = identification(problem, workspace.aims, candidates)
+        U = rows.rows(candidates.q, candidates.aim)
+        size, d = U.shape[2], U.shape[1]
+        for _ in range(40):
+            few = U[rng.choice(300, (size - 1) // d, replace=False)]
+            assert Information.of(gram(few), rows.nuisances) is None
+            enough = U[rng.choice(300, -(-size // d) + 1, replace=False)]
+            assert Information.of(gram(enough), rows.nuisances) is not None
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -177,15 +142,10 @@ def test_trials_are_those_of_fresh_factorizations(d: int, f: int, sign: float) -
     for t, U in enumerate(tried):
         changed = M + sign * U.T @ U
         Y = trials.whitened[:, t]
-        np.testing.assert_allclose(Y @ found.factor, U, atol=1e-9)
-        np.testing.assert_allclose(
-            L[t] @ L[t].T, np.eye(d) + sign * Y @ Y.T, atol=1e-12
-        )
-        np.testing.assert_allclose(
-            L_n[t] @ L_n[t].T,
-            np.eye(d) + sign * Y[:, :f] @ Y[:, :f].T,
-            atol=1e-12,
-        )
+        np.testing.assert_allclose(Y @ found.factor, U, atol=1e-8)
+        for factor, seen in ((L, Y), (L_n, Y[:, :f])):
+            after = np.eye(d) + sign * seen @ seen.T
+            np.testing.assert_allclose(factor[t] @ factor[t].T, after, atol=1e-9)
         ratio = np.linalg.slogdet(changed)[1] - np.linalg.slogdet(M)[1]
         assert 2.0 * np.log(np.diag(L[t])).sum() == pytest.approx(ratio, abs=1e-9)
         # The same of the robot alone, and its whole new Schur complement.
@@ -202,55 +162,5 @@ def test_trials_are_those_of_fresh_factorizations(d: int, f: int, sign: float) -
             fresh.singular_values**2,
             np.linalg.eigvalsh(R_rr.T @ R_rr + sign * Z.T @ Z)[::-1],
             rtol=1e-6,
+            atol=1e-14 * np.linalg.norm(M),
         )
-
-
-@pytest.mark.parametrize("f", [0, 4])
-def test_removal_that_leaves_too_little(f: int) -> None:
-    """Three configurations of three rows determine nine columns, two do not."""
-    rows = table(3, 3)
-    found = factored(gram(rows), f)
-    determinants = of_robot_alone(found.trials(np.swapaxes(rows, 0, 1), -1.0), 3)
-    # NaN, or by rounding a determinant of next to nothing.
-    left = np.exp(np.nan_to_num(determinants, nan=-np.inf))
-    assert (left < 1e-6).all()
-
-
-def test_removal_that_leaves_the_nuisances_undetermined() -> None:
-    rows = table(1, 30)
-    # Only one configuration tells of the first nuisance.
-    rows[1:, :, 0] = 0.0
-    found = factored(gram(rows), 2)
-    trials = found.trials(np.swapaxes(rows, 0, 1), -1.0)
-    left = np.nan_to_num(trials.of_nuisances[0], nan=0.0)
-    assert left[0] < 1e-7
-    assert (left[1:] > 0.1).all()
-    determinants = of_robot_alone(trials, 1)
-    assert np.isfinite(determinants[1:]).all()
-
-
-@pytest.mark.parametrize("d", [1, 3, 6])
-def test_whitening_solves(d: int) -> None:
-    rng = np.random.default_rng(0)
-    L = np.tril(rng.normal(size=(5, d, d))) + 3.0 * np.eye(d)
-    rows = rng.normal(size=(5, d, 4))
-    packed = L[:, *np.tril_indices(d)].T
-    found = whiten(packed, np.swapaxes(rows, 0, 1))
-    np.testing.assert_allclose(
-        np.swapaxes(found, 0, 1), np.linalg.solve(L, rows), atol=1e-12
-    )
-
-
-@pytest.mark.parametrize("f", [0, 4])
-def test_pull_is_the_chain_rule_through_the_schur_complement(f: int) -> None:
-    rng = np.random.default_rng(4)
-    rows = rng.normal(size=(20, 3, COLUMNS))
-    M = gram(rows)
-    by_S = rng.normal(size=(COLUMNS - f, COLUMNS - f))
-    by_S += by_S.T
-    by_M = factored(M, f).pull(by_S)
-    for _ in range(5):
-        dM = rng.normal(size=(COLUMNS, COLUMNS))
-        dM = 1e-4 * (dM + dM.T)
-        change = np.sum(by_S * (schur(M + dM, f) - schur(M - dM, f))) / 2.0
-        assert np.sum(by_M * dM) == pytest.approx(change, rel=1e-6)

@@ -28,61 +28,34 @@ def all_lengths(q: Floats, start: Floats | None = None) -> Floats:
     return way[orders[:, :-1], orders[:, 1:]].sum(axis=1)
 
 
-def nearest_neighbor(q: Floats, first: int, start: Floats | None = None) -> float:
-    """Travel of the path that always goes on to the nearest place."""
-    order, left = [first], [k for k in range(len(q)) if k != first]
-    while left:
-        here = q[order[-1]]
-        nearest = min(left, key=lambda k: np.abs(q[k] - here).max())
-        order.append(nearest)
-        left.remove(nearest)
-    return length(q, tuple(order), start)
-
-
 @pytest.mark.parametrize("with_start", [False, True])
-@pytest.mark.parametrize("count", [1, 2, 3, 5, 7])
+@pytest.mark.parametrize("count", [1, 2, 3, 6])
 def test_against_every_order(count: int, with_start: bool) -> None:
-    hits, cases, excess = 0, 15, []
-    for seed in range(cases):
+    excess = []
+    for seed in range(8):
         rng = np.random.default_rng(seed)
         q = rng.uniform(-2.0, 2.0, (count, 3))
         start = rng.uniform(-2.0, 2.0, 3) if with_start else None
         order, blocked = shortest_order(q, start)
-        assert sorted(order.tolist()) == list(range(count))
-        assert blocked == ()
+        assert sorted(order.tolist()) == list(range(count)) and blocked == ()
         best = float(all_lengths(q, start).min())
         travel = length(q, tuple(order), start)
         assert travel >= best - 1e-12
         excess.append(travel / best - 1.0 if best else 0.0)
-        hits += travel <= best + 1e-9
     # 2-opt is a local search.
-    assert hits >= (1.0 if count < 4 else 0.7) * cases
+    assert np.mean(np.array(excess) < 1e-9) >= (1.0 if count < 4 else 0.6)
     assert max(excess) < 0.25
 
 
-@pytest.mark.parametrize("with_start", [False, True])
-@pytest.mark.parametrize("count", [10, 40])
-def test_never_longer_than_nearest_neighbors(count: int, with_start: bool) -> None:
-    shorter = 0
-    for seed in range(8):
-        rng = np.random.default_rng(seed)
-        q = rng.uniform(-2.0, 2.0, (count, 6))
-        start = rng.uniform(-2.0, 2.0, 6) if with_start else None
-        order, _ = shortest_order(q, start)
-        travel = length(q, tuple(order), start)
-        firsts = range(count)
-        if start is not None:
-            firsts = [int(np.abs(q - start).max(axis=1).argmin())]
-        simple = min(nearest_neighbor(q, first, start) for first in firsts)
-        assert travel <= simple + 1e-9
-        shorter += travel < simple - 1e-9
-    assert shorter >= 6
-
-
-def test_the_start_stands_before_the_first() -> None:
-    q = np.array([[3.0], [1.0], [2.0]])
-    assert shortest_order(q, np.array([0.0]))[0].tolist() == [1, 2, 0]
-    assert shortest_order(q, np.array([4.0]))[0].tolist() == [0, 2, 1]
+def test_many_places_and_those_that_coincide() -> None:
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-3.0, 3.0, (60, 6))
+    order, _ = shortest_order(q)
+    assert sorted(order.tolist()) == list(range(60))
+    assert shortest_order(q)[0].tolist() == order.tolist()
+    chance = min(length(q, tuple(rng.permutation(60))) for _ in range(20))
+    assert length(q, tuple(order)) < 0.8 * chance
+    assert sorted(shortest_order(np.zeros((5, 3)))[0].tolist()) == [0, 1, 2, 3, 4]
 
 
 def crosses(a: Floats, b: Floats) -> bool:
@@ -93,84 +66,43 @@ def crosses(a: Floats, b: Floats) -> bool:
     return bool(a[1] + part * (b[1] - a[1]) < 1.0)
 
 
-def blocked_moves(q: Floats, order: tuple[int, ...], start: Floats | None) -> int:
-    places = [q[k] for k in order]
-    if start is not None:
-        places = [start, *places]
-    return sum(crosses(a, b) for a, b in pairwise(places))
-
-
 @pytest.mark.parametrize("with_start", [False, True])
 def test_blocked_moves_are_avoided_where_that_is_possible(with_start: bool) -> None:
-    avoided, possible, without = 0, 0, 0
-    for seed in range(25):
+    avoided = possible = 0
+    for seed in range(10):
         rng = np.random.default_rng(seed)
         q = rng.uniform(-2.0, 2.0, (6, 2))
         start = rng.uniform(-2.0, 2.0, 2) if with_start else None
         order, blocked = shortest_order(q, start, crosses)
-        assert sorted(order.tolist()) == list(range(6))
         # They are those of the order that comes out.
+        first = int(with_start)
         way = q[order] if start is None else np.concatenate([start[None], q[order]])
-        places = range(1 if start is None else 0, 6)
-        shift = 0 if start is None else 1
-        expected = [k for k in places if crosses(way[k + shift - 1], way[k + shift])]
-        assert list(blocked) == expected
-        best = min(blocked_moves(q, p, start) for p in permutations(range(6)))
-        assert len(blocked) >= best
-        possible += best == 0
-        avoided += len(blocked) == best
-        careless, _ = shortest_order(q, start)
-        without += blocked_moves(q, tuple(careless), start) == best
-    assert possible >= 5
-    assert avoided >= 23
-    assert without < avoided
+        hits = [k for k, move in enumerate(pairwise(way), 1 - first) if crosses(*move)]
+        assert list(blocked) == hits
+        fewest = min(
+            sum(crosses(a, b) for a, b in pairwise([*way[:first], *q[list(p)]]))
+            for p in permutations(range(6))
+        )
+        possible += fewest == 0
+        avoided += len(blocked) == fewest
+    assert possible >= 2 and avoided >= 9
 
 
 def test_the_count_is_true_where_most_is_blocked() -> None:
     """Many places and hardly a free move: the search ends before all is known."""
-    for seed in range(3):
-        rng = np.random.default_rng(seed)
-        q = rng.uniform(-2.0, 2.0, (40, 2))
-        free = rng.random((40, 40)) < 0.1
-        free |= free.T
-        index = {tuple(place): k for k, place in enumerate(q)}
-        asked = 0
-
-        def blocked(a: Floats, b: Floats) -> bool:
-            nonlocal asked
-            asked += 1
-            return not free[index[tuple(a)], index[tuple(b)]]  # noqa: B023
-
-        order, places = shortest_order(q, None, blocked)
-        assert len(places) == sum(not free[a, b] for a, b in pairwise(order))
-        # Asking is expensive, so not every pair is asked for twice.
-        assert asked <= 40 * 39 / 2
-
-
-def test_a_move_is_asked_for_once_only() -> None:
-    q = np.random.default_rng(0).uniform(-2.0, 2.0, (12, 2))
-    asked: list[tuple[float, ...]] = []
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-2.0, 2.0, (40, 2))
+    free = rng.random((40, 40)) < 0.1
+    free |= free.T
+    index = {tuple(place): k for k, place in enumerate(q)}
+    asked = 0
 
     def blocked(a: Floats, b: Floats) -> bool:
-        asked.append(tuple(sorted([*a, *b])))
-        return crosses(a, b)
+        nonlocal asked
+        asked += 1
+        return not free[index[tuple(a)], index[tuple(b)]]
 
-    shortest_order(q, None, blocked)
-    assert len(asked) == len(set(asked)) < 12 * 11 / 2
-
-
-def test_the_same_places_give_the_same_order() -> None:
-    q = np.random.default_rng(0).normal(size=(30, 6))
-    assert shortest_order(q)[0].tolist() == shortest_order(q)[0].tolist()
-
-
-def test_places_that_coincide() -> None:
-    q = np.zeros((5, 3))
-    order, _ = shortest_order(q)
-    assert sorted(order.tolist()) == [0, 1, 2, 3, 4]
-
-
-def test_many_places() -> None:
-    q = np.random.default_rng(0).uniform(-3.0, 3.0, (250, 6))
-    order, _ = shortest_order(q)
-    assert sorted(order.tolist()) == list(range(250))
+    order, places = shortest_order(q, None, blocked)
+    assert len(places) == sum(not free[a, b] for a, b in pairwise(order))
+    # Asking is expensive, so not every pair is asked for twice.
+    assert asked <= 40 * 39 / 2

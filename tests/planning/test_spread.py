@@ -20,15 +20,16 @@ def one_by_one(points: Floats, distance: float, most: int) -> Floats:
     return np.array(kept)
 
 
-@pytest.mark.parametrize("distance", [0.0, 0.05, 0.25, 0.7])
-@pytest.mark.parametrize("most", [37, 10_000])
+@pytest.mark.parametrize(
+    ("distance", "most"), [(0.0, 37), (0.05, 10_000), (0.25, 10_000), (0.7, 37)]
+)
 def test_points_keep_their_distance(distance: float, most: int) -> None:
     rng = np.random.default_rng(3)
     # Corners of a grid are as far apart as they may be, and no farther.
-    grid = 0.25 * rng.integers(0, 5, (150, 3))
-    points = np.concatenate([rng.random((250, 3)), grid, rng.random((300, 3))])
+    grid = 0.25 * rng.integers(0, 5, (100, 3))
+    points = np.concatenate([rng.random((80, 3)), grid, rng.random((80, 3))])
     apart, kept = Apart(distance), list[Floats]()
-    for begin in range(0, len(points), 70):
+    for begin in range(0, len(points) + 70, 70):
         block = points[begin : begin + 70]
         kept.append(block[apart.keep(block, most)])
         assert apart.count == sum(map(len, kept)) <= most
@@ -37,11 +38,3 @@ def test_points_keep_their_distance(distance: float, most: int) -> None:
     if distance == 0.25 and most > 37:
         between = np.abs(expected[:, None] - expected).max(axis=2)
         assert (between == 0.25).any()
-
-
-def test_nothing_is_kept_of_nothing() -> None:
-    for distance in (0.0, 0.1):
-        apart = Apart(distance)
-        assert apart.keep(np.empty((0, 2)), 5).tolist() == []
-        assert apart.keep(np.zeros((3, 2)), 0).tolist() == []
-        assert apart.count == 0

@@ -9,7 +9,6 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.observations import BlockKey
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup
 
@@ -18,33 +17,54 @@ BASE = FrameSetup((0, 0, 0), (0, 0, 0), estimate=False)
 TOOL = FrameSetup((0.1, 0.05, 0.2), (0.1, 0.2, 0.3), estimate=False)
 
 
+BESIDE = Setup(tool_frame=replace(TOOL, estimate=True))
+"""A tool that is estimated, and known to sit beside the last axis."""
+
+
 def found(model: str, setup: Setup) -> dict[str, int]:
     known = calib_pin.identify(CHAIN, model, setup)
     return {r.change: r.count for r in suggestions(CHAIN, model, setup, known)}
 
 
-def beside() -> Setup:
-    """A tool that is estimated, and known to sit beside the last axis."""
-    return Setup(tool_frame=replace(TOOL, estimate=True))
-
-
-def test_positions_of_an_arm() -> None:
+def test_counts_by_the_structure() -> None:
     """A target on the last axis hides two errors, full poses show two as well."""
     known = calib_pin.identify(CHAIN, "position")
     assert known.identifiability.robot_rank == 16
     gains = found("position", Setup())
     assert [*gains.values()] == [18, 18, 22, 17, 26]
-    away, poses, base, tool, last = gains
-    assert "off the last axis" in away and "poses" in poses
-    assert "frames.base" in base and "frames.tool" in tool
-    assert last == "measure full poses with base and tool known"
+    _, _, base, tool, last = gains
+    assert "frames.base" in base and "frames.tool" in tool and "full poses" in last
+    # Where a target sits beside the axis already, poses alone show no more.
+    assert [*found("position", BESIDE).values()] == [24, 20, 26]
+    # Of joint offsets the last is seen by full poses with a known tool alone.
+    gains = [*found("position", Setup(parameters=("joint-offset",))).values()]
+    assert gains[-1] == 6 > max(gains[:-1])
 
 
-def test_a_target_beside_the_last_axis() -> None:
-    """Where it sits there already, poses alone show no more of the robot."""
-    gains = found("position", beside())
-    assert [*gains.values()] == [24, 20, 26]
-    assert not any("beside" in change for change in gains)
+@pytest.mark.parametrize("model", ["position", "relative-distance", "plane-distance"])
+def test_all_that_can_be_told_is_last(model: str) -> None:
+    """However it is measured now: that is the robot's, not the instrument's."""
+    planes = {"wall": PlaneSetup((0.1, 0.2, 1.0), -3.0)}
+    setup = replace(BESIDE, planes=planes if model == "plane-distance" else {})
+    known = calib_pin.identify(CHAIN, model, setup)
+    *others, last = suggestions(CHAIN, model, setup, known)
+    assert last.count == 26 and last.complete
+    assert all(known.identifiability.robot_rank < other.count for other in others)
+    assert not any(remedy.complete for remedy in others)
+
+
+def test_the_promise_is_kept_by_a_fit() -> None:
+    """Rows with a known base estimate as many errors of the robot as was said."""
+    setup = Setup(base_frame=BASE)
+    gains = found("position", BESIDE)
+    promised = next(count for change, count in gains.items() if "base" in change)
+    problem = nominal_problem(CHAIN, "position", replace(setup, tool_frame=TOOL))
+    rng = np.random.default_rng(1)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=40, noise=1e-6)
+    result = calib_pin.calibrate(CHAIN, rows, setup, validate=False)
+    assert result.identifiability.robot_rank == promised
+    assert len(result.identifiability.singular_values) == promised
 
 
 def test_points_on_the_tool_take_the_place_of_its_frame() -> None:
@@ -59,22 +79,6 @@ def test_points_on_the_tool_take_the_place_of_its_frame() -> None:
     assert base == known.identifiability.robot_rank
     assert any("(targets)" in change for change in gains)
     assert not any("frames.tool" in c or "beside" in c for c in gains)
-
-
-def test_what_gains_only_together() -> None:
-    """Of joint offsets the last is seen by full poses with a known tool alone."""
-    gains = found("position", Setup(parameters=("joint-offset",)))
-    assert [*gains.values()][-1] == 6 > max([*gains.values()][:-1])
-
-
-@pytest.mark.parametrize("models", [("position", "pose"), ("relative-distance",)])
-def test_all_that_can_be_told_is_last(models: tuple[str, ...]) -> None:
-    """However it is measured now: that is the robot's, not the instrument's."""
-    keys = [*map(BlockKey, models)]
-    known = calib_pin.identify(CHAIN, keys, beside())
-    *others, last = suggestions(CHAIN, keys, beside(), known)
-    assert last.count == 26 and last.complete
-    assert not any(remedy.complete for remedy in others)
 
 
 def test_a_fit_is_taken_as_it_found_things() -> None:
@@ -122,37 +126,3 @@ def test_what_is_held_stays_held() -> None:
     )
     gains = found("plane-distance", setup)
     assert all(count <= 6 for count in gains.values())
-
-
-def test_distances_gain_by_a_tracker() -> None:
-    setup = Setup(planes={"wall": PlaneSetup((0.1, 0.2, 1.0), -3.0)})
-    known = calib_pin.identify(CHAIN, "plane-distance", setup)
-    gains = found("plane-distance", setup)
-    assert all(count > known.identifiability.robot_rank for count in gains.values())
-    assert [*gains][-1] == "measure full poses with base and tool known"
-
-
-@pytest.mark.parametrize("model", ["position", "pose"])
-def test_the_promise_is_kept_by_a_fit(model: str) -> None:
-    """Rows with a known base estimate as many errors of the robot as was said."""
-    setup = Setup(base_frame=BASE)
-    gains = found(model, beside())
-    promised = next(count for change, count in gains.items() if "base" in change)
-    problem = nominal_problem(CHAIN, model, replace(setup, tool_frame=TOOL))
-    rng = np.random.default_rng(1)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=40, noise=1e-6)
-    result = calib_pin.calibrate(CHAIN, rows, setup, validate=False)
-    assert result.identifiability.robot_rank == promised
-    assert len(result.identifiability.singular_values) == promised
-
-
-def test_nothing_is_tried_for_very_many_parameters(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    found = calib_pin.identify(CHAIN, "position")
-    count = found.identifiability.parameters
-    monkeypatch.setattr("calib_pin.planning.suggestions.LARGEST", count)
-    assert suggestions(CHAIN, "position", Setup(), found)
-    monkeypatch.setattr("calib_pin.planning.suggestions.LARGEST", count - 1)
-    assert suggestions(CHAIN, "position", Setup(), found) == ()

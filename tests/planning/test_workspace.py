@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-import calib_pin
 from calib_pin.errors import InputError, OptionError, RobotError
 from calib_pin.kinematics.chain import Chain
-from calib_pin.planning.planned_problem import identification
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import (
     Ball,
@@ -22,9 +20,7 @@ from calib_pin.setup import (
     PlaneSetup,
     RangerSetup,
     Region,
-    Setup,
 )
-from calib_pin.simulation import exact_problem
 
 PLANES = {
     "floor": PlaneSetup((0.1, 0.2, 1.0), 1.5),
@@ -58,87 +54,51 @@ def test_limits_narrow_by_name_and_glob(workspace_of: Callable[..., Workspace]) 
     assert chain.upper[2] > 0.5
 
 
-def limited(
-    urdf_of: Callable[..., str],
-    chain_of: Callable[..., Chain],
-    limits: tuple[float, float],
-) -> Chain:
-    joints = [
-        {
-            "name": f"j{k}",
-            "parent": f"l{k}",
-            "child": f"l{k + 1}",
-            "axis": (0, k, 1 - k),
-        }
-        for k in range(2)
-    ]
-    return chain_of(urdf_of(joints[0], {**joints[1], "limits": limits}))
-
-
-def test_a_joint_that_the_urdf_holds_stays(
+def test_limits_of_the_urdf(
     workspace_of: Callable[..., Workspace],
     urdf_of: Callable[..., str],
     chain_of: Callable[..., Chain],
     rng: np.random.Generator,
 ) -> None:
-    workspace = workspace_of(limited(urdf_of, chain_of, (0.5, 0.5)))
-    assert (workspace.lower[1], workspace.upper[1]) == (0.5, 0.5)
-    assert (workspace.candidates(20, rng).q[:, 1] == 0.5).all()
+    def limited(*limits: float) -> Workspace:
+        joints = [
+            {
+                "name": name,
+                "parent": f"l{k}",
+                "child": f"l{k + 1}",
+                "axis": (0, k, 1 - k),
+            }
+            for k, name in enumerate(("arm[1]", "arm1"))
+        ]
+        return workspace_of(
+            chain_of(urdf_of(joints[0], {**joints[1], "limits": limits})), **settings
+        )
+
+    settings: dict[str, Any] = {}
+    held = limited(0.5, 0.5)
+    assert (held.lower[1], held.upper[1]) == (0.5, 0.5)
+    assert (held.candidates(20, rng).q[:, 1] == 0.5).all()
     # Two zeros mean no limit.
-    free = workspace_of(limited(urdf_of, chain_of, (0.0, 0.0)))
-    assert free.upper[1] > 3.0
-
-
-def test_limits_of_the_urdf_that_cross(
-    workspace_of: Callable[..., Workspace],
-    urdf_of: Callable[..., str],
-    chain_of: Callable[..., Chain],
-) -> None:
-    with pytest.raises(RobotError, match="inverted limits of joint 'j1'"):
-        workspace_of(limited(urdf_of, chain_of, (0.5, -0.5)))
-
-
-def bracketed(urdf_of: Callable[..., str], chain_of: Callable[..., Chain]) -> Chain:
-    names = ("arm[1]", "arm1")
-    joints = [
-        {"name": name, "parent": f"l{k}", "child": f"l{k + 1}", "axis": (0, k, 1 - k)}
-        for k, name in enumerate(names)
-    ]
-    return chain_of(urdf_of(*joints))
-
-
-def test_the_name_of_a_joint_is_no_pattern(
-    workspace_of: Callable[..., Workspace],
-    urdf_of: Callable[..., str],
-    chain_of: Callable[..., Chain],
-) -> None:
-    chain = bracketed(urdf_of, chain_of)
-    workspace = workspace_of(chain, limits={"arm[1]": (-0.5, 0.5)})
-    assert workspace.lower.tolist() == [-0.5, -1.99]
-    workspace = workspace_of(chain, limits={"arm[0-9]": (-0.5, 0.5)})
-    assert workspace.lower.tolist() == [-1.99, -0.5]
+    assert limited(0.0, 0.0).upper[1] > 3.0
+    with pytest.raises(RobotError, match="'arm1'"):
+        limited(0.5, -0.5)
+    # The name of a joint is no pattern.
+    for key, lower in (("arm[1]", [-0.5, -1.99]), ("arm[0-9]", [-1.99, -0.5])):
+        settings = {"limits": {key: (-0.5, 0.5)}}
+        assert limited(-2.0, 2.0).lower.tolist() == lower
 
 
 @pytest.mark.parametrize(
     ("limits", "fields"),
     [
-        (
-            {"joint_3": (3.5, 4.0)},
-            {"reason": "'joint_3' leave nothing", "value": [3.5, 4.0]},
-        ),
+        ({"joint_3": (3.5, 4.0)}, {"reason": "'joint_3'", "value": [3.5, 4.0]}),
         (
             {"joint_*": (0.0, 1.0), "joint_2": (1.5, 2.0)},
-            {"reason": "'joint_2' leave nothing"},
+            {"reason": "'joint_2'"},
         ),
-        (
-            {"joint_2": (1.0, -1.0)},
-            {"reason": "'joint_2' leave nothing", "value": [1.0, -1.0]},
-        ),
-        ({"joit_2": (0.0, 1.0)}, {"reason": ["no joint", "'joit_2'", "'joint_2'?"]}),
-        (
-            {"elbow*": (0.0, 1.0)},
-            {"reason": "no joint of the chain: 'elbow*'", "allowed": "joint_1, joint"},
-        ),
+        ({"joint_2": (1.0, -1.0)}, {"reason": "'joint_2'", "value": [1.0, -1.0]}),
+        ({"joit_2": (0.0, 1.0)}, {"reason": ["'joit_2'", "'joint_2'?"]}),
+        ({"elbow*": (0.0, 1.0)}, {"reason": "'elbow*'", "allowed": "joint_1, joint"}),
     ],
 )
 def test_limits_that_leave_nothing(
@@ -149,14 +109,6 @@ def test_limits_that_leave_nothing(
 ) -> None:
     with refused(OptionError, **fields):
         workspace_of("space7", limits=limits)
-
-
-@pytest.mark.parametrize("distance", [-0.1, np.inf, np.nan])
-def test_distances_out_of_range(
-    distance: float, workspace_of: Callable[..., Workspace]
-) -> None:
-    with pytest.raises(OptionError, match="distance between configurations"):
-        workspace_of("space6", distance=distance)
 
 
 def test_candidates_stay_within_the_limits(
@@ -179,46 +131,25 @@ def test_candidates_stay_within_the_limits(
 # --- spread ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("robot", ["space6", "space7"])
-@pytest.mark.parametrize("count", [100, 600])
 def test_candidates_have_a_low_discrepancy(
-    robot: str, count: int, workspace_of: Callable[..., Workspace]
-) -> None:
-    workspace = workspace_of(robot)
-    width = workspace.upper - workspace.lower
-    ours, random = [], []
-    for seed in range(5):
-        rng = np.random.default_rng(seed)
-        q = workspace.candidates(count, rng).q
-        ours.append(qmc.discrepancy((q - workspace.lower) / width))
-        random.append(qmc.discrepancy(rng.random((count, len(width)))))
-    assert max(ours) < 0.7 * min(random)
-    assert np.mean(ours) < 0.5 * np.mean(random)
-
-
-def test_every_joint_is_covered_evenly(workspace_of: Callable[..., Workspace]) -> None:
-    workspace = workspace_of("space7")
-    q = workspace.candidates(400, np.random.default_rng(3)).q
-    unit = (q - workspace.lower) / (workspace.upper - workspace.lower)
-    for column in unit.T:
-        counts, _ = np.histogram(column, bins=20, range=(0.0, 1.0))
-        # Chance alone gives 20 +- 4.4.
-        assert 14 <= counts.min() <= counts.max() <= 26
-        assert counts.std() < 3.0
-
-
-def test_the_seed_moves_them_and_nothing_else_does(
     workspace_of: Callable[..., Workspace],
 ) -> None:
-    workspace = workspace_of("space6")
-    first, again, other = (
-        workspace.candidates(50, np.random.default_rng(seed)) for seed in (1, 1, 2)
+    workspace = workspace_of("space7")
+    width, rng = workspace.upper - workspace.lower, np.random.default_rng(1)
+    q = workspace.candidates(300, rng).q
+    unit = (q - workspace.lower) / width
+    assert qmc.discrepancy(unit) < 0.6 * qmc.discrepancy(rng.random(unit.shape))
+    for column in unit.T:
+        counts, _ = np.histogram(column, bins=15, range=(0.0, 1.0))
+        # Chance alone gives 20 +- 4.4.
+        assert 13 <= counts.min() <= counts.max() <= 27
+    # The seed moves them, and more continue the same sequence.
+    again, more, other = (
+        workspace.candidates(count, np.random.default_rng(seed)).q
+        for count, seed in ((300, 1), (330, 1), (300, 2))
     )
-    assert first.q.tobytes() == again.q.tobytes()
-    assert np.abs(first.q - other.q).max() > 0.1
-    # More candidates continue the same sequence.
-    more = workspace.candidates(80, np.random.default_rng(1))
-    assert more.q[:50].tobytes() == first.q.tobytes()
+    assert again.tobytes() == more[:300].tobytes() == q.tobytes()
+    assert np.abs(other - q).max() > 0.1
 
 
 # --- region, sight, distance -------------------------------------------------------
@@ -234,14 +165,12 @@ def tool_points(workspace: Workspace, q: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     "region",
     [
-        Region(box=((0.2, -0.5, 0.1), (3.0, 0.9, 2.0))),
-        Region(sphere=Ball((0.5, 0.2, 1.0), 0.9)),
         Region(cone=Cone((-1.0, 0.0, 0.5), (1.0, 0.2, 0.3), 0.5, (0.5, 2.5))),
         Region(
             box=((-1.0, -1.0, 0.0), (2.0, 2.0, 2.0)), sphere=Ball((0.5, 0.2, 1.0), 1.2)
         ),
     ],
-    ids=["box", "sphere", "cone", "box and sphere"],
+    ids=["cone", "box and sphere"],
 )
 def test_candidates_lie_in_the_region(
     region: Region, workspace_of: Callable[..., Workspace], rng: np.random.Generator
@@ -280,7 +209,7 @@ def test_the_ranger_sees_its_planes(
     ranger = RangerSetup(range=(0.3, 2.5), incidence=incidence)
     workspace = workspace_of("space6", "plane-distance", planes=PLANES, ranger=ranger)
     assert [aim.target for aim in workspace.aims.each] == ["floor", "wall"]
-    found = workspace.candidates(120, rng)
+    found = workspace.candidates(60, rng)
     targets = [workspace.aims.each[k].target for k in found.aim]
     assert set(targets) == {"floor", "wall"}
     problem = workspace.problem
@@ -295,10 +224,10 @@ def test_the_ranger_sees_its_planes(
         assert angle <= incidence + 1e-9
 
 
-@pytest.mark.parametrize("distance", [0.3, 1.0])
 def test_candidates_keep_their_distance(
-    distance: float, workspace_of: Callable[..., Workspace], rng: np.random.Generator
+    workspace_of: Callable[..., Workspace], rng: np.random.Generator
 ) -> None:
+    distance = 1.0
     workspace = workspace_of("space6", distance=distance)
     q = workspace.candidates(150, rng).q
     between = np.abs(q[:, None] - q[None]).max(axis=2)
@@ -313,16 +242,14 @@ def test_candidates_keep_their_distance(
     assert {3, 7} <= set(bad.tolist())
     expected = (np.abs(q[:, None] - q[None]).max(axis=2) < distance).sum(axis=1) > 1
     assert bad.tolist() == np.flatnonzero(expected).tolist()
-
-
-def test_a_distance_that_leaves_room_for_few(
-    workspace_of: Callable[..., Workspace], rng: np.random.Generator
-) -> None:
-    limits = {"*": (-0.1, 0.1)}
-    workspace = workspace_of("space6", distance=0.15, limits=limits)
-    q = workspace.candidates(200, rng).q
     # A cube of edge 0.2 has room for one such box at each of its 64 corners.
-    assert 2 <= len(q) <= 64
+    limits = {"*": (-0.1, 0.1)}
+    narrow = workspace_of("space6", distance=0.15, limits=limits)
+    assert 2 <= len(narrow.candidates(200, rng).q) <= 64
+    for wrong in (-0.1, np.nan):
+        with pytest.raises(OptionError) as caught:
+            workspace_of("space6", distance=wrong)
+        assert caught.value.value == pytest.approx(wrong, nan_ok=True)
 
 
 # --- what cannot be ----------------------------------------------------------------
@@ -334,12 +261,9 @@ def test_a_region_out_of_reach(
     refused: Callable[..., Any],
 ) -> None:
     """However many are wanted, no more are tried."""
-    workspace = workspace_of(
-        "space6", region=Region(sphere=Ball((50.0, 0.0, 0.0), 0.5))
-    )
-    for count in (10, 1000):
-        with refused(InputError, ["none of 60000", "60000 outside the region"]):
-            workspace.candidates(count, rng)
+    far = workspace_of("space6", region=Region(sphere=Ball((50.0, 0.0, 0.0), 0.5)))
+    with refused(InputError, "60000 outside"):
+        far.candidates(1000, rng)
 
 
 def test_reasons_are_counted_apart(
@@ -354,37 +278,8 @@ def test_reasons_are_counted_apart(
     )
     with pytest.raises(InputError) as caught:
         workspace.candidates(10, rng)
-    numbers = re.findall(
-        r"(\d+) (outside the region|not measurable)", caught.value.reason
-    )
-    assert [reason for _, reason in numbers] == ["outside the region", "not measurable"]
-    assert all(int(number) > 1000 for number, _ in numbers)
-    assert sum(int(number) for number, _ in numbers) == 60_000
-
-
-def test_a_joint_whose_limits_are_equal_stays_fixed(
-    workspace_of: Callable[..., Workspace], rng: np.random.Generator
-) -> None:
-    """What its motion would show cannot be identified then."""
-    ranks = []
-    for limits in ({}, {"joint_3": (0.25, 0.25)}):
-        workspace = workspace_of("space6", limits=limits)
-        found = workspace.candidates(400, rng)
-        structure, rows, _ = identification(workspace.problem, workspace.aims, found)
-        ranks.append((structure.rank, rows.basis.shape[1]))
-        # The rank of those very configurations, without our decomposition.
-        zero = np.zeros(len(workspace.problem.parameters))
-        exact = exact_problem(workspace.problem, zero, found.q, ("",) * 400)
-        _, J = exact.linearize(zero)
-        J = J * workspace.problem.parameters.scales
-        ranks[-1] += (np.linalg.matrix_rank(J, tol=1e-9 * np.linalg.norm(J, 2)),)
-    assert (found.q[:, 2] == 0.25).all()
-    assert ranks[0] == (25, 25, 25)
-    # Its own four errors become part of the link before; nothing else is lost.
-    assert ranks[1][0] == ranks[1][1] == ranks[1][2] < 25
-
-
-def test_setup_file_is_named_where_its_limits_are_wrong() -> None:
-    setup = Setup(limits={"elbow": (0.0, 1.0)}, file="cell.yaml")
-    with pytest.raises(OptionError, match="elbow"):
-        calib_pin.plan(calib_pin.load_chain("space6"), "position", 10, setup)
+    outside, unseen = re.search(
+        r"(\d+) outside\D+(\d+) not", caught.value.reason
+    ).groups()
+    assert min(int(outside), int(unseen)) > 1000
+    assert int(outside) + int(unseen) == 60_000

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from scipy import optimize
 
-from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import (
     DifferentialEvolution,
@@ -77,33 +74,6 @@ def test_mutations_of_known_members(strategy: str, mutants: list[float]) -> None
     assert result[:, 0].tolist() == mutants
 
 
-def test_tradeoff_is_the_mutation_it_names() -> None:
-    assert DifferentialEvolution().strategy == "tradeoff"
-    tradeoff, named = (
-        run(options=replace(QUICK, strategy=name)) for name in ("tradeoff", TRADEOFF)
-    )
-    assert np.array_equal(tradeoff.population, named.population)
-
-
-@pytest.mark.parametrize("strategy", STRATEGIES)
-def test_each_strategy_follows_its_name(strategy: str) -> None:
-    results = {
-        name: run(options=replace(QUICK, strategy=name)).fun for name in STRATEGIES
-    }
-    same = {name for name, fun in results.items() if fun == results[strategy]}
-    pair = {"tradeoff", TRADEOFF}
-    assert same == (pair if strategy in pair else {strategy})
-
-
-@pytest.mark.parametrize("strategy", STRATEGIES)
-def test_the_same_seed_gives_the_same_bytes(strategy: str) -> None:
-    options = replace(QUICK, strategy=strategy)
-    one, two, other = (run(options=options, seed=seed) for seed in (3, 3, 4))
-    assert one.population.tobytes() == two.population.tobytes()
-    assert one.mean_history.tobytes() == two.mean_history.tobytes()
-    assert one.x.tobytes() != other.x.tobytes()
-
-
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_members_stay_within_bounds_and_are_counted(strategy: str) -> None:
     seen: list[Floats] = []
@@ -125,37 +95,6 @@ def test_members_stay_within_bounds_and_are_counted(strategy: str) -> None:
     assert not (members[:, [0, 1, 3]] == bounds[[0, 1, 3]].T[:, None]).any()
 
 
-@pytest.mark.parametrize("strategy", STRATEGIES)
-def test_everything_fixed_is_an_evolution_of_nothing(strategy: str) -> None:
-    bounds = np.tile([0.1, 0.1], (3, 1))
-    result = run(options=replace(QUICK, strategy=strategy), bounds=bounds)
-    assert (result.status, result.nit) == (Status.CONVERGED, 0)
-    assert result.x.tolist() == [0.1] * 3
-
-
-@pytest.mark.parametrize("strategy", [s for s in STRATEGIES if s != "l-shade"])
-def test_evaluations_are_members_times_generations(strategy: str) -> None:
-    result = run(options=replace(QUICK, strategy=strategy))
-    assert result.status is Status.GENERATIONS
-    assert (result.nit, result.nfev) == (30, 20 * 31)
-    assert result.population.shape == (20, 10)
-    assert np.array_equal(result.population_energies, sphere(result.population))
-    assert result.fun == sphere(result.x[None])[0]
-
-
-def test_without_recombination_one_component_changes() -> None:
-    populations: list[Floats] = []
-
-    def costs(x: Floats) -> Floats:
-        populations.append(x.copy())
-        return np.full(len(x), np.nan) if len(populations) > 1 else sphere(x)
-
-    run(costs, replace(QUICK, recombination=0.0))
-    first, *trials = populations
-    changed = np.array([(trial != first).sum(axis=1) for trial in trials])
-    assert (changed == 1).all()
-
-
 def test_x0_is_a_member_of_the_first_population() -> None:
     seen: list[Floats] = []
 
@@ -171,19 +110,6 @@ def test_x0_is_a_member_of_the_first_population() -> None:
     assert not np.shares_memory(result.x, x0)
 
 
-@pytest.mark.parametrize(("init", "sliced"), [("latinhypercube", 1), ("random", 0)])
-def test_the_init_that_was_asked_for(init: str, sliced: bool) -> None:
-    seen: list[Floats] = []
-
-    def costs(x: Floats) -> Floats:
-        seen.append(x)
-        return sphere(x)
-
-    run(costs, replace(QUICK, init=init))
-    slices = np.sort(np.floor((seen[0] + 5) * 2), axis=0)
-    assert np.array_equal(slices, np.tile(np.arange(20.0)[:, None], 10)) == sliced
-
-
 def test_the_population_meets() -> None:
     options = DifferentialEvolution(population_size=30, tol=1e-3)
     result = run(lambda x: sphere(x) + 1, options)
@@ -194,22 +120,40 @@ def test_the_population_meets() -> None:
     assert result.fun == pytest.approx(1.0, abs=0.01)
 
 
-def test_the_target_ends_it() -> None:
-    result = run(options=replace(QUICK, maxiter=500, target=0.5))
-    assert result.status is Status.TARGET
-    assert result.fun <= 0.5 < result.best_history[-2]
+# With F = 0.6 all but rand/1 and l-shade contract too early for a bent valley.
+
+
+def test_each_strategy_follows_its_name() -> None:
+    assert DifferentialEvolution().strategy == "tradeoff"
+    options = {name: replace(QUICK, strategy=name) for name in STRATEGIES}
+    results = {name: run(options=each).x.tobytes() for name, each in options.items()}
+    assert results.pop("tradeoff") == results[TRADEOFF]
+    assert len(set(results.values())) == len(results)
+    # The same seed gives the same bytes, another one does not.
+    for name, found in results.items():
+        assert found == run(options=options[name]).x.tobytes()
+        assert found != run(options=options[name], seed=4).x.tobytes()
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_the_callback_sees_every_generation(strategy: str) -> None:
-    seen: list[int] = []
+def test_generations_are_counted_and_told(strategy: str) -> None:
+    options, seen = replace(QUICK, strategy=strategy), list[int]()
 
     def callback(generation: int, x: Floats, fun: float) -> None:
         assert sphere(x[None])[0] == fun
         seen.append(generation)
 
-    result = run(options=replace(QUICK, strategy=strategy), callback=callback)
+    result = run(options=options, callback=callback)
     assert seen == list(range(1, result.nit + 1))
+    assert result.fun == sphere(result.x[None])[0]
+    assert np.array_equal(result.population_energies, sphere(result.population))
+    if strategy != "l-shade":
+        assert result.status is Status.GENERATIONS
+        assert (result.nit, result.nfev) == (30, 20 * 31)
+        assert result.population.shape == (20, 10)
+    fixed = run(options=options, bounds=np.tile([0.1, 0.1], (3, 1)))
+    assert (fixed.status, fixed.nit) == (Status.CONVERGED, 0)
+    assert fixed.x.tolist() == [0.1] * 3
 
 
 # With F = 0.6 all but rand/1 and l-shade contract too early for a bent valley.
@@ -218,13 +162,8 @@ def test_the_callback_sees_every_generation(strategy: str) -> None:
     [
         ("rand/1", sphere, 800),
         ("best/1", sphere, 300),
-        ("rand-to-best/1", sphere, 300),
         ("midpoint", sphere, 300),
-        ("l-shade", sphere, 300),
-        ("best/1", rosenbrock, 500),
         ("rand-to-best/1", rosenbrock, 500),
-        ("midpoint", rosenbrock, 500),
-        ("l-shade", rosenbrock, 400),
         ("l-shade", rastrigin, 400),
     ],
 )
@@ -236,96 +175,5 @@ def test_known_minima(
     )
     result = run(costs, options, seed=1)
     assert result.status is Status.TARGET
+    assert result.fun <= 1e-8 < result.best_history[-2]
     assert result.x == pytest.approx(np.ones(10), abs=2e-3)
-
-
-def test_rastrigin_with_fixed_factors() -> None:
-    # Separable and full of minima: small CR, one component after the other.
-    options = DifferentialEvolution(
-        "rand/1", 40, mutation=0.5, recombination=0.1, maxiter=600, target=1e-8
-    )
-    result = run(rastrigin, options)
-    assert result.status is Status.TARGET
-    assert result.x == pytest.approx(np.ones(10), abs=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("strategy", "name"), [("rand/1", "rand1"), ("best/1", "best1")]
-)
-def test_as_low_as_scipy_with_the_same_evaluations(strategy: str, name: str) -> None:
-    options = DifferentialEvolution(strategy, 50, 0.7, 0.9, maxiter=100, tol=0.0)
-    ours, theirs = [], []
-    for seed in range(5):
-        ours.append(run(rosenbrock, options, seed=seed).fun)
-        other = optimize.differential_evolution(
-            lambda x: rosenbrock(x.T),
-            WIDE,
-            strategy=f"{name}bin",
-            popsize=5,
-            mutation=0.7,
-            recombination=0.9,
-            maxiter=100,
-            tol=0.0,
-            polish=False,
-            updating="deferred",
-            vectorized=True,
-            rng=np.random.default_rng(seed),
-        )
-        assert other.population.shape == (50, 10)
-        theirs.append(other.fun)
-    # The same algorithm but for chance: neither is an order of magnitude ahead.
-    assert abs(np.log10(np.median(ours) / np.median(theirs))) < 1.0
-
-
-WHOLE = "a whole number, 4 to 100000"
-FACTOR = "more than 0, up to 2"
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "allowed"),
-    [
-        *(("population_size", value, WHOLE) for value in (3, 10.0, True, np.nan)),
-        *(("maxiter", value, "a whole number, 1 or more") for value in (0, 1.5)),
-        *(("mutation", v, FACTOR) for v in (0.0, 2.001, (0.5, 1), True, np.nan)),
-        *(("recombination", value, "0 to 1") for value in (-0.1, 1.1, "0.5")),
-        *(("target", value, "a number") for value in (np.nan, np.inf)),
-        *(("tol", value, "0 or more") for value in (-1e-9, np.nan)),
-        ("atol", -1.0, "0 or more"),
-    ],
-)
-def test_options_that_cannot_be_used(
-    name: str, value: object, allowed: str, refused: Callable[..., Any]
-) -> None:
-    with refused(OptionError, f"{name} cannot be used", value=value, allowed=allowed):
-        DifferentialEvolution(**{name: value})  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("option", "reason", "allowed"),
-    [
-        (
-            {"strategy": "rand1"},
-            ["mutation strategy 'rand1'", "'rand/1'?"],
-            "rand/1, best/1, rand-to-best/1, midpoint, tradeoff, l-shade",
-        ),
-        ({"strategy": None}, "mutation strategy 'None'", "rand/1"),
-        (
-            {"init": "latinhypercub"},
-            ["init 'latinhypercub'", "'latinhypercube'?"],
-            "latinhypercube, random",
-        ),
-    ],
-)
-def test_names_that_do_not_exist(
-    option: dict[str, Any],
-    reason: str | list[str],
-    allowed: str,
-    refused: Callable[..., Any],
-) -> None:
-    with refused(OptionError, reason, allowed=allowed):
-        DifferentialEvolution(**option)
-
-
-def test_options_at_their_limits() -> None:
-    DifferentialEvolution("l-shade", np.int64(4), 2, 0, 1, -np.inf, 0, 0, "random")  # type: ignore[arg-type]
-    DifferentialEvolution(mutation=1e-300, recombination=np.float32(1))  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ import pytest
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import DifferentialEvolution, Status, differential_evolution
-from calib_pin.solvers.differential_evolution import OPTIONS, TERMINAL, LShade
+from calib_pin.solvers.differential_evolution import TERMINAL, LShade
 
 WIDE = np.tile([-5.0, 5.0], (10, 1))
 
@@ -23,34 +23,24 @@ def variant(size: int = 10, dimension: int = 2, budget: int = 1000) -> LShade:
     return LShade(size, dimension, budget, np.random.default_rng(0))
 
 
-def drawn(mean_F: float, mean_CR: float) -> tuple[Floats, Floats]:
+@pytest.mark.parametrize(("mean", "at_limit"), [(0.5, 0.0), (0.95, 0.309)])
+def test_factors_are_drawn_about_their_means(mean: float, at_limit: float) -> None:
+    """As in the paper: drawn again while not positive, and cut off at 1."""
     shade = variant()
-    shade.mean_F[:], shade.mean_CR[:] = mean_F, mean_CR
+    shade.mean_F[:], shade.mean_CR[:] = mean, mean
     shade._draw_factors(100_000)
-    return shade.F, shade.CR
-
-
-@pytest.mark.parametrize("mean", [0.02, 0.3, 0.9])
-def test_factors_are_cauchy_numbers_above_zero(mean: float) -> None:
-    F, _ = drawn(mean, 0.5)
-    # As in the paper: drawn again while not positive, and cut off at 1.
-    chance = np.random.default_rng(1).standard_cauchy(400_000)
-    expected = mean + 0.1 * chance
-    expected = np.minimum(expected[expected > 0], 1)
-    assert F.min() >= 0 and F.max() == 1
+    chance = mean + 0.1 * np.random.default_rng(1).standard_cauchy(100_000)
+    expected = np.minimum(chance[chance > 0], 1)
+    assert shade.F.min() >= 0 and shade.F.max() == 1
     parts = np.linspace(0.05, 0.95, 10)
-    assert np.quantile(F, parts) == pytest.approx(
-        np.quantile(expected, parts), abs=0.01
+    assert np.quantile(shade.F, parts) == pytest.approx(
+        np.quantile(expected, parts), abs=0.02
     )
-
-
-def test_recombination_is_normal_within_limits() -> None:
-    _, CR = drawn(0.5, 0.5)
-    assert (CR.mean(), CR.std()) == pytest.approx((0.5, 0.1), abs=0.002)
-    _, CR = drawn(0.5, 0.95)
-    assert CR.max() == 1 and np.mean(CR == 1) == pytest.approx(0.309, abs=0.01)
-    _, CR = drawn(0.5, TERMINAL)
-    assert (CR == 0).all()
+    assert np.median(shade.CR) == pytest.approx(mean, abs=0.002)
+    assert np.mean(shade.CR == 1) == pytest.approx(at_limit, abs=0.01)
+    shade.mean_CR[:] = TERMINAL
+    shade._draw_factors(10)
+    assert (shade.CR == 0).all()
 
 
 def test_means_are_those_of_lehmer_weighted_by_gains() -> None:
@@ -63,56 +53,12 @@ def test_means_are_those_of_lehmer_weighted_by_gains() -> None:
     assert shade.mean_CR[0] == pytest.approx((0.1**2 + 3 * 0.4**2) / (0.1 + 3 * 0.4))
     assert (shade.mean_F[1:] == 0.5).all() and (shade.mean_CR[1:] == 0.5).all()
     assert (shade.entry, shade.archived) == (1, 2)
-
-
-def test_what_gained_from_infinity_counts_alone() -> None:
-    shade = variant()
-    shade.F, shade.CR = np.array([0.2, 0.6]), np.array([0.1, 0.4])
-    energies = np.array([5.0, np.inf])
-    shade.learn(np.zeros((2, 2)), energies, np.ones(2), 2)
-    assert shade.mean_F[0] == pytest.approx(0.6)
-    assert shade.mean_CR[0] == pytest.approx(0.4)
-
-
-def test_nothing_is_learnt_from_ties_failures_or_nan() -> None:
-    shade = variant()
-    shade.F = shade.CR = np.full(3, 0.9)
-    fresh = np.array([1.0, 2.0, np.nan])
-    shade.learn(np.zeros((3, 2)), np.ones(3), fresh, 3)
-    assert (shade.entry, shade.archived) == (0, 0)
-    assert (shade.mean_F == 0.5).all()
-
-
-def test_entries_are_written_in_turn_and_terminal_ones_stay() -> None:
-    shade = variant()
-
-    def succeed(CR: float) -> None:
-        shade.F, shade.CR = np.array([0.7]), np.array([CR])
-        shade.learn(np.zeros((1, 2)), np.ones(1), np.zeros(1), 1)
-
-    succeed(0.0)
-    for _ in range(OPTIONS.memory):
-        succeed(0.3)
-    assert shade.entry == 1
-    assert shade.mean_CR[0] == TERMINAL
-    assert shade.mean_CR[1:] == pytest.approx(np.full(OPTIONS.memory - 1, 0.3))
-    assert shade.mean_F == pytest.approx(np.full(OPTIONS.memory, 0.7))
-
-
-def test_the_archive_fills_and_then_replaces_at_random() -> None:
-    shade = variant(size=10, dimension=1)
-    for generation in range(60):
-        replaced = 10.0 * generation + np.arange(10.0)[:, None]
-        shade._archive(replaced, 26)
-        assert shade.archived == min(10 * (generation + 1), 26)
-        held = shade.archive[: shade.archived, 0]
-        assert len(np.unique(held)) == len(held)
-        assert np.isin(held, np.arange(10.0 * (generation + 1))).all()
-    # Newer members outnumber older ones, but some old ones are there.
-    age = 599 - held
-    assert np.median(age) < 30 < age.max() < 300
-    shade._archive(np.array([[-1.0]]), 5)
-    assert shade.archived == 5 and -1.0 in shade.archive[:5]
+    # Ties, failures and NaN teach nothing; a gain from infinity counts alone.
+    fresh = np.array([5.0, 6.0, np.nan])
+    shade.learn(parents, energies, fresh, 3)
+    assert (shade.entry, shade.archived) == (1, 2)
+    shade.learn(parents, np.array([5.0, np.inf, 5.0]), np.ones(3), 3)
+    assert (shade.mean_F[1], shade.mean_CR[1]) == pytest.approx((0.9, 0.7))
 
 
 def test_trials_are_what_the_formula_allows() -> None:
@@ -122,7 +68,7 @@ def test_trials_are_what_the_formula_allows() -> None:
     shade = variant(4, 1)
     shade._archive(np.array([[1e5]]), 10)
     made = set()
-    for _ in range(2000):
+    for _ in range(1500):
         trials = shade.breed(population, energies)
         made |= {
             (i, float(f"{step:.4g}"))
@@ -141,7 +87,7 @@ def test_trials_are_what_the_formula_allows() -> None:
     assert made == expected
 
 
-@pytest.mark.parametrize(("size", "maxiter"), [(60, 100), (30, 1), (30, 2), (4, 20)])
+@pytest.mark.parametrize(("size", "maxiter"), [(60, 20), (30, 1), (4, 20)])
 def test_the_population_shrinks_to_four(size: int, maxiter: int) -> None:
     sizes: list[int] = []
 
@@ -163,17 +109,3 @@ def test_the_population_shrinks_to_four(size: int, maxiter: int) -> None:
     planned = np.minimum(size + (4 - size) * spent / budget, budget - spent)
     assert np.all(np.abs(np.maximum(planned, 4) - sizes[2:]) <= 0.5)
     assert result.fun == rosenbrock(result.x[None])[0]
-
-
-def test_lower_than_fixed_factors_with_the_same_evaluations() -> None:
-    def median(strategy: str) -> float:
-        options = DifferentialEvolution(strategy, 50, maxiter=200, tol=0.0)
-        found = [
-            differential_evolution(
-                rosenbrock, WIDE, np.random.default_rng(seed), options
-            ).fun
-            for seed in range(5)
-        ]
-        return float(np.median(found))
-
-    assert median("l-shade") < 1e-3 * median("rand/1")

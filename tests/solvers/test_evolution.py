@@ -72,20 +72,17 @@ def test_each_trial_replaces_its_own_target_unless_worse() -> None:
     assert result.mean_history == pytest.approx([0.5, 1.1 / 3])
 
 
-def test_the_first_population_is_not_written_to() -> None:
-    seen: list[Floats] = []
+def test_trials_are_brought_back_and_ties_go_to_them() -> None:
+    calls: list[list[float]] = []
 
-    def costs(x: Floats) -> Floats:
-        seen.append(x)
-        return x[:, 0]
+    def plateaus(x: Floats) -> Floats:
+        calls.append(x[:, 0].tolist())
+        return np.round(x[:, 0])
 
-    run([0.4, 0.5], Script([0.1, 0.2]), costs=costs)
-    assert [x[:, 0].tolist() for x in seen] == [[0.4, 0.5], [0.1, 0.2]]
-
-
-def test_ties_go_to_the_trial() -> None:
-    plateaus = run([0.1, 0.7], Script([0.3, 0.9]), costs=lambda x: np.round(x[:, 0]))
-    assert plateaus.population[:, 0].tolist() == [0.3, 0.9]
+    result = run([0.1, 0.7], Script([0.3, 2.0]), costs=plateaus)
+    first, trials = calls
+    assert first == [0.1, 0.7] and trials[0] == 0.3 and 0.7 < trials[1] < 1.0
+    assert result.population[:, 0].tolist() == trials
 
 
 def test_the_variant_sees_what_was_before_selection() -> None:
@@ -106,43 +103,34 @@ def test_the_best_live_on_when_the_population_shrinks() -> None:
 
 def test_generations_end_before_they_exceed_the_evaluations() -> None:
     result = run([0.4, 0.5], Script([0.9, 0.9], [0.9, 0.9]), evaluations=5)
-    assert result.status is Status.GENERATIONS
-    assert (result.nit, result.nfev, result.status.success) == (1, 4, False)
-    assert result.status.advice == Status.GENERATIONS.advice
+    assert (result.status, result.nit, result.nfev) == (Status.GENERATIONS, 1, 4)
 
 
 @pytest.mark.parametrize(("target", "generations"), [(0.4, 0), (0.2, 1), (0.19, 2)])
 def test_target_is_reached_at_equality(target: float, generations: int) -> None:
-    result = run([0.4, 0.5], Script([0.2, 0.9], [0.1, 0.1]), target=target)
+    """It also outranks a callback that stops."""
+    script = Script([0.2, 0.9], [0.1, 0.1])
+    result = run([0.4, 0.5], script, target=target, callback=lambda n, *_: n == 2)
     assert (result.status, result.nit) == (Status.TARGET, generations)
-    assert result.status.success
 
 
-def test_spread_is_that_of_scipy() -> None:
-    energies = np.array([1.0, 1.1, 1.3])
-    spread, mean = energies.std(), energies.mean()
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_spread_is_that_of_scipy(sign: float) -> None:
+    energies = sign * np.array([1.0, 1.1, 1.3])
+    spread, size = energies.std(), abs(energies.mean())
 
     def status(tol: float, atol: float) -> Status:
-        return run(
-            (energies / 2).tolist(), Script(), costs=twice, tol=tol, atol=atol
-        ).status
+        first = (np.abs(energies) / 2).tolist()
+        costs = {"costs": lambda x: 2 * sign * x[:, 0]}
+        return run(first, Script(), **costs, tol=tol, atol=atol).status
 
-    def twice(x: Floats) -> Floats:
-        return 2 * x[:, 0]
-
-    above = 1 + 1e-9
     for tol, atol in (
-        (spread / mean, 0.0),
+        (spread / size, 0.0),
         (0.0, spread),
-        (0.5 * spread / mean, 0.5 * spread),
+        (0.5 * spread / size, 0.5 * spread),
     ):
-        assert status(tol * above, atol * above) is Status.CONVERGED
-        assert status(tol / above, atol / above) is Status.GENERATIONS
-
-
-def test_spread_of_negative_costs_uses_the_size_of_the_mean() -> None:
-    result = run([0.5, 0.5001], Script(), costs=lambda x: -x[:, 0], tol=1e-3)
-    assert result.status is Status.CONVERGED
+        assert status(tol * 1.001, atol * 1.001) is Status.CONVERGED
+        assert status(tol / 1.001, atol / 1.001) is Status.GENERATIONS
 
 
 def test_the_callback_sees_each_generation_and_can_stop() -> None:
@@ -159,11 +147,6 @@ def test_the_callback_sees_each_generation_and_can_stop() -> None:
     assert result.status is Status.STOPPED
     assert (result.nit, result.fun, result.status.success) == (2, 0.2, False)
     assert result.population[:, 0].tolist() == [0.3, 0.2]
-
-
-def test_a_target_reached_outranks_the_callback() -> None:
-    result = run([0.4, 0.5], Script([0.1, 0.1]), target=0.2, callback=lambda *_: True)
-    assert result.status is Status.TARGET
 
 
 def test_costs_that_are_not_finite_lose() -> None:
@@ -185,25 +168,11 @@ def test_a_first_population_without_a_finite_cost(value: float) -> None:
     assert (result.fun, result.nit, result.nfev) == (np.inf, 0, 2)
 
 
-@pytest.mark.parametrize(
-    ("costs", "shape"), [(np.sum, r"\(\)"), (lambda x: x, r"\(2, 1\)")]
-)
-def test_costs_of_the_wrong_shape(costs: object, shape: str) -> None:
-    with pytest.raises(OptionError, match=rf"one number per member \(value {shape}\)"):
-        run([0.4, 0.5], Script(), costs=costs)
-
-
-def test_trials_are_brought_back_and_evaluated_in_one_call() -> None:
-    calls: list[list[float]] = []
-
-    def costs(x: Floats) -> Floats:
-        calls.append(x[:, 0].tolist())
-        return x[:, 0]
-
-    result = run([0.4, 0.5], Script([-3.0, 2.0]), costs=costs)
-    assert len(calls) == 2
-    assert 0 < calls[1][0] < 0.4 and 0.5 < calls[1][1] < 1
-    assert result.x.tolist() == [calls[1][0]]
+def test_costs_of_the_wrong_shape() -> None:
+    for costs, shape in ((np.sum, ()), (lambda x: x, (2, 1))):
+        with pytest.raises(OptionError) as caught:
+            run([0.4, 0.5], Script(), costs=costs)
+        assert caught.value.value == shape
 
 
 def test_histories_are_monotone_and_end_with_the_result() -> None:
@@ -216,28 +185,20 @@ def test_histories_are_monotone_and_end_with_the_result() -> None:
     assert result.mean_history[-1] == result.population_energies.mean()
 
 
-@pytest.mark.parametrize("size", [4, 5, 9])
-def test_others_differ_from_each_other_and_the_target(size: int) -> None:
-    others = three_others(size, 500, np.random.default_rng(0))
-    assert others.shape == (500, 3, size)
-    assert others.min() == 0 and others.max() == size - 1
-    everyone = np.broadcast_to(np.arange(size), (500, 1, size))
-    group = np.sort(np.concatenate([others, everyone], axis=1), axis=1)
-    assert (np.diff(group, axis=1) > 0).all()
-
-
 def test_others_are_uniform() -> None:
+    """Different from each other and from the target, every triple as likely."""
     generations, size = 20_000, 5
     others = three_others(size, generations, np.random.default_rng(0))
-    # Every ordered triple of the four others is as likely: 24 of them.
-    expected = generations / 24
-    for target in range(size):
-        a, b, c = others[:, :, target].T
+    everyone = np.broadcast_to(np.arange(size), (generations, 1, size))
+    group = np.sort(np.concatenate([others, everyone], axis=1), axis=1)
+    assert (np.diff(group, axis=1) > 0).all()
+    assert group.min() == 0 and group.max() == size - 1
+    # Ordered triples of the four others: 24 of them.
+    for a, b, c in others.transpose(2, 1, 0):
         counts = np.bincount((a * size + b) * size + c)
         counts = counts[counts > 0]
         assert len(counts) == 24
-        chi2 = np.sum((counts - expected) ** 2 / expected)
-        assert chi2 < 23 + 4 * np.sqrt(2 * 23)
+        assert np.abs(counts / generations * 24 - 1.0).max() < 0.15
 
 
 @pytest.mark.parametrize("CR", [0.0, 0.3, 0.9, 1.0])
@@ -249,9 +210,6 @@ def test_crossing_takes_its_part_and_at_least_one(CR: float) -> None:
     assert crossed.mean(axis=(0, 1)) == pytest.approx(
         np.full(8, crossed.mean()), abs=0.05
     )
-
-
-def test_crossing_with_a_rate_for_each_member() -> None:
     rates = np.array([[0.0], [1.0]])
     crossed = crossing((2, 8), rates, np.random.default_rng(0))
     assert crossed.sum(axis=1).tolist() == [1, 8]

@@ -1,42 +1,79 @@
-"""Numbers within their limits."""
+"""Options within their limits, and how solvers end."""
 
 from __future__ import annotations
 
-from numbers import Integral, Real
+from typing import Any
 
 import numpy as np
 import pytest
 
 from calib_pin.errors import OptionError
-from calib_pin.solvers.options import (
-    FRACTION,
-    LIMIT,
-    TARGET,
-    TOLERANCE,
-    Limits,
-    require_numbers,
+from calib_pin.solvers import DifferentialEvolution, Genetic, ParticleSwarm, Status
+
+GOOD = (
+    DifferentialEvolution(
+        "l-shade",
+        np.int64(4),  # type: ignore[arg-type]
+        **{"mutation": 2, "recombination": 0, "maxiter": 1, "target": -np.inf},
+        **{"tol": 0, "atol": np.inf, "init": "random"},
+    ),
+    DifferentialEvolution(mutation=1e-300, recombination=np.float32(1)),  # type: ignore[arg-type]
+    Genetic(population_size=3, generations=10**9, crossover=0, swaps=1e300),
+    ParticleSwarm(particles=2, c1=0, c2=4, w=2, inertia=1, velocity=1e-300),
 )
+"""At their limits: nothing is refused where this module is read."""
+
+BAD: dict[Any, dict[str, tuple[object, ...]]] = {
+    DifferentialEvolution: {
+        "strategy": ("rand1", None),
+        "init": ("latinhypercub",),
+        "population_size": (3, 10.0, True, np.nan, 100_001),
+        "maxiter": (0, 1.5),
+        "mutation": (0.0, 2.001, (0.5, 1), True, np.nan),
+        "recombination": (-1e-9, 1.1, "0.5"),
+        "target": (np.nan, np.inf, None),
+        "tol": (-1e-300, np.nan),
+        "atol": (-1.0,),
+    },
+    Genetic: {
+        "population_size": (1,),
+        "generations": (0,),
+        "tournament": (0,),
+        "crossover": (1.5,),
+        "swaps": (-1, np.inf),
+        "elite": (0, Genetic().population_size),
+        "patience": (2.0,),
+        "target": (np.nan,),
+    },
+    ParticleSwarm: {
+        "particles": (1,),
+        "iterations": (0,),
+        "c1": (-0.1, 4.1),
+        "c2": (np.nan,),
+        "w": (0.0,),
+        "inertia": (1.1,),
+        "velocity": (0, 1.1),
+        "crossover": (True,),
+        "mutation": (2.0,),
+        "target": (np.nan,),
+        "tol": (-1.0,),
+        "atol": ("0",),
+    },
+}
 
 
-@pytest.mark.parametrize(
-    ("limits", "good", "bad"),
-    [
-        (LIMIT, [1, np.int64(3), 10**9], [0, -1, 1.0, True, "1", None]),
-        (FRACTION, [0, 1, 0.5, np.float32(0.25)], [-1e-9, 1.1, np.nan, True, "0.5"]),
-        (TARGET, [-np.inf, -5, 1e300], [np.inf, np.nan, None]),
-        (TOLERANCE, [0, 1e-9, np.inf], [-1e-300, np.nan, (1,)]),
-        (Limits(Integral, 2, 5, "2 to 5"), [2, 5], [1, 6, 2.5]),
-        (Limits(Real, 2, 5, "2 to 5"), [2, 2.5, 5], [1, 6, False]),
-    ],
-)
-def test_what_is_within_limits(
-    limits: Limits, good: list[object], bad: list[object]
-) -> None:
-    for value in good:
-        require_numbers({"number": value, "other": "text"}, {"number": limits})
-    for value in bad:
-        with pytest.raises(OptionError) as caught:
-            require_numbers({"number": value, "other": "text"}, {"number": limits})
-        expected = "number cannot be used"
-        assert caught.value.reason == expected
-        assert (caught.value.value, caught.value.allowed) == (value, limits.words)
+@pytest.mark.parametrize("kind", BAD, ids=lambda kind: kind.__name__)
+def test_options_that_cannot_be_used(kind: Any) -> None:
+    for name, values in BAD[kind].items():
+        for value in values:
+            with pytest.raises(OptionError) as caught:
+                kind(**{name: value})
+            if not isinstance(value, str) and value is not None:
+                found = caught.value.value
+                assert found is value or found == value, (name, value)
+            assert caught.value.allowed or name in ("strategy", "init")
+
+
+def test_every_status_gives_advice_of_its_own() -> None:
+    assert all(status.advice.endswith(".") for status in Status)
+    assert len({status.advice for status in Status}) == len(Status)

@@ -145,6 +145,18 @@ def test_removals_that_leave_the_nuisances_undetermined(name: str, count: int) -
 
 
 @pytest.mark.parametrize("name", ALL)
+def test_a_leverage_of_one_but_for_rounding_cannot_be_missed(name: str) -> None:
+    for seed in range(12):
+        rng, rows = np.random.default_rng(seed), table(1, 12)
+        rows[:, 0, :NUISANCES] = 0.0
+        rows[:NUISANCES, 0, :NUISANCES] = rng.normal(size=(NUISANCES, NUISANCES))
+        removed = np.swapaxes(rows, 0, 1)
+        trials = ALL[name].trials(factored(gram(rows)), removed, -1.0)
+        position, _ = trials.best(np.zeros(len(rows), bool))
+        assert position >= NUISANCES, seed
+
+
+@pytest.mark.parametrize("name", ALL)
 def test_smooth_cost_becomes_the_cost(name: str) -> None:
     criterion = ALL[name]
     found = factored(gram(table(3, 12)))

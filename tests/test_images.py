@@ -6,7 +6,6 @@ import csv
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 import yaml
@@ -16,7 +15,8 @@ from calib_pin.cli import main
 from calib_pin.io.exchange.base import placed
 from calib_pin.kinematics.spatial import invert
 from calib_pin.setup import BoardSetup
-from tests.io.rendered import INTRINSICS, SIZE, rendered
+
+pytestmark = [pytest.mark.needs("vision"), pytest.mark.slow]
 
 ROBOT = "example:ur5_robot"
 BOARD = BoardSetup("charuco", 7, 5, 0.03, marker=0.022)
@@ -30,6 +30,10 @@ FRAMES = {
 @pytest.fixture(scope="module")
 def shots(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """24 images by a camera on the hand of a robot with errors, and its joints."""
+    import cv2
+
+    from tests.io.rendered import INTRINSICS, SIZE, rendered
+
     folder = tmp_path_factory.mktemp("shots")
     focal, center = INTRINSICS[:2].tolist(), INTRINSICS[2:4].tolist()
     camera = {"mount": "hand", "focal": focal, "center": center, "size": [*SIZE]}
@@ -62,15 +66,16 @@ def shots(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("factor", [0.7, 1.0, 1.3])
-def test_images_tell_the_camera(shots, tmp_path, monkeypatch, factor):
+def test_images_tell_the_camera(shots, tmp_path, monkeypatch):
+    """From focal lengths that are a third off."""
+    from tests.io.rendered import INTRINSICS
+
     monkeypatch.chdir(tmp_path)
     images = sorted(map(str, shots.glob("*.png")))
     words = f"--board {SPEC} --joints {shots}/joints.csv -o m.csv --setup-output s.yaml"
     assert main(["detect", *images, *words.split()]) == 0
     stated = yaml.safe_load(Path("s.yaml").read_text())
-    stated["camera"]["focal"] = [factor * f for f in stated["camera"]["focal"]]
+    stated["camera"]["focal"] = [0.7 * f for f in stated["camera"]["focal"]]
     Path("s.yaml").write_text(yaml.safe_dump(stated))
     words = f"calibrate {ROBOT} m.csv --setup s.yaml --tip tool0 -o out"
     assert main(words.split()) == 0

@@ -13,9 +13,7 @@ from calib_pin.estimation.configurations import asked
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_chains
-from calib_pin.kinematics.spatial import from_quaternion, so3_log
 from calib_pin.observations import BlockKey, Conditions, Measurements, Observations
-from calib_pin.parameters import ParameterSet
 from calib_pin.setup import (
     CameraSetup,
     FrameSetup,
@@ -64,32 +62,22 @@ def errors(problem: Problem, seed: int = 0) -> np.ndarray:
 # --- true errors -------------------------------------------------------------------
 
 
-def test_drawn_errors_fill_the_scales_of_the_robot(problem):
+def test_drawn_errors_fill_the_scales_of_the_robot():
+    problem = make("pose", fixed=("*.placement.x", "joint_2.*"))
     parameters = problem.parameters
     drawn = np.array([errors(problem, seed) for seed in range(400)])
-    robot = parameters.free & ~parameters.nuisance
-    assert (drawn[:, ~robot] == 0.0).all()
+    robot = [
+        ".frame." not in name
+        and not name.endswith("placement.x")
+        and not name.startswith("joint_2.")
+        for name in parameters.names
+    ]
+    assert (drawn[:, ~np.array(robot)] == 0.0).all()
     relative = drawn[:, robot] / parameters.scales[robot]
     assert np.abs(relative).max() <= 1.0
     # Uniform: variance 1/3, and a mean that vanishes.
     np.testing.assert_allclose(relative.var(axis=0), 1 / 3, atol=0.1)
     np.testing.assert_allclose(relative.mean(axis=0), 0.0, atol=0.12)
-
-
-def test_fixed_parameters_have_no_errors():
-    problem = make("pose", fixed=("*.placement.x", "joint_2.*"))
-    for value, name in zip(errors(problem), problem.parameters.names, strict=True):
-        fixed = name.endswith("placement.x") or name.startswith("joint_2.")
-        frame = ".frame." in name
-        assert (value == 0.0) == (fixed or frame), name
-
-
-def test_no_parameters_no_errors():
-    assert errors_of(()).shape == (0,)
-
-
-def errors_of(parameters: tuple) -> np.ndarray:
-    return draw_errors(ParameterSet(parameters), np.random.default_rng(0))
 
 
 # --- noise -------------------------------------------------------------------------
@@ -107,107 +95,76 @@ def test_without_noise_the_values_are_exact(problem):
 @pytest.mark.parametrize("noise", [None, 3e-4])
 def test_noise_has_the_stated_size(problem, noise):
     theta = errors(problem)
-    rows = simulated(problem, theta, np.random.default_rng(1), count=2000, noise=noise)
+    rows = simulated(problem, theta, np.random.default_rng(1), count=500, noise=noise)
+    chain = problem.only.error.chain
+    assert ((rows.q >= chain.lower) & (rows.q <= chain.upper)).all()
     assert rows.sigma is not None
     assert (rows.sigma == (1e-4 if noise is None else noise)).all()
     found = residuals(problem, rows, theta) / rows.sigma
-    # 2000 draws: the deviation of a standard deviation is 1.6 %.
-    np.testing.assert_allclose(found.std(axis=0), 1.0, atol=0.07)
-    np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=0.1)
+    # 500 draws: the deviation of a standard deviation is 3 %.
+    np.testing.assert_allclose(found.std(axis=0), 1.0, atol=0.13)
+    np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=0.18)
 
 
-def test_the_setup_states_the_noise():
-    problem = make("pose", noise={"position": 1e-5, "orientation": 2e-3})
+def test_the_setup_states_the_noise_of_each_block():
+    noise = {"position": 1e-5, "orientation": 2e-3, "contact": 2e-4}
+    problem = touched(("pose", "plane-contact"), noise=noise)
     theta = errors(problem)
-    rows = simulated(problem, theta, np.random.default_rng(1), count=3)
-    assert rows.sigma is not None
-    assert rows.sigma[0].tolist() == [1e-5] * 3 + [2e-3] * 3
-
-
-def test_orientations_turn_in_the_tool_frame():
-    problem = make("pose")
-    theta = errors(problem)
-    q = problem.only.error.chain.random_configurations(500, np.random.default_rng(5))
-    exact = simulated(problem, theta, np.random.default_rng(1), q=q, noise=0.0)
-    rows = simulated(problem, theta, np.random.default_rng(1), q=q, noise=1e-3)
-    R_exact = from_quaternion(exact.values[:, 3:])
-    turn = so3_log(np.swapaxes(R_exact, 1, 2) @ from_quaternion(rows.values[:, 3:]))
-    np.testing.assert_allclose(turn.std(axis=0), 1e-3, rtol=0.15)
-    np.testing.assert_allclose(np.linalg.norm(rows.values[:, 3:], axis=1), 1.0)
+    found = simulate(problem, theta, np.random.default_rng(1), count=91)
+    assert [len(block) for block in found.blocks] == [46, 45]
+    for block, sigma in zip(found.blocks, ([1e-5] * 3 + [2e-3] * 3, 2e-4), strict=True):
+        assert (block.sigma == sigma).all()
 
 
 # --- repeats -----------------------------------------------------------------------
 
 
-def test_repeats_stay_together(problem):
-    theta = errors(problem)
-    rows = simulated(problem, theta, np.random.default_rng(1), count=4, repeats=3)
-    assert len(rows) == 12
-    groups = rows.groups().reshape(4, 3)
-    assert (groups == groups[:, :1]).all()
-    assert len(set(groups[:, 0])) == 4
-    assert len(np.unique(rows.values[:, 0])) == 12
-
-
-def test_averages_are_better_by_the_root_of_their_number(problem):
-    theta = errors(problem)
-    rows = simulated(
-        problem,
-        theta,
-        np.random.default_rng(1),
-        count=1500,
-        noise=1e-3,
-        repeats=25,
-        average=True,
-    )
-    assert len(rows) == 1500
-    np.testing.assert_allclose(rows.sigma, 2e-4)
-    found = residuals(problem, rows, theta) / 2e-4
-    np.testing.assert_allclose(found.std(axis=0), 1.0, atol=0.08)
+@pytest.mark.parametrize("average", [False, True])
+def test_repeats_stay_together(problem, average):
+    """Averages are better by the root of their number."""
+    theta, rng = errors(problem), np.random.default_rng(1)
+    q = simulated(problem, theta, rng, count=40).q
+    options = {"repeats": 4, "average": average, "noise": 1e-3}
+    rows = simulated(problem, theta, rng, q=q, **options)
+    if average:
+        np.testing.assert_array_equal(rows.q, q)
+    else:
+        groups = rows.groups().reshape(40, 4)
+        assert (groups == groups[:, :1]).all()
+        assert len(set(groups[:, 0])) == 40
+        assert len(np.unique(rows.values[:, 0])) == 160
+    size = 5e-4 if average else 1e-3
+    np.testing.assert_allclose(rows.sigma, size)
+    # 40 draws: the deviation of a standard deviation is 11 %.
+    found = residuals(problem, rows, theta).std(axis=0)
+    np.testing.assert_allclose(found, size, rtol=0.5)
 
 
 # --- configurations ----------------------------------------------------------------
 
 
-def test_configurations_lie_within_the_limits(problem):
-    rows = simulated(problem, errors(problem), np.random.default_rng(1), count=200)
-    chain = problem.only.error.chain
-    assert (rows.q >= chain.lower).all()
-    assert (rows.q <= chain.upper).all()
-    assert rows.joints == chain.joints
-
-
-def test_given_configurations_are_kept(problem):
-    theta = errors(problem)
-    q = simulated(problem, theta, np.random.default_rng(1), count=7).q
-    rows = simulated(problem, theta, np.random.default_rng(2), q=q)
-    np.testing.assert_array_equal(rows.q, q)
-
-
-def test_planes_take_turns_and_are_hit_from_the_front():
-    problem = make("plane-distance")
-    theta = errors(problem)
-    rows = simulated(problem, theta, np.random.default_rng(1), count=100)
-    assert set(rows.target) == {"wall", "floor"}
-    assert 20 < rows.target.count("wall") < 80
-    assert (rows.values > 0.0).all()
-    assert (rows.values < 5.01).all()
-
-
-def test_a_configuration_that_misses_the_plane_is_named():
+def test_what_cannot_be_measured_is_refused():
+    """A beam that misses its plane, a plane and a socket out of reach."""
+    rng = np.random.default_rng(1)
     problem = make("plane-distance", planes={"floor": PLANES["floor"]})
-    theta = errors(problem)
-    q = simulated(problem, theta, np.random.default_rng(1), count=3).q
+    q = simulated(problem, errors(problem), rng, count=3).q
     q[1] = [0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0]  # Straight up.
-    with pytest.raises(InputError, match="configuration 2 cannot be measured"):
-        simulated(problem, theta, np.random.default_rng(1), q=q)
-
-
-def test_a_plane_out_of_reach():
-    planes = {"sky": PlaneSetup((0, 0, 1), -90.0)}
-    problem = make("plane-distance", planes=planes)
-    with pytest.raises(InputError, match="only 0 of"):
-        simulated(problem, errors(problem), np.random.default_rng(1), count=1)
+    with pytest.raises(InputError, match="configuration 2 "):
+        simulated(problem, errors(problem), rng, q=q)
+    problem = make("plane-distance", planes={"sky": PlaneSetup((0, 0, 1), -90.0)})
+    with pytest.raises(InputError):
+        simulated(problem, errors(problem), rng, count=1)
+    problem = touched("fixed-point", sockets={"s": PointSetup((5.0, 0.0, 0.0))})
+    with pytest.raises(InputError, match="configuration 1 "):
+        simulated(problem, errors(problem), rng, q=np.zeros((1, 6)))
+    # Each instrument measures what it can.
+    keys = [BlockKey("position"), BlockKey("plane-distance")]
+    floor = Setup(planes={"floor": PLANES["floor"]})
+    problem = nominal_problem(calib_pin.load_chain("space6"), keys, floor)
+    found = simulate(problem, errors(problem), rng, q=q)
+    assert [len(block) for block in found.blocks] == [3, 2]
+    with pytest.raises(InputError, match="plane-distance"):
+        simulate(problem, errors(problem), rng, q=q[1:2])
 
 
 # --- contacts ----------------------------------------------------------------------
@@ -239,33 +196,17 @@ def test_contacts_without_noise_are_closed(model):
 
 
 @pytest.mark.parametrize("model", CONTACTS)
-@pytest.mark.parametrize("noise", [None, 2e-3])
-def test_noise_of_a_contact_is_a_gap_of_the_stated_size(model, noise):
+def test_noise_of_a_contact_is_a_gap_of_the_stated_size(model):
     problem = touched(model, noise={"position": 5e-4, "contact": 5e-4})
-    theta = errors(problem)
-    rows = simulated(problem, theta, np.random.default_rng(1), count=300, noise=noise)
-    sigma = 5e-4 if noise is None else noise
+    theta, sigma = errors(problem), 5e-4
+    rows = simulated(problem, theta, np.random.default_rng(1), count=150)
     assert (rows.sigma == sigma).all()
     gap = residuals(problem, rows, theta)
-    # 300 draws and more: the deviation of a standard deviation is 4 %.
-    assert gap.std() == pytest.approx(sigma, rel=0.15)
-    assert abs(gap.mean()) < 0.2 * sigma
-    # In all directions, and of every row.
-    np.testing.assert_allclose(gap.std(axis=0), sigma, rtol=0.2)
-    assert len(np.unique(gap[:, 0])) == 300
-
-
-def test_repeated_contacts_are_one_configuration_each_time():
-    """Every touch finds another gap, and the joints stand elsewhere."""
-    problem = touched("fixed-point")
-    theta = errors(problem)
-    rows = simulated(
-        problem, theta, np.random.default_rng(1), count=3, repeats=4, noise=1e-4
-    )
-    assert len(rows) == 12 and rows.target == ("s/0",) * 4 + ("s/1",) * 4 + ("s/0",) * 4
-    q = rows.q.reshape(3, 4, 6)
-    assert (q != q[:, :1])[:, 1:].any(axis=2).all()
-    assert np.abs(q - q[:, :1]).max() < 0.05
+    # 150 draws and more: the deviation of a standard deviation is 6 %.
+    np.testing.assert_allclose(gap.std(axis=0), sigma, rtol=0.3)
+    assert (np.abs(gap.mean(axis=0)) < 0.3 * sigma).all()
+    # Of every row.
+    assert len(np.unique(gap[:, 0])) == 150
 
 
 def test_given_configurations_are_brought_into_contact():
@@ -277,15 +218,6 @@ def test_given_configurations_are_brought_into_contact():
     assert rows.target == there.target and (rows.q != near).any(axis=1).all()
     assert np.abs(rows.q - near).max() < 0.1
     assert np.abs(residuals(problem, rows, theta)).max() < 1e-12
-
-
-def test_a_configuration_from_which_nothing_is_touched_is_named():
-    far = {"s": PointSetup((5.0, 0.0, 0.0))}
-    problem = touched("fixed-point", sockets=far)
-    with pytest.raises(InputError, match=r"configuration 1 .* not come into contact"):
-        simulated(
-            problem, errors(problem), np.random.default_rng(1), q=np.zeros((1, 6))
-        )
 
 
 # --- relative distances ------------------------------------------------------------
@@ -309,34 +241,7 @@ def test_ways_share_their_starts():
         problem.only.error.poses(q, of_robot)[:, :3, 3] for q in (rows.q, rows.start)
     )
     expected = np.linalg.norm(np.subtract(*ends), axis=1)
-    np.testing.assert_allclose(rows.values[:, 0], expected, rtol=1e-13)
-
-
-def test_noise_of_ways():
-    problem = touched("relative-distance")
-    theta = errors(problem)
-    rows = simulated(problem, theta, np.random.default_rng(1), count=800, noise=3e-4)
-    found = residuals(problem, rows, theta) / 3e-4
-    assert (rows.sigma == 3e-4).all()
-    assert found.std() == pytest.approx(1.0, abs=0.08)
-    assert found.mean() == pytest.approx(0.0, abs=0.12)
-
-
-def test_ways_of_named_points():
-    points = {"a": PointSetup((0.05, 0.0, 0.1)), "b": PointSetup((0.0, 0.04, 0.2))}
-    problem = touched("relative-distance", targets=points)
-    theta = errors(problem)
-    rows = simulated(problem, theta, np.random.default_rng(1), count=20, noise=0.0)
-    assert {name.partition("@")[0] for name in rows.target} == {"a", "b"}
-    # Rows of one name share a start.
-    starts = {
-        name: {
-            tuple(s) for s, t in zip(rows.start, rows.target, strict=True) if t == name
-        }
-        for name in rows.target
-    }
-    assert all(len(found) == 1 for found in starts.values())
-    assert np.abs(residuals(problem, rows, theta)).max() < 1e-13
+    np.testing.assert_allclose(rows.values[:, 0], expected, rtol=1e-12)
 
 
 def test_starts_among_given_configurations():
@@ -349,27 +254,11 @@ def test_starts_among_given_configurations():
     assert rows.target == ("x", "x", "y", "y")
     np.testing.assert_array_equal(rows.q, q[[2, 3, 4, 5]])
     np.testing.assert_array_equal(rows.start, q[[0, 0, 1, 1]])
-    with pytest.raises(InputError, match="'z' have a start and no end"):
+    with pytest.raises(InputError, match="'z'"):
         simulated(problem, theta, rng, q=q, target=(*names[:-1], "z"))
 
 
 # --- several models, and what is carried -------------------------------------------
-
-
-def test_blocks_have_their_own_noise():
-    problem = touched(
-        ("position", "plane-contact"), noise={"position": 5e-4, "contact": 2e-4}
-    )
-    theta = errors(problem)
-    found = simulate(problem, theta, np.random.default_rng(1), count=91)
-    assert [len(block) for block in found.blocks] == [46, 45]
-    for block, sigma in zip(found.blocks, (5e-4, 2e-4), strict=True):
-        assert (block.sigma == sigma).all()
-    measured = replace(problem, data=found)
-    gaps = measured.errors(theta) / measured.sigma
-    # 46 and 45 draws: the deviation of a standard deviation is at most 11 %.
-    for block in measured.blocks:
-        assert block.table(gaps).std() == pytest.approx(1.0, rel=0.4)
 
 
 BOARD = {f"c{k}": PointSetup((0.04 * (k % 4), 0.04 * (k // 4), 0.1)) for k in range(12)}
@@ -380,27 +269,21 @@ SEEN = Setup(
 )
 
 
-@pytest.mark.parametrize("given", [False, True])
-def test_images_show_all_corners_that_are_seen(given: bool) -> None:
+def test_images_show_all_corners_that_are_seen() -> None:
     loads = {"light": Payload(1.0, (0.1, 0, 0)), "heavy": Payload(5.0, (0.1, 0, 0))}
     setup = replace(SEEN, parameters=("compliance",), payloads=loads)
     problem = nominal_problem(calib_pin.load_chain("space6"), "camera", setup)
     theta, rng = errors(problem), np.random.default_rng(1)
-    options = (
-        {"count": 30}
-        if not given
-        else {"q": simulated(problem, theta, rng, count=30).q}
-    )
-    rows = simulated(problem, theta, rng, per_configuration=True, noise=0.0, **options)
+    rows = simulated(problem, theta, rng, count=30, per_configuration=True, noise=0.0)
+    # Pixels by hundreds.
     assert np.abs(residuals(problem, rows, theta)).max() < 1e-9
     assert rows.configurations == 30 and set(rows.payload) == {"light", "heavy"}
-    part = problem.only
     names = tuple(BOARD)
     for label in np.unique(rows.groups()):
         image = rows.rows(rows.groups() == label)
         each = np.repeat(image.q[:1], len(names), axis=0)
         carried = (image.payload[0],) * len(names)
-        at = asked(problem, part.key, each, names, Conditions(carried))
+        at = asked(problem, problem.only.key, each, names, Conditions(carried))
         seen = problem.observable(theta, at)
         assert list(image.target) == [n for n, s in zip(names, seen, strict=True) if s]
     # Some images lack a corner, and beams and wires have one target all the same.
@@ -448,33 +331,20 @@ def test_a_block_by_itself_and_all_of_them_at_configurations() -> None:
     q = problem.chains.random_configurations(4, rng)
     every = simulate(problem, theta, rng, q=q, noise=0.0)
     assert len(every) == 5 * 4
-    exact = exact_at(
-        problem, theta, *(asked(problem, key, q, ("",) * 4) for key in keys)
-    )
+    at = (asked(problem, key, q, ("",) * 4) for key in keys)
+    exact = exact_at(problem, theta, *at)
     for block, one, key in zip(every.blocks, exact.data.blocks, keys, strict=True):
         alone = simulate(problem, theta, rng, key=key, q=q, noise=0.0).only
         np.testing.assert_array_equal(alone.values, block.values)
         np.testing.assert_array_equal(one.values, block.values)
-    with pytest.raises(OptionError, match="targets are those of a single block"):
-        simulate(problem, theta, rng, q=q, target=("",) * 4)
-    with pytest.raises(OptionError, match="unknown block 'pose'"):
-        simulate(problem, theta, rng, q=q, key=BlockKey("pose"))
-    with pytest.raises(OptionError, match=r"count is too small.* 5 or more"):
-        simulate(problem, theta, rng, count=4)
-
-
-def test_each_instrument_measures_what_it_can() -> None:
-    """Of given configurations; one that can measure none of them is named."""
-    keys = [BlockKey("position"), BlockKey("plane-distance")]
-    floor = Setup(planes={"floor": PLANES["floor"]})
-    problem = nominal_problem(calib_pin.load_chain("space6"), keys, floor)
-    theta, rng = errors(problem), np.random.default_rng(1)
-    down = simulate(problem, theta, rng, key=keys[1], count=3).only.q
-    up = np.array([[0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0]])
-    found = simulate(problem, theta, rng, q=np.concatenate([up, down]))
-    assert [len(block) for block in found.blocks] == [4, 3]
-    with pytest.raises(InputError, match=r"none of 1 configurations .*plane-distance"):
-        simulate(problem, theta, rng, q=up)
+    for options in (
+        # Targets are those of a single block; some block; a row for each block.
+        {"q": q, "target": ("",) * 4},
+        {"q": q, "key": BlockKey("pose")},
+        {"count": 4},
+    ):
+        with pytest.raises(OptionError):
+            simulate(problem, theta, rng, **options)
 
 
 def test_what_is_carried_takes_turns():
@@ -506,18 +376,18 @@ def test_the_generator_decides_everything(problem):
 
 
 @pytest.mark.parametrize(
-    ("options", "part"),
+    "options",
     [
-        ({}, "either configurations or their count"),
-        ({"count": 3, "q": np.zeros((1, 6))}, "either configurations or their count"),
-        ({"count": 0}, "count is too small"),
-        ({"count": 3, "repeats": 0}, "repeats is too small"),
-        ({"count": 3, "noise": -1e-3}, "noise is out of range"),
-        ({"count": 3, "noise": np.nan}, "noise is out of range"),
-        ({"count": 3, "noise": np.inf}, "noise is out of range"),
+        {},
+        {"count": 3, "q": np.zeros((1, 6))},
+        {"count": 0},
+        {"count": 3, "repeats": 0},
+        {"count": 3, "noise": -1e-3},
+        {"count": 3, "noise": np.nan},
+        {"count": 3, "noise": np.inf},
     ],
 )
-def test_numbers_out_of_range(options, part):
+def test_numbers_out_of_range(options):
     problem = make("pose")
-    with pytest.raises(OptionError, match=part):
+    with pytest.raises(OptionError):
         simulated(problem, errors(problem), np.random.default_rng(1), **options)

@@ -44,7 +44,7 @@ def board(kind: str, rng: np.random.Generator) -> Floats:
 @pytest.mark.parametrize("kind", ["four", "grid", "bent", "six", "many"])
 def test_poses_without_a_guess(kind: str) -> None:
     rng = np.random.default_rng(5)
-    for _ in range(40):
+    for _ in range(5):
         points = board(kind, rng)
         middle, turn = points.mean(axis=0), so3_exp(rng.normal(size=3))
         place = np.append(rng.uniform(-0.2, 0.2, 2), rng.uniform(0.3, 1.0))
@@ -82,12 +82,6 @@ def test_points_that_do_not_tell_a_pose(points: Floats) -> None:
     assert pose_of_points(points, rays) is None
 
 
-def test_points_that_are_one_by_rounding() -> None:
-    rng = np.random.default_rng(0)
-    points = 1e-17 * rng.normal(size=(12, 3))
-    assert pose_of_points(points, rng.uniform(-0.5, 0.5, (12, 2))) is None
-
-
 def test_points_that_cannot_be_seen() -> None:
     # What is seen of them no camera sees that they are all in front of.
     rays = rays_of(GRID + np.array([0.0, 0.0, 0.3]))
@@ -122,17 +116,6 @@ def test_carried_points(rows: int, which: list[int], known: bool) -> None:
     np.testing.assert_allclose(found, truth[which], atol=1e-9)
 
 
-def test_points_in_space_that_are_carried() -> None:
-    rng = np.random.default_rng(1)
-    F, label = carried(90)[0], np.arange(90) % 8
-    points = rng.uniform(-0.1, 0.1, (8, 3))
-    truth = moved(se3_exp(rng.normal(size=6) * 0.1), points)
-    rays = rays_of(moved(CAMERA, moved(F, truth[label])))
-    found = carried_points(F, label, rays, points)
-    assert found is not None
-    np.testing.assert_allclose(found, truth, atol=1e-9)
-
-
 def test_a_point_that_turns_about_one_axis_stays_on_its_ring() -> None:
     """How high it stands on the axis is not told, and must not spoil the rest."""
     rng = np.random.default_rng(2)
@@ -146,16 +129,10 @@ def test_a_point_that_turns_about_one_axis_stays_on_its_ring() -> None:
     np.testing.assert_allclose(found[0, :2], truth[0, :2], atol=1e-9)
 
 
-@pytest.mark.parametrize("count", [1, 5, 18])
-def test_too_few_rows_of_a_carried_point(count: int) -> None:
-    F, points, truth = carried(count)
-    label = np.zeros(count, np.int64)
-    rays = rays_of(moved(CAMERA, moved(F, truth[:1][label])))
-    assert carried_points(F, label, rays, points[:1]) is None
-
-
-def test_rows_that_are_all_alike_tell_nothing() -> None:
-    F, points, truth = carried(1)
-    F, label = np.repeat(F, 60, axis=0), np.zeros(60, np.int64)
-    rays = rays_of(moved(CAMERA, moved(F, truth[:1][label])))
-    assert carried_points(F, label, rays, points[:1]) is None
+def test_rows_that_do_not_tell_a_carried_point() -> None:
+    """Too few, or all alike."""
+    for F in (carried(1)[0], carried(18)[0], np.repeat(carried(1)[0], 60, axis=0)):
+        _, points, truth = carried(1)
+        label = np.zeros(len(F), np.int64)
+        rays = rays_of(moved(CAMERA, moved(F, truth[:1][label])))
+        assert carried_points(F, label, rays, points[:1]) is None

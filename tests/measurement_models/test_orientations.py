@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from calib_pin.errors import InputError
 from calib_pin.io.setup import read_setup
 from calib_pin.measurement_models.orientations import numbers_of, quaternions
-from calib_pin.setup import HELD, STATED, OrientationSetup
+from calib_pin.setup import HELD, OrientationSetup
 
 NUMBERS = np.random.default_rng(0).uniform(-3.0, 3.0, (50, 3))
 
@@ -50,7 +50,6 @@ def test_files_with_other_columns_are_read_as_they_are() -> None:
     reading = OrientationSetup("rotation-vector", "intrinsic-zyx", inverse=True)
     plain = quaternions(NUMBERS, "roll-pitch-yaw")
     assert (quaternions(NUMBERS, "roll-pitch-yaw", reading) == plain).all()
-    assert set(STATED) >= {"rotation-vector", "roll-pitch-yaw"}
 
 
 @pytest.mark.parametrize(
@@ -65,6 +64,5 @@ def test_files_with_other_columns_are_read_as_they_are() -> None:
 def test_readings_that_cannot_be(tmp_path, text) -> None:
     file = tmp_path / "setup.yaml"
     file.write_text(f"reading: {{orientation: {{{text}}}}}")
-    with pytest.raises(InputError, match="orientation") as caught:
+    with pytest.raises(InputError, match="orientation"):
         read_setup(file)
-    assert len(str(caught.value)) <= 300

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from calib_pin.errors import InputError
 from calib_pin.observations import (
     Conditions,
     Measurements,
@@ -93,16 +91,3 @@ def test_conditions_behind_one_another() -> None:
     assert other.direction.tolist() == [[1, 1]] * 5 + [[0, 0]] * 5
     assert (other.temperature.size, other.time.size) == (0, 0)
     assert joined.of_joints([1]).among([0], 2).direction.tolist() == [[1, 0]] * 6
-
-
-@pytest.mark.parametrize(
-    ("held", "reason"),
-    [
-        (Conditions(direction=np.ones((5, 3), np.int8)), "'direction' has not"),
-        (Conditions(time=np.zeros(4)), "'time' has not the 5 rows of q"),
-        (Conditions(temperature=np.full(5, np.nan)), "must be finite numbers"),
-    ],
-)
-def test_conditions_of_other_rows(held: Conditions, reason: str) -> None:
-    with pytest.raises(InputError, match=reason):
-        rows(conditions=held)

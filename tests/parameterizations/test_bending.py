@@ -9,7 +9,6 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.io.urdf import load_chain
-from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, se3_exp, se3_left_jacobian
 from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.parameterizations import BasisFunction, Screw
@@ -116,44 +115,13 @@ def test_every_place_bends_behind_its_geometry(name: str, framed: Setup) -> None
     )
 
 
-@pytest.mark.parametrize("size", [0.0, 1.0])
-@pytest.mark.parametrize("name", ROBOTS)
-def test_derivatives(name: str, size: float, framed: Setup) -> None:
-    model = model_of(name, framed)
-    q, theta = some(model)
-    theta = size * theta
-    _, J = model.jacobian(q, theta)
-    step = 1e-6
-    for k in range(len(theta)):
-        shift = step * np.eye(len(theta))[k]
-        ahead, behind = model.poses(q, theta + shift), model.poses(q, theta - shift)
-        twists = [
-            pin.log6(pin.SE3(b).actInv(pin.SE3(a))).vector / (2.0 * step)
-            for a, b in zip(ahead, behind, strict=True)
-        ]
-        np.testing.assert_allclose(
-            J[:, :, k], twists, rtol=0, atol=2e-7 * max(1.0, np.abs(J[:, :, k]).max())
-        )
-
-
-def test_joint_positions_move_a_bent_chain(framed: Setup) -> None:
-    """With what bends held where it is, as `kinematics` neglects its change."""
-    model = model_of("space6", framed)
-    q, theta = some(model, 1)
-    basis, step = model.basis(q), 1e-6
-    _, J = model.kinematics(q, theta)
-    for joint in range(q.shape[1]):
-        shift = step * np.eye(q.shape[1])[joint]
-        ahead, behind = (model.poses(q + s, theta, basis)[0] for s in (shift, -shift))
-        twist = pin.log6(pin.SE3(behind).actInv(pin.SE3(ahead))).vector
-        np.testing.assert_allclose(J[0, :, joint], twist / (2 * step), atol=1e-7)
-    np.testing.assert_allclose(model.linearize(q, theta).joint_twists(), J, atol=1e-12)
-
-
 def test_a_screw_along_the_own_motion_is_a_joint_correction(framed: Setup) -> None:
     chain = load_chain("space6")
     corrected = ErrorModel.create(chain, KINDS, setup=framed)
     assert not len(flexures(corrected))
+    # Only errors of the robot are beyond geometry.
+    plain = ErrorModel.create(chain, ["placement"])
+    assert not bent(plain).geometric and bent(plain, nuisance=True).geometric
     model = bent(corrected)
     assert len(flexures(model)) == 2 * (6 + 3)
     names = model.parameters.names
@@ -161,13 +129,6 @@ def test_a_screw_along_the_own_motion_is_a_joint_correction(framed: Setup) -> No
     assert kinds == {"transmission", "compliance"}
     assert {names[k].split(".")[1] for k in flexures(model)} == {"bend"}
     assert sorted([*flexures(model), *model.joint_corrections]) == list(varying(model))
-
-
-def test_only_errors_of_the_robot_are_beyond_geometry() -> None:
-    plain = ErrorModel.create(load_chain("space6"), ["placement"])
-    assert not bent(plain).geometric
-    drifting = bent(plain, nuisance=True)
-    assert drifting.geometric and len(flexures(drifting))
 
 
 def test_the_left_jacobian_is_the_derivative_of_the_exponential() -> None:
@@ -182,28 +143,3 @@ def test_the_left_jacobian_is_the_derivative_of_the_exponential() -> None:
         ]
         expected = (J @ change[:, :, None])[:, :, 0]
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
-
-
-def test_a_chain_is_placed_row_by_row() -> None:
-    for name, (base, tip) in ROBOTS.items():
-        chain = load_chain(name, base=base, tip=tip)
-        rng = np.random.default_rng(1)
-        q = chain.random_configurations(3, rng)
-        placements: list[pin.SE3 | Floats] = list(chain.placements)
-        varied = se3_exp(0.1 * rng.normal(size=(3, 6)))
-        placements[1] = chain.placements[1].homogeneous @ varied
-        for evaluate in (chain.regressor, chain.jacobian):
-            T, J = evaluate(q, placements)
-            for row in range(3):
-                placements[1] = pin.SE3(chain.placements[1].homogeneous @ varied[row])
-                of_row = evaluate(q[row : row + 1], placements)
-                np.testing.assert_array_equal(T[row], of_row[0][0])
-                np.testing.assert_array_equal(J[row], of_row[1][0])
-            placements[1] = chain.placements[1].homogeneous @ varied
-        # What was placed row by row leaves nothing behind.
-        np.testing.assert_array_equal(chain.poses(q), fresh(name).poses(q))
-
-
-def fresh(name: str) -> Chain:
-    base, tip = ROBOTS[name]
-    return load_chain(name, base=base, tip=tip)

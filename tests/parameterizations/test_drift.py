@@ -32,7 +32,7 @@ def test_it_walks_within_its_time_and_stands_still_without() -> None:
     knots = np.linspace(100.0, 900.0, INCREMENTS + 1)
     way = np.interp(time, knots, np.concatenate([[0.0], np.cumsum(steps)]))
     moved = T[:, :3, 3] - chain.poses(q)[:, :3, 3]
-    np.testing.assert_allclose(moved, np.outer(way, [0.0, 1.0, 0.0]), atol=1e-15)
+    np.testing.assert_allclose(moved, np.outer(way, [0.0, 1.0, 0.0]), atol=1e-12)
     # Of the robot nothing is said, and at no time the instrument is where it was.
     np.testing.assert_array_equal(model.tip_poses(q, theta), chain.poses(q))
     np.testing.assert_array_equal(model.poses(q, theta), chain.poses(q))
@@ -85,5 +85,5 @@ def test_every_station_has_a_drift_of_its_own() -> None:
 
 
 def test_without_times() -> None:
-    with pytest.raises(InputError, match="'instrument-drift' need the time of every"):
+    with pytest.raises(InputError, match="'instrument-drift'"):
         make_problem(load_chain("space6"), block("", 0.0, timed=False), SETUP)

@@ -8,18 +8,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import pypdf
 import pytest
-from matplotlib.figure import Figure
 
-from calib_pin.io.calibration_document import calibration_document
-from calib_pin.kinematics.chain import Chain
-from calib_pin.report.figures import NAMES, Drawn, calibration_figures
-from calib_pin.report.html import html_report
-from calib_pin.validation.result import CalibrationResult
-from tests.report.test_html import PROVENANCE, SLOW, arm, page
+from calib_pin.report.figures import NAMES
+from tests.report.test_html import page
 
-__all__ = ["arm", "page"]
+__all__ = ["page"]
+
+pytestmark = [pytest.mark.slow, pytest.mark.needs("browser", "pdf-reading")]
 
 
 @pytest.fixture
@@ -49,11 +45,8 @@ def column(tab: Any, number: int) -> list[str]:
     )
 
 
-@SLOW
-def test_tables_are_sorted_and_filtered(
-    opened: Any, arm: tuple[Chain, CalibrationResult]
-) -> None:
-    parameters = arm[1].parameters
+def test_tables_are_sorted_and_filtered(opened, calibrated):
+    parameters = calibrated.parameters
     assert column(opened, 0) == [p.name for p in parameters]
     head = opened.locator("#parameter-table th", has_text="std. dev.")
     head.locator("button").click()
@@ -70,8 +63,8 @@ def test_tables_are_sorted_and_filtered(
     assert values[len(known) :] == [None] * (len(parameters) - len(known))
     head.locator("button").click()
     assert head.get_attribute("aria-sort") == "descending"
-    opened.fill("#filter", "LIFT rx")
-    assert column(opened, 0) == ["lift.placement.rx"]
+    opened.fill("#filter", "JOINT_2 dx")
+    assert column(opened, 0) == ["joint_2.link-transform.dx"]
     assert opened.inner_text("#count") == f"1 of {len(parameters)}"
     opened.fill("#filter", "")
     opened.select_option("#status", "coupled")
@@ -92,9 +85,8 @@ OVERLAPS = """figures => figures.flatMap(svg => {
 })"""
 
 
-@SLOW
 @pytest.mark.parametrize("width", [1280, 400])
-def test_texts_of_figures_do_not_overlap(opened: Any, width: int) -> None:
+def test_texts_of_figures_do_not_overlap(opened, width):
     """With the font of the page, which is not that of the pictures."""
     opened.set_viewport_size({"width": width, "height": 900})
     assert opened.eval_on_selector_all("figure svg", OVERLAPS) == []
@@ -105,74 +97,44 @@ def test_texts_of_figures_do_not_overlap(opened: Any, width: int) -> None:
     assert opened.eval_on_selector_all("figure svg", OVERLAPS)
 
 
-@SLOW
-def test_the_first_screen(
-    arm: tuple[Chain, CalibrationResult], tmp_path: Path, browser: Any
-) -> None:
+def test_the_first_screen(opened):
     """Verdict, headline and both figures, without scrolling."""
-    _, result = arm
-    document = calibration_document(result, PROVENANCE)
-    drawn = {figure.name: figure for figure in calibration_figures(result)}
-    robot = Drawn("robot-errors", "Robot", "Balls. " * 30, Figure(figsize=(7.2, 4.2)))
-    file = tmp_path / "report.html"
-    shown = [robot, drawn["cumulative-errors"]]
-    file.write_bytes(html_report(result, document, figures=shown))
-    tab = browser.new_page(viewport={"width": 1280, "height": 900})
-    tab.goto(file.as_uri())
     boxes = [
-        tab.locator(name).first.bounding_box()
+        opened.locator(name).first.bounding_box()
         for name in ("#verdict", ".tiles", "#figure-robot-errors", "nav")
     ]
     for above, below in pairwise(boxes):
         assert above["y"] + above["height"] <= below["y"]
     assert boxes[-1]["y"] < 900
-    curves = tab.locator("#figure-cumulative-errors").bounding_box()
+    curves = opened.locator("#figure-cumulative-errors").bounding_box()
     assert curves["y"] == boxes[2]["y"] and curves["x"] > boxes[2]["x"]
-    tab.close()
 
 
-@SLOW
-def test_what_scrolls_has_a_shade_at_its_edge(opened: Any) -> None:
-    shaded = "e => getComputedStyle(e).backgroundImage.includes('gradient')"
-    opened.set_viewport_size({"width": 400, "height": 900})
-    found = opened.eval_on_selector_all(
-        ".scroll, pre",
-        f"all => all.filter(e => e.scrollWidth > e.clientWidth).map({shaded})",
-    )
-    assert len(found) > 5 and all(found)
+def test_paper_has_page_numbers_and_no_zeros(opened):
+    import pypdf
 
-
-@SLOW
-def test_paper_has_page_numbers_and_no_zeros(opened: Any) -> None:
     data = opened.pdf(prefer_css_page_size=True)
     pages = [page.extract_text() for page in pypdf.PdfReader(io.BytesIO(data)).pages]
     for k, text in enumerate(pages):
         assert f"{k + 1} / {len(pages)}" in text
     text = "".join(pages)
     assert not re.search(r"\n\S+ [-+]?0\.0000 - (mm|deg)", text)
-    assert "without an estimate of their own" in text
 
 
-@SLOW
-def test_every_figure_is_there_and_seen(opened: Any, arm: Any) -> None:
-    drawn = [figure.name for figure in calibration_figures(arm[1])]
-    others = {"convergence", "model-ladder", "errors-in-workspace", "errors-by-block"}
-    assert set(drawn) == set(NAMES["calibration"]) - others
-    for name in drawn:
+def test_every_figure_is_there_and_seen(opened, drawn):
+    for name in {figure.name for figure in drawn} - {*NAMES["plan"]}:
         box = opened.locator(f"#figure-{name} svg").bounding_box()
         assert box["width"] > 400 and box["height"] > 150
         assert opened.locator(f"#figure-{name} figcaption").inner_text()
 
 
-@SLOW
 @pytest.mark.parametrize("width", [1280, 400])
-def test_nothing_sticks_out(opened: Any, width: int) -> None:
+def test_nothing_sticks_out(opened, width):
     opened.set_viewport_size({"width": width, "height": 900})
     assert opened.evaluate("document.documentElement.scrollWidth") <= width
 
 
-@SLOW
-def test_light_dark_and_paper(opened: Any) -> None:
+def test_light_dark_and_paper(opened):
     """By the system's choice, by the button, and always light on paper."""
 
     def shade(what: str, selector: str = "body") -> float:

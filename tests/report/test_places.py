@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,40 +10,18 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.report.blocks import Block, Code, Table
 from calib_pin.report.places import frame_blocks
 from calib_pin.report.terminal import plain_text
-from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup
+from calib_pin.setup import CameraSetup, Setup
 from calib_pin.validation.result import CalibrationResult
+from tests.report.results import SEEN
 from tests.report.test_breakdown import STATIONS, TOOLS
 
-BOARD = {f"m{k}": PointSetup((0.1 * (k % 2), 0.08 * (k // 2), 0.1)) for k in range(4)}
-SEEN = Setup(
-    parameters=("joint-offset",),
-    base_frame=FrameSetup((0.1, -0.2, 3.0), (0.3, -0.2, 0.4), estimate=True),
-    camera=CameraSetup("world", (900.0, 910.0), (640.0, 500.0), estimate=True),
-    targets=BOARD,
-)
-
-
-def solved(model: str, setup: Setup, count: int) -> CalibrationResult:
-    chain = calib_pin.load_chain("space6")
-    problem = nominal_problem(chain, model, setup)
-    rng = np.random.default_rng(3)
-    theta = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, theta, rng, count=count)
-    return calib_pin.calibrate(chain, rows, setup)
-
 
 @pytest.fixture(scope="module")
-def tracked() -> CalibrationResult:
-    return solved("position", Setup(), 40)
-
-
-@pytest.fixture(scope="module")
-def seen() -> CalibrationResult:
-    return solved("camera", SEEN, 120)
+def tracked(calibrated_robot: Callable[..., CalibrationResult]) -> CalibrationResult:
+    return calibrated_robot("position", count=40)
 
 
 def table(blocks: list[Block], title: str) -> Table:
@@ -58,37 +37,22 @@ def lines_of(result: CalibrationResult, folder: Path) -> Setup:
     return calib_pin.read_setup(file)
 
 
-def test_values_with_their_deviations(tracked: CalibrationResult) -> None:
+def test_values_with_their_deviations(tracked):
     result = replace(tracked, stations=STATIONS, tools=TOOLS)
     blocks = list(frame_blocks(result))
     rows = [[cell.text for cell in row] for row in table(blocks, "Frames").rows]
-    assert rows[:2] == [
-        [
-            "day1",
-            "position",
-            "1234.568 +- 0.012",
-            "-500.000 +- 0.020",
-            "0.000 +- 0.030",
-            "mm",
-        ],
-        [
-            "",
-            "rotation",
-            "0.00000 +- 0.00057",
-            "5.730",
-            "180.0000 +- 0.0057",
-            "deg",
-        ],
-    ]
+    xyz = ["1234.568 +- 0.012", "-500.000 +- 0.020", "0.000 +- 0.030"]
+    rpy = ["0.00000 +- 0.00057", "5.730", "180.0000 +- 0.0057"]
+    assert [row[2:] for row in rows[:2]] == [[*xyz, "mm"], [*rpy, "deg"]]
     # Of deviations that nobody knows there is nothing, and of what is known no row.
     assert rows[2][2:] == ["1234.568", "-500.000", "0.000", "mm"]
     assert [row[0] for row in rows[::2]] == ["day1", "day2", "ball"]
     assert max(map(len, plain_text(blocks).splitlines())) <= 80
+    known = replace(tracked, stations=(), tools=TOOLS[1:])
+    assert list(frame_blocks(known)) == []
 
 
-def test_what_the_measurements_leave_open_is_no_value(
-    tracked: CalibrationResult, tmp_path: Path
-) -> None:
+def test_what_the_measurements_leave_open_is_no_value(tracked, tmp_path):
     """Of a tool whose point alone was measured the orientation is not known."""
     (tool,) = tracked.tools
     assert np.isnan(tool.sigma[3:]).all()
@@ -102,21 +66,12 @@ def test_what_the_measurements_leave_open_is_no_value(
     assert lines.base_frame.rpy == pytest.approx(tracked.stations[0].rpy, abs=1e-9)
 
 
-def test_what_was_not_estimated_is_not_told(tracked: CalibrationResult) -> None:
-    known = replace(tracked, stations=(), tools=TOOLS[1:])
-    assert list(frame_blocks(known)) == []
-
-
-def test_a_camera_is_told_and_read_back(
-    seen: CalibrationResult, tmp_path: Path
-) -> None:
+def test_a_camera_is_told_and_read_back(calibrated_robot, tmp_path):
+    seen = calibrated_robot("camera", SEEN, 40, noise=None, validate=False)
     found = table(list(frame_blocks(seen)), "Intrinsics of camera")
     by_name = {p.name: p for p in seen.parameters}
-    (stated,) = (
-        stated
-        for reference in seen.model.references.values()
-        if isinstance(stated := reference.stated(), CameraSetup)
-    )
+    references = (found.stated() for found in seen.model.references.values())
+    (stated,) = (found for found in references if isinstance(found, CameraSetup))
     for row, start, value in zip(
         found.rows[:4],
         (900.0, 910.0, 640.0, 500.0),

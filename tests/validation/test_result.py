@@ -21,6 +21,7 @@ def result() -> calib_pin.CalibrationResult:
     return calib_pin.calibrate(chain, rows, setup)
 
 
+@pytest.mark.slow
 def test_figures_by_name(result: calib_pin.CalibrationResult) -> None:
     figures = result.figures()
     assert set(figures) < set(NAMES["calibration"])

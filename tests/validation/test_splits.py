@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 import calib_pin
 from calib_pin.errors import InputError
-from calib_pin.estimation.fit import fit, fit_model
+from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import error_table
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.progress import portion
-from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, PointSetup, Setup
+from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
 from calib_pin.validation import splits
 from calib_pin.validation.held_out import cross_validate
 from calib_pin.validation.model_errors import fitted_errors, model_errors
@@ -88,33 +88,6 @@ def test_few_configurations_have_no_folds() -> None:
     assert not folds(thrice, fit_model(chain, thrice, SETUP, 0).fit, 0)
 
 
-def test_every_plane_stays_in_every_part() -> None:
-    known = FrameSetup(estimate=False)
-    setup = Setup(
-        parameters=("joint-offset",),
-        base_frame=known,
-        tool_frame=known,
-        planes={
-            "a": PlaneSetup((0.0, 1.0, 4.6), -0.69),
-            "b": PlaneSetup((1.0, 0.3, 4.0), -0.69),
-        },
-    )
-    chain = calib_pin.load_chain("space6")
-    problem = nominal_problem(chain, "plane-distance", setup)
-    rows = calib_pin.simulate(
-        problem,
-        np.zeros(len(problem.parameters)),
-        np.random.default_rng(0),
-        count=100,
-        noise=1e-4,
-    )
-    fitted = fit(replace(problem, data=rows), np.random.default_rng(0))
-    assert len(folds(rows, fitted, 0)) == FOLDS
-    of_b = [k for k, name in enumerate(rows.target) if name == "b"]
-    few = rows.rows(np.setdiff1d(np.arange(100), of_b[4:]))
-    assert not folds(few, fitted, 0)
-
-
 def at_stations(*counts: int, tools: Sequence[str] = ("",)) -> Observations:
     """Positions of random configurations, so many of each station and tool."""
     keys = [BlockKey("position", "", s, t) for s in "abc" for t in tools]
@@ -160,17 +133,6 @@ def test_a_holdout_has_its_share_of_every_tool(seed: int) -> None:
     assert held is not None and method == "holdout"
     assert list(map(len, held.blocks)) == [10, 5, 2, 1]
     assert len(left) + len(held) == len(rows)
-
-
-def test_what_is_set_aside_locates_no_station() -> None:
-    rows = at_stations(40, 6)
-    weight = np.ones(46)
-    weight[43:] = 0.0
-    grouping = Grouping.of(rows.weighted(weight), SETUP)
-    for mask in (np.arange(46) == 41, np.arange(46) == 44):
-        # Three are left with a weight: each of these is needed.
-        spared = grouping.spared(mask)
-        np.testing.assert_array_equal(spared, mask & (weight == 0.0))
 
 
 def test_validation_of_what_is_not_fitted_is_refused() -> None:
@@ -240,12 +202,6 @@ def test_too_few_places_are_none() -> None:
     assert labels() == []
 
 
-def test_other_rows_are_at_no_place() -> None:
-    assert labels_of(at_places("a/0", "b/0", "c/0", positions=2)) == [0, 1, 2, -1, -1]
-    _, rows = measured_rows(count=5)
-    assert (places(rows, SETUP) == -1).all()
-
-
 def test_sockets_of_two_stations_are_at_other_places() -> None:
     names = ("a/0", "a/1", "back", "back")
     rows = Observations.of(at_places(*names), at_places(*names, station="hall"))
@@ -297,24 +253,6 @@ def test_places_are_left_out_as_a_whole(in_sockets: tuple[Chain, Observations]) 
     assert len(folds(again, fitted, 0)) == 3
 
 
-@pytest.mark.parametrize(
-    ("names", "positions", "count", "expected"),
-    [
-        ("abc", 0, 3, "leave-one-place-out"),
-        ("abcdefg", 0, 7, "leave-one-place-out"),
-        ("abcdefg", 0, 5, "5-fold by place"),
-        ("ab", 0, 5, "5-fold"),
-        ("abc", 1, 5, "5-fold by place"),
-        ("abc", 0, 0, "none"),
-    ],
-)
-def test_names_of_a_validation(
-    names: str, positions: int, count: int, expected: str
-) -> None:
-    rows = at_places(*(f"{name}/0" for name in names), positions=positions)
-    assert Grouping.of(rows, Setup()).validation_name(count) == expected
-
-
 def test_sockets_that_were_not_fitted(in_sockets: tuple[Chain, Observations]) -> None:
     """They are where their rows put them, and their distance is there to be found."""
     chain, rows = in_sockets
@@ -351,28 +289,6 @@ def test_sockets_that_were_not_fitted(in_sockets: tuple[Chain, Observations]) ->
     np.testing.assert_allclose(seen.after, errors, rtol=0, atol=1e-9)
 
 
-def test_a_known_distance_to_a_new_socket_fits_nothing(
-    in_sockets: tuple[Chain, Observations],
-) -> None:
-    """What is there to be found must not be put in before."""
-    chain, rows = in_sockets
-    of_back = np.array([name.startswith("back") for name in rows.target])
-    wrong = replace(
-        IN_SOCKETS,
-        distances=(*FIFTY[:2], DistanceSetup(("back/0", "back/1"), 0.07, 1e-7)),
-    )
-    right, other = (
-        model_errors(
-            fit_model(chain, rows.rows(~of_back), setup, 0),
-            rows.rows(of_back),
-            np.flatnonzero(of_back),
-        )
-        for setup in (IN_SOCKETS, wrong)
-    )
-    np.testing.assert_array_equal(right.after, other.after)
-    assert other.distances[0].found == right.distances[0].found
-
-
 # Cross-validation.
 
 
@@ -392,23 +308,7 @@ def test_unseen_rows_are_not_fitted() -> None:
     values[masks[2]] += 0.01
     spoiled = Observations.of(replace(rows.only, values=values))
     (_, _, third, *_) = cross_validate(chain, spoiled, SETUP, masks, 0, alike)
-    np.testing.assert_allclose(third.after, parts[2].after - 0.01, rtol=0, atol=1e-15)
-
-
-def test_progress_of_a_cross_validation() -> None:
-    chain, rows = measured_rows()
-    alike = fit_model(chain, rows, SETUP, 0).fit
-    masks = folds(rows, alike, 0)
-    told: list[tuple[str, float]] = []
-
-    def tell(stage: str, part: float) -> None:
-        told.append((stage, part))
-
-    assert len(list(cross_validate(chain, rows, SETUP, masks, 0, alike, tell))) == FOLDS
-    stages, parts = zip(*told, strict=True)
-    assert list(dict.fromkeys(stages)) == [f"check {k} of 5" for k in range(1, 6)]
-    assert list(parts) == sorted(parts)
-    assert parts[0] == 0.0 and parts[-1] <= 1.0
+    np.testing.assert_allclose(third.after, parts[2].after - 0.01, rtol=0, atol=1e-12)
 
 
 def test_a_portion_never_goes_back() -> None:

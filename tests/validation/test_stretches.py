@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-import pytest
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations
@@ -55,21 +53,6 @@ def test_a_joint_that_stands_still_and_units_do_not_matter() -> None:
     assert (stretches(rows(np.ones((30, 6)))) == -1).all()
 
 
-def test_a_slow_sweep_is_cut_into_few_blocks() -> None:
-    t = np.linspace(0.0, 1.0, 120)[:, None]
-    q = np.sin(2.0 * np.pi * t * np.linspace(0.5, 1.0, 6))
-    assert 5 <= stretches(rows(q)).max() + 1 <= 10
-
-
-def test_clusters_are_cut_at_their_jumps() -> None:
-    rng = np.random.default_rng(3)
-    q = np.repeat(rng.uniform(-2.0, 2.0, (30, 6)), 8, axis=0)
-    q += 0.05 * rng.normal(size=q.shape)
-    label = stretches(rows(q)).reshape(30, 8)
-    whole = (label == label[:, :1]).all(axis=1)
-    assert whole.mean() > 0.8
-
-
 def test_repetitions_belong_to_the_first() -> None:
     q = jogged(np.random.default_rng(1))
     label = stretches(rows(q))
@@ -87,12 +70,6 @@ def test_files_are_cut_apart() -> None:
     names = ("a",) * 37 + ("b",) * 63
     label = stretches(rows(q, names))
     assert not set(label[:37]) & set(label[37:])
-
-
-@pytest.mark.parametrize("count", [0, 1, 5, 9])
-def test_few_rows_tell_nothing(count: int) -> None:
-    q = np.linspace(0.0, 1.0, max(count, 1))[:count, None] * np.ones(6)
-    assert stretches(rows(q)).tolist() == [-1] * count
 
 
 def test_chains_that_are_measured_in_turn_have_a_path_each() -> None:
@@ -114,23 +91,3 @@ def test_chains_that_are_measured_in_turn_have_a_path_each() -> None:
     count = len(left)
     assert not set(label[:count]) & set(label[count:])
     assert (np.diff(label[:count]) >= 0).all() and (np.diff(label[count:]) >= 0).all()
-
-
-def test_stations_in_turn_see_one_path() -> None:
-    q = jogged(np.random.default_rng(1))
-    files = ("day.csv",) * len(q)
-    whole = Measurements(
-        tuple("abcdef"),
-        q,
-        "position",
-        np.zeros((len(q), 3)),
-        lines=np.arange(len(q)) + 2,
-        files=files,
-    )
-    even = np.arange(len(q)) % 2 == 0
-    parts = [replace(whole.rows(even == (s == "a")), station=s) for s in "ab"]
-    label = np.empty(len(q), int)
-    label[np.concatenate([np.flatnonzero(even), np.flatnonzero(~even)])] = stretches(
-        Observations(tuple(parts))
-    )
-    np.testing.assert_array_equal(label, stretches(Observations.of(whole)))

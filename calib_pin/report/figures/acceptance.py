@@ -28,8 +28,8 @@ from calib_pin.validation.acceptance import Acceptance, Interval, PoseTest
 HEIGHT = 2.5
 """Height of the panels [inch]."""
 
-FEW = 20
-"""Poses up to which each is named."""
+FEW = 12
+"""Poses up to which each is named: names of more lie over each other."""
 
 LIMIT: dict[str, Any] = {"color": INK, "linestyle": "--", "linewidth": 1.2}
 

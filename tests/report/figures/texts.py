@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -18,46 +18,41 @@ from matplotlib.transforms import Bbox, IdentityTransform
 
 from calib_pin.report.figures.canvas import Drawn, drawing
 
-OUTSIDE = "leaves the figure"
-
 SLACK = 0.5
 """Overlap that nobody sees [pt]."""
 
 
 def faults(drawn: Drawn) -> list[str]:
-    """Those of a figure, and of its file with heading and caption."""
+    """Those of the file of a figure, with heading and caption."""
     with drawn.worded():
-        worded = faults_of(drawn.figure, alone=False)
-    return list(dict.fromkeys([*faults_of(drawn.figure), *worded]))
+        return faults_of(drawn.figure, apart=drawn.figure.texts[-2:])
 
 
-def faults_of(figure: Figure, *, alone: bool = True) -> list[str]:
+def faults_of(figure: Figure, apart: Sequence[Text] = ()) -> list[str]:
     """Texts over texts, over data or color bars, or outside of the figure.
 
     Args:
         figure: The figure.
-        alone: Whether all of its texts have to be inside of it.
+        apart: Texts that may be outside of it.
     """
     with drawing():
         figure.set_canvas(FigureCanvasAgg(figure))
-        figure.canvas.draw()
-        slack = SLACK * figure.dpi / 72.0
-        found = [*_found(figure, slack)]
-    return found if alone else [f for f in found if not f.endswith(OUTSIDE)]
+        figure.draw_without_rendering()
+        return [*_found(figure, apart, SLACK * figure.dpi / 72.0)]
 
 
-def _found(figure: Figure, slack: float) -> Iterator[str]:
+def _found(figure: Figure, apart: Sequence[Text], slack: float) -> Iterator[str]:
     for artist in (*figure.texts, *figure.artists, *figure.patches):
         # What does not move with the figure is elsewhere in a file that is cut.
         if not artist.get_transform().contains_branch(figure.transFigure):
             yield f"{artist} stays where it is when the figure is cut"
     texts = {text: text.get_window_extent() for text in _texts(figure)}
     names = {text: f"'{text.get_text()}'" for text in texts}
-    paper = figure.bbox
+    paper = figure.bbox.padded(slack)
     for text, box in texts.items():
-        out = (paper.x0 - box.x0, paper.y0 - box.y0, box.x1 - paper.x1)
-        if max(*out, box.y1 - paper.y1) > slack:
-            yield f"{names[text]} {OUTSIDE}"
+        inside = paper.contains(box.x0, box.y0) and paper.contains(box.x1, box.y1)
+        if not inside and text not in apart:
+            yield f"{names[text]} leaves the figure"
     for one, other in combinations(texts, 2):
         if _shared(texts[one], texts[other], slack):
             yield f"{names[one]} is over {names[other]}"

@@ -88,94 +88,48 @@ def explained(case: Case) -> Explanation | None:
 
 
 def said(found: Explanation | None) -> list[str]:
-    return sorted(fault.words for fault in found.faults) if found else []
+    return sorted(fault.code for fault in found.faults) if found else []
 
 
 def reverse(q: Floats) -> None:
     q[:, 1] *= -1.0
 
 
-def slide(q: Floats) -> None:
-    q[:, 3] *= -1.0
-
-
-def offset(q: Floats) -> None:
-    q[:, 2] += np.pi / 2.0
-
-
-def couple(q: Floats) -> None:
-    q[:, 2] -= q[:, 1]
-
-
-def couple_and_reverse(q: Floats) -> None:
-    q[:, 2] = -(q[:, 2] + q[:, 1])
-
-
 def couple_reverse_and_offset(q: Floats) -> None:
     q[:, 2] = -q[:, 2] + q[:, 1] + np.pi / 2.0
-
-
-def couple_one_and_reverse_another(q: Floats) -> None:
-    q[:, 2] -= q[:, 1]
-    q[:, 0] *= -1.0
-
-
-def exchange(q: Floats) -> None:
-    q[:, [1, 2]] = q[:, [2, 1]]
-
-
-def pass_round(q: Floats) -> None:
-    q[:, :3] = q[:, [2, 0, 1]]
 
 
 def degrees(q: Floats) -> None:
     q[:, 1] = np.degrees(q[:, 1])
 
 
-COUPLED = "joint 'j2' is coupled to 'j1'"
-
-
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "codes"),
     [
-        (reverse, ["joint 'j1' is reversed"]),
-        (slide, ["joint 'j3' is reversed"]),
-        (offset, ["joint 'j2' is offset by -90 deg"]),
-        (couple, [COUPLED]),
-        (couple_and_reverse, [COUPLED, "joint 'j2' is reversed"]),
         (
             couple_reverse_and_offset,
-            [COUPLED, "joint 'j2' is offset by 90 deg", "joint 'j2' is reversed"],
+            {"joint-coupled", "joint-offset", "joint-reversed"},
         ),
-        (couple_one_and_reverse_another, ["joint 'j0' is reversed", COUPLED]),
-        (exchange, ["the columns of joints 'j1' and 'j2' are exchanged"]),
-        (pass_round, ["the columns of joints 'j0', 'j1' and 'j2' are exchanged"]),
-        (degrees, ["joint 'j1' is in degrees"]),
+        (degrees, {"joint-degrees"}),
     ],
 )
 def test_what_is_wrong_is_found(
     change: Callable[[Floats], None],
-    words: list[str],
+    codes: set[str],
     arm: Chains,
     rows: Observations,
 ) -> None:
     wrong = misread(rows, change)
     found = explained(case_of(arm, wrong, SETUP))
-    assert found is not None and said(found) == words
-    assert found.after < 0.05 * found.before and found.before > 0.03
+    assert found is not None and {fault.code for fault in found.faults} == codes
+    assert found.after < 0.05 * found.before
+    # Products with pi and its inverse, and sums, of positions up to 100.
     np.testing.assert_allclose(read_so(wrong, found.faults).q, rows.q, atol=1e-12)
-
-
-def test_an_unknown_base_as_well(arm: Chains, rows: Observations) -> None:
-    assert said(explained(case_of(arm, misread(rows, couple), Setup()))) == [COUPLED]
-
-
-def test_positions_that_are_right(arm: Chains, rows: Observations) -> None:
-    assert explained(case_of(arm, rows, SETUP)) is None
 
 
 def test_measurements_of_something_else(arm: Chains, rows: Observations) -> None:
     """Nothing helps decisively: better no advice than a wrong one."""
+    rows = Observations.of(rows.only.rows(np.arange(20)))
     order = np.random.default_rng(0).permutation(len(rows))
     mixed = Observations.of(replace(rows.only, q=rows.q[order]))
     assert explained(case_of(arm, mixed, SETUP)) is None
@@ -192,65 +146,39 @@ def test_without_a_measurement_frame(arm: Chains) -> None:
     case = case_of(
         arm, misread(exact, reverse), replace(setup, tool_frame=FrameSetup())
     )
-    assert said(explained(case)) == ["joint 'j1' is reversed"]
+    assert said(explained(case)) == ["joint-reversed"]
 
 
-def test_starts_are_read_like_the_measurements(arm: Chains) -> None:
-    problem = nominal_problem(arm, "relative-distance", Setup(tool_frame=TOOL))
-    rng = np.random.default_rng(7)
-    zero = np.zeros(len(problem.parameters))
-    rows = calib_pin.simulate(problem, zero, rng, count=25, noise=5e-5)
-    q, start = rows.q.copy(), rows.only.start.copy()
-    couple(q), couple(start)
-    wrong = Observations.of(replace(rows.only, q=q, start=start))
-    known = replace(SETUP, base_frame=FrameSetup(), tool_frame=TOOL)
-    found = explained(case_of(arm, wrong, known))
-    assert said(found) == [COUPLED]
-    read = read_so(wrong, found.faults)
-    np.testing.assert_allclose(read.only.start, rows.only.start, atol=1e-12)
+def reverse_and_couple(q: Floats) -> None:
+    q[:, 2] = -(q[:, 2] + q[:, 1])
 
 
-def test_progress(arm: Chains, rows: Observations) -> None:
-    told: list[float] = []
-    explained(case_of(arm, misread(rows, reverse), SETUP, told.append))
-    assert told and told == sorted(told) and min(told) >= 0.0 and told[-1] < 1.0
-
-
-# What is said of it.
-
-
-def test_the_remedy_is_a_setup_file(arm: Chains, rows: Observations) -> None:
-    case = case_of(arm, misread(rows, couple_and_reverse), SETUP)
+def test_lines_have_the_names_of_the_columns(arm: Chains, rows: Observations) -> None:
+    """And what is mapped already is kept."""
+    case = case_of(arm, misread(rows, reverse_and_couple), SETUP)
     found = explained(case)
     assert found is not None
+    lines = {"joints": {"j2": {"joint": "j2", "sign": -1, "coupled": {"j1": 1.0}}}}
     for one in finding(case, found):
-        assert one.severity == "error"
-        assert one.remedy == (
-            "state in the setup file: "
-            "joints: {j2: {joint: j2, sign: -1, coupled: {j1: 1}}}"
-        )
-        assert one.message.startswith("joint 'j2' is ") and " mm to " in one.message
-        assert one.setup == {
-            "joints": {"j2": {"joint": "j2", "sign": -1, "coupled": {"j1": 1.0}}}
-        }
-    # Under the names of the columns, and with what is mapped already.
+        assert one.severity == "error" and one.setup == lines
+        assert "joints: {j2: {joint: j2, sign: -1, coupled: {j1: 1}}}" in one.remedy
     maps = {"A1": JointMap("j1"), "A2": JointMap("j2", sign=-1)}
-    fit = replace(
-        case.fit, problem=replace(case.fit.problem, setup=replace(SETUP, joints=maps))
-    )
-    lines = setup_lines(replace(case, fit=fit), found.faults)
-    assert lines["joints"]["A2"] == {"joint": "j2", "coupled": {"A1": -1.0}}
+    problem = replace(case.fit.problem, setup=replace(SETUP, joints=maps))
+    mapped = replace(case, fit=replace(case.fit, problem=problem))
+    found_lines = setup_lines(mapped, found.faults)["joints"]
+    assert found_lines["A2"] == {"joint": "j2", "coupled": {"A1": -1.0}}
 
 
-def test_refusals_say_what_explains_them(arm, rows) -> None:
+def test_refusals_say_what_explains_them(arm: Chains, rows: Observations) -> None:
     wrong = misread(rows, reverse)
-    said = r"joint 'j1' is reversed: .*sign: -1.*; otherwise it hides$"
-    with pytest.raises(InputError, match=said), findings.explained(arm, wrong, SETUP):
-        raise InputError("it hides")
-    # What nothing explains, and what explains itself, stay.
-    plain = pytest.raises(InputError, match=r"^it hides$")
-    with plain, findings.explained(arm, rows, SETUP):
-        raise InputError("it hides")
-    option = pytest.raises(OptionError, match=r"^no$")
-    with option, findings.explained(arm, wrong, SETUP):
+    with (
+        pytest.raises(InputError, match=r"'j1'.*sign: -1.*hidden"),
+        findings.explained(arm, wrong, SETUP),
+    ):
+        raise InputError("hidden")
+    # What explains itself stays.
+    with (
+        pytest.raises(OptionError, match=r"^no$"),
+        findings.explained(arm, wrong, SETUP),
+    ):
         raise OptionError("no")

@@ -42,12 +42,6 @@ def found(quick_case: Job) -> Job:
     [
         (
             "quaternion",
-            lambda R: R.as_quat()[:, [3, 0, 1, 2]],
-            "columns: quaternion, hold: wxyz",
-        ),
-        ("quaternion", lambda R: R.inv().as_quat(), "inverse: true"),
-        (
-            "quaternion",
             lambda R: R.inv().as_quat()[:, [3, 0, 1, 2]],
             "columns: quaternion, hold: wxyz, inverse: true",
         ),
@@ -55,16 +49,6 @@ def found(quick_case: Job) -> Job:
             "rotation-vector",
             lambda R: R.as_euler("ZYX"),
             "columns: rotation-vector, hold: intrinsic-zyx",
-        ),
-        (
-            "roll-pitch-yaw",
-            lambda R: R.as_euler("zyz"),
-            "columns: roll-pitch-yaw, hold: extrinsic-zyz",
-        ),
-        (
-            "roll-pitch-yaw",
-            lambda R: R.as_rotvec(),
-            "columns: roll-pitch-yaw, hold: rotation-vector",
         ),
         (
             "roll-pitch-yaw",
@@ -105,25 +89,3 @@ def test_the_convention_and_its_lines(
     )
     cosine = np.abs(np.sum(again.only.values[:, 3:] * true.values[:, 3:], axis=1))
     np.testing.assert_allclose(cosine, 1.0, atol=1e-12)
-
-
-def test_poses_of_the_measurement_frame_in_the_tool(found: Job, moved_job: Job) -> None:
-    job = moved_job((), (), 30, model="pose")
-    turned = Rotation.from_quat(job.plain.only.values[:, 3:]).inv()
-    moved = -turned.apply(job.plain.only.values[:, :3])
-    values = np.hstack([moved, turned.as_quat()])
-    block = job.plain.only
-    spoiled = Observations.of(
-        type(block)(block.joints, block.q, block.model, values, lines=block.lines)
-    )
-    (one,) = found(job, spoiled)
-    assert (one.code, one.setup) == ("pose-inverted", {"reading": {"inverted": True}})
-
-
-def test_right_orientations_have_no_other_convention(
-    quick_case: Job, moved_job: Job
-) -> None:
-    job = moved_job((), (), 30, model="pose")
-    case = quick_case(job.chain, job.plain)
-    assert [fault.code for fault in orientations(case)] == ["pose-inverted"]
-    assert explain(case, (orientations,)) is None

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import pytest
 
 import calib_pin
 from calib_pin.estimation.fit import fit_model
@@ -56,34 +55,6 @@ def job(seed: int, count: int = 120, **waves: float) -> Job:
     return Job(chain, data, problem, theta)
 
 
-def test_a_strain_wave_gear_and_the_lines_that_describe_it() -> None:
-    one = job(0, joint_2_motor_sin2=1e-4, joint_2_motor_cos=1e-4)
-    (finding,) = ripples(one.case)
-    assert (finding.code, finding.severity) == ("gear-ripple", "info")
-    assert finding.evidence["joint"] == "joint_2"
-    assert finding.evidence["frequency"] in (80.0, 160.0)
-    assert finding.evidence["amplitude"] == pytest.approx(1e-4, abs=2e-5)
-    ratio = finding.setup["gear_ratios"]["joint_2"]
-    assert ratio in (80.0, 160.0)
-    lines = finding.setup
-    assert lines["parameters"] == ["placement", "motor-ripple"]
-    stated = replace(
-        PLAIN, parameters=tuple(lines["parameters"]), gear_ratios=lines["gear_ratios"]
-    )
-    fitted = fit_model(one.chain, one.data, stated, 0).fit
-    parameters = fitted.problem.parameters
-    wave = "motor_sin2" if ratio == 80.0 else "motor_sin"
-    found = fitted.theta[parameters.index(f"joint_2.transmission.{wave}")]
-    assert found == pytest.approx(1e-4, abs=2e-5)
-
-
-def test_half_the_frequency_is_the_motor_of_a_strain_wave_gear() -> None:
-    one = job(3, joint_2_motor_sin2=2e-4, joint_2_motor_cos=5e-5)
-    (finding,) = ripples(one.case)
-    assert finding.evidence["frequency"] == 160.0
-    assert finding.setup["gear_ratios"] == {"joint_2": 80.0}
-
-
 def test_two_joints_are_told_apart() -> None:
     one = job(1, joint_2_motor_sin2=2e-4, joint_4_motor_cos=2e-4)
     (finding,) = ripples(one.case)
@@ -91,12 +62,10 @@ def test_two_joints_are_told_apart() -> None:
     assert finding.setup["gear_ratios"]["joint_4"] == 101.0
 
 
-def test_noise_and_low_waves_are_none() -> None:
+def test_low_waves_are_none() -> None:
     """Eccentric wheels have parameters of their own."""
-    for seed in range(4):
-        assert not list(ripples(job(seed).case))
-        low = {f"joint_{k}_sin1": 2e-4 for k in range(1, 7)}
-        assert not list(ripples(job(seed, **low).case))
+    low = {f"joint_{k}_sin1": 2e-4 for k in range(1, 7)}
+    assert not list(ripples(job(0, **low).case))
 
 
 def test_the_periodogram_is_least_squares() -> None:
@@ -110,34 +79,3 @@ def test_the_periodogram_is_least_squares() -> None:
         expected.append(float(r @ A @ np.linalg.lstsq(A, r, rcond=None)[0]))
     found = periodogram(q, motion, r, frequencies)
     np.testing.assert_allclose(found, expected, rtol=1e-9)
-
-
-@pytest.mark.slow
-def test_false_alarms_are_rarer_than_their_bound() -> None:
-    """60 jobs of noise, and as many with wheels that no model has."""
-    assert not sum(bool(list(ripples(job(500 + seed).case))) for seed in range(60))
-    low = {f"joint_{k}_{w}": 2e-4 for k in range(1, 7) for w in ("sin1", "cos2")}
-    met = sum(bool(list(ripples(job(600 + seed, **low).case))) for seed in range(60))
-    assert met <= 1
-
-
-@pytest.mark.slow
-def test_a_ripple_that_is_modeled_costs_no_accuracy() -> None:
-    """Lines of the finding against the true gear, on other configurations."""
-    ratios = []
-    for seed in range(4):
-        one = job(100 + seed, joint_2_motor_sin2=2e-4, joint_2_motor_cos=5e-5)
-        (finding,) = ripples(one.case)
-        rng = np.random.default_rng(seed)
-        exact = (one.problem, one.theta, rng)
-        at = simulate(*exact, count=200, noise=0.0).only
-        errors = []
-        for stated in (finding.setup["gear_ratios"], {"joint_2": 80.0}):
-            setup = replace(
-                PLAIN, parameters=("placement", "motor-ripple"), gear_ratios=stated
-            )
-            fit = calib_pin.calibrate(one.chain, one.data, setup, validate=False).model
-            off = fit.predict(fit.theta, at) - at.values
-            errors.append(float(np.sqrt(np.mean(off**2))))
-        ratios.append(errors[0] / errors[1])
-    assert max(ratios) < 1.2

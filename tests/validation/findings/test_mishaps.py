@@ -1,0 +1,424 @@
+"""Every mishap is named with its code, and nothing clean is accused.
+
+Each spoils the file of a job that is good without it, so grossly that chance plays no
+part; the lines that its finding states make the job good again. How often subtle ones
+are found, and clean jobs accused, is what `scripts/benchmark findings` counts.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import calib_pin
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.io.setup import read_setup
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Conditions, Measurements
+from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
+from calib_pin.simulation import draw_errors, simulate
+
+ARM = calib_pin.load_chain("space6", tip="link_3")
+_, J2, J3 = ARM.joints
+TURN, DEGREE = 2.0 * np.pi, np.pi / 180.0
+BASE = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True)
+TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
+HELD = Setup(parameters=("joint-offset",), tool_frame=replace(TOOL, estimate=False))
+KNOWN = replace(HELD, base_frame=replace(BASE, estimate=False))
+TARGETS = {n: PointSetup((0.1 * k, 0.05, 0.2)) for k, n in enumerate("abc")}
+NOISE, COUNT = 1e-4, 42
+
+Spoil = Callable[[Measurements], Measurements]
+
+
+def measured(
+    model: str = "position",
+    count: int = COUNT,
+    shape: Callable[[Floats], Floats] | None = None,
+    names: str = "",
+    changes: Mapping[str, float] | None = None,
+    effects: tuple[str, ...] = (),
+) -> Measurements:
+    """Measurements of a robot with errors, at configurations of some shape.
+
+    Its effects beside the geometry are the changes alone.
+    """
+    setup = Setup(
+        parameters=("placement", *effects),
+        base_frame=BASE,
+        tool_frame=FrameSetup() if names else TOOL,
+        targets={name: TARGETS[name] for name in names},
+        gear_ratios={J2: 80.0},
+    )
+    problem, rng = nominal_problem(ARM, model, setup), np.random.default_rng(0)
+    known = problem.parameters.names
+    theta = draw_errors(problem.parameters, rng)
+    theta[[any(f".{effect}." in name for effect in effects) for name in known]] = 0.0
+    for name, change in (changes or {}).items():
+        theta[known.index(name)] += change
+    q = ARM.random_configurations(count, rng)
+    q = q if shape is None else shape(q)
+    target = tuple((names * count)[: len(q)])
+    rows = simulate(problem, theta, rng, q=q, target=target, noise=NOISE).only
+    # As from a file, which states neither noise nor sides.
+    return replace(
+        rows, sigma=None, conditions=replace(rows.conditions, source="order")
+    )
+
+
+@dataclass(frozen=True)
+class Mishap:
+    """What went wrong, and what must be said of it.
+
+    Attributes:
+        code: Code of the finding.
+        spoil: Makes spoiled measurements of good ones.
+        lines: Lines of a setup file that it states; None if they are not compared.
+        setup: Setup of the calibration.
+        job: Arguments of `measured`.
+        severity: Severity of the finding.
+        cured: Whether the job is calibrated again with the lines.
+    """
+
+    code: str
+    spoil: Spoil = lambda rows: rows
+    lines: Mapping[str, Any] | None = None
+    setup: Setup = field(default_factory=Setup)
+    job: Mapping[str, Any] = field(default_factory=dict)
+    severity: str = "error"
+    cured: bool = True
+
+
+def positions(change: Callable[[Floats], Floats]) -> Spoil:
+    return lambda rows: replace(rows, q=change(rows.q))
+
+
+def values(change: Callable[[Floats], Floats]) -> Spoil:
+    return lambda rows: replace(rows, values=change(rows.values))
+
+
+def joint(k: int, change: Callable[[Floats], Floats]) -> Spoil:
+    """One joint that is read otherwise."""
+    return positions(lambda q: np.where(np.arange(3) == k, change(q), q))
+
+
+def axes(signs: tuple[float, ...], order: tuple[int, ...]) -> Spoil:
+    """Columns x, y and z that hold other axes, or these negated."""
+    return values(lambda v: np.hstack([v[:, order] * signs, v[:, 3:]]))
+
+
+def wxyz(v: Floats) -> Floats:
+    return v[:, [0, 1, 2, 6, 3, 4, 5]]
+
+
+def inverted(v: Floats) -> Floats:
+    turned = Rotation.from_quat(v[:, 3:]).inv()
+    return np.hstack([-turned.apply(v[:, :3]), turned.as_quat()])
+
+
+def lagging(q: Floats) -> Floats:
+    """Joint 2 is read with a part of its last motion still before it."""
+    read = q.copy()
+    for k in range(1, len(q)):
+        read[k, 1] = (q[k, 1] - 0.01 * read[k - 1, 1]) / 0.99
+    return read
+
+
+def repeated(rows: Measurements, index: Any) -> Measurements:
+    """Some measurements again, each with noise of its own."""
+    rows = rows.rows(index)
+    noise = NOISE * np.random.default_rng(1).normal(size=rows.values.shape)
+    return replace(rows, values=rows.values + noise)
+
+
+def path(q: Floats) -> Floats:
+    """A smooth motion of all joints."""
+    t, k = np.linspace(0.0, TURN, 80)[:, None], np.arange(3.0)
+    return sum(0.5 * np.sin(n * t + n * k + k**2) for n in (1, 2, 3))
+
+
+def ruler(length: float) -> Setup:
+    return Setup(distances=(DistanceSetup(("a", "b"), length, 1e-3),))
+
+
+MISHAPS = [
+    Mishap(
+        "joint-reversed",
+        joint(2, lambda q: -q),
+        {"joints": {J3: {"joint": J3, "sign": -1}}},
+        KNOWN,
+    ),
+    Mishap(
+        "joint-offset",
+        joint(1, lambda q: q - 30.0 * DEGREE),
+        {"joints": {J2: {"joint": J2, "offset": pytest.approx(30.0 * DEGREE)}}},
+        severity="warning",
+    ),
+    Mishap(
+        "joints-exchanged",
+        positions(lambda q: q[:, [0, 2, 1]]),
+        {"joints": {J2: {"joint": J3}, J3: {"joint": J2}}},
+        KNOWN,
+    ),
+    Mishap(
+        "joint-gear",
+        joint(2, lambda q: q / 1.03),
+        {"joints": {J3: {"joint": J3, "gear": pytest.approx(1.03, abs=1e-3)}}},
+    ),
+    Mishap(
+        "gear-ripple",
+        lines={"parameters": ["placement", "motor-ripple"], "gear_ratios": {J2: 80.0}},
+        job={
+            "count": 120,
+            "effects": ("transmission",),
+            "changes": {f"{J2}.transmission.motor_sin": 4e-4},
+        },
+        severity="info",
+    ),
+    Mishap(
+        "joint-turns",
+        joint(2, lambda q: q + TURN),
+        {"joints": {J3: {"joint": J3, "offset": pytest.approx(-TURN)}}},
+        severity="info",
+    ),
+    Mishap(
+        "lag",
+        positions(lagging),
+        {"reading": {"lag": {J2: pytest.approx(0.01, abs=5e-4)}}},
+    ),
+    Mishap(
+        "lines-shifted",
+        positions(lambda q: np.roll(q, -3, axis=0)),
+        {"reading": {"shift": -3}},
+        KNOWN,
+    ),
+    Mishap(
+        "lines-reversed",
+        positions(lambda q: q[::-1]),
+        {"reading": {"reversed": True}},
+        KNOWN,
+    ),
+    Mishap(
+        "axes-exchanged",
+        axes((1.0, 1.0, 1.0), (1, 2, 0)),
+        {"reading": {"axes": ["y", "z", "x"]}},
+        KNOWN,
+    ),
+    Mishap(
+        "axes-negated",
+        axes((-1.0, -1.0, 1.0), (0, 1, 2)),
+        {"reading": {"axes": ["-x", "-y", "z"]}},
+        setup=KNOWN,
+        job={"model": "pose"},
+    ),
+    Mishap(
+        "left-handed-frame",
+        axes((1.0, 1.0, 1.0), (1, 0, 2)),
+        setup=HELD,
+    ),
+    Mishap(
+        "orientation-convention",
+        values(wxyz),
+        {"reading": {"orientation": {"columns": "quaternion", "hold": "wxyz"}}},
+        KNOWN,
+        {"model": "pose"},
+    ),
+    Mishap(
+        "pose-inverted",
+        values(inverted),
+        {"reading": {"inverted": True}},
+        KNOWN,
+        {"model": "pose"},
+    ),
+    Mishap(
+        "unit",
+        values(lambda v: v / 0.3048),
+        {"reading": {"scale": 0.3048}},
+        KNOWN,
+    ),
+    Mishap("scale", values(lambda v: 1.05 * v)),
+    Mishap("coarse-steps", values(lambda v: np.round(v, 3)), severity="warning"),
+    Mishap("known-distance", setup=ruler(0.11), job={"names": "ab"}),
+    Mishap(
+        "noise",
+        lambda rows: replace(rows, sigma=np.full(rows.values.shape, 5.0 * NOISE)),
+        severity="warning",
+    ),
+    Mishap(
+        "copied-measurements",
+        lambda rows: rows.rows(np.array([*range(COUNT), 3, 3])),
+        {"reading": {"without": [COUNT + 2, COUNT + 3]}},
+        severity="warning",
+    ),
+    Mishap(
+        "few-configurations",
+        job={"shape": lambda q: np.repeat(q[:6], 20, axis=0)},
+        severity="warning",
+    ),
+    Mishap(
+        "one-configuration",
+        lambda rows: repeated(rows, np.append(np.arange(COUNT), np.zeros(100, int))),
+        severity="warning",
+    ),
+    Mishap(
+        "backlash",
+        lines={"parameters": ["placement", "hysteresis"]},
+        job={
+            "effects": ("hysteresis",),
+            "changes": {f"{J2}.hysteresis.backlash": 5e-4},
+            "count": 60,
+        },
+        cured=False,
+        severity="warning",
+    ),
+    Mishap(
+        "unmoved-joints", job={"shape": lambda q: q * [1, 1, 0]}, severity="warning"
+    ),
+    Mishap(
+        "small-range", job={"shape": lambda q: q * [1, 1, 0.02]}, severity="warning"
+    ),
+    Mishap("one-path", job={"shape": path}, severity="warning"),
+    Mishap(
+        "joints-move-together",
+        job={"shape": lambda q: np.outer(q[:, 0], [1.0, -0.7, 0.5])},
+        severity="warning",
+    ),
+    Mishap(
+        "large-correction",
+        job={"changes": {f"{J3}.placement.rx": 0.05}},
+        severity="warning",
+    ),
+]
+
+
+@pytest.mark.parametrize("mishap", MISHAPS, ids=lambda mishap: mishap.code)
+def test_a_mishap_is_named_and_its_lines_undo_it(
+    mishap: Mishap, tmp_path: Path
+) -> None:
+    rows = mishap.spoil(measured(**mishap.job))
+    rows = replace(
+        rows, lines=np.arange(len(rows)) + 2, files=("rows.csv",) * len(rows)
+    )
+    result = calib_pin.calibrate(ARM, rows, mishap.setup, validate=False)
+    finding = {f.code: f for f in result.findings}[mishap.code]
+    assert finding.severity == mishap.severity
+    errors = [f.code for f in result.findings if f.severity == "error"]
+    assert errors == [mishap.code] * (mishap.severity == "error")
+    assert result.verdict == "untrusted" or not errors
+    if mishap.lines is not None:
+        assert finding.setup == mishap.lines
+    if mishap.cured and finding.setup:
+        again = cured(mishap, rows, finding.setup, tmp_path)
+        assert again.verdict == "good"
+        assert [f.code for f in again.findings if f.severity != "info"] == []
+        assert mishap.code not in {f.code for f in again.findings}
+        assert again.errors[0].after.rms < 3.0 * NOISE
+
+
+def cured(
+    mishap: Mishap, rows: Measurements, lines: Mapping[str, Any], folder: Path
+) -> calib_pin.CalibrationResult:
+    """The calibration of a file with these lines in the setup."""
+    file, stated = folder / "rows.csv", folder / "setup.yaml"
+    calib_pin.write_measurements(file, replace(rows, conditions=Conditions()))
+    stated.write_text(json.dumps(lines), encoding="utf-8")
+    read = read_setup(stated)
+    setup = replace(mishap.setup, parameters=("placement",))
+    for key in {"parameters", "gear_ratios", "noise"} & set(lines):
+        setup = replace(setup, **{key: getattr(read, key)})
+    data = calib_pin.read_measurements(
+        file, ARM, model=rows.model, joints=read.joints, reading=read.reading
+    )
+    return calib_pin.calibrate(ARM, data, setup, validate=False)
+
+
+CLEAN: dict[str, tuple[Spoil, Setup, Mapping[str, Any]]] = {
+    "positions": (lambda rows: rows, Setup(), {}),
+    "poses": (lambda rows: rows, Setup(), {"model": "pose"}),
+    "in the order of a path": (
+        lambda rows: rows.rows(np.argsort(rows.q[:, 0])),
+        Setup(),
+        {"count": 60},
+    ),
+    "another axis up": (axes((1.0, 1.0, 1.0), (1, 2, 0)), Setup(), {}),
+    "a tenth of the noise in digits": (
+        values(lambda v: np.round(v, 5)),
+        Setup(),
+        {},
+    ),
+    "sigma nearly right": (
+        lambda rows: replace(rows, sigma=np.full(rows.values.shape, 1.4 * NOISE)),
+        Setup(),
+        {},
+    ),
+    "repetitions": (
+        lambda rows: repeated(rows, np.append(np.arange(COUNT), np.arange(20))),
+        Setup(),
+        {},
+    ),
+    "a right distance": (lambda rows: rows, ruler(0.1), {"names": "ab"}),
+}
+
+
+@pytest.mark.parametrize("job", CLEAN)
+def test_a_clean_job_is_not_accused(job: str) -> None:
+    spoil, setup, how = CLEAN[job]
+    result = calib_pin.calibrate(ARM, spoil(measured(**how)), setup, validate=False)
+    assert (result.verdict, result.findings) == ("good", ())
+
+
+ELSEWHERE = {
+    "joint-coupled": "test_joint_columns",
+    "joint-degrees": "test_joint_columns",
+    "joint-columns": "test_joint_sets",
+    "outliers": "test_values",
+    "measurements-exchanged": "test_values",
+    "unit-of-some": "test_values",
+    "instrument-moved": "test_moves",
+    "tool-remounted": "test_moves",
+    "instrument-drift": "test_drift",
+    "robot-drift": "test_drift",
+    "target": "test_targets",
+    "robot": "test_robot",
+    "tip-link": "test_robot",
+    "base-link": "test_robot",
+    "tool-frame": "test_robot",
+    "base-frame": "test_robot",
+    "implausible-correction": "test_plausibility",
+    "unlike-fleet": "test_population",
+    "approach-by-order": "test_approach",
+    "old-calibration-holds": "test_recalibration",
+    "old-calibration-no-longer-holds": "test_recalibration",
+    "repeated-validation": "test_held_out",
+    "moved-instrument": "test_held_out",
+    "frames-moved": "test_evaluation",
+    "modeled-warm-up": "test_time_course",
+    "modeled-drift": "test_drift",
+    "different-robots": "test_compare",
+}
+"""Codes with tests of their own, by the module that has them."""
+
+
+def test_every_code_is_documented_and_tested() -> None:
+    root = Path(__file__).parents[3]
+    page = (root / "docs" / "reference" / "findings.md").read_text("utf-8")
+    documented = re.findall(r"^\| `([a-z-]+)` \|", page, re.MULTILINE)
+    assert len(set(documented)) == len(documented)
+    assert set(documented) == {m.code for m in MISHAPS} | set(ELSEWHERE)
+    files = (root / "calib_pin").rglob("*.py")
+    source = "".join(path.read_text("utf-8") for path in files)
+    made = r'\b(?:Finding|Hypothesis|Other)\(\s*"([a-z]+(?:-[a-z]+)*)"'
+    stated = set(re.findall(made, source))
+    assert len(stated) > 20 and stated <= set(documented)
+    assert all(f'"{code}"' in source for code in documented)
+    for code, name in ELSEWHERE.items():
+        found = (root / "tests").rglob(f"{name}.py")
+        assert any(f'"{code}"' in p.read_text("utf-8") for p in found), code

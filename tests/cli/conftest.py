@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,6 +17,7 @@ from typer.exceptions import TyperException
 
 import calib_pin.cli.app as cli_app
 from calib_pin.cli import main
+from calib_pin.cli.workforce import asked_workers
 from calib_pin.errors import InputError, OutputError
 from calib_pin.viewer.scene import Scene
 
@@ -58,8 +62,8 @@ planes:
   wall: {normal: [1, 0.2, 0.3], offset: -1.8}
 """
 
-DRAW = "calib_pin.cli.requests.draw_calibration"
-"""What a command draws the figures of a calibration with."""
+DRAW = [f"calib_pin.cli.{name}.draw_calibration" for name in ("requests", "report")]
+"""What commands draw the figures of a calibration with."""
 
 SETUP = "tip: tool\nparameters: [joint-offset]\nnoise: {position: 1.0e-4}\n"
 
@@ -90,7 +94,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     position = "--model position --noise 1e-4"
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        patch.setattr(DRAW, lambda *about: [])
+        patch.setattr(DRAW[0], lambda *about: [])
         for words in (
             f"simulate arm.urdf {position} --count 40 --errors errors.yaml "
             "--parameters joint-offset -o rows.csv --truth truth.urdf",
@@ -101,6 +105,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
             "simulate arm.urdf --model pose --count 20 --seed 4 -o poses.csv",
             "simulate arm.urdf --setup plane.yaml --count 40 --seed 5 -o distances.csv",
             "calibrate arm.urdf rows.csv --setup setup.yaml -o done --quiet",
+            "calibrate arm.urdf new.csv --setup setup.yaml -o later --quiet",
         ):
             assert main(words.split()) == 0, words
     return folder
@@ -119,7 +124,8 @@ def here(workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
 def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages without figures, unless a test asks for `drawn`: they take the longest."""
     if "drawn" not in request.fixturenames:
-        monkeypatch.setattr(DRAW, lambda *about: [])
+        for place in DRAW:
+            monkeypatch.setattr(place, lambda *about: [])
 
 
 @pytest.fixture
@@ -157,10 +163,32 @@ def run(
 
 
 @pytest.fixture
+def fails(
+    run: Callable[..., Run], listing: Callable[[Path], dict[str, str]]
+) -> Callable[..., Run]:
+    """A command that prints one line, on the error stream, and touches no file.
+
+    What follows the command are parts of its line.
+    """
+
+    def check(words: str | Sequence[str], *parts: str) -> Run:
+        folder = Path.cwd()
+        before = listing(folder)
+        result = run(words)
+        assert (result.status, result.out) == (1, "")
+        assert result.err.startswith("calib-pin: ") and "internal" not in result.err
+        assert result.err.count("\n") == 1 and len(result.err) < 600
+        for part in parts:
+            assert part in result.err, result.err
+        assert listing(folder) == before
+        return result
+
+    return check
+
+
+@pytest.fixture
 def refuses(
-    run: Callable[..., Run],
-    refused: Callable[..., Any],
-    listing: Callable[[Path], dict[str, str]],
+    fails: Callable[..., Run], refused: Callable[..., Any]
 ) -> Callable[..., None]:
     """A command that refuses its input: `refuses(words, line=3, ...)`, see `refused`.
 
@@ -171,28 +199,46 @@ def refuses(
     def check(
         words: str | Sequence[str], text: str | Sequence[str] = (), **fields: Any
     ) -> None:
-        folder = Path.cwd()
-        before = listing(folder)
-        result = run(words)
-        assert (result.status, result.out) == (1, "")
-        assert result.err.startswith("calib-pin: ")
-        assert result.err.count("\n") == 1 and len(result.err) < 600
+        result = fails(words, *((text,) if isinstance(text, str) else text))
         if text:
             assert isinstance(result.error, TyperException | OutputError)
-            for part in (text,) if isinstance(text, str) else text:
-                assert part in result.err
         else:
             assert result.err == f"calib-pin: {' '.join(str(result.error).split())}\n"
             with refused(InputError, **fields):
                 raise result.error or AssertionError("nothing was refused")
-        assert listing(folder) == before
 
     return check
 
 
 @pytest.fixture
+def withholds(
+    run: Callable[..., Run], listing: Callable[[Path], dict[str, str]]
+) -> Callable[[str], Run]:
+    """A command that tells its result, and why it writes nothing of it."""
+
+    def check(words: str) -> Run:
+        before = listing(Path.cwd())
+        result = run(words)
+        assert result.status == 2 and result.out.endswith("wrote nothing\n")
+        assert listing(Path.cwd()) == before
+        return result
+
+    return check
+
+
+@pytest.fixture
+def inside(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Jobs of a fleet are done in this process, whatever is asked for."""
+    patient = partial(asked_workers, patience=1e9)
+    monkeypatch.setattr(
+        "calib_pin.cli.fleet.asked_workers",
+        lambda count, cluster, _: patient(count, cluster),
+    )
+
+
+@pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
-    """Scenes that are shown in windows nobody opens."""
+    """Scenes that are shown in windows nobody opens; viser is not needed for that."""
     scenes: list[Scene] = []
 
     class Window:
@@ -208,7 +254,9 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
         def close(self) -> None:
             pass
 
-    monkeypatch.setattr("calib_pin.viewer.server.Window", Window)
+    server = SimpleNamespace(Window=Window)
+    monkeypatch.setitem(sys.modules, "calib_pin.viewer.server", server)  # type: ignore[arg-type]
+    monkeypatch.setattr("calib_pin.cli.view._require_viser", lambda: None)
     return scenes
 
 

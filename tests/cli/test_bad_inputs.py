@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -98,18 +99,16 @@ def stored(*path: str | int, to: object) -> Edit:
 
 CALIBRATE = "calibrate arm.urdf rows.csv -o out"
 SETUP = "calibrate arm.urdf rows.csv --setup bad.yaml -o out"
-DISTANCES = "calibrate arm.urdf distances.csv --setup plane.yaml -o out"
 EVALUATE = "evaluate done/calibration.json new.csv"
 TRUSTED_OR_NOT = {"calibration.json", "measurements.csv", "nominal.urdf", "report.html"}
 SIMULATE = "simulate arm.urdf --model position --count 5 -o out.csv"
-
 CONTACT = "calibrate arm.urdf touch.csv --setup bad.yaml -o out"
 
 
 def touch(*rows: str, columns: str = "target") -> str:
-    """A file of twelve configurations, with these cells in turn."""
+    """A file of four configurations, with these cells in turn."""
     lines = [f"joint1,joint2,joint3,joint4,{columns}"]
-    for k in range(12):
+    for k in range(4):
         q = f"{0.1 * k:.1f},{0.2 * k - 1:.1f},0.3,{-0.1 * k:.1f}"
         lines.append(f"{q},{rows[k % len(rows)]}")
     return "\n".join(lines) + "\n"
@@ -123,338 +122,156 @@ payloads:
 """
 CAMERA = "camera: {mount: hand, focal: [900, 900], center: [640, 480]}\n"
 PIXELS = touch("1,2,m", columns="u,v,target")
-APART = "model: fixed-point\ndistances:\n"
+FORK = """<robot name="two"><link name="a"/><link name="b"/><link name="c"/>
+<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>
+<joint name="k" type="fixed"><parent link="a"/><child link="c"/></joint></robot>"""
+MIMIC = swap('<child link="link3"/>', '<child link="link3"/><mimic joint="joint2"/>')
+LONGER = swap('xyz="0 0 0.4"', 'xyz="0 0 0.41"')
+NOBODYS = "model: fixed-point\nprior: {a/0.socket.x: 0.001}\n"
 
-# (command, files to write first, fields of the error). What reading a file refuses is
-# tested with the reader, in tests/io; here stands one case of each kind of file.
-CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
-    # the command line
-    "unknown command": (
-        "calibrat x y",
-        {},
-        dict(text=("calibrat", "calibrate", "--help")),
+
+# Command, fields of the error.
+OPTIONS: dict[str, dict[str, Any]] = {
+    "calibrat x y": dict(text=("calibrate", "--help")),
+    f"{CALIBRATE} --setpu x": dict(text=("--setpu", "--setup")),
+    "calibrate": dict(text=("ROBOT", "calibrate --help")),
+    "calibrate arm.urdf -o out": dict(text="MEASUREMENTS"),
+    f"{CALIBRATE} --setup": dict(text="--setup"),
+    f"{CALIBRATE} --loss hubert": dict(reason="'hubert'", allowed="huber"),
+    f"{CALIBRATE} --parameters placements": dict(reason="'placement'"),
+    f"{CALIBRATE} --parameters dh,dh": dict(value="dh,dh"),
+    f"{CALIBRATE} --parameters dh,dh-full": dict(reason="joint1.dh.theta"),
+    f"{CALIBRATE} --model positions": dict(reason="'position'"),
+    f"{CALIBRATE} --model position+camra": dict(reason="'camera'"),
+    f"{CALIBRATE} --model position+position": dict(value="position+position"),
+    f"{CALIBRATE} --model camera": dict(file="rows.csv", line=2, column="u"),
+    f"{CALIBRATE} --holdout 1.5": dict(value=1.5),
+    f"{CALIBRATE} --holdout nan": dict(reason=("--holdout", "'nan'")),
+    f"{CALIBRATE} --seed one": dict(reason=("--seed", "'one'")),
+    f"{CALIBRATE} --seed -1": dict(reason=("--seed", "'-1'")),
+    f"{CALIBRATE} --validation rows.csv": dict(file="rows.csv", line=None),
+    f"{CALIBRATE} --validation distances.csv": dict(
+        file="distances.csv", line=2, column="x", reason="'position'"
     ),
-    "unknown option": (
-        f"{CALIBRATE} --setpu x",
-        {},
-        dict(text=("--setpu", "--setup")),
+    # the robot
+    "calibrate . rows.csv": dict(file="."),
+    "calibrate done/calibration.json new.csv": dict(file="done/calibration.json"),
+    f"{CALIBRATE} --base baselink": dict(file="arm.urdf", reason="'base_link'"),
+    f"{CALIBRATE} --tip base_link": dict(file="arm.urdf"),
+    f"{CALIBRATE} --base link4 --tip tool": dict(
+        file="arm.urdf", reason=("'link4'", "'tool'")
     ),
-    "no robot": ("calibrate", {}, dict(text=("ROBOT", "calibrate --help"))),
-    "no measurements": ("calibrate arm.urdf -o out", {}, dict(text="MEASUREMENTS")),
-    "option without value": (
-        f"{CALIBRATE} --setup",
-        {},
-        dict(text=("--setup", "argument")),
+    "calibrate arm.urdf done": dict(file="done"),
+    # the setup
+    f"{CALIBRATE} --setup setpu.yaml": dict(file="setpu.yaml", reason="'setup.yaml'"),
+    # outputs
+    "calibrate arm.urdf rows.csv -o setup.yaml": dict(file="setup.yaml"),
+    "calibrate arm.urdf new.csv -o done": dict(file="done/arm.urdf"),
+    "calibrate arm.urdf rows.csv -o . --force": dict(file="arm.urdf"),
+    "simulate arm.urdf --model position --count 5 -o new.csv": dict(file="new.csv"),
+    f"{SIMULATE} -o arm.urdf --force": dict(file="arm.urdf"),
+    f"{SIMULATE} --truth ./arm.urdf --force": dict(file="arm.urdf"),
+    f"{SIMULATE} --truth out.csv": dict(file="out.csv"),
+    "simulate arm.urdf --model position --configurations new.csv -o new.csv "
+    "--force": dict(file="new.csv"),
+    # calibrations
+    "evaluate done/calibration.json distances.csv": dict(
+        file="distances.csv", line=2, column="x", reason="'position'"
     ),
-    "unknown solver": (
-        f"{CALIBRATE} --solver lm",
-        {},
-        dict(reason=("solver", "'lm'"), allowed="gauss-newton"),
+    f"{EVALUATE} --tip tool": dict(reason="tip"),
+    # simulation and structure
+    "simulate arm.urdf --model plane-distance --count 5 -o out.csv": dict(
+        reason="planes"
     ),
-    "unknown loss": (
-        f"{CALIBRATE} --loss hubert",
-        {},
-        dict(reason=("loss", "'hubert'"), allowed="auto, squared, huber, gnc"),
+    "simulate arm.urdf --model fixed-point --count 5 -o out.csv": dict(
+        reason="'sockets'"
     ),
-    "unknown parameterization": (
-        f"{CALIBRATE} --parameters placements",
-        {},
-        dict(
-            reason=("'placements'", "did you mean 'placement'"), allowed="joint-offset"
-        ),
+    "identify arm.urdf": dict(reason="--model", allowed="pose"),
+    "simulate arm.urdf --model pose -o out.csv": dict(reason="--count"),
+    f"{SIMULATE} --count 0": dict(reason=("--count", "'0'")),
+    f"{SIMULATE} --count 5.5": dict(reason=("--count", "'5.5'")),
+    f"{SIMULATE} --repeats 0": dict(reason=("--repeats", "'0'")),
+    f"{SIMULATE} --noise -1e-4": dict(reason=("--noise", "'-1e-4'")),
+    f"{SIMULATE} --noise inf": dict(reason=("--noise", "'inf'")),
+    f"{SIMULATE} --parameters compliance": dict(reason=("'compliance'", "'arm'")),
+    "identify arm.urdf --model pose --parameters compliance": dict(
+        reason=("'compliance'", "'arm'")
     ),
-    "parameterization twice": (
-        f"{CALIBRATE} --parameters dh,dh",
-        {},
-        dict(value="dh,dh", reason="twice"),
-    ),
-    "overlapping parameterizations": (
-        f"{CALIBRATE} --parameters dh,dh-full",
-        {},
-        dict(reason=("joint1.dh.theta", "twice")),
-    ),
-    "unknown model": (
-        f"{CALIBRATE} --model positions",
-        {},
-        dict(
-            reason=("'positions'", "did you mean 'position'"), allowed="plane-distance"
-        ),
-    ),
-    "columns of another model": (
-        f"{CALIBRATE} --model camera",
-        {},
-        dict(
-            file="rows.csv",
-            line=2,
-            column="u",
-            reason="model 'camera' needs the missing u, v",
-        ),
-    ),
-    "unknown model among several": (
-        f"{CALIBRATE} --model position+camra",
-        {},
-        dict(reason=("'camra'", "did you mean 'camera'"), allowed="fixed-point"),
-    ),
-    "model twice": (
-        f"{CALIBRATE} --model position+position",
-        {},
-        dict(value="position+position", reason="twice"),
-    ),
+}
+
+# Command, files to write first, fields of the error. What reading a file refuses is
+# tested with the reader, in tests/io; here stands one case of each kind of file. The
+# cases of `test_messages.py` are not repeated.
+Case = tuple[Any, Mapping[str, str | Edit], dict[str, Any]]
+CASES: dict[str, Case] = {
     "empty tip": (
         ["calibrate", "arm.urdf", "rows.csv", "--tip", ""],
         {},
         dict(reason="--tip"),
     ),
-    "holdout too large": (
-        f"{CALIBRATE} --holdout 1.5",
-        {},
-        dict(value=1.5, reason="holdout", allowed="0 and 1"),
-    ),
-    "holdout no number": (
-        f"{CALIBRATE} --holdout 20%",
-        {},
-        dict(reason=("--holdout", "'20%'"), allowed="0 and 1"),
-    ),
-    "holdout nan": (
-        f"{CALIBRATE} --holdout nan",
-        {},
-        dict(reason=("--holdout", "'nan'"), allowed="0 and 1"),
-    ),
-    "holdout and validation": (
-        f"{CALIBRATE} --holdout 0.2 --validation new.csv",
-        {},
-        dict(reason=("validation", "holdout", "both")),
-    ),
-    "seed no number": (f"{CALIBRATE} --seed one", {}, dict(reason=("--seed", "'one'"))),
-    "negative seed": (
-        f"{CALIBRATE} --seed -1",
-        {},
-        dict(reason=("--seed", "'-1'"), allowed="0, 1"),
-    ),
-    "the same file twice": (
-        "calibrate arm.urdf rows.csv ./rows.csv",
-        {},
-        dict(file="rows.csv", reason="twice"),
-    ),
-    "validated on the fitted rows": (
-        f"{CALIBRATE} --validation rows.csv",
-        {},
-        dict(file="rows.csv", reason="twice"),
-    ),
-    "validated by other measurements": (
-        f"{CALIBRATE} --validation distances.csv",
-        {},
-        dict(
-            file="distances.csv", line=2, column="x", reason=("'position'", "x, y, z")
-        ),
-    ),
-    # the robot
-    "missing robot": (
-        "calibrate ram.urdf rows.csv",
-        {},
-        dict(
-            file="ram.urdf",
-            reason=("no such file", "did you mean 'arm.urdf'"),
-            allowed="bundled robot",
-        ),
-    ),
-    "robot is a folder": (
-        "calibrate . rows.csv",
-        {},
-        dict(file=".", reason="is a directory", allowed="a URDF or xacro file"),
-    ),
-    "robot is no XML": (
-        "calibrate rows.csv rows.csv",
-        {},
-        dict(file="rows.csv", reason="XML"),
-    ),
-    "robot is a calibration": (
-        "calibrate done/calibration.json new.csv",
-        {},
-        dict(file="done/calibration.json", reason="robot"),
-    ),
-    "unknown tip": (
-        f"{CALIBRATE} --tip tol",
-        {},
-        dict(file="arm.urdf", reason=("'tol'", "did you mean 'tool'")),
-    ),
-    "unknown base": (
-        f"{CALIBRATE} --base baselink",
-        {},
-        dict(file="arm.urdf", reason="'base_link'"),
-    ),
     "several leaves": (
         "calibrate two.urdf rows.csv",
-        {
-            "two.urdf": '<robot name="two"><link name="a"/><link name="b"/>'
-            '<link name="c"/><joint name="j" type="fixed"><parent link="a"/>'
-            '<child link="b"/></joint><joint name="k" type="fixed"><parent link="a"/>'
-            '<child link="c"/></joint></robot>'
-        },
+        {"two.urdf": FORK},
         dict(file="two.urdf", reason="--tip", allowed="b, c"),
-    ),
-    "tip is the base": (
-        f"{CALIBRATE} --tip base_link",
-        {},
-        dict(file="arm.urdf", reason="nothing moves"),
-    ),
-    "no moving joint": (
-        f"{CALIBRATE} --base link4 --tip tool",
-        {},
-        dict(file="arm.urdf", reason=("no moving joint", "'link4'", "'tool'")),
     ),
     "mimic joint": (
         CALIBRATE,
-        {
-            "arm.urdf": swap(
-                '<child link="link3"/>',
-                '<child link="link3"/><mimic joint="joint2"/>',
-            )
-        },
-        dict(file="rows.csv", line=3, column="joint3", reason="mimics 'joint2'"),
+        {"arm.urdf": MIMIC},
+        dict(file="rows.csv", line=3, column="joint3", reason="'joint2'"),
     ),
     "floating joint": (
         CALIBRATE,
         {"arm.urdf": swap('"joint2" type="revolute"', '"joint2" type="floating"')},
-        dict(file="arm.urdf", reason=("joint2", "floating")),
+        dict(file="arm.urdf", reason="joint2"),
     ),
     # measurement files
-    "missing measurements": (
-        "calibrate arm.urdf row.csv",
-        {},
-        dict(file="row.csv", reason=("no such file", "did you mean 'rows.csv'")),
-    ),
-    "measurements are a folder": (
-        "calibrate arm.urdf done",
-        {},
-        dict(file="done", reason="directory"),
-    ),
-    "missing joint": (
-        CALIBRATE,
-        {"rows.csv": header("joint3", "joint_3")},
-        dict(
-            file="rows.csv",
-            line=2,
-            column="joint3",
-            reason=("joint 'joint3'", "did you mean 'joint_3'"),
-        ),
-    ),
     "not a number": (
         CALIBRATE,
         {"rows.csv": cell(7, "y", "NaN")},
-        dict(file="rows.csv", line=7, column="y", value="NaN", reason="finite"),
+        dict(file="rows.csv", line=7, column="y", value="NaN"),
     ),
     "angles in degrees": (
         CALIBRATE,
         {"rows.csv": scaled(57.3, "joint1", "joint2", "joint3", "joint4")},
-        dict(file="rows.csv", column="joint1", reason=("wrong unit", "joint1 [deg]")),
+        dict(file="rows.csv", column="joint1", reason="joint1 [deg]"),
     ),
     "all rows for validation": (
         CALIBRATE,
         {"rows.csv": column("set", lambda *_: "validate")},
-        dict(reason=("no measurement", "validation")),
+        dict(line=None),
     ),
     "two models at once": (
         CALIBRATE,
         {"rows.csv": column("distance", lambda *_: 1.0)},
-        dict(
-            file="rows.csv",
-            line=2,
-            reason="--model",
-            allowed="position, pose, plane-distance",
-        ),
-    ),
-    "unknown plane": (
-        DISTANCES,
-        {"distances.csv": cell(5, "target", "wal")},
-        dict(
-            file="distances.csv",
-            line=5,
-            column="target",
-            reason=("'wal'", "did you mean 'wall'"),
-        ),
+        dict(file="rows.csv", line=2, reason="--model"),
     ),
     # points, sockets, wires and cameras
-    "unknown target": (
-        SETUP,
-        {
-            "rows.csv": column("target", lambda i, _: "ball" if i else "bal"),
-            "bad.yaml": "targets: {ball: {xyz: [0, 0, 0.1]}}\n",
-        },
-        dict(
-            file="rows.csv",
-            line=3,
-            column="target",
-            reason=("'bal'", "did you mean 'ball'"),
-        ),
-    ),
     "unknown point in a socket": (
         CONTACT,
         {
             "touch.csv": touch("ball@s", "bal@s"),
             "bad.yaml": "model: fixed-point\ntargets: {ball: {}}\n",
         },
-        dict(
-            file="touch.csv",
-            line=3,
-            column="target",
-            reason=("there is no target 'bal'", "did you mean 'ball'"),
-        ),
-    ),
-    "unknown socket": (
-        CONTACT,
-        {
-            "touch.csv": touch("front/0", "front/l"),
-            "bad.yaml": "model: fixed-point\nsockets: {front/0: {}, front/1: {}}\n",
-        },
-        dict(
-            file="touch.csv",
-            line=3,
-            column="target",
-            reason=(
-                "there is no socket 'front/l'",
-                "did you mean 'front/",
-            ),
-        ),
+        dict(file="touch.csv", line=3, column="target", reason=("'bal'", "'ball'")),
     ),
     "distance between unknown sockets": (
         CONTACT,
         {
             "touch.csv": touch("a/0", "a/1"),
-            "bad.yaml": APART + "  - {between: [a/0, a/2], value: 0.05}\n",
+            "bad.yaml": "model: fixed-point\n"
+            "distances: [{between: [a/0, a/2], value: 0.05}]\n",
         },
-        dict(
-            file="bad.yaml",
-            value=["a/0", "a/2"],
-            reason=(
-                "'distances' names 'a/2', which no measurement does",
-                "did you mean 'a/",
-            ),
-        ),
+        dict(file="bad.yaml", value=["a/0", "a/2"], reason="'a/2'"),
     ),
     "camera without intrinsics": (
         "calibrate arm.urdf touch.csv -o out",
         {"touch.csv": PIXELS},
-        dict(reason=("'camera' in a setup file (--setup)", "mount, focal and center")),
+        dict(reason=("'camera'", "--setup")),
     ),
     "camera without points": (
         CONTACT,
         {"touch.csv": PIXELS, "bad.yaml": CAMERA},
-        dict(reason=("'camera' needs known points", "the xyz of 'm' under 'targets'")),
-    ),
-    "unknown point of a camera": (
-        CONTACT,
-        {
-            "touch.csv": PIXELS,
-            "bad.yaml": CAMERA + "targets: {n: {xyz: [0, 0, 0]}}\n",
-        },
-        dict(
-            file="touch.csv",
-            line=2,
-            column="target",
-            reason=("there is no target 'm'"),
-            allowed="n",
-        ),
+        dict(reason=("'camera'", "'m'", "'targets'")),
     ),
     "unknown anchor": (
         CONTACT,
@@ -462,54 +279,22 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
             "touch.csv": touch("0.5,wire", "0.5,wier", columns="distance,target"),
             "bad.yaml": "model: point-distance\nanchors: {wire: {}}\n",
         },
-        dict(
-            file="touch.csv",
-            line=3,
-            column="target",
-            reason=("there is no anchor 'wier'", "did you mean 'wire'"),
-        ),
+        dict(file="touch.csv", line=3, column="target", reason=("'wier'", "'wire'")),
     ),
     "something learned from ways": (
         f"{CONTACT} --learned network",
         {
-            "touch.csv": touch("0,a", *["0.5,a"] * 11, columns="distance,target"),
+            "touch.csv": touch("0,a", *["0.5,a"] * 3, columns="distance,target"),
             "bad.yaml": "model: relative-distance\n",
         },
-        dict(file="bad.yaml", value="network", reason="nothing can be learned"),
+        dict(file="bad.yaml", value="network"),
     ),
     "prior of a socket that nobody has placed": (
         CONTACT,
-        {
-            "touch.csv": touch("a/0", "a/1"),
-            "bad.yaml": "model: fixed-point\nprior: {a/0.socket.x: 0.001}\n",
-        },
-        dict(
-            file="bad.yaml",
-            reason=("fixed, bounds or prior", "'sockets' in a setup file"),
-        ),
-    ),
-    "beam parallel to the plane": (
-        "calibrate arm.urdf flat.csv --setup bad.yaml",
-        {
-            "bad.yaml": "parameters: [joint-offset]\nframes: {tool: {rpy: [0, -1.4, 0],"
-            " estimate: false}}\nplanes: {wall: {normal: [1, 0, 0], offset: -1}}\n",
-            "flat.csv": "joint1,joint2,joint3,joint4,distance\n"
-            + "0,0.5,0,0.1,1\n" * 12
-            + "0,0,0,0,1\n",
-        },
-        dict(file="flat.csv", line=14, reason=("parallel", "'wall'")),
+        {"touch.csv": touch("a/0", "a/1"), "bad.yaml": NOBODYS},
+        dict(file="bad.yaml", reason="'sockets'"),
     ),
     # setup files
-    "missing setup": (
-        f"{CALIBRATE} --setup setpu.yaml",
-        {},
-        dict(file="setpu.yaml", reason="'setup.yaml'"),
-    ),
-    "unknown key": (
-        SETUP,
-        {"bad.yaml": "tip: tool\nparamters: [dh]\n"},
-        dict(file="bad.yaml", line=2, reason=("'paramters'", "'parameters'")),
-    ),
     "glob without a match": (
         SETUP,
         {"bad.yaml": 'fixed: ["*.placment.z"]\n'},
@@ -518,36 +303,22 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
     "bound that excludes zero": (
         SETUP,
         {"bad.yaml": 'bounds: {"*.placement.x": [0.001, 0.002]}\n'},
-        dict(file="bad.yaml", value=[0.001, 0.002], reason=("'*.placement.x'", "zero")),
+        dict(file="bad.yaml", value=[0.001, 0.002], reason="'*.placement.x'"),
     ),
     "mapped joint that is not there": (
         SETUP,
         {"bad.yaml": "joints: {J1: {joint: joint_1}}\n"},
-        dict(reason=("'J1'", "'joint_1'", "did you mean 'joint1'")),
+        dict(reason=("'J1'", "'joint_1'", "'joint1'")),
     ),
-    # gravity, payloads and gears
     "gear ratio of no joint": (
         SETUP,
-        {
-            "bad.yaml": "parameters: [transmission]\ngear_ratios: {joint_2: 100}\n",
-        },
-        dict(
-            file="bad.yaml",
-            column="gear_ratios",
-            reason=("'joint_2'", "did you mean 'joint2'"),
-            allowed="joint1, joint2, joint3",
-        ),
+        {"bad.yaml": "parameters: [transmission]\ngear_ratios: {joint_2: 100}\n"},
+        dict(file="bad.yaml", column="gear_ratios", reason=("'joint_2'", "'joint2'")),
     ),
     "several payloads": (
         SETUP,
         {"bad.yaml": LOADS},
-        dict(
-            file="rows.csv",
-            line=3,
-            column="payload",
-            reason=("several payloads", "the row names none"),
-            allowed="none, light, heavy",
-        ),
+        dict(file="rows.csv", line=3, column="payload", allowed="none, light, heavy"),
     ),
     "unknown payload": (
         SETUP,
@@ -555,205 +326,22 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
             "rows.csv": column("payload", lambda i, _: "hevy" if i == 3 else "heavy"),
             "bad.yaml": LOADS,
         },
-        dict(
-            file="rows.csv",
-            line=6,
-            column="payload",
-            reason=("there is no payload 'hevy'", "did you mean 'heavy'"),
-            allowed="light, heavy",
-        ),
-    ),
-    "compliance without a mass": (
-        f"{CALIBRATE} --parameters placement,compliance",
-        {},
-        dict(
-            reason=("'compliance'", "'arm'", "no mass"),
-            allowed=("<inertial>", "payloads in the setup file"),
-        ),
-    ),
-    "simulated compliance without a mass": (
-        f"{SIMULATE} --parameters compliance",
-        {},
-        dict(
-            reason=("'compliance'", "'arm'", "no mass"),
-            allowed="payloads in the setup file",
-        ),
-    ),
-    "structure of a compliance without a mass": (
-        "identify arm.urdf --model pose --parameters compliance",
-        {},
-        dict(reason=("'compliance'", "'arm'", "no mass")),
-    ),
-    "name of a correction": (
-        f"{CALIBRATE} --parameters placement,compliances",
-        {},
-        dict(
-            reason=("'compliances'", "did you mean 'compliance'"),
-            allowed="transmission, compliance",
-        ),
-    ),
-    "unknown residual model": (
-        f"{CALIBRATE} --learned netwrok",
-        {},
-        dict(
-            reason=("unknown residual model 'netwrok'", "did you mean 'network'"),
-            allowed="gaussian-process",
-        ),
+        dict(file="rows.csv", line=6, column="payload", reason=("'hevy'", "'heavy'")),
     ),
     "too few rows for a ladder": (
         f"{CALIBRATE} --model-ladder",
         {"rows.csv": lines(6)},
-        dict(reason=("no model can be selected", "4 configurations are too few")),
+        dict(reason="4 configurations"),
     ),
     "name on no rung of a ladder": (
         f"{SETUP} --model-ladder",
         {"bad.yaml": "fixed: [joint1.transmision.sin1]\n"},
-        dict(
-            file="bad.yaml",
-            reason=(
-                "'joint1.transmision.sin1'",
-                "did you mean 'joint1.transmission.sin1'",
-            ),
-        ),
+        dict(file="bad.yaml", reason="'joint1.transmission.sin1'"),
     ),
     "unknown error of a gear": (
         f"{SIMULATE} --parameters transmission --errors bad.yaml",
         {"bad.yaml": "joint1.transmission.sin: 1.0e-3\n"},
-        dict(
-            file="bad.yaml",
-            line=1,
-            reason=("'joint1.transmission.sin'", "did you mean"),
-        ),
-    ),
-    # outputs
-    "output folder is a file": (
-        "calibrate arm.urdf rows.csv -o setup.yaml",
-        {},
-        dict(file="setup.yaml", reason="not a folder"),
-    ),
-    "output exists": (
-        "calibrate arm.urdf new.csv -o done",
-        {},
-        dict(file="done/arm.urdf", reason="--force"),
-    ),
-    "output over the robot": (
-        "calibrate arm.urdf rows.csv -o . --force",
-        {},
-        dict(file="arm.urdf", reason="input"),
-    ),
-    "simulation exists": (
-        "simulate arm.urdf --model position --count 5 -o new.csv",
-        {},
-        dict(file="new.csv", reason="--force"),
-    ),
-    "simulation over the robot": (
-        "simulate arm.urdf --model position --count 5 -o arm.urdf --force",
-        {},
-        dict(file="arm.urdf", reason="input"),
-    ),
-    "truth over the robot": (
-        f"{SIMULATE} --truth ./arm.urdf --force",
-        {},
-        dict(file="arm.urdf", reason="input"),
-    ),
-    "simulation over its configurations": (
-        "simulate arm.urdf --model position --configurations new.csv -o new.csv "
-        "--force",
-        {},
-        dict(file="new.csv", reason="input"),
-    ),
-    "two outputs in one file": (
-        f"{SIMULATE} --truth out.csv",
-        {},
-        dict(file="out.csv", reason="two"),
-    ),
-    # calibrations
-    "later version": (
-        EVALUATE,
-        {"done/calibration.json": stored("version", to=2)},
-        dict(file="done/calibration.json", value=2, reason="version", allowed="1 to 1"),
-    ),
-    "edited value": (
-        EVALUATE,
-        {"done/calibration.json": stored("parameters", 7, "value", to="1 mm")},
-        dict(file="done/calibration.json", reason=("edited", "'1 mm'")),
-    ),
-    "another robot": (
-        EVALUATE,
-        dict.fromkeys(
-            ("arm.urdf", "done/nominal.urdf"),
-            swap('xyz="0 0 0.4"', 'xyz="0 0 0.41"'),
-        ),
-        dict(file="done/calibration.json", reason=("arm.urdf", "content differs")),
-    ),
-    "no robot is the one": (
-        EVALUATE,
-        {"done/calibration.json": stored("robot", "sha256", to="0" * 64)},
-        dict(file="done/calibration.json", reason=("arm.urdf", "content differs")),
-    ),
-    "measurements of another robot": (
-        EVALUATE,
-        {"new.csv": header("joint1", "axis_1")},
-        dict(file="new.csv", line=2, column="joint1", reason="missing"),
-    ),
-    "other kind of measurements": (
-        "evaluate done/calibration.json distances.csv",
-        {},
-        dict(
-            file="distances.csv", line=2, column="x", reason=("'position'", "x, y, z")
-        ),
-    ),
-    "a calibration has its tip": (
-        f"{EVALUATE} --tip tool",
-        {},
-        dict(reason=("calibration", "tip")),
-    ),
-    # simulation and structure
-    "no planes": (
-        "simulate arm.urdf --model plane-distance --count 5 -o out.csv",
-        {},
-        dict(reason=("plane", "planes", "--setup")),
-    ),
-    "no model": (
-        "simulate arm.urdf --count 5 -o out.csv",
-        {},
-        dict(reason="--model", allowed="pose"),
-    ),
-    "structure of no model": (
-        "identify arm.urdf",
-        {},
-        dict(reason="--model", allowed="pose"),
-    ),
-    "no count": (
-        "simulate arm.urdf --model pose -o out.csv",
-        {},
-        dict(reason="--count"),
-    ),
-    "count of zero": (
-        f"{SIMULATE} --count 0",
-        {},
-        dict(reason=("--count", "'0'"), allowed="1 to"),
-    ),
-    "count is no number": (
-        f"{SIMULATE} --count 5.5",
-        {},
-        dict(reason=("--count", "'5.5'")),
-    ),
-    "no repeats": (f"{SIMULATE} --repeats 0", {}, dict(reason=("--repeats", "'0'"))),
-    "negative noise": (
-        f"{SIMULATE} --noise -1e-4",
-        {},
-        dict(reason=("--noise", "'-1e-4'"), allowed="0 to 1"),
-    ),
-    "infinite noise": (
-        f"{SIMULATE} --noise inf",
-        {},
-        dict(reason=("--noise", "'inf'")),
-    ),
-    "unknown error": (
-        f"{SIMULATE} --errors bad.yaml",
-        {"bad.yaml": "joint1.placement.x: 1e-3\njoint1.placement.w: 1e-3\n"},
-        dict(file="bad.yaml", line=2, reason=("'joint1.placement.w'", "did you mean")),
+        dict(file="bad.yaml", line=1, reason="'joint1.transmission.sin'"),
     ),
     "error is no number": (
         f"{SIMULATE} --errors bad.yaml",
@@ -763,13 +351,35 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
     "no errors in the file": (
         f"{SIMULATE} --errors bad.yaml",
         {"bad.yaml": "# none\n"},
-        dict(file="bad.yaml", reason="empty"),
+        dict(file="bad.yaml", line=None),
     ),
-    "no sockets": (
-        "simulate arm.urdf --model fixed-point --count 5 -o out.csv",
-        {},
-        dict(reason="'sockets' in a setup file (--setup)"),
+    # calibrations
+    "later version": (
+        EVALUATE,
+        {"done/calibration.json": stored("version", to=2)},
+        dict(file="done/calibration.json", value=2, allowed="1 to 1"),
     ),
+    "edited value": (
+        EVALUATE,
+        {"done/calibration.json": stored("parameters", 7, "value", to="1 mm")},
+        dict(file="done/calibration.json", reason="'1 mm'"),
+    ),
+    "another robot": (
+        EVALUATE,
+        dict.fromkeys(("arm.urdf", "done/nominal.urdf"), LONGER),
+        dict(file="done/calibration.json", reason="arm.urdf"),
+    ),
+    "no robot is the one": (
+        EVALUATE,
+        {"done/calibration.json": stored("robot", "sha256", to="0" * 64)},
+        dict(file="done/calibration.json", reason="arm.urdf"),
+    ),
+    "measurements of another robot": (
+        EVALUATE,
+        {"new.csv": header("joint1", "axis_1")},
+        dict(file="new.csv", line=2, column="joint1"),
+    ),
+    # simulation
     "plane out of reach": (
         "simulate arm.urdf --setup bad.yaml --count 5 -o out.csv",
         {
@@ -784,6 +394,11 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
         dict(reason=("configuration 2", "plane-distance")),
     ),
 }
+
+
+def test_wrong_options(here, refuses):
+    for words, fields in OPTIONS.items():
+        refuses(words, **fields)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -805,7 +420,7 @@ def test_the_robot_of_a_calibration_is_a_regular_file(name, here, run, refuses):
     edit = stored("robot", "file", to=name)
     file = Path("done/calibration.json")
     Path("moved.json").write_text(edit(file.read_text()))
-    refuses("evaluate moved.json new.csv", file="moved.json", reason="neither there")
+    refuses("evaluate moved.json new.csv", file="moved.json")
     # Where there is a copy, nobody waits for what nothing writes to.
     file.write_text(edit(file.read_text()))
     assert run(EVALUATE).status == 0
@@ -838,33 +453,23 @@ def rows_of_another_robot(_: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("prepare", "status", "parts"),
+    ("prepare", "status", "number"),
     [
-        (few_rows, "unchecked", "6 measured values|identifiable parameters|measure"),
-        (
-            barely_enough_rows,
-            "unchecked",
-            "4 measured values|4 estimated parameters|measure more",
-        ),
-        (
-            rows_of_another_robot,
-            "untrusted",
-            "held-out|worse than the nominal|position errors larger by| mm",
-        ),
+        (few_rows, "unchecked", "6"),  # As many measured values.
+        (barely_enough_rows, "unchecked", "4"),
+        (rows_of_another_robot, "untrusted", "mm"),
     ],
 )
-def test_untrusted(prepare, status, parts, here, run):
+def test_untrusted(prepare, status, number, here, run):
     prepare(here)
     result = run("calibrate arm.urdf rows.csv --setup setup.yaml -o out")
 
-    assert result.status == 2
-    assert result.err == ""
+    assert (result.status, result.err) == (2, "")
     first, *_ = result.out.split("\n\n")
     verdict = " ".join(first.split())
     assert verdict.startswith(f"{status.upper()}: ")
     assert ".." not in verdict
-    for part in parts.split("|"):
-        assert part in verdict
+    assert number in re.findall(r"\w+", verdict)
     written = ("calibration.json", "measurements.csv", "report.html")
     assert result.out.endswith("".join(f"wrote out/{name}\n" for name in written))
     assert {path.name for path in Path("out").iterdir()} == TRUSTED_OR_NOT
@@ -879,7 +484,7 @@ def test_untrusted_and_quiet(here, run):
     few_rows(here)
     result = run("calibrate arm.urdf rows.csv --setup setup.yaml --quiet")
     assert (result.status, result.out) == (2, "")
-    assert result.err.startswith("calib-pin: note: unchecked: 6 measured values")
+    assert result.err.startswith("calib-pin: note: unchecked: 6 ")
     assert result.err.count("\n") == 1
 
 
@@ -887,7 +492,7 @@ def test_the_robot_of_an_earlier_run_does_not_stay(here, run):
     few_rows(here)
     result = run("calibrate arm.urdf rows.csv --setup setup.yaml -o done --force")
     assert result.status == 2
-    assert result.err == "calib-pin: note: removed done/arm.urdf of an earlier run\n"
+    assert result.err.startswith("calib-pin: note: ") and "done/arm.urdf" in result.err
     assert {path.name for path in Path("done").iterdir()} == TRUSTED_OR_NOT
 
 
@@ -895,7 +500,7 @@ def test_identification_of_too_few_rows(here, run):
     few_rows(here)
     result = run("identify arm.urdf rows.csv --setup setup.yaml")
     assert result.status == 2
-    assert result.out.startswith("UNCHECKED: 6 measured values")
+    assert result.out.startswith("UNCHECKED: 6 ")
     result = run("identify arm.urdf rows.csv --setup setup.yaml --json")
     assert result.status == 2
     assert json.loads(result.out)["verdict"]["status"] == "unchecked"
@@ -906,7 +511,4 @@ def test_evaluation_of_an_untrusted_calibration_says_so(here, run):
     assert run("calibrate arm.urdf rows.csv --setup setup.yaml -o out").status == 2
     result = run("evaluate out/calibration.json new.csv")
     assert result.status == 2
-    assert result.out.startswith(
-        "UNTRUSTED: out/calibration.json must not be trusted: on held-out"
-    )
-    assert "Nothing was fitted" in result.out
+    assert result.out.startswith("UNTRUSTED: out/calibration.json ")

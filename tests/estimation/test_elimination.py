@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -24,24 +24,21 @@ STATIONS = {
 }
 TOOLS = {"short": ToolSetup((0.05, 0.03, 0.1)), "long": ToolSetup((-0.08, 0.02, 0.25))}
 
-JOBS = {
-    "alike": [BlockKey("position", "", s, t) for s in STATIONS for t in TOOLS],
-    # Station d has no positions and c no long tool; what a pose tells is no position.
-    "mixed": [
-        *(BlockKey("position", "", s, t) for s in "ab" for t in TOOLS),
-        *(BlockKey("pose", "", s, "short") for s in "bd"),
-        BlockKey("position", "", "c", "short"),
-    ],
-}
+# Station d has no positions and c no long tool; what a pose tells is no position.
+KEYS = [
+    *(BlockKey("position", "", s, t) for s in "ab" for t in TOOLS),
+    *(BlockKey("pose", "", s, "short") for s in "bd"),
+    BlockKey("position", "", "c", "short"),
+]
 
 
-def job(keys: Sequence[BlockKey], chain: Chain | None = None) -> Problem:
+def job(chain: Chain | None = None) -> Problem:
     """A simulated job with noise."""
     setup = Setup(stations=STATIONS, tools=TOOLS)
-    problem = nominal_problem(chain or load_chain("space6"), keys, setup)
+    problem = nominal_problem(chain or load_chain("space6"), KEYS, setup)
     rng = np.random.default_rng(4)
     truth = draw_errors(problem.parameters, rng)
-    data = simulate(problem, truth, rng, count=30 * len(keys), noise=1e-4)
+    data = simulate(problem, truth, rng, count=30 * len(KEYS), noise=1e-4)
     # Files need not have the order of stations.
     return replace(problem, data=Observations(data.blocks[::-1]))
 
@@ -53,19 +50,15 @@ def eliminated(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Problem:
     return replace(problem)
 
 
-@pytest.mark.parametrize("keys", JOBS.values(), ids=JOBS)
-def test_a_fit_is_the_same(
-    keys: Sequence[BlockKey], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plain = job(keys)
+def test_a_fit_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = job()
     expected = fit(plain, np.random.default_rng(0))
-    expected_covariance = expected.covariance
+    deviation = np.sqrt(np.diag(expected.covariance))
     few = eliminated(plain, monkeypatch)
     assert few.absorbed == 6 * len(STATIONS)
     found = fit(few, np.random.default_rng(0))
     assert found.rank == expected.rank
-    assert found.sigma0 == pytest.approx(expected.sigma0, rel=1e-9)
-    deviation = np.sqrt(np.diag(expected_covariance))
+    assert found.sigma0 == pytest.approx(expected.sigma0, rel=1e-6)
     off = np.abs(found.theta - expected.theta)[deviation > 0.0]
     # Steps end where they promise a thousandth of a deviation.
     assert (off / deviation[deviation > 0.0]).max() < 1e-2
@@ -76,12 +69,32 @@ def test_a_fit_is_the_same(
         assert own.estimate == pytest.approx(other.estimate, rel=1e-2)
 
 
-@pytest.mark.parametrize("keys", JOBS.values(), ids=JOBS)
 def test_the_same_is_left_for_the_others(
-    keys: Sequence[BlockKey], monkeypatch: pytest.MonkeyPatch
+    urdf_of: Callable[..., str],
+    chain_of: Callable[..., Chain],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """By rows, by products of columns, and by the whole Jacobian."""
-    plain = job(keys)
+    """By rows, by products of columns, and by the whole Jacobian.
+
+    A mimic joint has the parameters of its leader: its columns add up.
+    """
+    rng = np.random.default_rng(0)
+    joints = [
+        {
+            "name": f"j{k}",
+            "parent": f"l{k}",
+            "child": f"l{k + 1}",
+            "placement": pin.exp6(rng.uniform(-0.5, 0.5, 6)),
+            "axis": tuple(np.eye(3)[k % 3]),
+        }
+        for k in range(4)
+    ]
+    joints[2]["more"] = '<mimic joint="j1" multiplier="-0.6" offset="0.1"/>'
+    plain = job(chain_of(urdf_of(*joints)))
+    setup = replace(plain.setup, parameters=("joint-offset", "transmission"))
+    plain = make_problem(plain.chains, plain.data, setup)
+    index = next(iter(plain.parts.values())).index
+    assert len(index) > len(np.unique(index))
     theta = 0.01 * np.random.default_rng(1).normal(size=len(plain.parameters))
     r, J = plain.linearize(theta)
     few = eliminated(plain, monkeypatch)
@@ -94,7 +107,7 @@ def test_the_same_is_left_for_the_others(
     rest, others = rest[:, kept], columns[:, kept]
     unit = np.maximum(np.linalg.norm(others, axis=0), 1.0)
     expected = rest.T @ rest / np.outer(unit, unit)
-    for left, tolerance in ((few.factorize, 1e-12), (few.linearize, 1e-9)):
+    for left, tolerance in ((few.factorize, 1e-11), (few.linearize, 1e-9)):
         r, J = left(theta)
         assert not J[:, own].any()
         found = np.column_stack([J[:, shared], r]) / unit
@@ -110,42 +123,4 @@ def test_the_same_is_left_for_the_others(
         J[:, own] @ solved,
         rtol=0,
         atol=1e-6 * np.abs(r).max(),
-    )
-
-
-def test_parameters_that_are_one_are_eliminated_as_one(
-    urdf_of: Callable[..., str],
-    chain_of: Callable[..., Chain],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A mimic joint has the parameters of its leader: its columns add up."""
-    rng = np.random.default_rng(0)
-    joints = [
-        {
-            "name": f"j{k}",
-            "parent": f"l{k}",
-            "child": f"l{k + 1}",
-            "placement": pin.exp6(rng.uniform(-0.5, 0.5, 6)),
-            "axis": tuple(np.eye(3)[k % 3]),
-        }
-        for k in range(4)
-    ]
-    joints[2]["more"] = '<mimic joint="j1" multiplier="-0.6" offset="0.1"/>'
-    plain = job(JOBS["alike"], chain_of(urdf_of(*joints)))
-    setup = replace(plain.setup, parameters=("joint-offset", "transmission"))
-    plain = make_problem(plain.chains, plain.data, setup)
-    theta = 0.01 * rng.normal(size=len(plain.parameters))
-    assert len(plain.only.index) > len(np.unique(plain.only.index))
-    _, J = plain.factorize(theta)
-    few = eliminated(plain, monkeypatch)
-    own = np.concatenate(list(few.own_of_stations.values()))
-    shared = np.setdiff1d(np.arange(len(theta)), own)
-    Q, _ = np.linalg.qr(J[:, own])
-    rest = J[:, shared] - Q @ (Q.T @ J[:, shared])
-    _, found = few.factorize(theta)
-    np.testing.assert_allclose(
-        found[:, shared].T @ found[:, shared],
-        rest.T @ rest,
-        rtol=0,
-        atol=1e-10 * np.linalg.norm(J[:, shared]) ** 2,
     )

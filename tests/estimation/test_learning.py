@@ -30,42 +30,34 @@ RELATIVE = "relative-distance"
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 
 
-def measured_rows(
-    setup: Setup = SETUP, *, count: int = 40, repeats: int = 1
-) -> tuple[Chain, Observations]:
+def measured_rows(repeats: int = 1) -> tuple[Chain, Observations]:
     """Positions of `space6`; the readings of a configuration differ by noise."""
     chain = calib_pin.load_chain("space6")
-    problem = nominal_problem(chain, "position", setup)
+    problem = nominal_problem(chain, "position", SETUP)
     rng = np.random.default_rng(1)
     truth = calib_pin.draw_errors(problem.parameters, rng)
     rows = calib_pin.simulate(
-        problem, truth, rng, count=count, noise=5e-5, repeats=repeats
+        problem, truth, rng, count=40, noise=5e-5, repeats=repeats
     )
     # Readings of one configuration need not stand side by side.
     return chain, Observations.of(rows.only.rows(rng.permutation(len(rows))))
 
 
-FREE = ("position", "pose", "plane-distance")
-"""Models whose rows need not name anything."""
-
 KINDS = ["placement", "transmission"]
 
 
 @pytest.mark.parametrize("space", ["joint", "tip"])
-@pytest.mark.parametrize("model", FREE)
 def test_derivatives_of_training_rows(
-    model: str, space: str, special_chain: Chain, measured: Measured, framed: Setup
+    space: str, special_chain: Chain, measured: Measured, framed: Setup
 ) -> None:
     geared = {"gear_ratios": framed.gear_ratios}
-    check_training_rows(measured(special_chain, model, KINDS, 5, **geared), space)
+    check_training_rows(measured(special_chain, "pose", KINDS, 5, **geared), space)
 
 
-@pytest.mark.parametrize("space", ["joint", "tip"])
-@pytest.mark.parametrize("model", sorted({*MEASUREMENT_MODELS} - {*FREE, RELATIVE}))
-def test_derivatives_with_named_points_and_places(
-    model: str, space: str, measured: Measured
-) -> None:
+@pytest.mark.parametrize("model", sorted({*MEASUREMENT_MODELS} - {"pose", RELATIVE}))
+def test_derivatives_of_every_model(model: str, measured: Measured) -> None:
     """On one chain: what a model adds knows nothing of the chain."""
+    space = ("joint", "tip")[sorted(MEASUREMENT_MODELS).index(model) % 2]
     chain = calib_pin.load_chain("space6")
     check_training_rows(measured(chain, model, KINDS, 5), space)
 
@@ -99,18 +91,12 @@ def check_training_rows(problem: Problem, space: str) -> None:
         return np.asarray((ahead - behind) / (2.0 * step))
 
     still = np.zeros_like(correction), np.zeros(3)
-    for k in range(size):
-        found = difference(np.tile(np.eye(size)[k], (5, 1)), still[1])
-        largest = np.abs(at.by_correction).max()
-        np.testing.assert_allclose(
-            at.by_correction[:, :, k], found, rtol=0, atol=2e-7 * largest
-        )
-    for k in range(3):
-        found = difference(still[0], np.eye(3)[k])
-        largest = np.abs(at.by_shift).max()
-        np.testing.assert_allclose(
-            at.by_shift[:, :, k], found, rtol=0, atol=2e-7 * largest
-        )
+    steps = [(np.tile(row, (5, 1)), still[1]) for row in np.eye(size)]
+    steps += [(still[0], row) for row in np.eye(3)]
+    found = np.stack([difference(*step) for step in steps], axis=2)
+    expected = np.concatenate([at.by_correction, at.by_shift], axis=2)
+    largest = np.abs(expected).max(axis=(0, 1)) + np.abs(expected).max()
+    assert (np.abs(found - expected) <= 2e-7 * largest).all()
     # Nothing learned leaves the residual of the problem.
     plain = call(*still).residual
     expected = problem.blocks[0].table(problem.errors(theta) / problem.sigma)

@@ -2,39 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import pytest
 
-import calib_pin
 from calib_pin.compiled.blocks import BLOCK
 from calib_pin.compiled.threads import Threads
-from calib_pin.estimation.elimination import square_root
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.many_rows import ManyRows
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.solve import least_squares
+from calib_pin.estimation.variants import reweighted
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
-from calib_pin.observations import Observations
-from calib_pin.setup import PlaneSetup, Setup
+from calib_pin.observations import Conditions, Labels, Observations
+from calib_pin.setup import Payload, Setup
+from calib_pin.simulation import draw_errors, simulate
 from calib_pin.solvers import Status
 
 Measured = Callable[..., Problem]
 
 # Rows that are relative to others never come here.
 MODELS = [name for name in MEASUREMENT_MODELS if name != "relative-distance"]
-FREE = ("position", "pose", "plane-distance")
-"""Models whose rows need not name anything."""
-
+KINDS = ("placement", "transmission", "compliance")
 CHUNK = 2 * BLOCK
-SIZES = (1, BLOCK, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + BLOCK + 3)
+ROWS = 2 * CHUNK + BLOCK + 3
+
+LOADS = {"light": Payload(1.0, (0.1, 0.0, 0.0)), "heavy": Payload(9.0, (0.0, 0.2, 0.1))}
+"""What the robot carries in turn, beside nothing."""
+
+STATED = {"payloads": LOADS, "gear_ratios": {"*": -31.5}, "gravity": (1.0, -2.0, -9.5)}
 
 
 @pytest.fixture(autouse=True)
@@ -43,73 +46,112 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("calib_pin.estimation.many_rows.CHUNK", CHUNK)
 
 
+@pytest.fixture(scope="module")
+def geared(measured: Measured) -> Measured:
+    """Problem whose rows carry one payload after the other: `geared(chain, model)`.
+
+    Joints come from either side, or nobody knows from where.
+    """
+
+    def make(
+        chain: Chain, model: str, rows: int = ROWS, kinds: Sequence[str] = KINDS
+    ) -> Problem:
+        problem = measured(chain, model, kinds, rows, **STATED)
+        names = [("light", "none", "heavy")[k % 3] for k in range(rows)]
+        shape = problem.data.q.shape
+        sides = np.random.default_rng(4).integers(-1, 2, shape).astype(np.int8)
+        held = Conditions(Labels.of(names), sides)
+        data = replace(problem.data.only, conditions=held)
+        return replace(problem, data=Observations.of(data))
+
+    return make
+
+
 def many(problem: Problem) -> ManyRows:
     return ManyRows(problem.blocks, problem.sigma)
 
 
-def for_a_step(rows: ManyRows, theta: Floats) -> tuple[Floats, Floats]:
-    """Residual and Jacobian from the products of columns."""
-    (K,) = rows.normal(theta)
-    return square_root((np.arange(len(K)), K), len(theta))
+def through_kernels(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Problem:
+    """The same problem, whose rows just suffice for the kernels."""
+    entries = len(problem.sigma) * len(problem.parameters)
+    monkeypatch.setattr("calib_pin.estimation.problem.MANY", entries)
+    return replace(problem)
 
 
-def parameters_of(problem: Problem) -> Floats:
-    size = len(problem.parameters)
-    return 0.02 * np.random.default_rng(1).normal(size=size)
+def values_of(problem: Problem, size: float = 1.0) -> Floats:
+    """Errors of so many times their expected sizes, frames a little off."""
+    rng = np.random.default_rng(1)
+    unit = np.where(problem.parameters.nuisance, 0.02, size * problem.parameters.scales)
+    return np.asarray(unit * rng.normal(size=len(unit)))
 
 
-def rounding(problem: Problem) -> float:
-    """What errors of meters are exact to, and errors of pixels."""
-    return 1e-13 * max(1.0, np.abs(problem.data.only.values).max(initial=0.0))
+def rounding(problem: Problem, theta: Floats) -> Floats:
+    """What rounding of poses, of meters and radians, leaves of every error, (M,)."""
+    found = []
+    for part, data, _, _ in problem.blocks:
+        instrument = part.values(theta)[1]
+        T = part.poses(theta[part.index], data)
+        J_pose = part.measurement.linearize(T, instrument, data).J_pose
+        found.append(np.maximum(1.0, np.linalg.norm(J_pose, axis=2)).reshape(-1))
+    return np.asarray(1e-13 * np.concatenate(found))
 
 
-def assert_same_system(
-    rows: tuple[Floats, Floats], reduced: tuple[Floats, Floats], tolerance: float
-) -> None:
-    """The same normal equations in no more rows than there are columns."""
-    A, B = (np.column_stack([J, r]) for r, J in (rows, reduced))
-    assert B.shape[1] == A.shape[1] and len(B) <= B.shape[1]
+def assert_same_products(found: Floats, rows: tuple[Floats, Floats]) -> None:
+    """Products of columns, relative to the lengths of these."""
+    A = np.column_stack([rows[1], rows[0]])
     unit = np.linalg.norm(A, axis=0)
     unit[unit == 0.0] = 1.0
-    A, B = A / unit, B / unit
-    np.testing.assert_allclose(B.T @ B, A.T @ A, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(
+        found / np.outer(unit, unit), (A / unit).T @ (A / unit), rtol=0, atol=1e-11
+    )
 
 
-# The rows.
+def assert_same(problem: Problem, theta: Floats) -> None:
+    """Errors, costs, products and factors of all blocks, by kernels and plain."""
+    assert not problem.many
+    chunked = many(problem)
+    exact = rounding(problem, theta)
+    errors = np.concatenate([e.reshape(-1) for e in chunked.errors(theta)])
+    assert (np.abs(errors - problem.errors(theta)) <= exact).all()
+    # Half a sum of squares, each of a residual that is exact to so much.
+    lost = np.abs(problem.residual(theta)) @ (exact / problem.sigma)
+    cost = pytest.approx(problem.cost(theta), rel=1e-12, abs=float(lost))
+    assert 0.5 * chunked.square(theta) == cost
+    plain = [one.factorize(theta)[0] for one in problem.evaluators]
+    products, factors = chunked.normal(theta), chunked.factorize(theta)
+    for K, (r, J), rows in zip(products, factors, plain, strict=True):
+        assert_same_products(K, rows)
+        A = np.column_stack([J, r])
+        assert len(A) <= A.shape[1]
+        assert_same_products(A.T @ A, rows)
 
 
 @pytest.mark.parametrize(
     ("model", "rows"),
     [
-        (model, rows)
-        for model in MODELS
-        for rows in (SIZES if model in FREE else SIZES[-1:])
+        *((model, ROWS) for model in MODELS),
+        *(("position", rows) for rows in (1, BLOCK, CHUNK - 1, CHUNK, CHUNK + 1)),
     ],
 )
-def test_any_number_of_rows(model: str, rows: int, measured: Measured) -> None:
-    problem = measured(load_chain("space6"), model, ["placement", "dh"], rows)
-    assert not problem.many
-    theta = parameters_of(problem)
-    chunked = many(problem)
-    errors = np.concatenate(chunked.errors(theta)).reshape(-1)
-    exact = rounding(problem)
-    np.testing.assert_allclose(errors, problem.errors(theta), rtol=0, atol=exact)
-    # Half a sum of squares, each of a residual that is exact to so much.
-    lost = np.abs(problem.residual(theta)) @ (exact / problem.sigma)
-    cost = pytest.approx(problem.cost(theta), rel=1e-13, abs=float(lost))
-    assert 0.5 * chunked.square(theta) == cost
-
-    assert_same_system(problem.linearize(theta), for_a_step(chunked, theta), 1e-11)
-    (exact,) = chunked.factorize(theta)
-    assert_same_system(problem.linearize(theta), exact, 1e-12)
+def test_the_same_as_row_by_row(model: str, rows: int, geared: Measured) -> None:
+    """At nominal motions, near them, and tenths of a radian away."""
+    problem = geared(load_chain("space6"), model, rows)
+    size = (0.0, 1.0, 100.0)[MODELS.index(model) % 3]
+    assert_same(problem, values_of(problem, size))
 
 
-@pytest.mark.parametrize("model", MODELS)
+def test_joints_of_any_kind(special_chain: Chain, geared: Measured) -> None:
+    """Also those that shift, run backward, or follow others, from either side."""
+    problem = geared(special_chain, "pose", ROWS, (*KINDS, "hysteresis"))
+    assert_same(problem, values_of(problem))
+
+
+@pytest.mark.parametrize("model", ["pose", "point-distance"])
 def test_the_number_of_threads_changes_no_bit(
-    model: str, measured: Measured, monkeypatch: pytest.MonkeyPatch
+    model: str, geared: Measured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    problem = measured(load_chain("space6"), model, ["placement"], SIZES[-1])
-    theta = parameters_of(problem)
+    problem = geared(load_chain("space6"), model)
+    theta = values_of(problem)
 
     def computed(count: int) -> list[bytes]:
         monkeypatch.setattr(
@@ -120,183 +162,178 @@ def test_the_number_of_threads_changes_no_bit(
         arrays += [*chunked.errors(theta), np.array(chunked.square(theta))]
         return [array.tobytes() for array in arrays]
 
-    assert computed(1) == computed(2) == computed(3)
+    assert computed(1) == computed(3)
 
 
-# Ranks.
-
-
-@pytest.mark.parametrize(
-    ("model", "ratio"), [("position", 1e9), ("pose", 1e9), ("plane-distance", 1e6)]
-)
-def test_triangular_resolves_what_one_noisy_row_sees(
-    model: str, ratio: float, measured: Measured
-) -> None:
+def test_factors_resolve_what_one_noisy_row_sees(measured: Measured) -> None:
     """A joint stands still in all rows but one, which says next to nothing."""
-    problem = measured(load_chain("space6"), model, ["placement", "dh"], 700)
+    problem = measured(load_chain("space6"), "position", ["placement", "dh"], 300)
     data = problem.data.only
     q, sigma = data.q.copy(), problem.blocks[0].table(problem.sigma).copy()
-    q[:, 2], q[350, 2] = 0.3, -0.9
-    sigma[350] *= ratio
-    data = replace(data, q=q, sigma=sigma)
-    problem = replace(problem, data=Observations.of(data))
+    q[:, 2], q[150, 2] = 0.3, -0.9
+    sigma[150] *= 1e7
+    problem = replace(problem, data=Observations.of(replace(data, q=q, sigma=sigma)))
     theta = np.zeros(len(problem.parameters))
-    chunked = many(problem)
 
     def singular_values(J: Floats) -> Floats:
         s = np.linalg.svd(J * problem.parameters.scales, compute_uv=False)
         return np.asarray(s / s[0])
 
-    _, J = problem.linearize(theta)
-    expected = singular_values(J)
-    faint = (expected > 5e-15) & (expected < 1e-12)
-    assert faint.any() and (expected < 1e-16).any()
-    found = singular_values(chunked.factorize(theta)[0][1])
-    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=2e-15)
-    # The normal equations have lost it, and say so by zeros.
-    found = singular_values(for_a_step(chunked, theta)[1])
-    assert found[expected < 1e-12].max() < 1e-16
-    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+    expected = singular_values(problem.linearize(theta)[1])
+    # Its squares are below the rounding of normal equations.
+    assert ((expected > 1e-12) & (expected < 1e-9)).any()
+    found = singular_values(many(problem).factorize(theta)[0][1])
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=2e-14)
 
 
-# Dispatch.
+# What goes through the kernels, and what does not.
 
 
-def through_kernels(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Problem:
-    """The same problem, whose rows just suffice for the kernels."""
-    entries = len(problem.sigma) * len(problem.parameters)
-    monkeypatch.setattr("calib_pin.estimation.problem.MANY", entries)
-    return replace(problem)
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_problems_with_very_many_rows(
-    model: str, measured: Measured, monkeypatch: pytest.MonkeyPatch
+def test_priors_stand_behind_the_rest(
+    measured: Measured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    prior = {"joint_2.placement.*": 1e-3}
-    chain = load_chain("space6")
-    plain = measured(chain, model, ["placement"], 300, prior=prior)
-    assert not plain.many
+    chain, prior = load_chain("space6"), {"joint_2.placement.*": 1e-3}
+    bare = measured(chain, "position", ["placement"], 300)
+    plain = measured(chain, "position", ["placement"], 300, prior=prior)
     chunked = through_kernels(plain, monkeypatch)
     assert chunked.many
     assert not replace(plain, data=plain.data.rows(np.arange(299))).many
-
-    theta = parameters_of(plain)
-    errors = plain.errors(theta)
-    exact = rounding(plain)
-    np.testing.assert_allclose(chunked.errors(theta), errors, rtol=0, atol=exact)
-    assert chunked.cost(theta) == pytest.approx(plain.cost(theta), rel=1e-13)
-    np.testing.assert_allclose(
-        chunked.residual(theta), plain.residual(theta), rtol=0, atol=1e3 * exact
-    )
-    # The priors stand behind the rest, once.
-    bare = measured(chain, model, ["placement"], 300)
+    theta = values_of(plain)
+    cost = plain.cost(theta)
+    assert chunked.cost(theta) == pytest.approx(cost, rel=1e-10)
+    assert chunked.cost(theta) > bare.cost(theta) + 1e-6 * cost
     for r, J in (chunked.linearize(theta), chunked.factorize(theta)):
-        np.testing.assert_allclose(r[-6:], plain.further.residual(theta), rtol=1e-15)
+        np.testing.assert_allclose(r[-6:], plain.further.residual(theta), rtol=1e-12)
         np.testing.assert_array_equal(J[-6:], plain.linearize(theta)[1][-6:])
-        assert_same_system(bare.linearize(theta), (r[:-6], J[:-6]), 1e-11)
+        A = np.column_stack([J[:-6], r[:-6]])
+        assert_same_products(A.T @ A, bare.linearize(theta))
 
 
-def test_rows_relative_to_others_go_row_by_row(
+@dataclass(frozen=True)
+class Nod:
+    """Something learned: every joint is off by the same."""
+
+    shift: Floats
+    space: Literal["joint", "tip"] = "joint"
+
+    def __call__(self, q: Floats) -> Floats:
+        return np.full(q.shape, 0.01)
+
+    def weight(self, q: Floats) -> Floats:
+        return np.ones(len(q))
+
+
+def test_what_kernels_do_not_know_goes_row_by_row(
     measured: Measured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plain = measured(load_chain("space6"), "relative-distance", ["placement"], 300)
-    assert not through_kernels(plain, monkeypatch).many
+    """However many rows there are; also where the fit without it did not."""
+    relative = measured(load_chain("space6"), "relative-distance", ["placement"], 300)
+    assert not through_kernels(relative, monkeypatch).many
+    plain = measured(load_chain("space6"), "pose", ["placement"], 30)
+    theta, part = values_of(plain), plain.only
+    error = replace(part.error, learned=Nod(np.zeros(len(part.error.screws))))
+    parts = {part.key: replace(part, error=error)}
+    few = through_kernels(plain, monkeypatch)
+    learned = few.with_parts(parts)
+    assert few.many and not learned.many
+    expected = plain.with_parts(parts).errors(theta)
+    np.testing.assert_array_equal(learned.errors(theta), expected)
+    assert np.abs(expected - plain.errors(theta)).max() > 1e-3
 
 
-def test_few_rows_are_not_reduced(measured: Measured) -> None:
-    problem = measured(load_chain("space6"), "position", ["placement"], 300)
-    theta = parameters_of(problem)
-    pairs = zip(problem.factorize(theta), problem.linearize(theta), strict=True)
-    for found, expected in pairs:
-        np.testing.assert_array_equal(found, expected)
-
-
-def test_a_beam_along_the_plane_is_no_start(
-    urdf_of: Callable[..., str],
-    chain_of: Callable[..., Chain],
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize("kernels", [True, False])
+def test_other_weights_and_references_are_those_of_a_new_problem(
+    kernels: bool, geared: Measured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    chain = chain_of(urdf_of({"name": "j", "parent": "a", "child": "b"}))
-    setup = Setup(planes={"wall": PlaneSetup((1.0, 0.0, 0.0), -1.0)})
-    problem = nominal_problem(chain, "plane-distance", setup)
-    rows = problem.data.only.rows(np.zeros(300, int))
-    data = Observations.of(replace(rows, values=np.ones((300, 1))))
-    problem = replace(problem, data=data)
+    """Though what was prepared for the old one is used again."""
+    problem = geared(load_chain("space6"), "point-distance")
+    if kernels:
+        problem = through_kernels(problem, monkeypatch)
+    theta = values_of(problem)
+    weight = np.random.default_rng(0).uniform(0.1, 1.0, len(problem.data))
+    weight[::7] = 0.0
+    before = problem.products(theta)
+    for changed, values in (
+        (reweighted(problem, weight), theta),
+        problem.rebased(theta),
+        (reweighted(reweighted(problem, weight), np.ones(len(weight))), theta),
+    ):
+        ((_, found),) = changed.products(values)
+        ((_, expected),) = replace(changed, data=changed.data).products(values)
+        np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(found, before[0][1])
+    ((_, weighted),) = reweighted(problem, weight).products(theta)
+    assert np.abs(weighted - found).max() > 1.0
+
+
+def test_what_is_set_aside_may_be_impossible(
+    geared: Measured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = geared(load_chain("space6"), "plane-distance")
     problem = through_kernels(problem, monkeypatch)
-    size = len(problem.parameters)
-    result = least_squares(problem, np.zeros(size), np.eye(size))
-    assert result.status is Status.NOT_FINITE
+    theta, kind = values_of(problem), type(problem.only.measurement)
+    residual, linearize = kind.residual, kind.linearize
+
+    def broken(values: Floats) -> Floats:
+        """Of every chunk the fifth row."""
+        values = values.copy()
+        values[5] = np.nan
+        return values
+
+    def bad_linearize(*arguments: object) -> object:
+        found = linearize(*arguments)  # type: ignore[arg-type]
+        bad = {"residual": broken(found.residual), "J_pose": broken(found.J_pose)}
+        return replace(found, **bad)
+
+    monkeypatch.setattr(kind, "residual", lambda *given: broken(residual(*given)))
+    monkeypatch.setattr(kind, "linearize", bad_linearize)
+    assert np.isnan(problem.cost(theta))
+    weight = np.ones(len(problem.data))
+    weight[5::CHUNK] = 0.0
+    aside = reweighted(problem, weight)
+    assert np.isfinite(aside.cost(theta))
+    for call in (aside.linearize, aside.factorize):
+        assert all(np.isfinite(part).all() for part in call(theta))
 
 
-RANGER, POSES = (
-    calib_pin.read_setup(calib_pin.robot_file(robot, "setup.yaml"))
-    for robot in ("space6", "space7")
-)
+# Whole fits.
+
 CASES = {
-    "position": ("space6", "position", Setup()),
-    "pose": ("space7", "pose", POSES),
-    "plane-distance": ("space6", "plane-distance", RANGER),
-    "prior": ("space6", "position", Setup(prior={"*.placement.*": 1e-3})),
-    "bound": ("space6", "position", Setup(bounds={"*.placement.*": 5e-4})),
-    "gears": (
-        "pa10",
-        "pose",
-        Setup(parameters=("placement", "transmission", "compliance")),
-    ),
-    "fixed": ("space6", "pose", Setup(fixed=("joint_2.*", "base.frame.z"))),
+    "prior": ("position", Setup(prior={"*.placement.*": 1e-3}), 100),
+    "bound": ("position", Setup(bounds={"joint_2.placement.*": 1e-4}), 10_000),
+    "fixed": ("pose", Setup(fixed=("joint_2.*", "base.frame.z")), 100),
 }
 
 
-@pytest.mark.parametrize("sample", [100, 10_000])
 @pytest.mark.parametrize("case", CASES)
-def test_a_fit_of_very_many_rows(
-    case: str, sample: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fit_of_very_many_rows(case: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """With and without a first fit to a sample of the rows."""
+    model, setup, sample = CASES[case]
     monkeypatch.setattr("calib_pin.estimation.solve.SAMPLE", sample)
-    robot, model, setup = CASES[case]
-    chain = load_chain(robot, tip=setup.tip)
-    rng = np.random.default_rng(1)
+    chain, rng = load_chain("space6"), np.random.default_rng(1)
     free = nominal_problem(chain, model, replace(setup, prior={}, bounds={}, fixed=()))
-    truth = calib_pin.draw_errors(free.parameters, rng)
-    rows = calib_pin.simulate(free, truth, rng, count=700, noise=1e-4)
+    truth = draw_errors(free.parameters, rng)
+    rows = simulate(free, truth, rng, count=ROWS, noise=1e-4)
     problem = replace(nominal_problem(chain, model, setup), data=rows)
 
     plain = fit(problem, np.random.default_rng(0))
     found = fit(through_kernels(problem, monkeypatch), np.random.default_rng(0))
-    assert (plain.solution.evaluator, found.solution.evaluator) == (
-        "pinocchio",
-        "kernel",
-    )
+    assert plain.solution.evaluator == "pinocchio"
+    assert found.solution.evaluator == "kernel"
     for one in (plain, found):
         assert one.result.status is Status.CONVERGED
         assert bool(one.problem.held_at) == (case == "bound")
     assert found.problem.held_at == plain.problem.held_at
-    assert found.structure.rank == plain.structure.rank
     assert counts(found) == counts(plain)
     # What is least is the cost with the rows of the prior: that of the rows alone has
     # a gradient there.
-    assert least(found) == pytest.approx(least(plain), rel=1e-11)
-    assert sizes(found) == sizes(plain)
-    np.testing.assert_allclose(found.problem.units, plain.problem.units, rtol=1e-9)
-    # Ranks and covariance come from the factor that loses nothing.
-    # A common unit weight comes by conversion.
-    units = found.problem.units
-    common = units[0] if (units == units[0]).all() else 1.0
-    given = replace(found.problem, units=units / common)
-    _, J = given.factorize(found.theta)
-    np.testing.assert_array_equal(found.result.jac, J / common)
+    assert least(found) == pytest.approx(least(plain), rel=1e-9)
+    np.testing.assert_allclose(found.problem.units, plain.problem.units, rtol=1e-8)
     # The last step may promise 1e-12 of the cost, some 5e-5 standard deviations.
     deviations = np.sqrt(np.diag(plain.covariance))
-    assert np.all(np.abs(found.theta - plain.theta) < 1e-4 * deviations + 1e-12)
+    assert np.all(np.abs(found.theta - plain.theta) < 1e-3 * deviations + 1e-12)
     largest = np.abs(plain.covariance).max()
     assert np.abs(found.covariance - plain.covariance).max() < 1e-6 * largest
-    np.testing.assert_allclose(found.singular_values, plain.singular_values, rtol=1e-8)
-
-
-def sizes(found: Fit) -> list[float]:
-    return [] if found.evidence is None else found.evidence.expected.sizes.tolist()
 
 
 def least(found: Fit) -> float:
@@ -305,7 +342,8 @@ def least(found: Fit) -> float:
     return 0.5 * float(result.fun @ result.fun)
 
 
-def counts(found: Fit) -> tuple[int, int, int, int]:
-    """Rank, degrees of freedom, directions that moved, and those that did not."""
+def counts(found: Fit) -> tuple[int, ...]:
+    """Ranks, degrees of freedom, directions that moved, and those that did not."""
     directions = found.directions
-    return found.rank, found.dof, directions.count, directions.weak.shape[1]
+    rank = found.structure.rank
+    return rank, found.rank, found.dof, directions.count, directions.weak.shape[1]

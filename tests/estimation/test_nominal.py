@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -48,47 +49,29 @@ def scaled(model: str, **stated: Any) -> bool:
     return found.identifiability.scale_observable
 
 
+SEEN: dict[str, Any] = {"camera": CAMERA, "base_frame": FAR}
+UNKNOWN = {k: replace(p, estimate=True) for k, p in POINTS.items()}
+
+
 @pytest.mark.parametrize(
     ("model", "stated", "expected"),
     [
-        ("pose", {"base_frame": BASE, "tool_frame": TOOL}, True),
-        ("position", {"base_frame": BASE, "tool_frame": TOOL}, True),
         ("position", {"base_frame": BASE, "targets": POINTS}, True),
         ("plane-distance", {"planes": {"a": PlaneSetup((0, 1, 4.6), -0.69)}}, True),
         ("point-distance", {"anchors": {"w": AnchorSetup((1.5, 0.2, 0.4))}}, True),
         ("relative-distance", {"tool_frame": TOOL}, True),
         ("fixed-point", IN_SOCKETS, False),
         ("plane-contact", {"planes": DOORS, "tool_frame": TOOL}, False),
+        # The radius of a sphere is a length.
+        ("sphere-contact", {"spheres": {"s": BALL}, "tool_frame": TOOL}, True),
         (
             "sphere-contact",
-            {
-                "spheres": {"s": replace(BALL, estimate_radius=True)},
-                "tool_frame": TOOL,
-            },
+            {"spheres": {"s": replace(BALL, estimate_radius=True)}, "tool_frame": TOOL},
             False,
         ),
-        # Its radius is a length.
-        ("sphere-contact", {"spheres": {"s": BALL}, "tool_frame": TOOL}, True),
         # So is what lies between points that are known.
-        (
-            "camera",
-            {
-                "camera": CAMERA,
-                "targets": POINTS,
-                "base_frame": FAR,
-                "tool_frame": TOOL,
-            },
-            True,
-        ),
-        (
-            "camera",
-            {
-                "camera": CAMERA,
-                "targets": {k: replace(p, estimate=True) for k, p in POINTS.items()},
-                "base_frame": FAR,
-            },
-            False,
-        ),
+        ("camera", {**SEEN, "targets": POINTS, "tool_frame": TOOL}, True),
+        ("camera", {**SEEN, "targets": UNKNOWN}, False),
     ],
 )
 def test_models(model: str, stated: dict[str, Any], expected: bool) -> None:
@@ -104,8 +87,10 @@ def test_models(model: str, stated: dict[str, Any], expected: bool) -> None:
         {"sockets": {name: replace(s, estimate=False) for name, s in SOCKETS.items()}},
         {"parameters": ("joint-offset",), "tool_frame": replace(TOOL, estimate=False)},
         {"prior": {"joint_3.placement.x": 1e-3}},
+        # Nothing of it is estimated, and nothing of it can be too large.
+        {"tool_frame": replace(TOOL, estimate=False), "fixed": ("*.placement.*",)},
     ],
-    ids=["distance", "held length", "known sockets", "joint offsets", "prior"],
+    ids=["distance", "held length", "known sockets", "offsets", "prior", "known robot"],
 )
 def test_what_gives_sockets_their_scale(stated: dict[str, Any]) -> None:
     assert scaled("fixed-point", **{**IN_SOCKETS, **stated})
@@ -129,14 +114,6 @@ def test_what_does_not(stated: dict[str, Any]) -> None:
     assert not scaled("fixed-point", **{**IN_SOCKETS, **stated})
 
 
-def test_a_robot_that_is_known() -> None:
-    """Nothing of it is estimated, and nothing of it can be too large."""
-    known = replace(TOOL, estimate=False)
-    assert scaled(
-        "fixed-point", sockets=SOCKETS, tool_frame=known, fixed=("*.placement.*",)
-    )
-
-
 def deviation(**stated: Any) -> float:
     """Standard deviation of the logarithm of the size of a robot in two sockets."""
     setup = Setup(**{**IN_SOCKETS, **stated})
@@ -146,7 +123,7 @@ def deviation(**stated: Any) -> float:
     return scale_deviation(problem, zero, at, jacobian_at(problem, zero, at))
 
 
-@pytest.mark.parametrize("sigma", [1e-6, 1e-3, 0.1])
+@pytest.mark.parametrize("sigma", [1e-6, 0.1])
 def test_a_distance_is_as_good_as_its_sigma(sigma: float) -> None:
     """And no better than what the rows know of the sockets."""
     apart = float(np.linalg.norm([0.1, 0.5, -0.2]))
@@ -167,31 +144,16 @@ def test_a_prior_is_as_good_as_its_deviation() -> None:
 
 
 def test_nothing_to_grow_and_nothing_to_tell() -> None:
-    known = {
-        "parameters": ("joint-offset",),
-        "tool_frame": replace(TOOL, estimate=False),
-    }
-    assert deviation(**known) == 0.0
+    known = replace(TOOL, estimate=False)
+    assert deviation(parameters=("joint-offset",), tool_frame=known) == 0.0
     assert deviation() > 1e3
 
 
-@pytest.mark.parametrize("robot", ["space7", "pa10"])
-def test_other_robots(robot: str) -> None:
-    chain = calib_pin.load_chain(robot)
-    q = chain.random_configurations(2, np.random.default_rng(0))
-    places = chain.poses(q)[:, :3, 3]
-    sockets = {f"s/{k}": PointSetup(tuple(p)) for k, p in enumerate(places)}
-    setup = Setup(sockets=sockets, tool_frame=TOOL)
-    for distances, expected in (((), False), (TIED, True)):
-        found = calib_pin.identify(
-            chain, "fixed-point", replace(setup, distances=distances)
-        )
-        assert found.identifiability.scale_observable == expected
-
-
-def test_too_many_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_parameters(
+    monkeypatch: pytest.MonkeyPatch, refused: Callable[..., Any]
+) -> None:
     monkeypatch.setattr("calib_pin.estimation.nominal.MOST", 48)
     calib_pin.identify(ARM, "position")
     targets = {name: POINTS[name] for name in "abc"}
-    with pytest.raises(OptionError, match=r"too many parameters .*at most 48"):
+    with refused(OptionError, value=57):
         calib_pin.identify(ARM, "position", Setup(targets=targets))

@@ -1,18 +1,26 @@
-"""Distances that are known count as measurements of what they lie between."""
+"""Known distances and priors count as measurements of what they say."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.errors import OptionError
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import distinct_values, known_values
 from calib_pin.estimation.row_blocks import KnownDistances, Priors
+from calib_pin.estimation.statistics.population_prior import (
+    RobotEvidence,
+    population_of,
+)
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.references import (
     Anchor,
@@ -22,6 +30,7 @@ from calib_pin.measurement_models.references import (
     Sphere,
 )
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
+from calib_pin.setup.population import PopulationPrior
 
 REFERENCES: tuple[ReferenceObject, ...] = (
     Point("probe", "target", np.array([0.0, 0.0, 0.1])),
@@ -64,50 +73,9 @@ def test_those_whose_ends_are_known() -> None:
     ]
     residual = found.residual(zero)
     np.testing.assert_allclose(residual, [1.0, (np.sqrt(8.0) - 2.0) / 1e-3])
-
-
-def test_many_members_at_once() -> None:
-    found, zero = known()
-    instrument = 0.1 * np.random.default_rng(1).normal(size=(2, 3, len(zero)))
-    together = found.residual(instrument)
-    assert together.shape == (2, 3, 2)
-    for place in np.ndindex(2, 3):
-        np.testing.assert_array_equal(
-            together[place], found.residual(instrument[place])
-        )
-
-
-def test_none() -> None:
-    found, zero = distances_of((), REFERENCES)
-    assert len(found) == 0
-    assert found.residual(zero).shape == found.lengths(zero).shape == (0,)
-    assert found.jacobian(zero).shape == (0, len(zero))
-
-
-def test_jacobian_agrees_with_central_differences() -> None:
-    found, zero = known()
-    instrument = 0.1 * np.random.default_rng(0).normal(size=len(zero))
-    J, step = found.jacobian(instrument), 1e-6
-    for k in range(len(instrument)):
-        shift = step * np.eye(len(instrument))[k]
-        change = found.residual(instrument + shift) - found.residual(instrument - shift)
-        np.testing.assert_allclose(J[:, k], change / (2.0 * step), rtol=1e-6, atol=1e-5)
-
-
-def test_a_socket_goes_before_a_point_of_the_tool() -> None:
-    references = (
-        Point("a", "target", np.zeros(3)),
-        Point("a", "socket", np.array([1.0, 0.0, 0.0])),
-        Point("b", "target", np.array([0.0, 2.0, 0.0])),
-        Point("b", "socket", np.array([1.0, 0.5, 0.0])),
-        Point("c", "target", np.array([0.0, 0.0, 7.0])),
-    )
-    for order in (references, references[::-1]):
-        found, zero = distances_of((DistanceSetup(("a", "b"), 1.0),), order)
-        assert found.lengths(zero) == pytest.approx([0.5])
-    # Two points of the tool, where no place has their names.
-    found, zero = distances_of((DistanceSetup(("a", "c"), 1.0),), references[::4])
-    assert found.lengths(zero) == pytest.approx([7.0])
+    none, zero = distances_of((), REFERENCES)
+    assert none.residual(zero).shape == (0,)
+    assert none.jacobian(zero).shape == (0, len(zero))
 
 
 # In a problem.
@@ -135,7 +103,9 @@ def test_rows_of_a_problem() -> None:
     between = np.subtract(SOCKETS["s/1"].xyz, SOCKETS["s/0"].xyz)
     between = between + theta[-3:] - theta[-6:-3]
     assert r[-2] == pytest.approx((np.linalg.norm(between) - 0.5) / 1e-5)
-    assert np.flatnonzero(J[-2]).tolist() == list(range(len(theta) - 6, len(theta)))
+    assert not J[-2, :-6].any()
+    slope = between / np.linalg.norm(between) / 1e-5
+    np.testing.assert_allclose(J[-2, -6:], [*-slope, *slope])
 
 
 @pytest.mark.parametrize(("sigma", "left"), [(1e-6, 1e-6), (1.0, 1e-3)])
@@ -156,63 +126,76 @@ def test_a_distance_weighs_by_its_sigma(sigma: float, left: float) -> None:
     assert (abs(found - apart) < 2e-4) == (sigma == 1.0)
 
 
-def test_between_points_of_the_tool() -> None:
-    """A gauge on the flange sets the scale of nothing, but its points are tied."""
-    points = {"a": PointSetup((0.05, 0.08, 0.12)), "b": PointSetup((-0.06, 0.03, 0.1))}
-    gauge = (DistanceSetup(("a", "b"), 0.12, 1e-6),)
-    setup = Setup(targets=points, base_frame=FrameSetup((1, 2, 3), estimate=True))
-    plain, tied = (
-        calib_pin.identify(ARM, "position", replace(setup, distances=d))
-        for d in ((), gauge)
-    )
-    assert plain.identifiability.rank == tied.identifiability.rank == 30
-    problem = nominal_problem(ARM, "position", replace(setup, distances=gauge))
-    assert problem.count == nominal_problem(ARM, "position", setup).count + 1
+def prior_of(names: Sequence[str]) -> PopulationPrior:
+    """A prior of six robots of the type of `ARM`."""
+    rng, count = np.random.default_rng(0), len(names)
+    robot, units = robot_type(Chains.of(ARM)), ("m",) * count
+    noise = {"position": 2e-4}
+    told = [
+        RobotEvidence(
+            *(robot, tuple(names), units, np.full(count, 1e-3)),
+            *(rng.normal(size=(count, count)), rng.normal(size=count), noise),
+        )
+        for _ in range(6)
+    ]
+    return replace(population_of(told).prior(), file="fleet.json")
 
 
-def test_a_prior_of_several_parameters(fleet) -> None:
-    """Rows of deviation one by the covariance, and their derivative."""
-    prior = fleet.population.prior()
-    parameters = fleet.problem.parameters
+@pytest.fixture(scope="module")
+def prior() -> PopulationPrior:
+    problem = nominal_problem(ARM, "position", Setup())
+    return prior_of([p.name for p in problem.parameters if ".placement." in p.name])
+
+
+@pytest.mark.parametrize("fixed", [(), ("*.placement.z",)])
+def test_a_prior_of_several_parameters(
+    prior: PopulationPrior, fixed: tuple[str, ...]
+) -> None:
+    """Rows of deviation one by the covariance; what is free keeps its marginal one."""
+    parameters = nominal_problem(ARM, "position", Setup(fixed=fixed)).parameters
     block = Priors.together(prior, parameters)
-    index = [parameters.index(name) for name in prior.names]
-    W, covariance = block.rows[:, index], np.array(prior.covariance)
-    np.testing.assert_allclose(W @ covariance @ W.T, np.eye(len(W)), atol=1e-9)
-    mean = np.zeros(len(parameters))
-    mean[index] = [p.mean for p in prior.parameters]
-    assert not block.residual(mean).any() and len(block) == len(index)
-    theta = mean + np.random.default_rng(0).normal(size=len(mean)) * parameters.scales
-    steps = 1e-6 * np.eye(len(theta))
-    found = (block.residual(theta + steps) - block.residual(theta - steps)).T / 2e-6
-    J = block.jacobian(theta)
-    np.testing.assert_allclose(found, J, atol=1e-8 * np.abs(J).max())
-
-
-def test_a_prior_of_some_fixed_parameters(fleet) -> None:
-    """Those that are free keep their marginal distribution."""
-    prior = fleet.population.prior()
-    parameters = fleet.problem.parameters.with_fixed(["*.placement.z"])
-    block = Priors.together(prior, parameters)
-    free = [k for k, name in enumerate(prior.names) if not name.endswith(".z")]
+    free = [k for k, name in enumerate(prior.names) if not fixed or name[-2:] != ".z"]
     index = [parameters.index(prior.names[k]) for k in free]
-    assert len(block) == len(free)
-    W = block.rows[:, index]
-    covariance = np.array(prior.covariance)[np.ix_(free, free)]
+    W, covariance = block.rows[:, index], np.array(prior.covariance)[np.ix_(free, free)]
     np.testing.assert_allclose(W @ covariance @ W.T, np.eye(len(W)), atol=1e-9)
     assert not np.delete(block.rows, index, axis=1).any()
+    mean = np.zeros(len(parameters))
+    mean[index] = [prior.parameters[k].mean for k in free]
+    assert not block.residual(mean).any() and len(block) == len(index)
+    theta = mean + 1e-3 * np.random.default_rng(0).normal(size=len(mean))
+    expected = block.rows @ (theta - mean)
+    np.testing.assert_allclose(block.residual(theta), expected, atol=1e-9)
+    np.testing.assert_array_equal(block.jacobian(theta), block.rows)
 
 
-def test_the_prior_of_a_problem(fleet) -> None:
+def test_the_prior_of_a_problem(
+    prior: PopulationPrior, simulated: Callable[..., Any]
+) -> None:
     """Its rows are the last ones; values that priors hold count as known."""
-    prior = fleet.population.prior()
-    data, theta = fleet.measured(400, 10)
-    chain = fleet.problem.chains[""]
-    plain = make_problem(chain, data, Setup())
-    problem = make_problem(chain, data, Setup(prior=prior))
+    data = simulated("position", count=10)[0].data
+    plain = make_problem(ARM, data, Setup())
+    problem = make_problem(ARM, data, Setup(prior=prior))
+    theta = 1e-3 * np.random.default_rng(0).normal(size=len(problem.parameters))
     block = Priors.together(prior, problem.parameters)
     r, J = problem.linearize(theta)
-    np.testing.assert_allclose(r[-len(block) :], block.residual(theta), rtol=1e-12)
+    np.testing.assert_allclose(r[-len(block) :], block.residual(theta), rtol=1e-9)
     np.testing.assert_array_equal(J[-len(block) :], block.rows)
     assert problem.count == plain.count + len(block)
     assert known_values(problem) == distinct_values(plain) + len(block)
+    # Noise is that of the robots, unless it is stated.
     assert problem.setup.noise == prior.noise
+    stated = Setup(prior=prior, noise={"position": 3e-3})
+    assert make_problem(ARM, data, stated).setup.noise["position"] == 3e-3
+
+
+def test_a_prior_of_another_type_or_of_fewer_parameters(
+    prior: PopulationPrior, refused: Callable[..., Any]
+) -> None:
+    chain = calib_pin.load_chain("pa10")
+    with refused(OptionError, reason="'space6'", file="fleet.json"):
+        nominal_problem(chain, "position", Setup(prior=prior))
+    more = Setup(prior=prior, parameters=("placement", "transmission"))
+    with refused(OptionError, reason=".transmission.gain"):
+        nominal_problem(ARM, "position", more)
+    gears = replace(more, fixed=("*.transmission.*",))
+    assert nominal_problem(ARM, "position", gears).further.priors == len(prior.names)

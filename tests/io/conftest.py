@@ -54,7 +54,7 @@ def write(tmp_path: Path) -> Callable[..., Path]:
 
     def write(text: str | bytes, name: str = "m.csv") -> Path:
         file = tmp_path / name
-        file.parent.mkdir(exist_ok=True)
+        file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(text.encode() if isinstance(text, str) else text)
         return file
 

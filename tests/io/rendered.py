@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,6 +28,8 @@ def rendered(
     board: BoardSetup, T: Floats, rng: np.random.Generator, noise: float, blur: float
 ) -> NDArray[np.uint8]:
     """The image, each pixel the mean of 3 x 3 rays; pixel centers at whole numbers."""
+    import cv2
+
     sheet = sheet_of(board)
     # On the sheet the origin of the board, whose points are at corners of pixels.
     fewer = board.type in ("charuco", "chessboard")
@@ -77,6 +78,8 @@ def sheet_of(board: BoardSetup) -> NDArray[np.uint8]:
 
 def pose(rng: np.random.Generator, board: BoardSetup, distance: float) -> Floats:
     """A pose before the camera, the middle of the board near the optical axis."""
+    import cv2
+
     turn = cv2.Rodrigues(rng.uniform(-0.45, 0.45, 3))[0]
     T = np.eye(4)
     T[:3, :3] = turn

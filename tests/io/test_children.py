@@ -14,11 +14,11 @@ from calib_pin.io import children
 
 
 @pytest.mark.parametrize(
-    ("program", "reason"),
+    ("program", "said"),
     [
-        ("import os; os.abort()", "what reads it crashes"),
-        ("print('{')", "what reads it crashes"),
-        ("import time; time.sleep(60)", "it takes more than 1 s"),
+        ("import os; os.abort()", "crashes"),
+        ("print('{')", "crashes"),
+        ("import time; time.sleep(60)", "1 s"),
         ('print(\'{"reason": "it is wrong"}\')', "it is wrong"),
     ],
 )
@@ -26,15 +26,15 @@ def test_no_answer(
     refused: Callable[..., Any],
     monkeypatch: pytest.MonkeyPatch,
     program: str,
-    reason: str,
+    said: str,
 ) -> None:
     def started(_: str) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
-            [sys.executable, "-c", program], stdin=-1, stdout=-1, stderr=-3
+            [sys.executable, "-S", "-c", program], stdin=-1, stdout=-1, stderr=-3
         )
 
     monkeypatch.setattr(children, "started", started)
     # However busy the machine is, the others end before their time does.
     monkeypatch.setattr(children, "SECONDS", 1.0 if "sleep" in program else 60.0)
-    with refused(RobotError, reason, file="arm.xml"):
+    with refused(RobotError, said, file="arm.xml"):
         children.answer("any.py", {"file": "arm.xml"}, "arm.xml")

@@ -7,7 +7,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 
-from calib_pin.io.columns import read_numbers, split_header, what_is_wrong
+from calib_pin.io.columns import read_numbers, split_header
 
 
 def halfway(values: np.ndarray) -> list[str]:
@@ -68,25 +68,6 @@ def test_cells_that_add_up_are_not_shifted():
     """Two numbers in one cell do not make up for a cell that holds none."""
     found = read_numbers(["1.5,2.5", "", "3.5"])
     np.testing.assert_array_equal(found, [np.nan, np.nan, 3.5])
-
-
-@pytest.mark.parametrize(
-    ("cell", "value", "reason"),
-    [
-        ("", np.nan, "the cell is empty"),
-        ("-1.0", -1.0, "not positive"),
-        ("1e999", np.inf, "not a finite number"),
-        ("-NaN", np.nan, "not a finite number"),
-        (
-            "1,5",
-            np.nan,
-            "not a number (between commas the decimal mark must be a point)",
-        ),
-        ("ball", np.nan, "not a number"),
-    ],
-)
-def test_what_is_wrong(cell, value, reason):
-    assert what_is_wrong(cell, value) == reason
 
 
 @pytest.mark.parametrize(

@@ -28,24 +28,16 @@ def test_numbers(found):
     document = json.loads(encode(comparison_document(found)))
     assert (document["format"], document["version"]) == ("calib-pin/comparison", 1)
     assert document["drifted"] is document["changed"] is True
-    assert document["same"] == {
-        "nominal_robot": True,
-        "parameters": True,
-        "measurements": False,
-    }
+    same = {"nominal_robot": True, "parameters": True, "measurements": False}
+    assert document["same"] == same
     tip, drift = document["tip"], found.drift
-    for name, sizes, noise in (
-        ("position", drift.drift, found.explained[0]),
-        ("orientation", drift.turn, found.explained[1]),
-    ):
-        assert tip[name]["rms"] == pytest.approx(np.sqrt(np.mean(sizes**2)))
-        assert tip[name]["mean"] == pytest.approx(sizes.mean())
-        assert tip[name]["max"] == sizes.max()
-        assert tip[name]["explained"] == noise
-    assert tip["largest"]["drift"] == tip["position"]["max"]
+    assert tip["position"]["rms"] == pytest.approx(np.sqrt(np.mean(drift.drift**2)))
+    assert tip["orientation"]["mean"] == pytest.approx(drift.turn.mean())
+    explained = tuple(tip[name]["explained"] for name in ("position", "orientation"))
+    assert explained == tuple(found.explained)
+    assert tip["largest"]["drift"] == tip["position"]["max"] == drift.drift.max()
     assert tip["largest"]["tip"] == drift.points[drift.farthest].tolist()
     assert tip["largest"]["configuration"] == drift.q[drift.farthest].tolist()
-    assert tip["configurations"] == 1000
     assert tip["fitted_away"] == ["base", "tool"]
     rows = [*document["parameters"], *document["coupled"]]
     assert len(rows) == len(found.differences)
@@ -72,25 +64,23 @@ def test_what_is_unknown_is_null(found):
     assert document["displacements"] == {"base": None, "tool": None}
 
 
+@pytest.mark.slow
 def test_the_tips_of_several_chains():
-    chain = calib_pin.load_chain("example:talos_reduced", tip="arm_left_7_link")
+    robot = calib_pin.load_chain("example:talos_reduced", tip="arm_left_7_link").robot
     names = ("arm_left_7_link", "arm_right_7_link")
-    chains = Chains(chain.robot, names=names)
+    chains = Chains(robot, names=names)
     setup = calib_pin.Setup(parameters=("joint-offset",))
-    keys = [BlockKey("pose", name) for name in names]
-    problem = nominal_problem(chains, keys, setup)
-    results = []
-    for seed in (1, 2):
-        rng = np.random.default_rng(seed)
-        theta = calib_pin.draw_errors(problem.parameters, rng)
-        rows = calib_pin.simulate(problem, theta, rng, count=60)
-        results.append(calib_pin.calibrate(chains, rows, setup, validate=False))
-    both = compare(*results)
+    problem = nominal_problem(chains, [BlockKey("pose", name) for name in names], setup)
+    rng = np.random.default_rng(1)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, theta, rng, count=25)
+    first = calib_pin.calibrate(chains, rows, setup, validate=False)
+    moved = replace(first.model, theta=first.model.theta + 1e-3)
+    both = compare(first, replace(first, model=moved))
     document = comparison_document(both)
     assert list(document["tips"]) == list(names)
     assert document["tip"] == document["tips"][document["chain"]]
-    for name in names:
-        tip = document["tips"][name]
+    for name, tip in document["tips"].items():
         assert tip["position"]["rms"] == both.drifts[name].position.rms > 1e-4
         assert tip["position"]["explained"] == both.explained_at(name)[0]
         joints = len(chains[name].joints)

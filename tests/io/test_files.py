@@ -199,6 +199,7 @@ def test_a_kill_at_every_call_leaves_the_old_set_or_the_new(
     assert 10 < sum(found) < len(found) - 10
 
 
+@pytest.mark.slow
 def test_a_writer_completes_what_was_decided_on(
     system: System, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -253,17 +254,16 @@ def test_loose_files_are_all_there_or_none(
     assert done[-1] and done.count(False) > 10
 
 
-def test_what_fails_in_the_block_leaves_nothing(tmp_path: Path) -> None:
+def test_what_fails_leaves_nothing(tmp_path: Path) -> None:
+    name = "x" * 255  # Temporary names are no longer.
     with (
         pytest.raises(ZeroDivisionError),
-        write_files({tmp_path / "a" / "b" / "x": b"1"}, force=False),
+        write_files({tmp_path / "a" / "b" / name: b"1"}, force=False),
     ):
-        assert temporary(tmp_path / "a" / "b" / "x").read_bytes() == b"1"
+        assert temporary(tmp_path / "a" / "b" / name).read_bytes() == b"1"
         raise ZeroDivisionError
     assert not list(tmp_path.iterdir())
-
-
-def test_none_is_written_where_one_exists(tmp_path: Path) -> None:
+    # Nor is any written where one exists.
     (tmp_path / "b").write_bytes(b"old")
     contents = {tmp_path / "new" / "a": b"1", tmp_path / "b": b"2"}
     with pytest.raises(OptionError) as caught, write_files(contents, force=False):
@@ -272,28 +272,15 @@ def test_none_is_written_where_one_exists(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
 
 
-def test_temporary_names_are_short_and_the_same(tmp_path: Path) -> None:
-    name = "x" * 255
-    with write_files({tmp_path / name: b"1"}, force=False):
-        (found,) = tmp_path.iterdir()
-        assert found == temporary(tmp_path / name)
-    assert [path.name for path in tmp_path.iterdir()] == [name]
-
-
-@pytest.mark.parametrize("kind", ["pipe", "device", "endless"])
-def test_only_regular_files_are_read(tmp_path: Path, kind: str) -> None:
-    path = tmp_path / "a"
-    if kind == "pipe":
-        os.mkfifo(path)
-    else:
-        path.symlink_to({"device": "/dev/tty", "endless": "/dev/zero"}[kind])
-    with pytest.raises(InputError, match="is not a regular file"):
-        read_bytes(path)
-
-
-def test_a_pipe_that_nothing_writes_to_is_empty(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "a")
-    assert list(read_blocks(tmp_path / "a", 10, pipe=True)) == []
+def test_only_regular_files_are_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "device").symlink_to("/dev/tty")
+    (tmp_path / "endless").symlink_to("/dev/zero")
+    for name in ("pipe", "device", "endless"):
+        with pytest.raises(InputError):
+            read_bytes(tmp_path / name)
+    # A pipe that nothing writes to is empty.
+    assert list(read_blocks(tmp_path / "pipe", 10, pipe=True)) == []
 
 
 def test_size_is_limited(tmp_path: Path) -> None:
@@ -302,9 +289,9 @@ def test_size_is_limited(tmp_path: Path) -> None:
     assert read_bytes(path, 5) == b"12345"
     with pytest.raises(InputError) as caught:
         read_bytes(path, 4)
-    assert (caught.value.file, caught.value.reason) == (str(path), "is too large")
+    assert caught.value.file == str(path)
     # Nor is a file of holes read to its limit.
     with path.open("r+b") as stream:
         stream.truncate(1 << 40)
-    with pytest.raises(InputError, match="is too large"):
+    with pytest.raises(InputError):
         read_bytes(path)

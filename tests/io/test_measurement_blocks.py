@@ -48,7 +48,7 @@ def test_blocks_of_a_file(write, tree):
             [0.0, 0.0, 0.0, 0.1, 0.0],
             [0.0, 0.5, 0.6, -0.2, 0.3],
         ],
-        atol=1e-15,
+        atol=1e-12,
     )
     assert data.payload == ("", "p", "", "", "", "")
     assert data.target == ("", "", "", "", "post", "")
@@ -79,7 +79,7 @@ def test_files_of_different_chains_have_the_joints_of_all(write, tree):
     assert data.joints == ("torso", "left", "right", "finger", "slide")
     # The own file of the right hand has no need for the left one.
     np.testing.assert_allclose(
-        data.q, [[0.1, 0.2, 0, 0.1, 0], [0.1, 0, 0.2, 0, 0.3]], atol=1e-15
+        data.q, [[0.1, 0.2, 0, 0.1, 0], [0.1, 0, 0.2, 0, 0.3]], atol=1e-12
     )
     alone = read_measurements(left, tree)
     assert (alone.joints, alone.keys[0].chain) == (("torso", "left"), "left_hand")
@@ -110,7 +110,7 @@ def test_every_file_is_a_station(write, tree, refused):
     assert [key.station for key in data.keys] == ["m", "m-2", "m-3", "m-2-2"]
     assert data.files == tuple(map(str, files))
     file = write("torso,left,x,y,z,station\n0.1,0.2,1,2,3,a\n")
-    with refused(InputError, file=str(file), column="station", reason="itself"):
+    with refused(InputError, file=str(file), column="station"):
         read_measurements(file, tree.named(("left_hand",)), station_per_file=True)
 
 
@@ -132,7 +132,7 @@ def test_sockets_of_a_station_are_those_of_all_tools_and_chains(write, tree, ref
     text = "torso,left,right,slide,chain,station,tool,target\n"
     text += "0,0,,,left_hand,a,t,s\n0,,0.5,0,,a,u,s\n"
     assert len(read_measurements(write(text), tree, model="fixed-point").blocks) == 2
-    with refused(InputError, line=2, value="s", reason="one configuration only"):
+    with refused(InputError, line=2, value="s"):
         read_measurements(
             write(text.replace(",a,u", ",b,u")), tree, model="fixed-point"
         )
@@ -150,74 +150,47 @@ def test_a_mimic_joint_follows_its_leader(write, tree, refused):
         line=3,
         column="finger",
         value="10",
-        reason="'finger' mimics 'right', which puts it at 0.2 rad",
-        allowed="left out",
+        reason=("'right'", "0.2 rad"),
     ):
         read_measurements(file, tree)
 
 
-@pytest.mark.parametrize(
-    ("text", "fields"),
-    [
-        (
-            f"{ARMS}0,0,,,left_hand,a,,1,2,3,,train,\n0,,0,0,left_hand,a,,1,2,3,,train,",
-            dict(line=3, column="left", value="", reason="the cell is empty"),
-        ),
-        (
-            f"{ARMS}0,,far,0,,a,,1,2,3,,train,\n",
-            dict(line=2, column="right", value="far", reason="not a number"),
-        ),
-        # Another joint may be left out, but what stands there is read.
-        (
-            f"{ARMS}0,0,far,,left_hand,a,,1,2,3,,train,\n0,,0,0,,a,,1,2,3,,train,\n",
-            dict(line=2, column="right", value="far", reason="not a number"),
-        ),
-        (
-            f"{ARMS}0,0,,,left_hand,a,,1,2,3,,train,\n0,0,0,9,,a,,1,2,3,,train,\n",
-            dict(line=3, column="slide", value="9", reason="'slide [mm]'"),
-        ),
-        (
-            "torso,right,slide,x,y,z,chain\n0,0,0,1,2,3,left_hand\n",
-            dict(line=1, column="left", reason="joint 'left' of the chain 'left_hand'"),
-        ),
-        (
-            "torso,left,x,y,z,chain\n0,0,1,2,3,left_hand\n0,0,1,2,3,left_hnad\n",
-            dict(line=3, column="chain", value="left_hnad", reason="mean 'left_hand'"),
-        ),
-        (
-            "torso,left,x,y,z,chain\n0,0,1,2,3,base\n",
-            dict(line=2, column="chain", value="base", reason="nothing moves"),
-        ),
-        (
-            f"{ARMS},,,,world,a,,1,2,3,p,train,\n,,,,world,a,,1,2,3,b@,train,\n",
-            dict(
-                line=3,
-                column="target",
-                value="b@",
-                reason="names no point that stands still",
-            ),
-        ),
-        (
-            "x,y,z,chain\n1,2,3,world\n",
-            dict(line=1, column="target", reason="chain 'world' needs a column"),
-        ),
-        (
-            f"{ARMS}0,0,,,left_hand,a,t,1,2,3,,train,\n0,0,,,left_hand,,t,1,2,3,,train,",
-            dict(line=3, column="station", reason="names no station, others do"),
-        ),
-        (
-            f"{ARMS}0,0,,,left_hand,a,t,1,2,3,,train,\n0,0,,,left_hand,a,,1,2,3,,train,",
-            dict(line=3, column="tool", reason="names no tool, others do"),
-        ),
-        (
-            "torso,left,x,y,z,chain,station [m]\n0,0,1,2,3,left_hand,1\n",
-            dict(line=1, column="station", reason="takes no unit"),
-        ),
-    ],
-)
-def test_what_is_refused(write, tree, refused, text, fields):
+LEFT = "torso,left,x,y,z,chain"
+
+# A file, line, column and value of the error, and what else tells it from others.
+REFUSED = [
+    (f"{ARMS}0,,,,left_hand,a,,1,2,3,,train,\n0,,0,0,,a,,1,2,3,,train,", 2, "left", ""),
+    (f"{ARMS}0,,far,0,,a,,1,2,3,,train,\n", 2, "right", "far"),
+    # Another joint may be left out, but what stands there is read.
+    (
+        f"{ARMS}0,0,far,,left_hand,a,,1,2,3,,train,\n0,,0,0,,a,,1,2,3,,train,\n",
+        2,
+        "right",
+        "far",
+    ),
+    (f"{ARMS}0,0,0,9,,a,,1,2,3,,train,\n", 2, "slide", "9", "'slide [mm]'"),
+    ("torso,right,slide,x,y,z,chain\n0,0,0,1,2,3,left_hand\n", 1, "left", None),
+    (f"{LEFT}\n0,0,1,2,3,left_hnad\n", 2, "chain", "left_hnad", "'left_hand'"),
+    (f"{LEFT}\n0,0,1,2,3,base\n", 2, "chain", "base"),
+    (f"{ARMS},,,,world,a,,1,2,3,b@,train,\n", 2, "target", "b@"),
+    ("x,y,z,chain\n1,2,3,world\n", 1, "target", None, "'world'"),
+    (
+        f"{LEFT},station\n0,0,1,2,3,left_hand,a\n0,0,1,2,3,left_hand,\n",
+        3,
+        "station",
+        None,
+    ),
+    (f"{LEFT},tool\n0,0,1,2,3,left_hand,a\n0,0,1,2,3,left_hand,\n", 3, "tool", None),
+    (f"{LEFT},station [m]\n0,0,1,2,3,left_hand,1\n", 1, "station", None),
+]
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_is_refused(write, tree, refused, case):
+    text, line, column, value, *words = case
     file = write(text)
-    with refused(InputError, file=str(file), **fields):
+    where = {"file": str(file), "line": line, "column": column, "value": value}
+    with refused(InputError, words, **where):
         read_measurements(file, tree)
 
 
@@ -225,7 +198,7 @@ def test_a_chain_that_the_robot_leaves_open(write, tree, refused):
     """Cells that are blank mean the default chain, which has to be one."""
     chains = type(tree)(tree.robot, names=("left_hand", "right_hand"))
     file = write("torso,left,x,y,z,chain\n0,0,1,2,3,left_hand\n0,0,1,2,3,\n")
-    with refused(InputError, line=3, column="chain", value="", reason="2 possible"):
+    with refused(InputError, line=3, column="chain", value=""):
         read_measurements(file, chains)
-    with pytest.raises(RobotError, match="2 possible tips"):
+    with pytest.raises(RobotError, match="right_hand"):
         read_measurements(write("torso,left,x,y,z\n0,0,1,2,3\n"), chains)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.metadata
-import os
 import subprocess
 import sys
-import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from calib_pin.errors import InputError, OptionError, OutputError
+from calib_pin.errors import CalibPinError, InputError, OptionError, OutputError
 from calib_pin.io.measured_columns import components as components_of
 from calib_pin.io.measurements import (
     read_configurations,
@@ -25,8 +22,8 @@ from calib_pin.io.measurements import (
     write_measurements,
 )
 from calib_pin.io.table import read_table
+from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.robot import Robot
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared, measurement_model
 from calib_pin.observations import BlockKey, Conditions, Measurements, Observations
 from calib_pin.setup import CameraSetup, JointMap, Setup
@@ -52,26 +49,14 @@ URDF = """<robot name="r">
 </robot>"""
 
 
+J = "lift,elbow,wrist"
 CHAINS = ("", "left_hand", "touch", "world")
 
 
-def robot(xml: str, file: str = "r.urdf") -> Robot:
-    root = ElementTree.fromstring(xml)
-    links = tuple(link.attrib["name"] for link in root.findall("link"))
-    joints = [
-        joint for joint in root.findall("joint") if joint.find("child") is not None
-    ]
-    children = {joint.find("child").attrib["link"] for joint in joints}
-    parents = {joint.find("parent").attrib["link"] for joint in joints}
-    return Robot(
-        name=root.attrib["name"],
-        file=file,
-        source=xml.encode(),
-        model=pin.buildModelFromXML(xml),
-        root=next(link for link in links if link not in children),
-        links=links,
-        leaves=tuple(link for link in links if link not in parents),
-    )
+def told(notices: list[str]) -> list[tuple[Path, str]]:
+    """The file and the names that each notice is about."""
+    parts = [notice.split(": ") for notice in notices]
+    return [(Path(file), names) for file, *_, names in parts]
 
 
 def read(*about, **options) -> Measurements:
@@ -80,8 +65,8 @@ def read(*about, **options) -> Measurements:
 
 
 @pytest.fixture(scope="module")
-def chain() -> Chain:
-    return Chain(robot(URDF), tip="c")
+def chain(chain_of) -> Chain:
+    return chain_of(URDF, tip="c")
 
 
 @pytest.fixture
@@ -131,9 +116,9 @@ def test_columns_in_any_order_with_units(write, chain):
     half_turn = np.pi / 2
     np.testing.assert_allclose(data.q, [[0.1, 0.5, half_turn], [0, -0.5, -half_turn]])
     np.testing.assert_allclose(
-        data.values, [[1.0, 0.0508, 3.0], [0.001, 0.0254, 3e-6]], rtol=1e-15
+        data.values, [[1.0, 0.0508, 3.0], [0.001, 0.0254, 3e-6]], rtol=1e-12
     )
-    np.testing.assert_allclose(data.sigma, [[1e-4] * 3, [2e-4] * 3], rtol=1e-15)
+    np.testing.assert_allclose(data.sigma, [[1e-4] * 3, [2e-4] * 3], rtol=1e-12)
     assert data.target == ("ball", "")
     assert data.validate.tolist() == [False, True]
 
@@ -168,12 +153,12 @@ def test_line_ends_and_byte_order_mark(write, chain, end, mark):
     assert data.lines.tolist() == [2, 4]
 
 
-def test_names_match_exactly(write, refused):
+def test_names_match_exactly(write, refused, chain_of):
     xml = URDF.replace('"elbow"', '"joint1"').replace('"wrist"', '"joint11"')
-    chain = Chain(robot(xml), tip="c")
+    chain = chain_of(xml, tip="c")
     file = write("joint11,lift,joint1,distance\n0.1,0.2,0.3,1\n")
     assert read(file, chain).q.tolist() == [[0.2, 0.3, 0.1]]
-    with refused(InputError, line=1, column="joint1", reason="joint 'joint1'"):
+    with refused(InputError, line=1, column="joint1"):
         read(write("joint11,lift,distance\n0.1,0.2,1\n"), chain)
 
 
@@ -199,8 +184,8 @@ def test_model_asked_for_takes_its_columns_only(write, chain):
     data = read(file, chain, model="position", notice=notices.append)
     assert (data.model, data.values.tolist()) == ("position", [[1, 2, 3]])
     assert data.sigma is None
-    assert notices == [
-        f"{file}: columns ignored: qx, qy, qz, qw, distance, sigma_distance, sigma_rx"
+    assert told(notices) == [
+        (file, "qx, qy, qz, qw, distance, sigma_distance, sigma_rx")
     ]
     data = read(file, chain, model="plane-distance")
     assert (data.values.tolist(), data.sigma.tolist()) == ([[4.0]], [[0.1]])
@@ -213,9 +198,9 @@ def test_columns_without_a_meaning_are_reported_once(write, chain):
     second = write(",lift,elbow,wrist,distance\n1,0,0,0,1", "n.csv")
     first = write(header + rows)
     read([first, second], chain, notice=notices.append)
-    assert notices == [
-        f"{first}: columns ignored: tool_position, time [s]",
-        f"{second}: columns ignored: (unnamed)",
+    assert told(notices) == [
+        (first, "tool_position, time [s]"),
+        (second, "(unnamed)"),
     ]
     notices.clear()
     clean = write("lift,elbow,wrist,gripper,distance\n0,0,0,0,1\n")
@@ -277,7 +262,7 @@ def test_orientations(write, chain, header, write_down):
     assert data.model == "pose"
     assert data.values[:, :3].tolist() == [[1, 2, 3]] * len(R)
     quaternions = data.values[:, 3:]
-    np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0, rtol=1e-14)
+    np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0, rtol=1e-12)
     assert (quaternions[:, 3] >= 0).all()
     np.testing.assert_allclose(matrices(quaternions), R, atol=2e-8)
 
@@ -298,8 +283,8 @@ def test_orientations(write, chain, header, write_down):
 )
 def test_known_orientations(write, chain, row, expected):
     data = read(write("lift,elbow,wrist,x,y,z," + row), chain)
-    # The cosine of the number next to pi/2 is 6e-17; four such terms are added.
-    np.testing.assert_allclose(data.values[0, 3:], expected, atol=4e-16)
+    # Sines and cosines of other processors differ in their last bits.
+    np.testing.assert_allclose(data.values[0, 3:], expected, atol=1e-14)
 
 
 # --- joint maps --------------------------------------------------------------------
@@ -333,78 +318,39 @@ def test_own_column_of_a_mapped_joint_is_reported(write, chain):
     joints = {"J2": JointMap("elbow")}
     data = read(file, chain, joints=joints, notice=notices.append)
     assert data.q.tolist() == [[0, 2, 0]]
-    assert notices == [f"{file}: columns ignored: elbow"]
+    assert told(notices) == [(file, "elbow")]
 
 
-@pytest.mark.parametrize(
-    ("joints", "header", "fields"),
-    [
-        (
-            {"J": JointMap("elbov")},
-            "J",
-            dict(file=None, reason=("'J'", "'elbov'", "mean 'elbow'"), allowed="lift"),
-        ),
-        (
-            {"J": JointMap("universe")},
-            "J",
-            dict(file=None, reason="'universe'", allowed="lift, elbow, wrist"),
-        ),
-        (
-            {"J": JointMap("elbow"), "K": JointMap("elbow")},
-            "J,K",
-            dict(file=None, reason=("two columns, 'J' and 'K'", "'elbow'")),
-        ),
-        (
-            {"J22": JointMap("elbow")},
-            "lift,wrist,J2",
-            dict(
-                line=1,
-                column="J22",
-                reason=("column 'J22' for joint 'elbow'", "missing", "mean 'J2'"),
-            ),
-        ),
-        (
-            {"J2": JointMap("elbow", coupled={"J1_": 1})},
-            "lift,wrist,J2,J1",
-            dict(
-                line=1,
-                column="J1_",
-                reason=("column 'J1_' for joint 'elbow'", "mean 'J1'"),
-            ),
-        ),
-        (
-            {"wrist": JointMap("elbow")},
-            "lift,wrist",
-            dict(
-                file=None,
-                reason=(
-                    "column 'wrist' is mapped to joint 'elbow'",
-                    "joint 'wrist' has no column",
-                ),
-            ),
-        ),
-        (
-            {"x": JointMap("elbow")},
-            "lift",
-            dict(file=None, reason=("'x'", "meaning of its own", "'joints'")),
-        ),
-        (
-            {"J2": JointMap("elbow")},
-            "lift,wrist,J2 [mm]",
-            dict(line=1, column="J2", reason="'mm'", allowed="rad, deg, mrad"),
-        ),
-    ],
-)
-def test_joint_map_errors(bad, joints, header, fields):
-    columns = f"{header},distance"
-    row = ",".join("0" for _ in columns.split(","))
-    bad(f"{columns}\n{row}\n", joints=joints, **fields)
+MAPS = [
+    # A map, the columns, line and column of the error, and names that it is about.
+    ({"J": JointMap("elbov")}, "J", None, None, "'elbow'"),
+    ({"J": JointMap("universe")}, "J", None, None, "'universe'"),
+    ({"J": JointMap("elbow"), "K": JointMap("elbow")}, "J,K", None, None, "'K'"),
+    ({"J22": JointMap("elbow")}, "lift,wrist,J2", 1, "J22", "'J2'"),
+    (
+        {"J2": JointMap("elbow", coupled={"J1_": 1})},
+        "lift,wrist,J2,J1",
+        1,
+        "J1_",
+        "'J1'",
+    ),
+    ({"wrist": JointMap("elbow")}, "lift,wrist", None, None, "'wrist'"),
+    ({"x": JointMap("elbow")}, "lift", None, None, "'x'"),
+    ({"J2": JointMap("elbow")}, "lift,wrist,J2 [mm]", 1, "J2", "'mm'"),
+]
 
 
-def test_joint_with_the_name_of_a_measured_column(write, refused):
-    chain = Chain(robot(URDF.replace('"lift"', '"x"')), tip="c")
+@pytest.mark.parametrize(("joints", "header", "line", "column", "name"), MAPS)
+def test_joint_map_errors(bad, joints, header, line, column, name):
+    text = f"{header},distance\n{header.count(',') * '0,'}0,0\n"
+    where = {"line": line, "column": column} if line else {"file": None}
+    bad(text, joints=joints, reason=name, **where)
+
+
+def test_joint_with_the_name_of_a_measured_column(write, refused, chain_of):
+    chain = chain_of(URDF.replace('"lift"', '"x"'), tip="c")
     file = write("x,elbow,wrist,distance\n0,0,0,1\n")
-    with refused(InputError, reason=("'x' has a meaning of its own", "'joints'")):
+    with refused(InputError, reason=("'x'", "'joints'")):
         read(file, chain)
     file = write("rail,elbow,wrist,x,y,z\n0.1,0,0,1,2,3\n")
     data = read(file, chain, joints={"rail": JointMap("x")})
@@ -421,7 +367,7 @@ def test_configurations_ignore_everything_else(write, chain):
 
 
 def test_configurations_lack_a_joint(write, chain, refused):
-    with refused(InputError, line=1, column="wrist", reason="missing"):
+    with refused(InputError, line=1, column="wrist"):
         read_configurations(write("lift,elbow\n0,0\n"), chain)
 
 
@@ -537,11 +483,7 @@ def same(data, again):
     return True
 
 
-@settings(
-    max_examples=100,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-)
+@settings(max_examples=40, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(drawn=st.data(), comments=st.lists(TEXT, max_size=3))
 def test_written_files_read_back_bit_by_bit(tmp_path, chain, tree, drawn, comments):
     data = drawn.draw(measurements() | mixtures(tree))
@@ -609,7 +551,7 @@ def test_an_existing_file_needs_force(tmp_path, refused):
     data = Measurements(("j",), np.zeros((1, 1)), "plane-distance", np.ones((1, 1)))
     file = tmp_path / "out.csv"
     file.write_text("mine")
-    with refused(OptionError, file=str(file), reason="exists"):
+    with refused(OptionError, file=str(file)):
         write_measurements(file, data)
     assert file.read_text() == "mine"
     write_measurements(file, data, force=True)
@@ -631,357 +573,198 @@ def test_what_would_not_read_back_is_not_written(tmp_path, joint, target):
 
 def test_a_model_without_a_format_is_not_written(tmp_path, refused):
     data = Measurements(("j",), np.zeros((1, 1)), "camra", np.ones((1, 2)))
-    with refused(OptionError, reason=("'camra'", "did you mean 'camera'")):
+    with refused(OptionError, reason=("'camra'", "'camera'")):
         write_measurements(tmp_path / "out.csv", data)
 
 
-# --- files that are refused --------------------------------------------------------
+# --- files that are refused ------------------------------------------------------
 
-J = "lift,elbow,wrist"
+R = f"{J},distance\n0,0,0,1\n"
+QUATERNION = f"{J},x,y,z,qx,qy,qz,qw\n0,0,0,1,2,3,0,0,0,1\n0,0,0,1,2,3,"
+VECTOR = f"{J},x,y,z,rx,ry,rz"
 
+# A file, then line, column and value of the error, and what else tells it from others.
+REFUSED = [
+    # Not such a file at all.
+    ("", None, None, None),
+    ("# only\n\n# comments\n", None, None, None),
+    (f"# c\n{J},distance\n# c\n", None, None, None),
+    (b"lift,elbow\n0,0\n0,\xe9", 3, None, None),
+    (b"lift\x00,elbow\n0,0\n", None, None, None),
+    ("# c\nlift;elbow;wrist;distance\n0,1;2;3;4,5\n0;2;3;1.5\n", 4, "distance", None),
+    ("lift;elbow;wrist;x\n0,1;2;3,4\n", 2, "x", None),
+    ("lift elbow [deg] wrist\n0 0 0\n", 1, None, None, "comma"),
+    ("0.1,0.2,0.3,1\n0,0,0,1\n", 1, None, None, "header"),
+    # Rows that do not fit.
+    (f"{R}\n0,0,0\n", 4, "distance", None),
+    (f"{R}0,0,0,1,abc\n", 3, None, "abc"),
+    (f"{J},distance\n0,0,0,0,0,0,1,5\n", 2, None, "0", "decimal"),
+    (f'{J},distance\n0,0,0,"1\n0,0,0,1\n', 2, None, None),
+    (f'{J},distance,target\n0,0,0,1,"a"b\n', 2, None, None),
+    # Cells that are not numbers.
+    *(
+        (f"{R}# c\n0,{cell},0,1\n", 4, "elbow", cell.strip())
+        for cell in ("abc", " ", "nan", "-Inf", "1e999", "1_0", "90deg")
+    ),
+    (f'{R}0,"1,5",0,1\n', 3, "elbow", "1,5", "decimal"),
+    # Columns that are missing, doubled or have a wrong unit.
+    ("lift,elbow_joint,wrist,distance\n0,0,0,1\n", 1, "elbow", None, "'elbow_joint'"),
+    ("lift,elbow (deg),distance\n0,0,1\n", 1, "elbow", None, "'elbow (deg)'"),
+    (f"{J},elbow,distance\n0,0,0,0,1\n", 1, "elbow", None),
+    (f"{J},x,x [mm],y,z\n0,0,0,0,1,0,0\n", 1, "x", None, "'x [mm]'"),
+    ("lift,elbow [mm],wrist,distance\n0,0,0,1\n", 1, "elbow", None, "'mm'"),
+    ("lift [deg],elbow,wrist,distance\n0,0,0,1\n", 1, "lift", None, "'deg'"),
+    (f"{J},distance [cm]\n0,0,0,1\n", 1, "distance", None, "'cm'"),
+    (f"{J},distance []\n0,0,0,1\n", 1, "distance", None, "''"),
+    (f"{J},x,y,z,qx [m],qy,qz,qw\n0,0,0,0,0,0,0,0,0,1", 1, "qx", None),
+    (f"{J},distance,sigma [deg]\n0,0,0,1,1\n", 1, "sigma", None, "'deg'"),
+    (f"{J},distance,target [m]\n0,0,0,1,1\n", 1, "target", None),
+    # Which model?
+    (f"{J},note\n0,0,0,a\n", 1, None, None, "x, y, z"),
+    (f"{J},target\n0,0,0,a\n", 1, None, None, "--model"),
+    (f"{J},x,y,z,distance\n0,0,0,1,2,3,4\n", 1, None, None, "--model"),
+    (f"{J},u,v,x,y,z,target\n0,0,0,1,2,3,4,5,m\n", 1, None, None, "--model"),
+    (f"{J},u\n0,0,0,1\n", 1, "v", None, "'camera'"),
+    (f"{J},x,y\n0,0,0,1,2\n", 1, "z", None, "'position'"),
+    (f"{J},x,y,z (mm)\n0,0,0,1,2,3\n", 1, "z", None, "'z (mm)'"),
+    (f"{J},rx,ry,rz\n0,0,0,0,0,0\n", 1, "x", None, "'pose'"),
+    (f"{J},x,y,z,qx,qy,qz\n0,0,0,1,2,3,0,0,0\n", 1, "qw", None),
+    (f"{J},x,y,z,yaw\n0,0,0,1,2,3,0\n", 1, "roll", None),
+    (f"{VECTOR},yaw\n0,0,0,1,2,3,0,0,0,0\n", 1, "yaw", None, "rx"),
+    # Quaternions.
+    *(
+        (f"{QUATERNION}{cells}\n", 3, "qx, qy, qz, qw", cells.replace(",", ", "))
+        for cells in ("0,0,1,1", "0,0,0,0", "0,0,0,1.011", "0,0,0,-0.989")
+    ),
+    # Sigmas.
+    *(
+        (f"{J},distance,sigma\n0,0,0,1,1\n0,0,0,1,{cell}\n", 3, "sigma", cell)
+        for cell in ("0", "-0.1", "nan", "inf", "", "small")
+    ),
+    (f"{J},x,y,z,sigma_x,sigma_z\n0,0,0,1,2,3,1,1\n", 1, "sigma_y", None),
+    (
+        f"{VECTOR},sigma_x,sigma_y,sigma_z\n0,0,0,1,2,3,0,0,0,1,1,1\n",
+        1,
+        "sigma_rx",
+        None,
+    ),
+    (f"{VECTOR},sigma\n0,0,0,1,2,3,0,0,0,1\n", 1, "sigma", None),
+    (f"{VECTOR},sigma_qw\n0,0,0,1,2,3,0,0,0,1\n", 1, "sigma_qw", None),
+    (f"{VECTOR},sigma_yaw\n0,0,0,1,2,3,0,0,0,1\n", 1, "sigma_yaw", None),
+    # Sets.
+    (f"{J},distance,set\n0,0,0,1,train\n0,0,0,1,test\n", 3, "set", "test"),
+    (f"{J},distance,set\n0,0,0,1,\n", 2, "set", ""),
+    (f"{J},distance,set\n0,0,0,1,Train\n", 2, "set", "Train"),
+    # Angles in degrees; within four half turns, but neither in the limits nor near.
+    (f"{J},distance\n0,1,0,1\n0,90,0,1\n0,45,0,1\n", 3, "elbow", "90", "'elbow [deg]'"),
+    (f"{J},distance\n0,0,-13,1\n", 2, "wrist", "-13", "'wrist [deg]'"),
+    (f"{R}0,-9,0,1\n", 3, "elbow", "-9", "'elbow [deg]'"),
+    ("lift,elbow [deg],wrist,distance\n0,2000,0,1\n", 2, "elbow", "2000", "[mrad]'"),
+    (f"{VECTOR}\n0,0,0,1,1,2,0,90,0\n", 2, "ry", "90", "'ry [deg]'"),
+    (
+        f"{J},x,y,z,roll,pitch,yaw\n0,0,0,1,1,2,0,0,180\n",
+        2,
+        "yaw",
+        "180",
+        "'yaw [deg]'",
+    ),
+    # Lengths in millimeters.
+    (f"{J},distance\n250,0,0,1\n", 2, "lift", "250", "'lift [mm]'"),
+    (f"{J},distance\n15,0,0,1\n", 2, "lift", "15", "'lift [mm]'"),
+    (f"{J},distance\n0,0,0,101\n", 2, "distance", "101", "'distance [mm]'"),
+    (f"{J},x,y,z\n0,0,0,1,-900,2\n", 2, "y", "-900", "'y [mm]'"),
+    (f"{J},x [mm],y,z\n0,0,0,900000,1,2\n", 2, "x", "900000", "'x [um]'"),
+    (f"{J},x,y,z\n0,0,0,1,1,2\n0,0,0,1,2,2\n0,0,0,1,30,2\n", 4, "y", "30", "'y [mm]'"),
+    (f"{J},distance,sigma\n0,0,0,1,1.5\n", 2, "sigma", "1.5", "'sigma [mm]'"),
+]
 
-@pytest.mark.parametrize(
-    ("text", "fields"),
-    [
-        # Not such a file at all.
-        ("", dict(reason="the file is empty")),
-        ("# only\n\n# comments\n", dict(reason="the file is empty")),
-        (f"# c\n{J},distance\n# c\n", dict(reason="header but no rows")),
-        (b"lift,\xff\n0,0\n", dict(line=1, reason="not UTF-8")),
-        (b"lift,elbow\n0,0\n0,\xe9", dict(line=3, reason="not UTF-8")),
-        (b"lift\x00,elbow\n0,0\n", dict(reason="not a text file")),
-        (
-            "# c\nlift;elbow;wrist;distance\n0,1;2;3;4,5\n0;2;3;1.5\n",
-            dict(
-                line=4,
-                column="distance",
-                reason=("decimal point here", "comma in line 3"),
-                allowed="one decimal mark",
-            ),
-        ),
-        ("lift;elbow;wrist;x\n0,1;2;3,4\n", dict(line=2, reason="3 cells")),
-        (
-            "lift elbow [deg] wrist\n0 0 0\n",
-            dict(line=1, reason=("spaces", "must be a comma")),
-        ),
-        ("0.1,0.2,0.3,1\n0,0,0,1\n", dict(line=1, reason=("a header", "is missing"))),
-        # Rows that do not fit.
-        (
-            f"{J},distance\n0,0,0,1\n\n0,0,0\n",
-            dict(line=4, column="distance", reason=("3 cells", "4 columns")),
-        ),
-        (
-            f"{J},distance\n0,0,0,1\n0,0,0,1,abc\n",
-            dict(line=3, value="abc", reason=("5 cells", "4 columns")),
-        ),
-        (
-            f"{J},distance\n0,0,0,0,0,0,1,5\n",
-            dict(line=2, value="0", reason=("8 cells", "decimal mark must be a point")),
-        ),
-        (f'{J},distance\n0,0,0,"1\n0,0,0,1\n', dict(line=2, reason="quotes")),
-        (f'{J},distance,target\n0,0,0,1,"a"b\n', dict(line=2, reason="quotes")),
-        # Cells that are not numbers.
-        *(
-            (
-                f"{J},distance\n0,0,0,1\n# c\n0,{cell},0,1\n",
-                dict(
-                    line=4, column="elbow", value=value, reason=what, allowed="finite"
-                ),
-            )
-            for cell, value, what in (
-                ("abc", "abc", "not a number"),
-                (" ", "", "the cell is empty"),
-                ("nan", "nan", "not a finite number"),
-                ("-Inf", "-Inf", "not a finite number"),
-                ("1e999", "1e999", "not a finite number"),
-                ("1_0", "1_0", "not a number"),
-                ('"1,5"', "1,5", "decimal mark must be a point"),
-                ("90deg", "90deg", "not a number"),
-            )
-        ),
-        # Columns that are missing, doubled or have a wrong unit.
-        (
-            "lift,elbow_joint,wrist,distance\n0,0,0,1\n",
-            dict(
-                line=1, column="elbow", reason=("joint 'elbow'", "mean 'elbow_joint'")
-            ),
-        ),
-        (
-            "lift,elbow (deg),distance\n0,0,1\n",
-            dict(
-                line=1,
-                column="elbow",
-                reason=(
-                    "joint 'elbow'",
-                    "mean 'elbow (deg)'",
-                    "missing as well: wrist",
-                ),
-            ),
-        ),
-        (
-            f"{J},elbow,distance\n0,0,0,0,1\n",
-            dict(line=1, column="elbow", reason="two columns are 'elbow'"),
-        ),
-        (
-            f"{J},x,x [mm],y,z\n0,0,0,0,1,0,0\n",
-            dict(line=1, column="x", reason=("two columns are 'x'", "'x [mm]'")),
-        ),
-        (
-            "lift,elbow [mm],wrist,distance\n0,0,0,1\n",
-            dict(line=1, column="elbow", reason="'mm'", allowed="rad, deg, mrad"),
-        ),
-        (
-            "lift [deg],elbow,wrist,distance\n0,0,0,1\n",
-            dict(line=1, column="lift", reason="'deg'", allowed="m, mm, um, in"),
-        ),
-        (
-            f"{J},distance [cm]\n0,0,0,1\n",
-            dict(line=1, column="distance", reason="'cm'", allowed="m, mm, um, in"),
-        ),
-        (
-            f"{J},distance []\n0,0,0,1\n",
-            dict(line=1, column="distance", reason="unit ''", allowed="m, mm, um, in"),
-        ),
-        (
-            f"{J},x,y,z,qx [m],qy,qz,qw\n0,0,0,0,0,0,0,0,0,1",
-            dict(line=1, column="qx", allowed="no unit"),
-        ),
-        (
-            f"{J},distance,sigma [deg]\n0,0,0,1,1\n",
-            dict(line=1, column="sigma", reason="'deg'", allowed="m, mm"),
-        ),
-        (
-            f"{J},distance,target [m]\n0,0,0,1,1\n",
-            dict(line=1, column="target", reason="takes no unit"),
-        ),
-        # Which model?
-        (
-            f"{J},note\n0,0,0,a\n",
-            dict(line=1, reason=("no measured columns", "x, y, z", "dist")),
-        ),
-        (
-            f"{J},target\n0,0,0,a\n",
-            dict(
-                line=1,
-                reason=(
-                    "no measured columns",
-                    "only name targets; say what is measured with --model",
-                ),
-                allowed="fixed-point, plane-contact, sphere-contact",
-            ),
-        ),
-        (
-            f"{J},x,y\n0,0,0,1,2\n",
-            dict(line=1, column="z", reason="model 'position' needs the missing z"),
-        ),
-        (
-            f"{J},x,y,z (mm)\n0,0,0,1,2,3\n",
-            dict(line=1, column="z", reason=("missing z", "mean 'z (mm)'")),
-        ),
-        (
-            f"{J},x,y,z,distance\n0,0,0,1,2,3,4\n",
-            dict(
-                line=1,
-                reason=("both a position and a distance", "--model"),
-                allowed="position, pose, plane-dist",
-            ),
-        ),
-        (
-            f"{J},rx,ry,rz\n0,0,0,0,0,0\n",
-            dict(line=1, column="x", reason="model 'pose' needs the missing x, y, z"),
-        ),
-        (
-            f"{J},x,y,z,qx,qy,qz\n0,0,0,1,2,3,0,0,0\n",
-            dict(line=1, column="qw", reason=("qx, qy, qz, qw", "lacks qw")),
-        ),
-        (
-            f"{J},x,y,z,yaw\n0,0,0,1,2,3,0\n",
-            dict(
-                line=1, column="roll", reason=("roll, pitch, yaw", "lacks roll, pitch")
-            ),
-        ),
-        (
-            f"{J},x,y,z,rx,ry,rz,yaw\n0,0,0,1,2,3,0,0,0,0\n",
-            dict(
-                line=1,
-                column="yaw",
-                reason=("more than once", "rx and by yaw"),
-                allowed="qx,qy,qz,qw or rx,ry,rz or roll",
-            ),
-        ),
-        # Quaternions.
-        (
-            f"{J},x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,0,0,1\n0,0,0,1,2,3,0,0,1,1\n",
-            dict(
-                line=3,
-                column="qx, qy, qz, qw",
-                value="0, 0, 1, 1",
-                reason="norm 1.41421",
-                allowed="0.99 to",
-            ),
-        ),
-        (
-            f"{J},x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,0,0,0\n",
-            dict(line=2, column="qx, qy, qz, qw", value="0, 0, 0, 0", reason="norm 0"),
-        ),
-        (
-            f"{J},x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,0,0,1.011\n",
-            dict(
-                line=2,
-                column="qx, qy, qz, qw",
-                value="0, 0, 0, 1.011",
-                reason="norm 1.011",
-            ),
-        ),
-        # Sigmas.
-        *(
-            (
-                f"{J},distance,sigma\n0,0,0,1,1\n0,0,0,1,{cell}\n",
-                dict(line=3, column="sigma", value=cell, allowed="positive"),
-            )
-            for cell in ("0", "-0.1", "nan", "inf", "", "small")
-        ),
-        (
-            f"{J},x,y,z,sigma_x,sigma_z\n0,0,0,1,2,3,1,1\n",
-            dict(
-                line=1, column="sigma_y", reason=("every component", "missing: sigma_y")
-            ),
-        ),
-        (
-            f"{J},x,y,z,rx,ry,rz,sigma_x,sigma_y,sigma_z\n0,0,0,1,2,3,0,0,0,1,1,1\n",
-            dict(
-                line=1,
-                column="sigma_rx",
-                reason="missing: sigma_rx, sigma_ry, sigma_rz",
-            ),
-        ),
-        (
-            f"{J},x,y,z,rx,ry,rz,sigma\n0,0,0,1,2,3,0,0,0,1\n",
-            dict(
-                line=1,
-                column="sigma",
-                reason="lengths and angles",
-                allowed="sigma_x, sigma_y, sigma_z, sigma_r",
-            ),
-        ),
-        *(
-            (
-                f"{J},x,y,z,rx,ry,rz,sigma_{name}\n0,0,0,1,2,3,0,0,0,1\n",
-                dict(
-                    line=1,
-                    column=f"sigma_{name}",
-                    reason="rotation vector",
-                    allowed="sigma_rx, sigma_ry",
-                ),
-            )
-            for name in ("qx", "qw", "roll", "yaw")
-        ),
-        # Sets.
-        (
-            f"{J},distance,set\n0,0,0,1,train\n0,0,0,1,test\n",
-            dict(line=3, column="set", value="test", allowed="train, validate"),
-        ),
-        (
-            f"{J},distance,set\n0,0,0,1,\n",
-            dict(line=2, column="set", value="", allowed="train, validate"),
-        ),
-        (
-            f"{J},distance,set\n0,0,0,1,Train\n",
-            dict(line=2, column="set", value="Train"),
-        ),
-    ],
-)
-def test_errors(bad, text, fields):
-    bad(text, **fields)
+FAR = "plane-distance\n0,0,0,"
+POSES = "position\n0,0,0,1,2,3,0,0,0,1,,,pose"
+BOTH = "distance,target,model\n0,0,0,"
+
+# The same after the model that is asked for, without the columns of the joints.
+REFUSED_BY_MODEL = [
+    ("position", "distance\n0,0,0,1\n", 1, "x", None, "'position'"),
+    ("pose", "distance\n0,0,0,1\n", 1, "x", None, "'pose'"),
+    ("pose", "x,y,z\n0,0,0,1,2,3\n", 1, None, None, "'pose'"),
+    # What rows have to name.
+    ("camera", "u,v\n0,0,0,1,2\n", 1, "target", None),
+    ("fixed-point", "n\n0,0,0,1\n", 1, "target", None),
+    ("camera", "u,v,target\n0,0,0,1,2,m\n0,0,0,1,2,\n", 3, "target", ""),
+    (
+        "fixed-point",
+        "target\n0,0,0,a\n0.1,0,0,ball@\n0.2,0,0,a\n",
+        3,
+        "target",
+        "ball@",
+    ),
+    ("plane-contact", "target\n0,0,0,wall\n0.1,0,0,ball@\n", 3, "target", "ball@"),
+    ("sphere-contact", "target\n0,0,0,a\n0,0,0,\n", 3, "target", ""),
+    ("point-distance", "distance,target\n0,0,0,1,\n0,0,0,1,a\n", 2, "target", ""),
+    # A ball that is in a socket once tells nothing.
+    ("fixed-point", "target\n0,0,0,a\n0,0,0,b\n0.1,0,0,a\n", 3, "target", "b"),
+    ("fixed-point", "target\n0,0,0,x@a\n1e-9,0,0,y@a\n", 2, "target", "x@a"),
+    # Numbers that cannot be.
+    ("camera", "u,v,target\n0,0,0,1,-2e5,m\n", 2, "v", "-2e5"),
+    ("camera", "u [m],v,target\n0,0,0,1,1,m\n", 1, "u", None, "'m'"),
+    ("camera", "u,v,target,sigma\n0,0,0,1,1,m,0\n", 2, "sigma", "0"),
+    ("camera", "u,v,target,sigma\n0,0,0,1,1,m,1e-10\n", 2, "sigma", "1e-10"),
+    (
+        "camera",
+        "u,v,target,sigma_u,sigma_v\n0,0,0,1,1,m,1,1001\n",
+        2,
+        "sigma_v",
+        "1001",
+    ),
+    ("camera", "u,v,target,sigma_u\n0,0,0,1,1,m,1\n", 1, "sigma_v", None),
+    ("camera", "u,v,target,sigma [mm]\n0,0,0,1,1,m,1\n", 1, "sigma", None, "'mm'"),
+    ("plane-contact", "sigma_x,sigma_y,sigma_z\n0,0,0,1,1,1\n", 1, "sigma_x", None),
+    ("sphere-contact", "sigma_contact [rad]\n0,0,0,1\n", 1, "sigma_contact", None),
+    ("fixed-point", "target,sigma_x\n0,0,0,a,1\n0.1,0,0,a,1\n", 1, "sigma_y", None),
+    ("plane-contact", "payload [kg]\n0,0,0,1\n", 1, "payload", None),
+    # Relative distances: starts that are none.
+    *(
+        ("relative-distance", f"distance,target,payload\n{rows}", *about)
+        for rows, *about in (
+            ("0,0,0,0.5,a,\n0.1,0,0,1,a,\n", 2, "distance", "0.5"),
+            ("0,0,0,0,a,\n0.1,0,0,1,a,\n0,0,0,0,b,\n", 4, "target", "b"),
+            ("0,0,0,0,a,\n0.1,0,0,1,a,\n0.2,0,0,0.0,a,\n", 4, "distance", "0.0"),
+            ("0,0,0,0,a,\n0.1,0,0,-1,a,\n", 3, "distance", "-1"),
+            ("0,0,0.5,0,a,\n0.1,0,0,1,a,\n0,0,0.5,1e-6,a,\n", 4, "distance", "1e-6"),
+            ("0,0,0,0,a,\n0.1,0,0,1,a,\n0.2,0,0,1,a,p\n", 4, "payload", "p"),
+            ("0,0,0,,a,\n0.1,0,0,1,a,\n", 2, "distance", ""),
+        )
+    ),
+    # Several models in a file.
+    (
+        None,
+        "distance,model\n0,0,0,1,pose\n0,0,0,1,posee\n",
+        3,
+        "model",
+        "posee",
+        "'pose'",
+    ),
+    (None, "distance,model\n0,0,0,1,\n", 2, "model", ""),
+    (None, "distance,model [m]\n0,0,0,1,pose\n", 1, "model", None),
+    (None, f"x,y,z,{BOTH},,,1,,{FAR}1,2,3,4,,position", 3, "distance", "4"),
+    (None, f"u,v,sigma_u,{BOTH},,0.5,1,,{FAR}1,1,2,,m,camera", 2, "sigma_u", "0.5"),
+    (None, f"u,v,{BOTH},,1,,{FAR}1,,,m,camera", 3, "v", ""),
+    (None, f"u,{BOTH},1,,{FAR}1,,m,camera", 1, "v", None),
+    (None, f"u,v,sigma,{BOTH}1,1,1,,m,camera\n0,0,0,1,1,,,m,camera", 3, "sigma", ""),
+    (None, f"x,y,z,rx,ry,rz,sigma,{BOTH}1,2,3,,,,1,,,{POSES}", 1, "sigma", None),
+]
 
 
-@pytest.mark.parametrize(
-    ("text", "fields"),
-    [
-        # Angles in degrees.
-        (
-            f"{J},distance\n0,1,0,1\n0,90,0,1\n0,45,0,1\n",
-            dict(
-                line=3, column="elbow", value="90", reason=("'elbow [deg]'", "90 rad")
-            ),
-        ),
-        (
-            f"{J},distance\n0,0,-13,1\n",
-            dict(line=2, column="wrist", value="-13", reason="'wrist [deg]'"),
-        ),
-        # Within four half turns, but neither in the limits nor near.
-        (
-            f"{J},distance\n0,0,0,1\n0,-9,0,1\n",
-            dict(
-                line=3,
-                column="elbow",
-                value="-9",
-                reason=("'elbow [deg]'", "limits are -2.9 to 2.9"),
-            ),
-        ),
-        (
-            f"{J.replace('elbow', 'elbow [deg]')},distance\n0,2000,0,1\n",
-            dict(line=2, column="elbow", value="2000", reason="[mrad]'"),
-        ),
-        # Lengths in millimeters.
-        (
-            f"{J},distance\n250,0,0,1\n",
-            dict(line=2, column="lift", value="250", reason="'lift [mm]'"),
-        ),
-        (
-            f"{J},distance\n15,0,0,1\n",
-            dict(
-                line=2,
-                column="lift",
-                value="15",
-                reason=("'lift [mm]'", "limits are 0 to 0.5"),
-            ),
-        ),
-        (
-            f"{J},distance\n0,0,0,101\n",
-            dict(
-                line=2,
-                column="distance",
-                value="101",
-                reason="'distance [mm]'",
-                allowed="m, mm, um, in",
-            ),
-        ),
-        (
-            f"{J},x,y,z\n0,0,0,1,-900,2\n",
-            dict(line=2, column="y", value="-900", reason=("-900 m", "'y [mm]'")),
-        ),
-        (
-            f"{J},x [mm],y,z\n0,0,0,900000,1,2\n",
-            dict(line=2, column="x", value="900000", reason=("900 m", "'x [um]'")),
-        ),
-        (
-            f"{J},x,y,z\n0,0,0,1,1,2\n0,0,0,1,2,2\n0,0,0,1,30,2\n",
-            dict(line=4, column="y", value="30", reason=("span 29 m", "'y [mm]'")),
-        ),
-        # Orientations in degrees.
-        (
-            f"{J},x,y,z,rx,ry,rz\n0,0,0,1,1,2,0,90,0\n",
-            dict(line=2, column="ry", value="90", reason="'ry [deg]'"),
-        ),
-        (
-            f"{J},x,y,z,roll,pitch,yaw\n0,0,0,1,1,2,0,0,180\n",
-            dict(line=2, column="yaw", value="180", reason="'yaw [deg]'"),
-        ),
-        # Sigmas.
-        (
-            f"{J},distance,sigma\n0,0,0,1,1.5\n",
-            dict(line=2, column="sigma", value="1.5", reason="'sigma [mm]'"),
-        ),
-        (
-            f"{J},x,y,z,rx,ry,rz,sigma_x,sigma_y,sigma_z,sigma_rx,sigma_ry,sigma_rz\n"
-            "0,0,0,1,1,2,0,0,0,1,1,1,1,1,1.1\n",
-            dict(line=2, column="sigma_rz", value="1.1", reason="'sigma_rz [deg]'"),
-        ),
-    ],
-)
-def test_values_in_the_wrong_unit(bad, text, fields):
-    bad(text, **fields)
+@pytest.mark.parametrize("case", REFUSED)
+def test_errors(bad, case):
+    text, line, column, value, *words = case
+    bad(text, line=line, column=column, value=value, reason=words)
+
+
+@pytest.mark.parametrize("case", REFUSED_BY_MODEL)
+def test_errors_of_models(bad, case):
+    model, text, line, column, value, *words = case
+    bad(f"{J},{text}", model=model, line=line, column=column, value=value, reason=words)
 
 
 def test_the_wrong_unit_of_a_mapped_joint(bad):
@@ -991,8 +774,7 @@ def test_the_wrong_unit_of_a_mapped_joint(bad):
         line=2,
         column="J2",
         value="90",
-        reason=("91 rad", "joint 'elbow' with an offset of 1 rad", "'J2 [deg]'"),
-        allowed="deg",
+        reason=("91 rad", "'elbow'", "'J2 [deg]'"),
     )
 
 
@@ -1017,62 +799,24 @@ def test_a_gear_makes_large_motor_angles_plausible(write, chain):
     assert read(file, chain, joints=joints).q[0, 1] == 2.0
 
 
-def test_limits_of_many_turns_are_believed(write):
+def test_limits_of_many_turns_are_believed(write, chain_of):
     xml = URDF.replace('lower="-2.9" upper="2.9"', 'lower="-60" upper="60"')
     file = write("lift,elbow,wrist,distance\n0,59,0,1\n")
-    assert read(file, Chain(robot(xml), tip="c")).q[0, 1] == 59.0
+    assert read(file, chain_of(xml, tip="c")).q[0, 1] == 59.0
 
 
 @pytest.mark.parametrize(
-    ("model", "fields"),
+    ("model", "names"),
     [
-        (
-            "positon",
-            dict(
-                reason=("'positon'", "mean 'position'"),
-                allowed="position, pose, plane-distance",
-            ),
-        ),
-        ("position+camra", dict(reason=("'camra'", "mean 'camera'"))),
-        ("position+", dict(reason="unknown measurement model ''")),
-        (
-            "camera+position+camera",
-            dict(value="camera+position+camera", reason="named twice"),
-        ),
+        ("positon", ("'positon'", "'position'")),
+        ("position+camra", ("'camra'", "'camera'")),
+        ("position+", "''"),
+        ("camera+position+camera", ()),
     ],
 )
-def test_model_names(write, chain, refused, model, fields):
-    with refused(OptionError, **fields):
+def test_model_names(write, chain, refused, model, names):
+    with refused(OptionError, names):
         read(write("lift\n0\n"), chain, model=model)
-
-
-@pytest.mark.parametrize(
-    ("model", "fields"),
-    [
-        (
-            "position",
-            dict(
-                line=1, column="x", reason="model 'position' needs the missing x, y, z"
-            ),
-        ),
-        (
-            "pose",
-            dict(line=1, column="x", reason="model 'pose' needs the missing x, y, z"),
-        ),
-    ],
-)
-def test_model_asked_for_lacks_columns(bad, model, fields):
-    bad(f"{J},distance\n0,0,0,1\n", model=model, **fields)
-
-
-def test_pose_asked_for_lacks_the_orientation(bad):
-    bad(
-        f"{J},x,y,z\n0,0,0,1,2,3\n",
-        model="pose",
-        line=1,
-        reason="'pose' needs an orientation",
-        allowed="qx,qy,qz,qw or rx,ry,rz or roll,pitch,yaw",
-    )
 
 
 def test_several_near_columns_give_no_hint(write, chain):
@@ -1080,20 +824,20 @@ def test_several_near_columns_give_no_hint(write, chain):
     with pytest.raises(InputError) as caught:
         read(file, chain)
     assert caught.value.column == "elbow"
-    assert "did you mean" not in caught.value.reason
+    assert "elbow_" not in caught.value.reason
 
 
 def test_files_that_cannot_be_joined(write, chain, refused):
     distance = write(f"{J},distance\n0,0,0,1\n", "d.csv")
     sigma = write(f"{J},distance,sigma\n0,0,0,1,1\n", "s.csv")
-    with refused(InputError, file=str(sigma), reason="standard deviations"):
+    with refused(InputError, file=str(sigma), line=None):
         read([distance, sigma], chain)
-    with refused(InputError, reason="no measurement file"):
+    with refused(InputError, file=None):
         read([], chain)
 
 
 def test_missing_file(tmp_path, chain, refused):
-    with refused(InputError, file=str(tmp_path / "none.csv"), reason="no such file"):
+    with refused(InputError, file=str(tmp_path / "none.csv")):
         read(tmp_path / "none.csv", chain)
 
 
@@ -1181,7 +925,7 @@ def test_columns_of_models(write, chain, model, text, values, sigma, target):
     assert data.values.tolist() == values
     assert data.values.shape == (2, len(declared(model).values))
     assert (data.sigma is None) == (sigma is None)
-    assert sigma is None or np.allclose(data.sigma, sigma, rtol=1e-15, atol=0.0)
+    assert sigma is None or np.allclose(data.sigma, sigma, rtol=1e-12, atol=0.0)
     assert (data.target, data.payload) == (target, ("", ""))
 
 
@@ -1239,69 +983,6 @@ def test_without_targets_all_start_at_the_first_row(write, chain):
     data = read([file, again], chain, model="relative-distance")
     assert data.start[:, 0].tolist() == [0.0, 0.0, 0.4]
     assert data.values[:, 0].tolist() == [0.1, 0.2, 0.1]
-
-
-@pytest.mark.parametrize(
-    ("rows", "fields"),
-    [
-        (
-            "0,0,0,0.5,a,\n0.1,0,0,1,a,\n",
-            dict(
-                line=2,
-                column="distance",
-                value="0.5",
-                reason="first row of a target is its start",
-            ),
-        ),
-        (
-            "0,0,0,0,a,\n0.1,0,0,1,a,\n0,0,0,0,b,\n",
-            dict(
-                line=4,
-                column="target",
-                value="b",
-                reason="no other row is measured from it",
-            ),
-        ),
-        (
-            "0,0,0,0,a,\n0.1,0,0,1,a,\n0.2,0,0,0.0,a,\n",
-            dict(
-                line=4,
-                column="distance",
-                value="0.0",
-                reason="a new start needs a target of its own",
-            ),
-        ),
-        (
-            "0,0,0,0,a,\n0.1,0,0,-1,a,\n",
-            dict(line=3, column="distance", value="-1", allowed="more than 0"),
-        ),
-        (
-            "0,0,0.5,0,a,\n0.1,0,0,1,a,\n0,0,0.5,1e-6,a,\n",
-            dict(
-                line=4,
-                column="distance",
-                value="1e-6",
-                reason="positions are those of the start",
-            ),
-        ),
-        (
-            "0,0,0,0,a,\n0.1,0,0,1,a,\n0.2,0,0,1,a,p\n",
-            dict(
-                line=4,
-                column="payload",
-                value="p",
-                reason="payload is not that of the start",
-            ),
-        ),
-        (
-            "0,0,0,,a,\n0.1,0,0,1,a,\n",
-            dict(line=2, column="distance", value="", reason="the cell is empty"),
-        ),
-    ],
-)
-def test_starts_that_are_none(bad, rows, fields):
-    text = f"{J},distance,target,payload\n{rows}"
-    bad(text, model="relative-distance", **fields)
 
 
 def relative(**changes):
@@ -1364,15 +1045,15 @@ def test_starts_of_one_target_are_told_apart(tmp_path, chain, target, names):
 
 
 @pytest.mark.parametrize(
-    ("changes", "reason"),
+    ("changes", "row"),
     [
-        ({"start": np.zeros((0, 0))}, "row 0: the relative distance has no start"),
-        ({"values": np.array([[1.0], [0.0], [1.0]])}, "row 1: .* not more than 0"),
-        ({"q": np.eye(3) - np.eye(3)[0]}, "row 0: .* is taken at its start"),
+        ({"start": np.zeros((0, 0))}, 0),
+        ({"values": np.array([[1.0], [0.0], [1.0]])}, 1),
+        ({"q": np.eye(3) - np.eye(3)[1]}, 1),
     ],
 )
-def test_relative_distances_that_would_not_read_back(tmp_path, changes, reason):
-    with pytest.raises(OutputError, match=reason):
+def test_relative_distances_that_would_not_read_back(tmp_path, changes, row):
+    with pytest.raises(OutputError, match=f"row {row}"):
         write_measurements(tmp_path / "out.csv", relative(**changes))
     assert not list(tmp_path.iterdir())
 
@@ -1430,7 +1111,7 @@ def test_what_is_written_of_several_models(tmp_path, write, chain):
     bad |= {name: {name: " p"} for name in ("station", "tool", "chain")}
     for name, change in bad.items():
         camera = replace(data.blocks[0], **change)
-        with pytest.raises(OutputError, match=f"{name} ' p' would not read back"):
+        with pytest.raises(OutputError, match=f"{name} ' p'"):
             write_measurements(file, camera, force=True)
 
 
@@ -1460,9 +1141,7 @@ def test_several_files_of_different_models(write, chain, refused):
     data = read_measurements([mixed, plain], chain)
     assert list(map(len, data.blocks)) == [2, 2, 1]
     assert data.lines.tolist() == [2, 4, 3, 2, 6]
-    with refused(
-        InputError, file=str(position), reason="with and without standard dev"
-    ):
+    with refused(InputError, file=str(position), line=None):
         read_measurements([mixed, position], chain)
 
 
@@ -1484,87 +1163,15 @@ def test_each_file_is_the_one_model_that_its_columns_allow(write, chain, refused
     assert models([touched, position], "position+plane-contact+fixed-point") == (
         "position+plane-contact"
     )
-    for file, model, fields in (
-        (
-            position,
-            "camera+plane-distance",
-            dict(reason=("none of", "camera needs u, v")),
-        ),
-        (position, "pose+fixed-point", dict(reason="needs x, y, z and an orientation")),
-        (
-            touched,
-            "fixed-point+camera",
-            dict(reason="needs nothing measured and a target"),
-        ),
-        (
-            touched,
-            "plane-contact+sphere-contact",
-            dict(reason="allow plane-contact and sphere"),
-        ),
-        (sockets, "fixed-point+plane-contact", dict(reason="'model'")),
+    for file, model, names in (
+        (position, "camera+plane-distance", "u, v"),
+        (position, "pose+fixed-point", "x, y, z"),
+        (touched, "fixed-point+camera", "target"),
+        (touched, "plane-contact+sphere-contact", "sphere-contact"),
+        (sockets, "fixed-point+plane-contact", "'model'"),
     ):
-        with refused(InputError, file=str(file), line=1, **fields):
+        with refused(InputError, names, file=str(file), line=1):
             read(file, chain, model=model)
-
-
-@pytest.mark.parametrize(
-    ("text", "fields"),
-    [
-        (
-            "distance,model\n0,0,0,1,plane-distance\n0,0,0,1,plane-distanse\n",
-            dict(
-                line=3,
-                column="model",
-                value="plane-distanse",
-                reason=("unknown", "mean 'plane-distance'"),
-            ),
-        ),
-        (
-            "distance,model\n0,0,0,1,\n",
-            dict(line=2, column="model", value="", reason="names no measurement model"),
-        ),
-        (
-            "distance,model [m]\n0,0,0,1,pose\n",
-            dict(line=1, column="model", reason="takes no unit"),
-        ),
-        (
-            "x,y,z,distance,model\n0,0,0,1,2,3,4,position\n0,0,0,,,,1,plane-distance\n",
-            dict(
-                line=2,
-                column="distance",
-                value="4",
-                reason="measures 'position', which has no distance",
-                allowed="blank",
-            ),
-        ),
-        (
-            "u,v,distance,sigma_u,sigma_v,target,model\n"
-            "0,0,0,,,1,0.5,,,plane-distance\n0,0,0,1,2,,1,1,m,camera\n",
-            dict(line=2, column="sigma_u", value="0.5", reason="which has no sigma_u"),
-        ),
-        (
-            "u,v,distance,target,model\n"
-            "0,0,0,,,1,,plane-distance\n0,0,0,1,,,m,camera\n",
-            dict(line=3, column="v", value="", reason="the cell is empty"),
-        ),
-        (
-            "u,distance,target,model\n0,0,0,,1,,plane-distance\n0,0,0,1,,m,camera\n",
-            dict(line=1, column="v", reason="model 'camera' needs the missing v"),
-        ),
-        (
-            "u,v,distance,target,model,sigma\n"
-            "0,0,0,,,1,,plane-distance,\n0,0,0,1,1,,m,camera,1\n0,0,0,1,1,,m,camera,\n",
-            dict(line=4, column="sigma", value="", reason="the cell is empty"),
-        ),
-        (
-            "x,y,z,rx,ry,rz,model,sigma\n"
-            "0,0,0,1,2,3,,,,position,1\n0,0,0,1,2,3,0,0,0,pose,1\n",
-            dict(line=1, column="sigma", reason="lengths and angles at once"),
-        ),
-    ],
-)
-def test_bad_rows_of_several_models(bad, text, fields):
-    bad(f"{J},{text}", **fields)
 
 
 def test_only_columns_that_nobody_reads_are_reported(write, chain):
@@ -1573,184 +1180,10 @@ def test_only_columns_that_nobody_reads_are_reported(write, chain):
     notices: list[str] = []
     file = write(f"{J},{text}")
     read_measurements(file, chain, notice=notices.append)
-    assert notices == [f"{file}: columns ignored: qx, sigma_u, note"]
+    assert told(notices) == [(file, "qx, sigma_u, note")]
 
 
 # --- what rows have to name --------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("model", "text", "fields"),
-    [
-        (
-            "camera",
-            "u,v\n0,0,0,1,2\n",
-            dict(line=1, column="target", reason="the point of each"),
-        ),
-        (
-            "fixed-point",
-            "n\n0,0,0,1\n",
-            dict(line=1, column="target", reason="the socket of each"),
-        ),
-        (
-            "camera",
-            "u,v,target\n0,0,0,1,2,m\n0,0,0,1,2,\n",
-            dict(line=3, column="target", value="", reason="the row names no point"),
-        ),
-        (
-            "fixed-point",
-            "target\n0,0,0,a\n0.1,0,0,ball@\n0.2,0,0,a\n",
-            dict(
-                line=3, column="target", value="ball@", reason="the row names no socket"
-            ),
-        ),
-        (
-            "plane-contact",
-            "target\n0,0,0,wall\n0.1,0,0,ball@\n",
-            dict(
-                line=3,
-                column="target",
-                value="ball@",
-                reason="the row names no plane, others do",
-            ),
-        ),
-        (
-            "sphere-contact",
-            "target\n0,0,0,a\n0,0,0,\n",
-            dict(line=3, column="target", value="", reason="no sphere"),
-        ),
-        (
-            "point-distance",
-            "distance,target\n0,0,0,1,\n0,0,0,1,a\n",
-            dict(line=2, column="target", value="", reason="the row names no anchor"),
-        ),
-        # A ball that is in a socket once tells nothing.
-        (
-            "fixed-point",
-            "target\n0,0,0,a\n0,0,0,b\n0.1,0,0,a\n",
-            dict(
-                line=3,
-                column="target",
-                value="b",
-                reason="the socket 'b' has one configuration only",
-                allowed="two configurations or more",
-            ),
-        ),
-        (
-            "fixed-point",
-            "target\n0,0,0,x@a\n1e-9,0,0,y@a\n",
-            dict(
-                line=2,
-                column="target",
-                value="x@a",
-                reason="the socket 'a' has one configuration only",
-            ),
-        ),
-        # Numbers that cannot be.
-        (
-            "camera",
-            "u,target\n0,0,0,1,m\n",
-            dict(line=1, column="v", reason="model 'camera' needs the missing v"),
-        ),
-        (
-            "camera",
-            "u,v,target\n0,0,0,1,-2e5,m\n",
-            dict(
-                line=2,
-                column="v",
-                value="-2e5",
-                reason="-200000 px is too large",
-                allowed="100000 px or less",
-            ),
-        ),
-        (
-            "camera",
-            "u [m],v,target\n0,0,0,1,1,m\n",
-            dict(line=1, column="u", reason="'m'", allowed="px"),
-        ),
-        (
-            "camera",
-            "u,v,target,sigma\n0,0,0,1,1,m,0\n",
-            dict(line=2, column="sigma", value="0", reason="not positive"),
-        ),
-        (
-            "camera",
-            "u,v,target,sigma\n0,0,0,1,1,m,1e-10\n",
-            dict(
-                line=2,
-                column="sigma",
-                value="1e-10",
-                reason="too small",
-                allowed="1e-09 px or more",
-            ),
-        ),
-        (
-            "camera",
-            "u,v,target,sigma_u,sigma_v\n0,0,0,1,1,m,1,1001\n",
-            dict(
-                line=2,
-                column="sigma_v",
-                value="1001",
-                reason="1001 px is too large",
-                allowed="1000 px or less",
-            ),
-        ),
-        (
-            "camera",
-            "u,v,target,sigma_u\n0,0,0,1,1,m,1\n",
-            dict(line=1, column="sigma_v", reason="missing: sigma_v"),
-        ),
-        (
-            "camera",
-            "u,v,target,sigma [mm]\n0,0,0,1,1,m,1\n",
-            dict(line=1, column="sigma", reason="'mm'", allowed="px"),
-        ),
-        (
-            "plane-contact",
-            "sigma_x,sigma_y,sigma_z\n0,0,0,1,1,1\n",
-            dict(
-                line=1,
-                column="sigma_x",
-                reason="one direction only",
-                allowed="sigma, sigma_contact",
-            ),
-        ),
-        (
-            "sphere-contact",
-            "sigma_contact [rad]\n0,0,0,1\n",
-            dict(
-                line=1, column="sigma_contact", reason="'rad'", allowed="m, mm, um, in"
-            ),
-        ),
-        (
-            "fixed-point",
-            "target,sigma_x\n0,0,0,a,1\n0.1,0,0,a,1\n",
-            dict(line=1, column="sigma_y", reason="missing: sigma_y, sigma_z"),
-        ),
-        (
-            "plane-contact",
-            "payload [kg]\n0,0,0,1\n",
-            dict(line=1, column="payload", reason="takes no unit"),
-        ),
-        # Nothing but guesses.
-        (
-            None,
-            "u\n0,0,0,1\n",
-            dict(line=1, column="v", reason="model 'camera' needs the missing v"),
-        ),
-        (
-            None,
-            "u,v,x,y,z,target\n0,0,0,1,2,3,4,5,m\n",
-            dict(
-                line=1,
-                reason=("both a position and pixels", "--model", "'model'"),
-                allowed="camera",
-            ),
-        ),
-    ],
-)
-def test_errors_of_models(bad, model, text, fields):
-    bad(f"{J},{text}", model=model, **fields)
 
 
 def test_sockets_count_over_all_files(write, chain, refused):
@@ -1759,9 +1192,7 @@ def test_sockets_count_over_all_files(write, chain, refused):
         for name, row in (("a", "0,0,0,s,train"), ("b", "0.1,0,0,s,validate"))
     ]
     assert len(read(files, chain, model="fixed-point")) == 2
-    with refused(
-        InputError, file=str(files[1]), line=2, reason="the socket 's' has one"
-    ):
+    with refused(InputError, file=str(files[1]), line=2, value="s"):
         read(files[1], chain, model="fixed-point")
     data = read(files[1], chain, model="fixed-point", sockets=["s"])
     assert len(data) == 1
@@ -1772,14 +1203,14 @@ def test_contacts_ignore_the_sigma_of_what_they_do_not_read(write, chain):
     file = write(f"{J},x,sigma_x\n0,0,0,1,1\n")
     data = read(file, chain, model="plane-contact", notice=notices.append)
     assert data.sigma is None
-    assert notices == [f"{file}: columns ignored: x, sigma_x"]
+    assert told(notices) == [(file, "x, sigma_x")]
 
 
 @pytest.mark.parametrize("name", ["u", "model", "payload", "sigma_contact"])
-def test_joints_with_reserved_names(write, name, refused):
-    chain = Chain(robot(URDF.replace('"lift"', f'"{name}"')), tip="c")
+def test_joints_with_reserved_names(write, name, refused, chain_of):
+    chain = chain_of(URDF.replace('"lift"', f'"{name}"'), tip="c")
     file = write(f"{name},elbow,wrist,distance\n0,0,0,1\n")
-    with refused(InputError, reason=f"'{name}' has a meaning of its own"):
+    with refused(InputError, reason=f"'{name}'"):
         read(file, chain)
     file = write("rail,elbow,wrist,distance\n0.1,0,0,1\n")
     joints = {"rail": JointMap(name)}
@@ -1789,7 +1220,29 @@ def test_joints_with_reserved_names(write, name, refused):
     if name not in ("model", "payload"):
         notices: list[str] = []
         read(file, chain, joints=joints, notice=notices.append)
-        assert notices == [f"{file}: columns ignored: {name}"]
+        assert told(notices) == [(file, name)]
+
+
+@settings(max_examples=100, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(
+    text=st.sampled_from([MIXED, f"{QUATERNION}0,1,0,0\n", "J;K (mm)\n0,5;1\n"]),
+    places=st.lists(st.integers(0, len(MIXED)), min_size=1, max_size=3),
+    damage=st.lists(st.integers(0, 255), max_size=3).map(bytes),
+    width=st.integers(0, 3),
+)
+def test_damage_ends_in_a_line_or_in_measurements(
+    tmp_path, chain, text, places, damage, width
+):
+    data = text.encode()
+    for at in (place % (len(data) + 1) for place in places):
+        data = data[:at] + damage + data[at + width :]
+    file = tmp_path / "m.csv"
+    file.write_bytes(data)
+    try:
+        read_measurements(file, chain)
+    except CalibPinError as error:
+        assert "\n" not in str(error)
+        assert error.file == str(file)
 
 
 # --- size ----------------------------------------------------------------
@@ -1817,91 +1270,36 @@ def test_importing_does_not_load_scipy():
 
 # --- real files --------------------------------------------------------------------
 
-DATA = Path(
-    os.environ.get("CALIB_PIN_DATA", Path(__file__).parents[3] / "shared" / "data")
-)
-ROBOTS = Path("cmeel.prefix/share/example-robot-data/robots")
-
-
-def real_chain(urdf: str, tip: str) -> Chain:
-    if not DATA.is_dir():
-        pytest.skip(f"no real measurements at {DATA}, see CALIB_PIN_DATA")
-    try:
-        distribution = importlib.metadata.distribution("example-robot-data")
-    except importlib.metadata.PackageNotFoundError:
-        pytest.skip("example-robot-data is not installed")
-    file = Path(str(distribution.locate_file(ROBOTS / urdf)))
-    return Chain(robot(file.read_text(), str(file)), tip=tip)
+SOCKETS = {"model": "fixed-point"}
+REAL = ("train", "validate", "measurements", "panda_1", "panda_2")
 
 
 @pytest.mark.parametrize(
-    ("urdf", "tip", "files", "model", "counts", "ignored"),
+    ("name", "tip", "folder", "options", "counts", "ignored"),
     [
-        (
-            "ur_description/urdf/ur10_robot.urdf",
-            "tool0",
-            ["ur10_tmac/train.csv", "ur10_tmac/validate.csv"],
-            "pose",
-            [500, 2000],
-            "temperature_C",
-        ),
-        (
-            "tiago_description/robots/tiago_no_hand.urdf",
-            "wrist_ft_tool_link",
-            ["tiago/train.csv", "tiago/validate.csv"],
-            "position",
-            [37, 62],
-            "",
-        ),
-        (
-            "talos_data/robots/talos_reduced.urdf",
-            "arm_left_7_link",
-            ["talos_left_arm/measurements.csv"],
-            "position",
-            [61],
-            "time_s",
+        ("ur10_robot", "tool0", "ur10_tmac", {}, (500, 2000), "temperature_C"),
+        ("tiago_no_hand", "wrist_ft_tool_link", "tiago", {}, (37, 62), ""),
+        ("talos_reduced", "arm_left_7_link", "talos_left_arm", {}, (61,), "time_s"),
+        *(
+            ("panda", "panda_link8", "mukca_panda", SOCKETS, counts, "tool_position")
+            for counts in ((182, 559),)
         ),
     ],
 )
-def test_real_files(tmp_path, urdf, tip, files, model, counts, ignored):
-    chain = real_chain(urdf, tip)
-    paths = [DATA / file for file in files]
+def test_real_files(tmp_path, data_folder, name, tip, folder, options, counts, ignored):
+    chain = load_chain(f"example:{name}", tip=tip)
+    files = [path for path in (data_folder / folder).glob("*.csv") if path.stem in REAL]
+    files.sort()
     notices: list[str] = []
-    data = read(paths, chain, notice=notices.append)
-    assert data.model == model
-    assert len(data) == sum(counts)
-    assert data.files == sum(
-        ((str(path),) * n for path, n in zip(paths, counts, strict=True)), ()
-    )
-    assert notices == [f"{p}: columns ignored: {ignored}" for p in paths if ignored]
+    data = read(files, chain, notice=notices.append, **options)
+    assert [data.files.count(str(file)) for file in files] == list(counts)
+    assert told(notices) == [(file, ignored) for file in files if ignored]
     # Millimeters became meters: no target is farther than a room.
-    assert np.abs(data.values[:, :3]).max() < 3.0
-    written = tmp_path / "again.csv"
-    write_measurements(written, data)
-    again = read(written, chain)
-    assert again.q.tobytes() == data.q.tobytes()
-    assert again.values.tobytes() == data.values.tobytes()
-
-
-def test_real_configurations(refused):
-    chain = real_chain("panda_description/urdf/panda.urdf", "panda_link8")
-    file = DATA / "mukca_panda" / "panda_1.csv"
-    assert read_configurations(file, chain).shape == (182, 7)
-    with refused(InputError, line=1, reason="no measured columns"):
-        read(file, chain)
-
-
-@pytest.mark.parametrize(("number", "count"), [(1, 182), (2, 559)])
-def test_real_sockets(tmp_path, number, count):
-    chain = real_chain("panda_description/urdf/panda.urdf", "panda_link8")
-    file = DATA / "mukca_panda" / f"panda_{number}.csv"
-    notices: list[str] = []
-    data = read(file, chain, model="fixed-point", notice=notices.append)
-    assert len(data) == count
-    assert notices == [f"{file}: columns ignored: tool_position"]
-    written = tmp_path / "again.csv"
-    write_measurements(written, data)
-    assert same(data, read(written, chain, model="fixed-point"))
+    assert np.abs(data.values[:, :3]).max(initial=0.0) < 3.0
+    write_measurements(tmp_path / "again.csv", data)
+    again = read(tmp_path / "again.csv", chain, **options)
+    assert same(data, again)
+    assert read_configurations(files[0], chain).shape == (counts[0], len(chain.joints))
 
 
 def test_progress_of_reading_and_writing(tmp_path):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import fields
 from types import SimpleNamespace
 from typing import Any
@@ -70,26 +68,3 @@ def test_the_keys_of_a_setup_and_of_its_file() -> None:
     theirs = {field.name for field in fields(SetupFile)}
     assert ours ^ theirs == {"base_frame", "tool_frame", "frames"}
     assert set(meanings(Setup)) == ours | {"file"}
-
-
-@pytest.mark.parametrize(
-    ("path", "known"),
-    [
-        (("frames", "x"), ["base", "tool"]),
-        (("targets", "a", "x"), ["xyz", "estimate"]),
-        (("sockets", "b", "x"), ["xyz", "estimate"]),
-        (("distances", 0, "x"), ["between", "value", "sigma"]),
-        (("region", "sphere", "x"), ["center", "radius"]),
-    ],
-)
-def test_known_keys(path: tuple[str | int, ...], known: list[str]) -> None:
-    assert known_keys(path) == known
-
-
-def test_a_setup_does_not_load_what_reads_files() -> None:
-    code = (
-        "import sys, calib_pin.setup; "
-        "sys.exit(not {'yaml', 'pydantic', 'scipy', 'pinocchio'}"
-        ".isdisjoint(sys.modules))"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

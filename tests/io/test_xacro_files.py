@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
-from calib_pin.errors import InputError, OptionError, RobotError
+from calib_pin.errors import CalibPinError, OptionError, RobotError
 from calib_pin.io import children, xacro_files
 from calib_pin.io.meshes import STL
 from calib_pin.io.packages import locate_mesh
@@ -96,7 +98,9 @@ def no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name, raising=False)
 
 
-def test_a_package_as_ros_has_it(package: Path) -> None:
+def test_a_package_as_ros_has_it(
+    package: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = package / "urdf" / "arm.urdf.xacro"
     chain = load_chain(str(file))
     assert chain.joints == ("joint1", "joint2")
@@ -109,8 +113,13 @@ def test_a_package_as_ros_has_it(package: Path) -> None:
     mesh = locate_mesh("package://arm_description/meshes/1.stl", file)
     assert mesh == package / "meshes" / "1.stl"
     assert robot_shapes(robot).missing == ("package://arm_description/meshes/2.stl",)
-    # The same robot from elsewhere is the same, byte for byte.
-    assert load_robot(str(file)).source == chain.robot.source
+    # The same robot from elsewhere is the same, byte for byte. A file named by the
+    # user is in the working folder.
+    monkeypatch.chdir(package)
+    (package / "mine.yaml").write_text(KINEMATICS.format(length=0.5))
+    again = load_robot(f"{file} kinematics:=mine.yaml")
+    assert again.source == chain.robot.source
+    assert again.file == f"{file} kinematics:=mine.yaml"
 
 
 def test_packages_are_where_one_says(
@@ -122,161 +131,126 @@ def test_packages_are_where_one_says(
     file = tmp_path / "own.xacro"
     file.write_text(TOP)
     package.joinpath("package.xml").unlink()
-    with refused(RobotError, ["package 'arm_description' is not found"]):
+    with refused(RobotError, "arm_description"):
         load_robot(str(file))
     share = tmp_path / "install" / "share"
     share.mkdir(parents=True)
     package.rename(share / "arm_description")
-    for folder in (share, share / "arm_description"):
-        assert len(load_robot(str(file), [folder]).links) == 4
-    with monkeypatch.context() as patch:
-        patch.setenv("AMENT_PREFIX_PATH", str(share.parent))
-        assert len(load_robot(str(file)).links) == 4
-    with monkeypatch.context() as patch:
-        patch.setenv("ROS_PACKAGE_PATH", f"/nowhere:{share}")
-        assert len(load_robot(str(file)).links) == 4
-
-
-def test_a_file_named_by_the_user_is_in_the_working_folder(
-    package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "mine.yaml").write_text(KINEMATICS.format(length=0.75))
-    monkeypatch.chdir(tmp_path)
-    file = package / "urdf" / "arm.urdf.xacro"
-    robot = load_robot(f"{file} kinematics:=mine.yaml")
-    assert robot.model.jointPlacements[2].translation[0] == 0.75
-    assert robot.file == f"{file} kinematics:=mine.yaml"
+    assert len(load_robot(str(file), [share]).links) == 4
+    for name, place in (
+        ("AMENT_PREFIX_PATH", str(share.parent)),
+        ("ROS_PACKAGE_PATH", f"/nowhere:{share}"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setenv(name, place)
+            assert len(load_robot(str(file)).links) == 4
 
 
 LINK = '<link name="a"/>'
 
-WRONG = {
-    "$(arg nowhere)": ["'nowhere' is missing", "nowhere:=VALUE"],
-    "${nowhere}": ["'nowhere'", "not defined"],
-    "${1 / 0}": ["cannot evaluate '1 / 0'", "zero"],
-    "$(find nowhere)": ["package 'nowhere' is not found", "--package-dir"],
-    "$(env NOWHERE_AT_ALL)": ["NOWHERE_AT_ALL"],
-    "$(anon a)": ["anon"],
-    "$(eval ().__class__)": ["cannot evaluate"],
-    "$(eval (y for y in [1]).gi_frame)": ["cannot evaluate"],
-    "${xacro.load_yaml('nowhere.yaml')}": ["nowhere.yaml", "No such file"],
-    "${xacro.load_yaml('/dev/zero')}": ["/dev/zero"],
-    "${(y for y in [1]).gi_frame.f_back}": ["gi_frame"],
-}
+VALUES = [
+    "$(arg nowhere)",
+    "${1 / 0}",
+    "$(find nowhere)",
+    "${xacro.load_yaml('nowhere.yaml')}",
+    "${xacro.load_yaml('/dev/zero')}",
+]
+
+WRONG = [
+    *(f'{HEAD}<link name="{value}"/></robot>' for value in VALUES),
+    HEAD + LINK,
+    f"<!DOCTYPE a [<!ENTITY b 'c'>]>{HEAD}{LINK}</robot>",
+    f'{HEAD}<xacro:include filename="arm.xacro"/></robot>',
+    f'{HEAD}<xacro:property name="a" value="${{a}}"/><link name="${{a}}"/></robot>',
+    f'{HEAD}{LINK}<joint name="j" type="round"/></robot>',
+]
 
 
 @pytest.mark.parametrize("text", WRONG)
-def test_wrong_values(tmp_path: Path, refused: Callable[..., Any], text: str) -> None:
-    file = tmp_path / "arm.xacro"
-    file.write_text(f'{HEAD}<link name="{text}"/></robot>')
-    with refused(RobotError, WRONG[text], file=str(file)):
-        load_robot(str(file))
-
-
-WRONG_FILES = {
-    "": ["XML"],
-    "no XML at all": ["XML", "line 1"],
-    HEAD + LINK: ["not well-formed XML"],
-    f"<!DOCTYPE a [<!ENTITY b 'c'>]>{HEAD}{LINK}</robot>": ["DOCTYPE"],
-    f'{HEAD}<xacro:include filename="no.xacro"/></robot>': ["no.xacro", "No such file"],
-    f"{HEAD}<xacro:nothing/></robot>": ["unknown macro name: xacro:nothing"],
-    f'{HEAD}<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/></robot>': [
-        "without end"
-    ],
-    f'{HEAD}<xacro:property name="a" value="${{a}}"/><link name="${{a}}"/></robot>': [
-        "circular"
-    ],
-    f'{HEAD}<xacro:property name="a" value="${{b}}"/>'
-    '<xacro:property name="b" value="x"/><link/></robot>': ["link has no name"],
-    f'{HEAD}<xacro:macro name="arm" params="a"/></robot>': ["no links"],
-    f'{HEAD}<xacro:macro name="m" params="a"/><xacro:m/></robot>': ["Undefined", "a"],
-    f'{HEAD}<xacro:macro name="m"/><xacro:m b="1"/></robot>': ["Invalid parameter"],
-    f'{HEAD}<xacro:insert_block name="b"/></robot>': ["Undefined block"],
-    f'{HEAD}<xacro:if value="perhaps">{LINK}</xacro:if></robot>': ["perhaps"],
-    f'{HEAD}{LINK}<joint name="j" type="round"/></robot>': ["unknown type 'round'"],
-    f"{HEAD}${{xacro.fatal('not', 'like this')}}</robot>": ["not like this"],
-    "<sdf/>": ["outermost element is <sdf>"],
-}
-
-
-@pytest.mark.parametrize("text", WRONG_FILES)
 def test_wrong_files(tmp_path: Path, refused: Callable[..., Any], text: str) -> None:
     file = tmp_path / "arm.xacro"
     file.write_text(text)
-    with refused(RobotError, WRONG_FILES[text], file=str(file), line=None):
+    with refused(RobotError, file=str(file), line=None):
         load_robot(str(file))
+
+
+# Each is read in a process of its own; tests/fuzz does more of it.
+@settings(
+    max_examples=2,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(where=st.floats(0, 1, exclude_max=True), byte=st.integers(0, 255))
+def test_a_damaged_byte_costs_one_line(package: Path, where: float, byte: int) -> None:
+    content = bytearray(MACRO.encode())
+    content[int(where * len(content))] = byte
+    (package / "urdf" / "macro.xacro").write_bytes(content)
+    try:
+        load_robot(str(package / "urdf" / "arm.urdf.xacro"))
+    except CalibPinError as error:
+        assert "\n" not in str(error)
 
 
 def test_the_place_that_is_wrong_is_named(
     package: Path, refused: Callable[..., Any]
 ) -> None:
-    file, macro = (
-        package / "urdf" / name for name in ("arm.urdf.xacro", "macro.xacro")
-    )
+    folder = package / "urdf"
+    file, macro = folder / "arm.urdf.xacro", folder / "macro.xacro"
+    for words, said in (("sise:=10", ["'sise'", "'size'"]), ("size:=7", "arm7.yaml")):
+        with refused(RobotError, said):
+            load_robot(f"{file} {words}")
+    with refused(OptionError, file="space6"):
+        load_robot("space6 size:=10")
     macro.write_text(MACRO.replace("stated.first", "stated.frist"))
-    with refused(RobotError, ["no 'frist'", "in macro 'joint' (macro.xacro)"]):
+    with refused(RobotError, ["'frist'", "'joint' (macro.xacro)"]):
         load_robot(str(file))
     macro.write_text("<robot>")
-    with refused(RobotError, "not well-formed XML", file=str(macro)):
+    with refused(RobotError, file=str(macro)):
         load_robot(str(file))
 
 
-def test_wrong_arguments(package: Path, refused: Callable[..., Any]) -> None:
-    file = package / "urdf" / "arm.urdf.xacro"
-    with refused(RobotError, ["no argument 'sise'", "'size'", "kinematics"]):
-        load_robot(f"{file} sise:=10")
-    with refused(RobotError, ["arm7.yaml", "No such file"]):
-        load_robot(f"{file} size:=7")
-    with refused(OptionError, "argument for a xacro file", file="space6"):
-        load_robot("space6 size:=10")
-    with refused(InputError, "no such file"):
-        load_robot(f"{file}o.xacro size:=10")
-
-
-def test_what_grows_without_end(
-    tmp_path: Path, refused: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_grows_without_end(tmp_path: Path, refused: Callable[..., Any]) -> None:
     laughs = "".join(
         f'<xacro:property name="a{k + 1}" value="{4 * ("${a" + str(k) + "}")}"/>'
         for k in range(40)
     )
-    bombs = {
-        f'<xacro:property name="a0" value="ha"/>{laughs}<link name="${{a40}}"/>': [
-            "text is too long"
-        ],
-        '<xacro:include filename="arm.xacro"/>': ["without end"],
+    laugh = f'<xacro:property name="a0" value="ha"/>{laughs}<link name="${{a40}}"/>'
+    file = tmp_path / "arm.xacro"
+    file.write_text(f"{HEAD}{laugh}</robot>")
+    with refused(RobotError, "too long"):
+        load_robot(str(file))
+
+
+@pytest.mark.slow
+def test_what_takes_without_end(
+    tmp_path: Path, refused: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    twice = (
         '<xacro:macro name="m" params="d"><xacro:if value="${d}"><link name="a"/>'
         '<xacro:m d="${d - 1}"/><xacro:m d="${d - 1}"/></xacro:if></xacro:macro>'
-        '<xacro:m d="60"/>': ["takes more than 2 s"],
-    }
+        '<xacro:m d="60"/>'
+    )
+    monkeypatch.setattr(children, "SECONDS", 1.0)
     file = tmp_path / "arm.xacro"
-    for text, reason in bombs.items():
-        seconds = 2.0 if "2 s" in reason[0] else 60.0
-        monkeypatch.setattr(children, "SECONDS", seconds)
-        file.write_text(f"{HEAD}{text}</robot>")
-        with refused(RobotError, reason):
-            load_robot(str(file))
+    file.write_text(f"{HEAD}{twice}</robot>")
+    with refused(RobotError, "1 s"):
+        load_robot(str(file))
 
 
-def test_nothing_is_executed(tmp_path: Path) -> None:
+def test_nothing_is_executed(tmp_path: Path, refused: Callable[..., Any]) -> None:
     file, proof = tmp_path / "arm.xacro", tmp_path / "proof"
     escape = (
         "(x for x in [1]).gi_frame.f_back.f_back.f_builtins['__imp' + 'ort__']('os')"
         f".mkdir('{proof}')"
     )
-    for text in (f"${{{escape}}}", f"$(eval {escape.replace('__', '_' + '_')})"):
-        file.write_text(f'{HEAD}<link name="{text}"/></robot>')
-        with pytest.raises(RobotError):
+    (tmp_path / "a.yaml").write_text(f"!!python/object/apply:os.mkdir ['{proof}']\n")
+    (tmp_path / "b.yaml").write_text(f'a: !radians "{escape}"\n')
+    names = [f"${{{escape}}}", f"$(eval {escape.replace('__', '_' + '_')})"]
+    names += [f"${{xacro.load_yaml('{x}.yaml')}}" for x in "ab"]
+    for name in names:
+        file.write_text(f'{HEAD}<link name="{name}"/></robot>')
+        with refused(RobotError, file=str(file)):
             load_robot(str(file))
-    yaml = tmp_path / "a.yaml"
-    yaml.write_text(f"a: !!python/object/apply:os.mkdir ['{proof}']\n")
-    name = "${xacro.load_yaml('a.yaml')}"
-    file.write_text(f'{HEAD}<link name="{name}"/></robot>')
-    with pytest.raises(RobotError, match=r"a\.yaml cannot be read"):
-        load_robot(str(file))
-    yaml.write_text(f'a: !radians "{escape}"\n')
-    with pytest.raises(RobotError, match="cannot evaluate"):
-        load_robot(str(file))
     assert not proof.exists()
 
 
@@ -287,5 +261,5 @@ def test_without_the_extra(
     file.write_text(f"{HEAD}{LINK}</robot>")
     assert load_robot(str(file)).links == ("a",)
     monkeypatch.setattr(xacro_files, "find_spec", lambda _: None)
-    with refused(OptionError, "pip install 'calib-pin[ros]'"):
+    with refused(OptionError, "calib-pin[ros]"):
         load_robot(str(file))

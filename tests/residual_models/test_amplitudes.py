@@ -80,22 +80,6 @@ def test_slopes_of_the_likelihood(harmonics: Harmonics, linear: Linear) -> None:
     assert found.by_noise == pytest.approx((up - down) / (2.0 * step), abs=1e-5)
 
 
-def test_slopes_of_the_variances(harmonics: Harmonics) -> None:
-    found, step = Variances.of(COVARIANCE, harmonics), 1e-5
-    longer, shorter = (
-        Covariance(
-            COVARIANCE.own, f * COVARIANCE.short, COVARIANCE.all, f * COVARIANCE.long
-        )
-        for f in (np.exp(step), np.exp(-step))
-    )
-    more, less = (Variances.of(each, harmonics) for each in (longer, shorter))
-    by_long = (more.of_all - less.of_all) / (2.0 * step)
-    by_short = (more.of_own - less.of_own) / (2.0 * step)
-    expected = found.of_all * found.by_long.sum(axis=0)
-    np.testing.assert_allclose(by_long, expected, atol=1e-9)
-    np.testing.assert_allclose(by_short, found.of_own * found.by_short, atol=1e-9)
-
-
 def test_the_likeliest_covariance(harmonics: Harmonics, linear: Linear) -> None:
     sums = Sums.of(harmonics, linear)
     covariance, noise, _ = likeliest(sums, harmonics, np.zeros(0), form=FORMS[1])

@@ -48,13 +48,12 @@ def test_every_key_is_needed(model: ResidualModel) -> None:
         if key == "fades":  # Older documents do not say so.
             assert restore(parts, 6).document()["fades"] is True
         else:
-            with pytest.raises(ValueError, match=r"'\w[\w ]*' (is|has)"):
+            with pytest.raises(ValueError, match=f"'{key}'"):
                 restore(parts, 6)
         for wrong in (None, "__import__('os')", [[1.0], [2.0, 3.0]], {"a": 1}, True):
-            if key == "fades" and wrong is True:
-                continue
-            with pytest.raises(ValueError, match=r"'\w[\w ]*' (is|has|holds)"):
-                restore({**document, key: wrong}, 6)
+            if key != "fades" or wrong is not True:
+                with pytest.raises(ValueError, match=r"'\w[\w ]*'"):
+                    restore({**document, key: wrong}, 6)
 
 
 def changed(document: Any, path: str, value: Any) -> Any:
@@ -64,41 +63,27 @@ def changed(document: Any, path: str, value: Any) -> Any:
     return {**document, key: inner}
 
 
-@pytest.mark.parametrize(
-    ("path", "value", "reason"),
-    [
-        ("kind", "pickle", "'kind' is not one of network, gaussian-process"),
-        ("kind", ["network"], "'kind' is not one of"),
-        ("region", [1.0], "'region' is not a mapping"),
-        ("region.angles", None, "'angles' is not a mapping"),
-        ("region.reach", 0.0, "'reach' holds a number that is not positive"),
-        ("region.reach", float("nan"), "'reach' holds a number that is not finite"),
-        ("region.reach", "0.3", "'reach' is not an array of numbers"),
-        ("region.anchors", [], "'anchors' has the shape"),
-        ("region.anchors", [[0.0] * 5], r"'anchors' has the shape \(1, 5\)"),
-        ("region.fade", [1.0] * 5 + [10**400], "'fade' is not an array of numbers"),
-        ("region.fade", [1.0] * 5 + [1e300], "'fade' holds a number .* too large"),
-        ("region.middle", [0.0] * 5 + [None], "'middle' is not an array of numbers"),
-        ("region.middle", [0.0] * 5 + [float("inf")], "'middle' holds a number"),
-        ("shift", [[1.0]], "'shift' has the shape"),
-        ("held_out", [1.0], "'held_out' has the shape"),
-    ],
-)
-def test_malformed_documents(
-    model: ResidualModel, path: str, value: Any, reason: str
-) -> None:
-    with pytest.raises(ValueError, match=reason):
-        restore(changed(model.document(), path, value), 6)
-
-
-def test_of_another_robot(model: ResidualModel) -> None:
+def test_malformed_documents(model: ResidualModel) -> None:
+    """Each is refused by the name of what is wrong."""
+    nan, inf = float("nan"), float("inf")
+    values: dict[str, tuple[Any, ...]] = {
+        "kind": ("pickle", ["network"]),
+        "region": ([1.0],),
+        "region.angles": (None,),
+        "region.reach": (0.0, nan, "0.3"),
+        "region.anchors": ([], [[0.0] * 5]),
+        "region.fade": ([1.0] * 5 + [10**400], [1.0] * 5 + [1e300]),
+        "region.middle": ([0.0] * 5 + [None], [0.0] * 5 + [inf]),
+        "shift": ([[1.0]], [0.0] * 4_000_001),
+        "held_out": ([1.0],),
+    }
+    for path, wrong in values.items():
+        key = path.rpartition(".")[2]
+        for value in wrong:
+            with pytest.raises(ValueError, match=f"'{key}'"):
+                restore(changed(model.document(), path, value), 6)
     with pytest.raises(ValueError, match="shape"):
-        restore(model.document(), 7)
-    for wrong in (None, [], "network", 3.0):
-        with pytest.raises(ValueError, match="'residual model' is not a mapping"):
-            restore(wrong, 6)
-
-
-def test_huge_sizes(model: ResidualModel) -> None:
-    with pytest.raises(ValueError, match="more than"):
-        restore(changed(model.document(), "shift", [0.0] * 4_000_001), 6)
+        restore(model.document(), 7)  # Of another robot.
+    for value in (None, [], "network", 3.0):
+        with pytest.raises(ValueError, match="residual model"):
+            restore(value, 6)

@@ -7,7 +7,6 @@ import pytest
 
 from calib_pin.residual_models.covariance import FORMS
 from calib_pin.residual_models.harmonics import (
-    CANDIDATES,
     HIGHEST,
     Harmonics,
     Spectrum,
@@ -53,33 +52,19 @@ def test_candidates_have_all_phases_and_the_harmonics_of_their_own_joint() -> No
     assert not candidates(3, 6, FORMS[2]).alone[-1]
 
 
-def test_robots_of_many_joints_have_products_of_fewer() -> None:
-    few, many = candidates(6, 1, FORMS[2]), candidates(12, 1, FORMS[2])
-    assert few.orders.sum(axis=1).max() > many.orders.sum(axis=1).max() > 1
-    assert max(len(few), len(many)) <= CANDIDATES
-
-
-def test_sums_of_components() -> None:
-    every = candidates(2, 2, FORMS[2])
-    angle = np.random.default_rng(1).uniform(-3.0, 3.0, (5, 2))
-    amplitudes = np.arange(len(every), dtype=float)
-    found = every.combined(angle, amplitudes, 2)
-    values = every.values(angle) * amplitudes
-    np.testing.assert_allclose(found[:, 1], values[:, every.component == 1].sum(axis=1))
-
-
 @pytest.mark.parametrize(
-    ("change", "reason"),
+    "change",
     [
-        ({"modes": [[0, 129], [0, 1]]}, "other numbers than 0 to 128"),
-        ({"modes": [[0, 0.5], [0, 1]]}, "other numbers than 0 to 128"),
-        ({"component": [0, 2]}, "other numbers than 0 to 1"),
-        ({"component": [1, 0]}, "not in ascending order"),
-        ({"component": [0]}, "has the shape"),
+        {"modes": [[0, 129], [0, 1]]},
+        {"modes": [[0, 0.5], [0, 1]]},
+        {"component": [0, 2]},
+        {"component": [1, 0]},
+        {"component": [0]},
     ],
 )
-def test_a_document_of_other_harmonics(change: dict[str, Any], reason: str) -> None:
+def test_a_document_of_other_harmonics(change: dict[str, Any]) -> None:
     document = {"modes": [[0, 1], [0, 1]], "component": [0, 1]}
     assert len(Harmonics.restore(document, 2, 2)) == 2
-    with pytest.raises(ValueError, match=reason):
+    (key,) = change
+    with pytest.raises(ValueError, match=key):
         Harmonics.restore({**document, **change}, 2, 2)

@@ -4,8 +4,6 @@ import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.units import (
-    BANDS,
-    Inputs,
     Weights,
     combined,
     series,
@@ -60,9 +58,3 @@ def test_series_sums_harmonics() -> None:
     ).sum(axis=2)
     np.testing.assert_allclose(series(ANGLE, amplitudes), expected, atol=1e-12)
     assert not series(ANGLE, np.zeros((JOINTS, 2, 0))).any()
-
-
-def test_few_rows_have_few_harmonics() -> None:
-    assert len(Inputs.of(ANGLE, 1000).bands) == 2 * BANDS[-1][1]
-    assert len(Inputs.of(ANGLE, 30).bands) == 2 * 8
-    assert len(Inputs.of(ANGLE, 2).bands) == 0

@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.directions import Directions
-from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.statistics.systematic import MOST, candidates, systematic
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.estimation.statistics.systematic import candidates
 from calib_pin.observations import Conditions, Observations
-from calib_pin.setup import CameraSetup, FrameSetup, Payload, PointSetup, Setup
+from calib_pin.setup import FrameSetup, Payload, Setup
 
 TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))
 
@@ -80,53 +77,3 @@ def test_rows_are_those_of_the_parameters(model: str) -> None:
         change = 0.5 * (true.errors(moved) - true.errors(-moved)) / true.sigma
         # The amplitude of 3e-4 rad is the step: its square is left.
         np.testing.assert_allclose(X[:, k], change, atol=1e-5)
-
-
-def test_effects_leave_no_more_than_is_found() -> None:
-    """Residuals of another kind do not make gears that predict far larger ones."""
-    chain = calib_pin.load_chain("space6")
-    problem = nominal_problem(chain, "position", Setup(tool_frame=TOOL))
-    rng = np.random.default_rng(0)
-    rows = calib_pin.simulate(
-        problem, np.zeros(len(problem.parameters)), rng, count=150, noise=2e-5
-    )
-    # Fifth harmonics within a small part of the workspace.
-    q = 0.4 * rows.q
-    error = problem.only.error
-    zero = np.zeros(len(error.screws))
-    T, shifted = (error.poses(p, zero) for p in (q, q + 3e-4 * np.sin(5.0 * q)))
-    values: Floats = shifted[:, :3, 3] + 2e-5 * rng.normal(size=(150, 3))
-    assert not np.allclose(T, shifted)
-    data = replace(rows.only, q=q, values=values, sigma=None)
-    problem = replace(problem, data=Observations.of(data))
-    fitted = fit(problem, rng)
-    problem = replace(fitted.problem, units=np.full(1, fitted.sigma0))
-    found = systematic(problem, fitted.theta, fitted.directions)
-    if found is not None:
-        X = found.rows(problem, fitted.theta)
-        _, J = problem.linearize_rows(fitted.theta)
-        U = np.linalg.qr(
-            J @ (problem.parameters.scales[:, None] * fitted.directions.basis)
-        )[0]
-        left = np.sum((X - U @ (U.T @ X)) ** 2)
-        squares = 2.0 * problem.cost(fitted.theta)
-        noise = found.noise[0] * (problem.count - fitted.rank)
-        assert left <= MOST * (squares - noise) * (1.0 + 1e-6)
-
-
-def test_a_nominal_robot_behind_the_camera_tells_no_effects() -> None:
-    """A fit to wrong measurements has lifted the robot before the camera."""
-    camera = CameraSetup("world", (900.0, 900.0), (640.0, 500.0))
-    below = FrameSetup((0.0, 0.0, -2.5), (0.0, 0.0, 0.0))
-    points = {"a": PointSetup((0.05, 0.08, 0.12)), "b": PointSetup((0.1, 0.0, 0.1))}
-    setup = Setup(camera=camera, targets=points, base_frame=below)
-    chain = calib_pin.load_chain("space6")
-    problem = nominal_problem(chain, "camera", setup)
-    theta = np.zeros(len(problem.parameters))
-    theta[problem.parameters.index("joint_1.placement.z")] = 5.0
-    rng = np.random.default_rng(0)
-    rows = calib_pin.simulate(problem, theta, rng, count=60, noise=1.0)
-    seen = replace(problem, data=rows)
-    assert not np.isfinite(seen.residual(np.zeros(len(theta)))).all()
-    none = np.zeros((len(theta), 0))
-    assert systematic(seen, theta, Directions(none, none, none)) is None

@@ -2,35 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags import rosbag1
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import calib_pin
 from calib_pin.cli import main
 from calib_pin.io.exchange.rosbag import TYPES
 from calib_pin.io.measurements import read_measurements
 from calib_pin.observations.joining import Log
-from tests.observations.test_joining import recording
+
+ABSENT = "needs rosbags (ros), scripts/test --all has it"
+rosbag1 = pytest.importorskip("rosbags.rosbag1", reason=ABSENT)
+rosbag2 = pytest.importorskip("rosbags.rosbag2", reason=ABSENT)
+typesys = pytest.importorskip("rosbags.typesys", reason=ABSENT)
 
 CHAIN = calib_pin.load_chain("example:ur10_robot", tip="tool0")
-STORE = get_typestore(Stores.ROS2_HUMBLE)
-STORE_1 = get_typestore(Stores.ROS1_NOETIC)
+STORE = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+STORE_1 = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
 for _store in (STORE, STORE_1):
     for _name, _text in TYPES.items():
-        _store.register(get_types_from_msg(_text, _name))
+        _store.register(typesys.get_types_from_msg(_text, _name))
 STORE_1.register(
-    get_types_from_msg(
+    typesys.get_types_from_msg(
         "geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"
     )
 )
 T = STORE.types
-STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite": StoragePlugin.SQLITE3}
-ALL = [*STORAGE, "ros1"]
+STORAGE = {"mcap": rosbag2.StoragePlugin.MCAP, "sqlite": rosbag2.StoragePlugin.SQLITE3}
 
 
 def header(time: float, frame: str = "") -> object:
@@ -59,27 +60,14 @@ def transform(time: float, p: np.ndarray) -> object:
 
 
 def sample(time: float, q: np.ndarray, points: np.ndarray) -> object:
-    numbers = {"width": 0, "height": 0}
-    info = T["sensor_msgs/msg/CameraInfo"](
-        header(time),
-        0,
-        0,
-        "",
-        np.zeros(0),
-        np.zeros(9),
-        np.zeros(9),
-        np.zeros(12),
-        0,
-        0,
-        T["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False),
-    )
+    zeros = np.zeros(0), np.zeros(9), np.zeros(9), np.zeros(12)
+    region = T["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    info = T["sensor_msgs/msg/CameraInfo"](header(time), 0, 0, "", *zeros, 0, 0, region)
     nothing = np.zeros(0, np.uint8)
     cloud = T["sensor_msgs/msg/PointCloud2"](
         header(time), 0, 0, [], False, 0, 0, nothing, False
     )
-    image = T["sensor_msgs/msg/Image"](
-        header(time), *numbers.values(), "", 0, 0, nothing
-    )
+    image = T["sensor_msgs/msg/Image"](header(time), 0, 0, "", 0, 0, nothing)
     extended = T["robot_calibration_msgs/msg/ExtendedCameraInfo"](info, [])
     seen = T["robot_calibration_msgs/msg/Observation"](
         "head", [point(time, p) for p in points], extended, cloud, image
@@ -92,24 +80,18 @@ def write(
 ) -> str:
     """Write a bag, and tell how it is called."""
     if storage == "ros1":
-        return write_1(f"{path}.bag", topics)
-    with Writer(Path(path), version=9, storage_plugin=STORAGE[storage]) as writer:
-        for topic, messages in topics.items():
-            kind = messages[0][1].__msgtype__
-            connection = writer.add_connection(topic, kind, typestore=STORE)
-            for time, message in messages:
-                raw = STORE.serialize_cdr(message, kind)
-                writer.write(connection, round(1e9 * time), raw)
-    return path
-
-
-def write_1(path: str, topics: dict[str, list[tuple[float, object]]]) -> str:
-    with rosbag1.Writer(path) as writer:
-        for topic, messages in topics.items():
-            kind = messages[0][1].__msgtype__
-            connection = writer.add_connection(topic, kind, typestore=STORE_1)
-            for time, message in messages:
-                raw = STORE_1.serialize_ros1(first_generation(message), kind)
+        path, store, kept = f"{path}.bag", STORE_1, first_generation
+        encode, opened = store.serialize_ros1, rosbag1.Writer(path)
+    else:
+        store, kept = STORE, lambda message: message
+        opened = rosbag2.Writer(Path(path), version=9, storage_plugin=STORAGE[storage])
+        encode = store.serialize_cdr
+    with opened as writer:
+        for topic, sent in topics.items():
+            kind = sent[0][1].__msgtype__
+            connection = writer.add_connection(topic, kind, typestore=store)
+            for time, message in sent:
+                raw = encode(kept(message), kind)
                 writer.write(connection, round(1e9 * time), raw)
     return path
 
@@ -132,6 +114,10 @@ def first_generation(message: object) -> object:
     return made(**values)
 
 
+def messages(kind: Callable[..., object], log: Log) -> list[tuple[float, object]]:
+    return [(t, kind(t, row)) for t, row in zip(log.time, log.values, strict=True)]
+
+
 def csv(path: str, names: list[str], log: Log) -> None:
     lines = [",".join(["time", *names])]
     for t, row in zip(log.time, log.values, strict=True):
@@ -145,40 +131,44 @@ def here(tmp_path, monkeypatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def made():
-    made = recording(11, standstills=8)
-    # ROS has no negative times.
-    return (
-        Log(made.joints.time + 100.0, made.joints.values),
-        Log(made.readings.time + 100.0, made.readings.values),
-    )
+def made() -> tuple[Log, Log]:
+    """Positions of the joints and of the tool, which stands still six times."""
+    rng = np.random.default_rng(11)
+    corners = np.repeat(0.5 * CHAIN.random_configurations(6, rng), 2, axis=0)
+    ends = np.cumsum([0.0, *rng.uniform(1.5, 3.0, 11)])
+
+    def at(times: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.interp(times, ends, q) for q in corners.T])
+
+    often, seldom = np.arange(0.0, ends[-1], 0.01), np.arange(0.0, ends[-1], 0.05)
+    points = CHAIN.poses(at(seldom))[:, :3, 3]
+    points += 1e-5 * rng.normal(size=points.shape)
+    return Log(often + 100.0, at(often)), Log(seldom + 100.0, points)
 
 
-@pytest.mark.parametrize("storage", ALL)
-@pytest.mark.parametrize("kind", [point, transform])
+@pytest.mark.parametrize(("kind", "storage"), [(point, "sqlite"), (transform, "ros1")])
 def test_a_bag_joins_like_the_files(made, storage, kind):
     joints, readings = made
     csv("joints.csv", [*CHAIN.joints], joints)
     csv("tracker.csv", ["x", "y", "z"], readings)
     assert main(["join", "joints.csv", "tracker.csv", "-o", "a.csv"]) == 0
-    states = [
-        (t, joint_state(t, q)) for t, q in zip(joints.time, joints.values, strict=True)
-    ]
-    points = [
-        (t, kind(t, p)) for t, p in zip(readings.time, readings.values, strict=True)
-    ]
     topic = "/tracker" if kind is point else "/tf"
-    bag = write("bag", storage, {"/joint_states": states, topic: points})
+    topics = {
+        "/joint_states": messages(joint_state, joints),
+        topic: messages(kind, readings),
+    }
+    bag = write("bag", storage, topics)
     assert main(["join", bag, bag, "-o", "b.csv"]) == 0
     first, second = (read_measurements(f, CHAIN).only for f in ("a.csv", "b.csv"))
-    assert len(first.q) == len(second.q) == 8
-    assert np.allclose(first.q, second.q, rtol=0, atol=1e-9)
-    assert np.allclose(first.values[:, :3], second.values[:, :3], rtol=0, atol=1e-9)
+    assert len(first.q) == len(second.q) == 6
+    # A bag counts whole nanoseconds.
+    assert np.allclose(first.q, second.q, rtol=0, atol=1e-8)
+    assert np.allclose(first.values[:, :3], second.values[:, :3], rtol=0, atol=1e-8)
     if kind is point:
-        assert np.allclose(first.sigma, second.sigma, rtol=1e-6)
+        assert np.allclose(first.sigma, second.sigma, rtol=1e-4)
 
 
-@pytest.mark.parametrize("storage", ALL)
+@pytest.mark.parametrize("storage", ["mcap", "ros1"])
 def test_calibration_data_need_no_joining(storage):
     rng = np.random.default_rng(0)
     q = CHAIN.random_configurations(6, rng)
@@ -201,30 +191,18 @@ def refused(words: str, said: str, capsys) -> None:
     assert sorted(map(str, Path().rglob("*"))) == before
 
 
-@pytest.mark.parametrize("storage", ALL)
-def test_bags_that_cannot_be_used(made, storage, capsys):
-    joints, readings = made
-    states = [
-        (t, joint_state(t, q)) for t, q in zip(joints.time, joints.values, strict=True)
-    ]
-    points = [
-        (t, point(t, p)) for t, p in zip(readings.time, readings.values, strict=True)
-    ]
-    bag = write("bag", storage, {"/joint_states": states, "/a": points, "/b": points})
+def test_bags_that_cannot_be_used(made, monkeypatch, capsys):
+    states, points = messages(joint_state, made[0]), messages(point, made[1])
+    topics = {"/joint_states": states[:9], "/a": points[:9], "/b": points[:9]}
+    bag = write("bag", "sqlite", topics)
     join = f"join {bag} {bag} -o m.csv"
-    refused(join, "has 2 topics of", capsys)
-    refused(f"{join} --topic /c", "has no topic '/c'", capsys)
-    refused(f"join {bag} none.mcap -o m.csv", "no such file", capsys)
-    only = write("points", storage, {"/a": points})
-    refused(f"join {only} {only} -o m.csv", "has 0 topics of JointState: none", capsys)
-    file = Path(bag)
-    if file.is_dir():
-        (file,) = (f for f in file.iterdir() if f.suffix in (".mcap", ".db3"))
+    refused(join, "2 topics", capsys)
+    refused(f"{join} --topic /c", "'/c'", capsys)
+    refused(f"join {bag} none.mcap -o m.csv", "none.mcap", capsys)
+    only = write("points", "ros1", {"/a": points[:9]})
+    refused(f"join {only} {only} -o m.csv", "JointState", capsys)
+    (file,) = Path(bag).glob("*.db3")
     file.write_bytes(file.read_bytes()[:4000])
-    refused(f"{join} --topic /a", "cannot be read as a bag", capsys)
-
-
-def test_without_the_extra(monkeypatch, capsys):
-    Path("a.mcap").write_bytes(b"")
+    refused(f"{join} --topic /a", "bag", capsys)
     monkeypatch.setattr("calib_pin.io.exchange.rosbag.find_spec", lambda _: None)
-    refused("join a.mcap a.mcap -o m.csv", "pip install 'calib-pin[ros]'", capsys)
+    refused(join, "calib-pin[ros]", capsys)

@@ -8,6 +8,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numba
 import pytest
 
 from calib_pin.compiled import blocks
@@ -23,8 +24,10 @@ numbers = count()
 
 
 @pytest.fixture
-def loaded(tmp_path: Path) -> Callable[[], Any]:
+def loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Any]:
     """A compiled function, as every process finds it anew."""
+    # Its machine code lies beside it, whatever is set outside.
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     file = tmp_path / "machine.py"
     file.write_text(MODULE)
 

@@ -38,7 +38,7 @@ def job(chain: Chain | None = None) -> Problem:
     problem = nominal_problem(chain or load_chain("space6"), KEYS, setup)
     rng = np.random.default_rng(4)
     truth = draw_errors(problem.parameters, rng)
-    data = simulate(problem, truth, rng, count=30 * len(KEYS), noise=1e-4)
+    data = simulate(problem, truth, rng, count=20 * len(KEYS), noise=1e-4)
     # Files need not have the order of stations.
     return replace(problem, data=Observations(data.blocks[::-1]))
 

@@ -313,7 +313,7 @@ def test_a_fit_of_very_many_rows(case: str, monkeypatch: pytest.MonkeyPatch) -> 
     chain, rng = load_chain("space6"), np.random.default_rng(1)
     free = nominal_problem(chain, model, replace(setup, prior={}, bounds={}, fixed=()))
     truth = draw_errors(free.parameters, rng)
-    rows = simulate(free, truth, rng, count=ROWS, noise=1e-4)
+    rows = simulate(free, truth, rng, count=CHUNK + 70, noise=1e-4)
     problem = replace(nominal_problem(chain, model, setup), data=rows)
 
     plain = fit(problem, np.random.default_rng(0))

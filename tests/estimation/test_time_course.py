@@ -39,7 +39,7 @@ def job(constant: float, seed: int) -> tuple[Problem, Floats]:
 
 
 def measured(
-    problem: Problem, theta: Floats, seed: int, count: int = 50
+    problem: Problem, theta: Floats, seed: int, count: int = 40
 ) -> Observations:
     """Positions within an hour, with a noise of 20 um."""
     rng = np.random.default_rng(seed)

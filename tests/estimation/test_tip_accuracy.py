@@ -57,11 +57,10 @@ def test_it_is_the_error_that_fits_have() -> None:
     np.testing.assert_allclose(np.sqrt(np.mean(squares, axis=0)), expected, rtol=0.25)
 
 
-@pytest.mark.parametrize("stated", [True, False])
-def test_it_falls_with_the_number_of_rows(stated: bool) -> None:
+def test_it_falls_with_the_number_of_rows() -> None:
     """What is said of some of the rows is what a fit of as many says."""
     *_, rows = measured(1, 80)
-    rows = rows if stated else replace(rows, sigma=None)
+    rows = replace(rows, sigma=None)
     tip = fit(rows).accuracy.tip
     assert tip is not None
     counts, errors = tip.by_count.curve
@@ -89,6 +88,7 @@ def test_it_falls_where_gears_are_not_modeled() -> None:
     assert (np.diff(errors) < 0).all() and tip.rms[0] > 1.5 * errors[-1]
 
 
+@pytest.mark.slow
 def test_very_many_rows_are_sampled() -> None:
     *_, rows = measured(2, 1200, model="position")
     result = fit(rows)

@@ -108,11 +108,11 @@ def _guarded(token: str) -> Iterator[None]:
         started.append(True)
         return served(*words, process_request=answer, **options)
 
-    websockets.asyncio.server.serve = serve  # type: ignore[assignment,misc]
+    websockets.asyncio.server.serve = serve
     try:
         yield
     finally:
-        websockets.asyncio.server.serve = served  # type: ignore[misc]
+        websockets.asyncio.server.serve = served
     if not started:
         raise RuntimeError("this version of viser does not start its server as known")
 

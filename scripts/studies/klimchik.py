@@ -57,7 +57,7 @@ def main(words: Sequence[str]) -> bool:
         "klimchik",
         SOURCE,
         words,
-        seeds=shared.Number(5, 10, "number of robots"),
+        seeds=shared.Number(4, 10, "number of robots"),
         candidates=shared.Number(candidates, candidates, "candidates of the plan"),
     )
     settings = Settings(candidates=chosen.candidates)

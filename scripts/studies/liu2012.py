@@ -38,7 +38,7 @@ def main(words: Sequence[str]) -> bool:
         "liu2012",
         SOURCE,
         words,
-        seeds=shared.Number(12, 20, "number of robots"),
+        seeds=shared.Number(20, 20, "number of robots"),
         generations=shared.Number(generations, generations, "limit of an evolution"),
     )
     settings = Settings(generations=chosen.generations)

@@ -53,7 +53,7 @@ def main(words: Sequence[str]) -> bool:
         "liu2022",
         SOURCE,
         words,
-        seeds=shared.Number(8, 20, "number of seeds of the noise"),
+        seeds=shared.Number(20, 20, "number of seeds of the noise"),
         starts=shared.Number(Settings.starts, Settings.starts, "starts of our search"),
         iterations=shared.Number(
             Settings.iterations, Settings.iterations, "iterations of a swarm"

@@ -373,7 +373,6 @@ def test_configurations_lack_a_joint(write, chain, refused):
 
 # --- writing -----------------------------------------------------------------------
 
-FINITE = st.floats(-10, 10, width=64)
 SIGMA = st.floats(1e-12, 1.0, exclude_min=True)
 TEXT = st.text(
     st.characters(blacklist_categories=("Cs",), blacklist_characters="\r\n\0"),

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from array import array
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import compress, count
 
@@ -33,18 +34,14 @@ def read_numbers(cells: Sequence[str]) -> NDArray[np.float64]:
     # A JSON reader is four times faster than `float` with all digits of a number, and
     # rounds to the nearest number as well. What it reads as anything but a decimal
     # fraction is not left to it (JSON's integers have no -0).
-    try:
+    with suppress(ValueError):
         numbers = from_json(f"[{','.join(cells)}]", allow_inf_nan=False)
         if len(numbers) == len(cells) and set(map(type, numbers)) == {float}:
             return np.array(numbers)
-    except ValueError:
-        pass
-    try:
-        text = "".join(cells)
-        if text.isascii() and "_" not in text:
+    text = "".join(cells)
+    if text.isascii() and "_" not in text:
+        with suppress(ValueError):
             return np.fromiter(map(float, cells), np.float64, len(cells))
-    except ValueError:
-        pass
     known = {cell: _number(cell) for cell in set(cells)}
     return np.array([known[cell] for cell in cells])
 
@@ -64,16 +61,28 @@ def what_is_wrong(cell: str, value: float) -> str:
         cell: Its trimmed text.
         value: The number in it, as `read_numbers` reads it.
     """
-    if not cell:
-        return "the cell is empty"
+    if cell.lower() in MISSING:
+        return NO_READING if cell else "the cell is empty"
     if np.isfinite(value):
         return "not positive"
-    if np.isinf(value) or cell.lower().lstrip("+-") == "nan":
+    if np.isinf(value):
         return "not a finite number"
+    if THOUSANDS.fullmatch(cell):
+        return "not a number (thousands are not to be separated)"
     if _COMMA.fullmatch(cell):
         return "not a number (between commas the decimal mark must be a point)"
     return "not a number"
 
+
+NO_READING = "the reading is missing"
+
+MISSING = frozenset(
+    ["", "nan", "n/a", "na", "#n/a", "missing", "null", "none", "*", "-", "--", "?"]
+)
+"""Texts of cells that have no reading, in any case."""
+
+THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?:[.,]\d*)?")
+"""Numbers that may have signs between thousands."""
 
 _COMMA = re.compile(r"\s*[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?\s*")
 
@@ -147,10 +156,17 @@ class Column:
 
     def blank(self) -> NDArray[np.bool_]:
         """Whether each cell is blank, shape (N,)."""
+        return self._holds(lambda word: not word.strip())
+
+    def missing(self) -> NDArray[np.bool_]:
+        """Whether each cell says that there is no reading, shape (N,)."""
+        return self._holds(lambda word: word.strip().lower() in MISSING)
+
+    def _holds(self, matches: Callable[[str], bool]) -> NDArray[np.bool_]:
         if not self.words:
             return np.zeros(len(self.numbers), bool)
         # The last entry is that of the code -1.
-        return np.array([*(not word.strip() for word in self.words), False])[self.codes]
+        return np.array([*map(matches, self.words), False])[self.codes]
 
 
 class GrowingColumn:
@@ -159,13 +175,15 @@ class GrowingColumn:
     Attributes:
         numbers: The numbers so far.
         marks: Decimal marks of the numbers, of a file in which commas may be some: the
-            first number with each.
+            first row with each.
+        thousands: Whether each point in them may be one that separates thousands.
     """
 
     def __init__(self) -> None:
         """A column without rows."""
         self.numbers = array("d")
         self.marks = dict[str, int]()
+        self.thousands = True
         self._codes, self._words = array("q"), Numbering()
 
     def extend(self, cells: Sequence[str], *, commas: bool = False) -> None:
@@ -176,13 +194,13 @@ class GrowingColumn:
             commas: Whether a decimal mark may be a comma.
         """
         numbers = read_numbers(with_points(cells) if commas else cells)
-        for mark in ",." if commas else "":
-            if mark not in self.marks and any(mark in cell for cell in cells):
-                found = (k for k, cell in enumerate(cells) if mark in cell)
-                first = next((k for k in found if np.isfinite(numbers[k])), None)
-                if first is not None:
-                    self.marks[mark] = len(self.numbers) + first
-        self.add(numbers, list(compress(cells, ~np.isfinite(numbers))))
+        finite = np.isfinite(numbers)
+        for row, cell in enumerate(cells) if commas else ():
+            for mark in ",.":
+                if mark in cell and finite[row]:
+                    self.marks.setdefault(mark, len(self.numbers) + row)
+                    self.thousands &= bool(THOUSANDS.fullmatch(cell.strip()))
+        self.add(numbers, list(compress(cells, ~finite)))
 
     def add(self, numbers: Floats, words: Sequence[str]) -> None:
         """Add rows that were no text.
@@ -191,7 +209,7 @@ class GrowingColumn:
             numbers: Their numbers.
             words: Texts of those that are not finite.
         """
-        if self._words.known or words:
+        if words or self._words.known:
             codes = np.full(len(numbers), -1)
             codes[~np.isfinite(numbers)] = self._words.of(words)
             missing = len(self.numbers) - len(self._codes)
@@ -248,9 +266,14 @@ def closest(name: str, candidates: Collection[str]) -> str:
 
 
 def split_header(cell: str) -> tuple[str, str | None]:
-    """Split a header cell into name and unit; None where no unit is stated."""
+    """Split a header cell into name and unit; None where no unit is stated.
+
+    Examples:
+        >>> split_header("x [mm]"), split_header("q[0] [deg]"), split_header("q[0]")
+        (('x', 'mm'), ('q[0]', 'deg'), ('q[0]', None))
+    """
     text = cell.strip()
     name, mark, unit = text.removesuffix("]").rpartition("[")
-    if not (mark and text.endswith("]")) or "]" in unit:
-        return text, None
-    return name.rstrip(), unit.strip()
+    # A number in brackets counts the elements of a list.
+    stated = mark and text.endswith("]") and "]" not in unit and not unit.isdecimal()
+    return (name.rstrip(), unit.strip()) if stated else (text, None)

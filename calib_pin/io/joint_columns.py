@@ -112,7 +112,7 @@ def read_positions(
             joint is not where the one that it mimics takes it.
     """
     chains, count = Chains.of(chain), len(table.lines)
-    needed = {name: _stated_joints(chains[name]) for name in chains.names}
+    needed = {name: stated_joints(chains[name]) for name in chains.names}
     if chain_of is None:
         needed = {"": frozenset[str]().union(*needed.values())}
         chain_of = Labels.all("", count)
@@ -166,7 +166,7 @@ def _positions(
     return position
 
 
-def _stated_joints(chain: Chain) -> frozenset[str]:
+def stated_joints(chain: Chain) -> frozenset[str]:
     """The joints that a measurement of a chain states: those that mimic none."""
     return frozenset(
         chain.mimics[joint].leader if joint in chain.mimics else joint

@@ -47,7 +47,7 @@ def joint_sets(
     """
     if not Path(files[0]).is_file():
         return  # A pipe cannot be read again.
-    table = read_table(files[0], head=True, columns=setup.columns)
+    table = read_table(files[0], columns=setup.columns)
     sources = joint_sources(chains, setup.joints)
     for exchanged in _exchanges(table, chains, setup, sources)[:MOST]:
         maps = dict(_maps(sources, exchanged))

@@ -8,10 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from calib_pin.errors import InputError, RobotError, nearest
-from calib_pin.io.columns import Floats
+from calib_pin.io.columns import NO_READING, Floats
 from calib_pin.io.condition_columns import read_conditions
 from calib_pin.io.inferred_model import infer_model
-from calib_pin.io.joint_columns import joint_sources, read_positions, spare_columns
+from calib_pin.io.joint_columns import (
+    JointSource,
+    joint_sources,
+    read_positions,
+    spare_columns,
+    stated_joints,
+)
 from calib_pin.io.measured_columns import (
     NAMES,
     ORIENTED,
@@ -94,14 +100,25 @@ def read_blocks(
         name: texts.get(name, Labels.all(absent.get(name, ""), count)) for name in NAMES
     }
     names["chain"] = names["chain"].map(lambda name: name or unnamed)
-    chains = _named_chains(table, chains, names["chain"])
-    q = read_positions(table, chains, joint_sources(chains, joints), names["chain"])
-    if progress is not None:
-        progress(POSITIONS)
+    every, chains = chains, _named_chains(table, chains, names["chain"])
+    sources = joint_sources(chains, joints)
     if "model" in table:
         _check_models(table, names["model"])
     else:
         names["model"] = Labels.all(infer_model(table, asked), count)
+    kept = _with_readings(table, chains, sources, names)
+    if not kept.all():
+        if notice is not None:
+            first = table.lines[int(np.argmin(kept))]
+            left_out = f"{count - kept.sum()} of {count} measurements have no reading"
+            notice(f"{table.file}: {left_out} (the first in line {first})")
+        table = table.rows(np.flatnonzero(kept), table.columns)
+        return read_blocks(
+            table, every, joints, orientation, asked, station, unnamed, notice, progress
+        )
+    q = read_positions(table, chains, sources, names["chain"])
+    if progress is not None:
+        progress(POSITIONS)
     blocks = _split(names)
     read = {name: _read_by(name) for name in names["model"].distinct}
     anybody = frozenset[str]().union(*read.values())
@@ -210,6 +227,35 @@ def _split(names: Mapping[str, Labels]) -> dict[BlockKey, Indices | slice]:
         BlockKey(*(column[int(first[k])] for column in columns)): rows[k]
         for k in np.argsort(first).tolist()
     }
+
+
+def _with_readings(
+    table: Table,
+    chains: Chains,
+    sources: Sequence[JointSource],
+    names: Mapping[str, Labels],
+) -> Booleans:
+    """Whether measurements have all that their model and their joints read, shape (N,).
+
+    Raises:
+        InputError: If none has.
+    """
+    kept = np.ones(len(table.lines), bool)
+    lacking = set[str]()
+    for key, rows in _split(names).items():
+        moved = stated_joints(chains[key.chain])
+        read = {c for each in sources if each.joint in moved for c in each.kinds}
+        read |= {*needed(key.model)} | (ORIENTED & _read_by(key.model))
+        for name in read & table.columns.keys():
+            missing = table.columns[name].missing()[rows]
+            if missing.any():
+                kept[rows] &= ~missing
+                lacking.add(name)
+    if not kept.any():
+        column = next(name for name in table.columns if name in lacking)
+        row = int(np.argmax(table.columns[column].missing()))
+        raise table.cell_error(NO_READING, column, row)
+    return kept
 
 
 def _read_block(

@@ -18,10 +18,10 @@ import numpy as np
 
 from calib_pin.estimation.layout import side_by_side
 from calib_pin.io.columns import GrowingColumn
-from calib_pin.io.csv_text import CsvText
 from calib_pin.io.measurements import LINES
 from calib_pin.io.older_results import with_blocks
 from calib_pin.io.result_folder import MEASUREMENTS
+from calib_pin.io.text import parsed
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity, declared
 from calib_pin.observations import (
@@ -117,15 +117,15 @@ def decode_errors(
         ValueError: If a column is missing, or there is no measurement.
         InputError: If it is no CSV file.
     """
-    first, stretches = CsvText(MEASUREMENTS, len(data), data).split()
-    header = first.cells(0)
+    text = parsed(data, MEASUREMENTS)
+    header = text.header
     if missing := set(WORDS) - set(header):
         raise ValueError(f"columns are missing: {', '.join(sorted(missing))}")
     told = [*WORDS, *(KEYS if "model" in header else ())]
     words: dict[str, list[str]] = {name: [] for name in told}
     numbers = {name: GrowingColumn() for name in header if name not in words}
-    for stretch in stretches:
-        for name, cells in zip(header, stretch.columns(header), strict=True):
+    for _, columns_of in text.rows():
+        for name, cells in zip(header, columns_of, strict=True):
             (words[name] if name in words else numbers[name]).extend(cells)
     columns = {name: np.frombuffer(found.numbers) for name, found in numbers.items()}
     if "model" not in words:

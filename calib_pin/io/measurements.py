@@ -125,7 +125,12 @@ def read_measurements(
     for k, (file, station) in enumerate(zip(files, stations, strict=True)):
         tell = portion(progress, k / len(files), 1.0 / len(files))
         table = read_table(file, portion(tell, 0.0, CUT), columns=columns)
-        tables.append(table.rows(slice(0), ()))
+        if notice is not None:
+            for remark in table.text.remarks:
+                notice(f"{file}: {remark}")
+        if reading is not None:
+            table, reading = _without(table, reading, alone=len(files) == 1)
+        tables.append(table.head())
         if k + 1 == len(files):
             require_columns(tables)
         parts += read_blocks(
@@ -149,6 +154,38 @@ def read_measurements(
     check_names(data)
     check_places(data, sockets)
     return data
+
+
+def _without(
+    table: Table, reading: ReadingSetup, *, alone: bool
+) -> tuple[Table, ReadingSetup]:
+    """A file without the lines that are left out, whatever stands there.
+
+    Those of files in another order are left out once they are in order.
+
+    Args:
+        table: The file.
+        reading: How the files are to be read.
+        alone: Whether there is no other file.
+
+    Returns:
+        The rows that remain, and what remains to be done.
+    """
+    late = reading.shift or reading.reversed or reading.lag
+    if late or not reading.without:
+        return table, reading
+    own = {
+        place: int(line)
+        for place in reading.without
+        for file, _, line in [place.rpartition(":")]
+        if (alone and not file) or f"/{table.file}".endswith(f"/{file}")
+        if int(line) in table.lines
+    }
+    kept = np.flatnonzero(~np.isin(table.lines, [*own.values()]))
+    if not len(kept):
+        raise InputError("'reading' leaves out all measurements", file=table.file)
+    others = tuple(place for place in reading.without if place not in own)
+    return table.rows(kept, table.columns), replace(reading, without=others)
 
 
 def _stations(files: Sequence[str | Path]) -> list[str | None]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from array import array
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -18,27 +17,26 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, enumerated
 from calib_pin.io.columns import (
+    ANGLE,
+    LENGTH,
+    PIXEL,
     Column,
     Floats,
     GrowingColumn,
     Kind,
     Numbering,
     closest,
-    read_numbers,
     split_header,
     what_is_wrong,
     with_points,
 )
-from calib_pin.io.csv_text import CsvText, open_csv
-from calib_pin.io.header import (
-    check_marks,
-    named_columns,
-    renamed,
-    separator_of,
-)
-from calib_pin.io.parquet_files import ParquetFile, is_parquet
+from calib_pin.io.parquet import Parquet, is_parquet, read_parquet
+from calib_pin.io.text import Text, read_text
 from calib_pin.observations import Labels
 from calib_pin.progress import Progress
+
+UNITS = {*ANGLE.units, *LENGTH.units, *PIXEL.units}
+"""Units as calib-pin writes them."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,6 @@ class Table:
         file: Path as the caller gave it.
         header_line: Line of the header, counted from 1; None in a file without lines.
         columns: The named columns in the order of the file.
-        unnamed: Number of columns with an empty header.
         lines: Line of each row, or its number, shape (N,).
         text: The file's text.
         missing: Columns that it should have by the setup, ours to theirs.
@@ -58,9 +55,8 @@ class Table:
     file: str
     header_line: int | None
     columns: Mapping[str, Column]
-    unnamed: int
     lines: NDArray[np.int64]
-    text: CsvText | ParquetFile
+    text: Text | Parquet
     missing: Mapping[str, str] = field(default_factory=dict)
 
     def __contains__(self, name: object) -> bool:
@@ -80,6 +76,12 @@ class Table:
             if name in names
         }
         return replace(self, columns=columns, lines=self.lines[index])
+
+    def head(self) -> Table:
+        """The same without rows, which takes little memory."""
+        columns = {name: c.rows(slice(0)) for name, c in self.columns.items()}
+        text, none = Text(self.file, b"", ",", (), 0), np.zeros(0, np.int64)
+        return replace(self, columns=columns, lines=none, text=text)
 
     def error(
         self, reason: str, column: str | None = None, allowed: str | None = None
@@ -114,18 +116,14 @@ class Table:
         return self.text.cells(int(self.lines[row]))[column.place].strip()
 
     def cells(self, names: Collection[str]) -> dict[str, Labels]:
-        """Untrimmed text of whole columns, by name, N strings each.
-
-        Raises:
-            InputError: If it must be read again, and the file has changed.
-        """
+        """Text of whole columns, by name, N strings each."""
         found: dict[str, Labels] = {}
         for name in names:
             column = self.columns[name]
             if column.words and (column.codes >= 0).all():
                 found[name] = Labels(column.words, column.codes)
         again = [name for name in names if name not in found]
-        return found | self._cells_of_file(again) if again else found
+        return found | self._cells_of_text(again) if again else found
 
     def with_points(self, names: Collection[str]) -> dict[str, Labels]:
         """As `cells`, decimal commas as points where a comma separates no cells."""
@@ -137,7 +135,6 @@ class Table:
     def ignored(self, names: Collection[str]) -> str:
         """A sentence about columns without a meaning; empty if there are none."""
         headers = [self.columns[name].header for name in names]
-        headers += ["(unnamed)"] * self.unnamed
         return f"{self.file}: columns ignored: {enumerated(headers)}" * bool(headers)
 
     def numbers(self, name: str, kind: Kind, *, positive: bool = False) -> Floats:
@@ -225,22 +222,23 @@ class Table:
             raise self.cell_error(reason, name, row, f"{largest:g} {kind.si} or less")
         raise self.implausible(name, row, float(values[row]), kind, why)
 
-    def _cells_of_file(self, names: Sequence[str]) -> dict[str, Labels]:
-        """Untrimmed text of whole columns, read from the file once more."""
-        places = [self.columns[name].place for name in names]
+    def _cells_of_text(self, names: Sequence[str]) -> dict[str, Labels]:
+        """Text of whole columns, cut once more out of that of the file."""
         lines = array("q")
-        known = [Numbering() for _ in places]
-        found: list[list[NDArray[np.int64]]] = [[] for _ in places]
-        for numbers, columns in self.text.texts(places):
+        known = {name: Numbering() for name in names}
+        found: dict[str, list[NDArray[np.int64]]] = {name: [] for name in names}
+        for numbers, columns in self.text.rows():
             lines.extend(numbers)
-            for codes, cells, number in zip(found, columns, known, strict=True):
-                codes.append(number.of(cells))
+            for name in names:
+                cells = columns[self.columns[name].place]
+                found[name].append(known[name].of(cells))
         rows = np.searchsorted(lines, self.lines)
         if not np.array_equal(np.take(lines, rows, mode="clip"), self.lines):
-            raise self.text.changed()
+            reason = "the file has changed while it was read"
+            raise InputError(reason, file=self.file)
         return {
-            name: Labels(tuple(number.known), np.concatenate(codes)[rows])
-            for name, codes, number in zip(names, found, known, strict=True)
+            name: Labels(tuple(known[name].known), np.concatenate(codes)[rows])
+            for name, codes in found.items()
         }
 
     def _theirs(self, name: str) -> str:
@@ -269,18 +267,15 @@ def read_table(
     path: str | Path,
     progress: Progress | None = None,
     *,
-    head: bool = False,
     columns: Mapping[str, str] = {},
 ) -> Table:
     """Read a file of columns: Parquet, or else CSV.
 
     Args:
-        path: Parquet file, by its suffix or its content; or CSV with a header: UTF-8,
-            with or without byte order mark, or UTF-16 with one, any line ends; comments
-            and blank lines are skipped; commas, semicolons or tabs separate, and where
-            it is no comma, the decimal mark may be one.
+        path: Parquet file, by its suffix or its content; or CSV with a header: commas,
+            semicolons or tabs separate, and where it is no comma, the decimal mark may
+            be one; see `read_text`.
         progress: Told the part of the lines that is read, 0 to 1.
-        head: Whether the first lines are enough, some hundreds.
         columns: What columns with foreign names are, ours to theirs; theirs may state
             a unit in square brackets.
 
@@ -290,58 +285,109 @@ def read_table(
             it is a damaged Parquet file.
         OptionError: If it is a Parquet file, and the extra that reads it is missing.
     """
-    text: CsvText | ParquetFile
-    header_line: int | None = None
+    text: Text | Parquet
     if is_parquet(path):
-        text = ParquetFile(str(path))
-        header, grown, lines = text.columns(progress, head=head)
+        text = read_parquet(path)
+        lines, grown = text.columns(progress)
     else:
-        text, header, header_line, grown, lines = _read_csv(path, progress, head)
+        text = read_text(path)
+        lines, grown = array("q"), [GrowingColumn() for _ in text.header]
+        for numbers, cells_of in text.rows(progress):
+            lines.extend(numbers)
+            for column, cells in zip(grown, cells_of, strict=True):
+                column.extend(cells, commas=text.separator != ",")
     if not lines:
         raise InputError("the file has a header but no rows", file=text.file)
-    named, missing = renamed(
-        named_columns(header, grown, text.file, header_line),
-        columns,
-        text.file,
-        header_line,
-    )
+    _check_marks(text, grown, lines)
+    named, missing = _renamed(_named(text, grown), columns, text)
     return Table(
         text.file,
-        header_line,
+        text.header_line,
         named,
-        sum(not split_header(cell)[0] for cell in header),
         np.frombuffer(lines, np.int64),
         text,
         missing,
     )
 
 
-def _read_csv(
-    path: str | Path, progress: Progress | None, head: bool
-) -> tuple[CsvText, list[str], int, list[GrowingColumn], array[int]]:
-    """A CSV file: text, header and its line, columns, and the lines of the rows."""
-    text = open_csv(path)
-    first, stretches = text.split(progress)
-    separator = separator_of(first)
-    if separator != text.separator:
-        text = replace(text, separator=separator)
-        first, stretches = text.split(progress)
-    header, header_line = first.cells(0), first.numbers[0]
-    # Columns may be named 1, 2, 3 (and mapped to joints), but not 0.25.
-    if np.isfinite(read_numbers(header)).all() and any("." in cell for cell in header):
-        raise InputError(
-            "the first row holds numbers, a header with the names of the columns is "
-            "missing",
-            file=text.file,
-            line=header_line,
-        )
-    lines, grown = array("q"), [GrowingColumn() for _ in header]
-    for stretch in islice(stretches, 1) if head else stretches:
-        lines.extend(stretch.numbers)
-        for column, cells in zip(grown, stretch.columns(header), strict=True):
-            column.extend(cells, commas=separator != ",")
-    check_marks(header, grown, lines, text.file)
-    return text, header, header_line, grown, lines
+def _check_marks(
+    text: Text | Parquet, grown: Sequence[GrowingColumn], lines: Sequence[int]
+) -> None:
+    """Refuse commas and points as decimal marks: some separate thousands."""
+    commas = [column.marks[","] for column in grown if "," in column.marks]
+    for name, column in zip(text.header, grown, strict=True):
+        mixed = "," in column.marks or (commas and column.thousands)
+        if "." in column.marks and mixed:
+            comma = lines[column.marks.get(",", min(commas))]
+            raise InputError(
+                f"a number has a decimal point here, and a comma in line {comma}",
+                file=text.file,
+                line=lines[column.marks["."]],
+                column=split_header(name)[0],
+                allowed="one decimal mark",
+            )
+
+
+def _named(text: Text | Parquet, grown: Sequence[GrowingColumn]) -> dict[str, Column]:
+    """Columns by their names; those without are named by their number.
+
+    Raises:
+        InputError: If two have the same.
+    """
+    result: dict[str, Column] = {}
+    for place, (cell, column) in enumerate(zip(text.header, grown, strict=True)):
+        name, unit = split_header(cell)
+        name = name or f"column {place + 1}"
+        if name in result:
+            raise InputError(
+                f"two columns are '{name}': '{result[name].header}', '{cell}'",
+                file=text.file,
+                line=text.header_line,
+                column=name,
+            )
+        result[name] = column.grown(cell or name, unit, place)
+    return result
+
+
+def _renamed(
+    named: Mapping[str, Column], columns: Mapping[str, str], text: Text | Parquet
+) -> tuple[dict[str, Column], dict[str, str]]:
+    """Columns by what the setup says they are, and those that are not there.
+
+    Raises:
+        InputError: If two are one column, or units contradict.
+    """
+    by_header = {column.header: name for name, column in named.items()}
+    taken, missing = dict[str, tuple[str, Column]](), dict[str, str]()
+    for ours, stated in columns.items():
+        name, unit = split_header(stated)
+        name, unit = (by_header[stated], None) if stated in by_header else (name, unit)
+        column = named.get(name)
+        if column is None:
+            if ours not in named:
+                missing[ours] = stated
+            continue
+        reason = ""
+        if name in taken:
+            first = taken[name][0]
+            reason = f"'columns' in the setup takes '{first}' and '{ours}' from it"
+        # A unit that the file writes in its own way may be stated in ours.
+        own = column.unit if column.unit in UNITS else None
+        if None not in (unit, own) and unit != own:
+            reason = f"the header says [{own}], 'columns' in the setup [{unit}]"
+        if reason:
+            line = text.header_line
+            raise InputError(reason, file=text.file, line=line, column=name)
+        taken[name] = ours, replace(column, unit=own or unit or column.unit)
+    meanings = {ours for ours, _ in taken.values()}
+    result = dict[str, Column]()
+    for name, column in named.items():
+        ours, read = taken.get(name, (name, column))
+        # A column that has the name of another's meaning keeps its place without it.
+        if name in meanings and name not in taken:
+            ours = f"{name} (of the file)"
+        result[ours] = read
+    return result, missing
 
 
 def require_columns(tables: Sequence[Table]) -> None:

@@ -114,8 +114,6 @@ def read_target_file(
     q = read_positions(table, chain, sources) if has_joints else None
     used = {name for source in sources for name in source.kinds}
     if not has_targets:
-        if table.unnamed and notice is not None:
-            notice(f"{table.file}: columns without a name are left out")
         return Targets(table, sources, q, None, False)
     spare = [c for c in spare_columns(table, chain, joints) if c not in used]
     model = (Pose if oriented else Position).declaration.name

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import csv
 import random
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from calib_pin.errors import InputError
-from calib_pin.io import csv_text
+from calib_pin.io import text as text_module
 from calib_pin.io.columns import LENGTH, PURE
-from calib_pin.io.csv_text import CsvText
 from calib_pin.io.table import Table, read_table, require_columns
 
 ODD = (
@@ -71,9 +69,9 @@ def number(cell: str) -> float:
         return float("nan")
 
 
-@pytest.mark.parametrize("block", [50, 1 << 17])
-def test_cells_and_numbers_are_those_of_every_line_alone(monkeypatch, table, block):
-    monkeypatch.setattr(csv_text, "BLOCK", block)
+@pytest.mark.parametrize("count", [3, 4096])
+def test_cells_and_numbers_are_those_of_every_line_alone(monkeypatch, table, count):
+    monkeypatch.setattr(text_module, "ROWS", count)
     rng = random.Random(1)
     for _ in range(25):
         lines = spoiled(rng)
@@ -88,7 +86,7 @@ def test_cells_and_numbers_are_those_of_every_line_alone(monkeypatch, table, blo
         cells = found.cells(header)
         for name, expected in zip(header, zip(*body, strict=True), strict=True):
             column = found.columns[name]
-            assert list(cells[name]) == list(expected)
+            assert [*map(str.strip, cells[name])] == [*map(str.strip, expected)]
             assert found.texts([name])[name] == tuple(map(str.strip, expected))
             assert column.blank().tolist() == [not cell.strip() for cell in expected]
             numbers = np.array([number(cell) for cell in expected])
@@ -112,7 +110,7 @@ def test_text_of_numbers_stands_in_the_file(table):
     assert found.texts(["name", "note"]) == {"name": ("01", "1e0", "3")}
     some = found.rows(np.array([2, 1]), ["name", "x", "y"])
     assert some.texts(["name"]) == {"name": ("3", "1e0")}
-    assert some.cells(["x"]) == {"x": ["7", " 2.50"]}
+    assert some.cells(["x"]) == {"x": ["7", "2.50"]}
     assert some.numbers("x", LENGTH).tolist() == [7e-3, 2.5e-3]
     error = some.cell_error("too large", "x", 1)
     assert (error.line, error.value) == (5, "2.50")
@@ -130,12 +128,17 @@ def test_numbers_of_a_table_cannot_be_changed(table):
         table("x\n1.5\n").numbers("x", PURE)[0] = 0.0
 
 
-def test_a_file_that_changed_after_it_was_read(table):
+def test_a_file_that_changed_after_it_was_read(tmp_path, table):
     found = table("a,x\n1,2\n3,4\n")
-    for text in ("a,x\n1,2\n", "a\n1\n3\n", "a,x\n\n1,2\n3,4\n", ""):
-        now = replace(found, text=CsvText("a.csv", len(text), text.encode()))
+    for text in ("a,x\n1,2\n", "a,x\n\n1,2\n3,4\n", "a,x\n1,\xe4\n", ""):
+        (tmp_path / "a.csv").write_text(text, encoding="latin-1")
         with pytest.raises(InputError):
-            now.texts(["x"])
+            found.texts(["x"])
+    with pytest.raises(InputError):
+        found.cell("x", 1)
+    (tmp_path / "a.csv").unlink()
+    with pytest.raises(InputError):
+        found.cell("x", 1)
 
 
 LOG = "Zeit;Ort;X (mm);Y [mm]\n0,5;Wand, links;1,25;-,5e3\n1;v1.5;3;-7\n"
@@ -193,6 +196,30 @@ def test_a_wrong_unit_of_a_foreign_column_is_mended_in_the_setup(tmp_path):
         table.check_size("x", table.numbers("x", LENGTH), LENGTH, 0.5)
     assert "columns: {x: X (mm) [mm]}" in str(caught.value)
     assert caught.value.column == "X (mm) (x)"
+
+
+@pytest.mark.parametrize(
+    ("rows", "line", "column"),
+    [
+        # In one column, and in two: 2.168 is two thousand there.
+        ("a;b\n1,5;2\n1.5;3\n", 3, "a"),
+        ("a;b\n1,5;2.168\n2,5;-690\n", 2, "b"),
+        ("a;b\n1.000;2,5\n2.500;1,5\n", 2, "a"),
+    ],
+)
+def test_marks_that_may_separate_thousands(table, rows, line, column):
+    with pytest.raises(InputError) as caught:
+        table(rows)
+    assert (caught.value.line, caught.value.column) == (line, column)
+    # Seconds of another software have their point.
+    assert table("t;a\n0.5;1,5\n1.25;2,5\n").numbers("t", PURE).tolist() == [0.5, 1.25]
+
+
+@pytest.mark.parametrize("cell", ["2.168,00", '"2,168.00"', "2'168.00", '"1,145,240"'])
+def test_separated_thousands_are_no_number(table, cell):
+    with pytest.raises(InputError, match="thousands") as caught:
+        table(f"a\tb\n1\t2\n1\t{cell}\n").numbers("b", PURE)
+    assert (caught.value.line, caught.value.value) == (3, cell.strip('"'))
 
 
 def test_wrong_utf_16_is_told(tmp_path):

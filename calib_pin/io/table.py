@@ -233,7 +233,7 @@ class Table:
                 cells = columns[self.columns[name].place]
                 found[name].append(known[name].of(cells))
         rows = np.searchsorted(lines, self.lines)
-        if not np.array_equal(np.take(lines, rows, mode="clip"), self.lines):
+        if rows.max() >= len(lines) or (np.array(lines)[rows] != self.lines).any():
             reason = "the file has changed while it was read"
             raise InputError(reason, file=self.file)
         return {

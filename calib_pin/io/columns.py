@@ -162,6 +162,12 @@ class Column:
         """Whether each cell says that there is no reading, shape (N,)."""
         return self._holds(lambda word: word.strip().lower() in MISSING)
 
+    @property
+    def numeric(self) -> bool:
+        """Whether it is one of numbers: most of its cells that are not missing."""
+        found = np.count_nonzero(np.isfinite(self.numbers))
+        return 2 * found > len(self.numbers) - np.count_nonzero(self.missing())
+
     def _holds(self, matches: Callable[[str], bool]) -> NDArray[np.bool_]:
         if not self.words:
             return np.zeros(len(self.numbers), bool)

@@ -238,9 +238,4 @@ def without_meaning(columns: Sequence[Foreign]) -> list[Foreign]:
 
 
 def _numeric(columns: Sequence[Foreign]) -> list[Foreign]:
-    return [
-        one
-        for one in columns
-        if len(one.column.numbers) and not one.column.words
-        if not OTHER.search(one.words)
-    ]
+    return [one for one in columns if one.column.numeric if not OTHER.search(one.words)]

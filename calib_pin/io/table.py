@@ -187,6 +187,17 @@ class Table:
             kind: Quantity in the column.
             why: How it shows, where that is not the value alone.
         """
+        numbers = self.columns[name].numbers
+        same = np.flatnonzero(numbers == numbers[row])
+        others = np.abs(np.delete(numbers, same)).max(initial=0.0)
+        if len(same) > 1 and 2.0 * others < abs(numbers[row]):
+            lines = ", ".join(map(str, self.lines[same]))
+            return self.cell_error(
+                f"stands in {len(same)} rows and looks like a sign that there is no "
+                f"reading; leave them out by 'reading: {{without: [{lines}]}}'",
+                name,
+                int(same[0]),
+            )
         unit = self.columns[name].unit or kind.si
         reason = f"{value:.6g} {kind.si} looks like the wrong unit"
         reason += f", {why}" if why else ""

@@ -166,7 +166,7 @@ class Column:
     def numeric(self) -> bool:
         """Whether it is one of numbers: most of its cells that are not missing."""
         found = np.count_nonzero(np.isfinite(self.numbers))
-        return 2 * found > len(self.numbers) - np.count_nonzero(self.missing())
+        return bool(2 * found > len(self.numbers) - np.count_nonzero(self.missing()))
 
     def _holds(self, matches: Callable[[str], bool]) -> NDArray[np.bool_]:
         if not self.words:

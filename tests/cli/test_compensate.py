@@ -315,7 +315,7 @@ def test_columns_without_a_meaning(positions, run):
     write("targets.csv", "x,y,z,name,,joint9", [[*positions[0], "a", "b", "1"]])
     result = run(RUN)
     assert result.status == 0 and result.err.count("\n") == 1
-    assert "targets.csv" in result.err and "name, joint9, (unnamed)" in result.err
+    assert "targets.csv" in result.err and "name, column 5, joint9" in result.err
     assert run(f"{RUN} --force --quiet").err == ""
 
 

@@ -90,8 +90,8 @@ MESSAGES: list[tuple[str, Mapping[str, str], str]] = [
     ),
     (
         "calibrate arm.urdf bad.csv",
-        {"bad.csv": f"{JOINTS},x,y,z\n0,0,0,0,1,2,3\n0,0,0,0,1,NaN,3\n"},
-        "bad.csv:3: not a finite number (column 'y', value 'NaN'); allowed: a "
+        {"bad.csv": f"{JOINTS},x,y,z\n0,0,0,0,1,2,3\n0,0,0,0,1,-Inf,3\n"},
+        "bad.csv:3: not a finite number (column 'y', value '-Inf'); allowed: a "
         "finite number",
     ),
     (

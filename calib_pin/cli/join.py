@@ -117,7 +117,9 @@ def join(
         require_file(path)
     check_outputs([output], [joints, measurements, setup], force)
     if joints == measurements and is_bag(joints) and holds_calibration_data(joints):
-        positions, readings, found = read_calibration_data(joints, topic)
+        positions, readings, found = read_calibration_data(
+            joints, topic, None if quiet else notice
+        )
         data = encode_joined(found, positions, readings, keep=True)
         with write_files({output: data}, force=force):
             pass
@@ -127,12 +129,12 @@ def join(
             say_written([f"{len(found.standstills)} samples", f"wrote {output}"])
         return 0
     with progress_bar(quiet=quiet) as bar:
+        tell = None if quiet else notice
         positions = (
             read_joint_bag(joints, joint_topic)
             if is_bag(joints)
-            else read_joint_log(joints, stated.columns, stage(bar, "joints"))
+            else read_joint_log(joints, stated.columns, tell, stage(bar, "joints"))
         )
-        tell = None if quiet else notice
         readings = (
             read_reading_bag(measurements, topic)
             if is_bag(measurements)

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib_pin.io.columns import ANGLE, LENGTH, Column, split_header
+from calib_pin.io.measured_columns import reserved
+from calib_pin.io.table import Table
 
 UNITS = {
     "m": ("m", "meter", "meters", "metre", "metres"),
@@ -63,6 +65,13 @@ VECTORS = (
     ("u", "v"),
 )
 """Columns that mean something together only."""
+
+UNITS_OF: Mapping[str, Collection[str | None]] = {
+    **dict.fromkeys((*"xyz", "distance"), (None, *LENGTH.units)),
+    **dict.fromkeys((*VECTORS[2], *VECTORS[3]), (None, *ANGLE.units)),
+    **dict.fromkeys(VECTORS[1], (None,)),
+}
+"""Units that columns of a meaning may state."""
 
 OTHER = re.compile(
     r"(?:^|[ _.\-])(?:sigma|std|dev|var|err|abw|diff|delta|vel|speed|acc|force|torque|"
@@ -154,7 +163,9 @@ def measured(columns: Sequence[Foreign]) -> dict[str, list[Foreign]]:
         found[ours] = {}
         for one in ordered:
             stem = _stem(one, ours)
-            if stem is not None and (ours not in NAMES or _names(one, ours)):
+            if stem is None or one.unit not in UNITS_OF.get(ours, (one.unit,)):
+                continue
+            if ours not in NAMES or _names(one, ours):
                 found[ours].setdefault(stem, one)
     for vector in VECTORS:
         stems = [*found[vector[0]]]
@@ -162,6 +173,25 @@ def measured(columns: Sequence[Foreign]) -> dict[str, list[Foreign]]:
         for ours in vector:
             found[ours] = {stem: found[ours][stem] for stem in whole}
     return {ours: [*choices.values()] for ours, choices in found.items() if choices}
+
+
+def understood(table: Table) -> Table:
+    """A file whose measured columns have our names, and the units of their headers.
+
+    Of several that may be one of ours, the likeliest is; a column of ours stays.
+    """
+    columns = foreign(table.columns)
+    names = {
+        ours: choices[0].name
+        for ours, choices in measured(columns).items()
+        if ours not in table and choices[0].name not in reserved()
+    }
+    units = {one.name: one.unit for one in columns if one.unit is not None}
+    stated = {
+        name: replace(column, unit=units.get(name, column.unit))
+        for name, column in table.columns.items()
+    }
+    return replace(table, columns=stated).renamed(names)
 
 
 def _stem(one: Foreign, ours: str) -> str | None:

@@ -2,34 +2,50 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import InputError
+from calib_pin.errors import InputError, enumerated
 from calib_pin.io.columns import ANGLE, LENGTH, PURE, Floats, Kind, closest
+from calib_pin.io.foreign_headers import OTHER, Foreign, foreign, understood
 from calib_pin.io.measured_columns import (
     NAMES,
     ORIENTED,
     measured,
     orientation_columns,
     read_quaternions,
+    reserved,
 )
 from calib_pin.io.measurements import encode_table
-from calib_pin.io.table import Table, read_table
+from calib_pin.io.table import Table, read_table, require_columns
 from calib_pin.kinematics.spatial import from_quaternion, so3_log
 from calib_pin.measurement_models.declaration import ROTATION_VECTOR
 from calib_pin.observations.joining import Joined, Log, Standstill, scatter
 from calib_pin.progress import Progress
+from calib_pin.setup import STATED
 
 TIME = Kind("s", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, {}, np.inf)
 
 TIMES = ("time", "timestamp", "stamp", "zeit", "t")
 """Names of a column of times, in any case, where none is called `time`."""
+
+STAMPS = re.compile(
+    r"(?:^|[ _.\-/])(?:seq|frame|count|counter|index|sec|secs|nsec|nsecs|nanosec|"
+    r"stamp|time|timestamp)(?:$|[ _.\-#])"
+)
+"""Words of counters and of times."""
+
+COUNTED = 10
+"""Numbers that grow by equal steps from which a column is a counter."""
+
+LEAST = 1e-11
+"""Standard deviation of a mean that is rounding, not scatter [m, rad, px]."""
 
 QUATERNION = ("qx", "qy", "qz", "qw")
 
@@ -67,13 +83,15 @@ class ReadingLog:
 def read_joint_log(
     path: str | Path,
     columns: Mapping[str, str] = {},
+    notice: Callable[[str], None] | None = None,
     progress: Progress | None = None,
 ) -> JointLog:
-    """The joints of a log: its columns of numbers but the time.
+    """The joints of a log: those that the setup names, or its columns of positions.
 
     Args:
-        path: CSV file.
+        path: CSV or Parquet file.
         columns: Columns with foreign names, ours to theirs.
+        notice: Called with sentences about the file and what was left out.
         progress: Told the part that is done, 0 to 1.
 
     Raises:
@@ -81,11 +99,15 @@ def read_joint_log(
     """
     table = read_table(path, progress, columns=columns)
     stamp = _time_column(table)
-    time = _times(table, stamp)
-    others = {n: c for n, c in table.columns.items() if n != stamp and n not in NAMES}
-    names = [n for n, c in others.items() if np.isfinite(c.numbers).all()]
+    given = [name for name in columns if name in table and name not in reserved()]
+    names = [name for name in given if name != stamp] or [
+        one.name
+        for one in foreign(table.columns)
+        if one.name not in {stamp, *NAMES} and _is_position(one)
+    ]
     if not names:
         raise table.error("there are no columns of joints beside the time")
+    table = _whole(table, [stamp, *names], notice)
     kinds = [_kind(table.columns[name].unit) for name in names]
     factors = [
         kind.units.get(table.columns[name].unit or "", 1.0)
@@ -95,9 +117,8 @@ def read_joint_log(
     headers = (
         f"{n} [{table.columns[n].unit}]" if table.columns[n].unit else n for n in names
     )
-    return JointLog(
-        Log(time, np.column_stack(values)), tuple(headers), np.array(factors)
-    )
+    log = Log(_times(table, stamp), np.column_stack(values))
+    return JointLog(log, tuple(headers), np.array(factors))
 
 
 def read_reading_log(
@@ -108,41 +129,89 @@ def read_reading_log(
 ) -> ReadingLog:
     """The measured values of a log.
 
+    Readings of several targets, tools or stations may alternate, or share a time.
+
     Args:
-        path: CSV file.
+        path: CSV or Parquet file.
         columns: Columns with foreign names, ours to theirs.
-        notice: Called with a sentence that lists columns without a meaning.
+        notice: Called with sentences about the file and what was left out.
         progress: Told the part that is done, 0 to 1.
 
     Raises:
-        InputError: If it has no time or no measured values, or the time goes back.
+        InputError: If it has no time or no measured values, or the time of a target
+            goes back.
     """
     table = read_table(path, progress, columns=columns)
+    # Other columns that the setup names may be those of the joints.
+    lacking = {ours: table.missing[ours] for ours in table.missing.keys() & measured()}
+    require_columns([replace(table, missing=lacking)])
+    table = understood(table)
     stamp = _time_column(table)
-    time = _times(table, stamp)
     own = [n for n in table.columns if n in measured() and n not in ORIENTED]
-    values = [table.numbers(name, _measured_kind(table, name)) for name in own]
+    way = ""
     if any(name in table for name in ORIENTED):
         way = orientation_columns(table)
-        values += [*read_quaternions(table, way).T]
-        own += QUATERNION
-    if not own:
+    if not own and not way:
         raise table.error(
             "there are no measured columns"
             + closest("x", [name for name in table.columns if name != stamp]),
             allowed="x, y, z, distance, u, v or an orientation; 'columns' in the setup "
             "says which they are",
         )
+    table = _whole(table, [stamp, *own, *(STATED[way] if way else ())], notice)
+    texts = table.texts([name for name in NAMES if name in table])
+    kind = np.zeros(len(table.lines), np.int64)
+    for labels in texts.values():
+        kind = kind * len(labels.names) + labels.codes
+    time = _times(table, stamp, kind)
+    values = [table.numbers(name, _measured_kind(table, name)) for name in own]
+    if way:
+        values += [*read_quaternions(table, way).T]
+        own += QUATERNION
     used = {stamp, *own, *NAMES, *ORIENTED, "temperature"}
     ignored = table.ignored([name for name in table.columns if name not in used])
     if ignored and notice is not None:
         notice(ignored)
-    texts = table.texts([name for name in NAMES if name in table])
+    order = np.argsort(time, kind="stable")
     return ReadingLog(
-        Log(time, np.column_stack(values)),
+        Log(time[order], np.column_stack(values)[order], kind[order]),
         tuple(own),
-        {name: [*cells] for name, cells in texts.items()},
+        {name: [*labels[order]] for name, labels in texts.items()},
     )
+
+
+def _whole(
+    table: Table, names: Sequence[str], notice: Callable[[str], None] | None
+) -> Table:
+    """The rows that miss none of some columns.
+
+    Raises:
+        InputError: If there are none.
+    """
+    if notice is not None:
+        for remark in table.remarks:
+            notice(f"{table.file}: {remark}")
+    missing = np.any([table.columns[name].missing() for name in names], axis=0)
+    if missing.all():
+        raise table.error(f"no row has all of {enumerated(names)}")
+    if not missing.any():
+        return table
+    if notice is not None:
+        first = table.lines[int(np.argmax(missing))]
+        notice(
+            f"{table.file}: {missing.sum()} of {len(missing)} rows have no reading "
+            f"(the first in line {first})"
+        )
+    return table.rows(np.flatnonzero(~missing), table.columns)
+
+
+def _is_position(one: Foreign) -> bool:
+    """Whether a column of a log may be one of joint positions: no counter, no stamp."""
+    numbers = one.column.numbers[np.isfinite(one.column.numbers)]
+    if not one.column.numeric or OTHER.search(one.words) or STAMPS.search(one.words):
+        return False
+    steps = np.unique(np.diff(numbers))
+    return not (len(steps) == 1 and steps[0] > 0.0 and len(numbers) > COUNTED)
 
 
 def encode_joined(
@@ -230,7 +299,7 @@ def _sigmas(
         away = scatter(standstills, turned)
         found = {n: s for n, s in found.items() if n not in QUATERNION}
         found |= dict(zip(ROTATION_VECTOR, away, strict=True))
-    if not all(size > 0.0 for size in found.values()):
+    if not all(size > LEAST for size in found.values()):
         return {}
     return {f"sigma_{n}": np.full(len(standstills), size) for n, size in found.items()}
 
@@ -248,18 +317,28 @@ def _time_column(table: Table) -> str:
     )
 
 
-def _times(table: Table, name: str) -> Floats:
-    """Ascending times [s], of dates since the first one's midnight."""
+def _times(table: Table, name: str, kind: NDArray[np.int64] | None = None) -> Floats:
+    """Times [s], of dates since the first one's midnight.
+
+    Args:
+        table: The log.
+        name: Column of its times.
+        kind: What each row is of, shape (N,); the time of each of these goes on.
+    """
     column = table.columns[name]
     if column.words and not np.isfinite(column.numbers).any():
         time = _dates(table, name)
     else:
         time = table.numbers(name, TIME)
-    back = np.diff(time) <= 0.0
-    if back.any():
-        raise table.cell_error(
-            "the time does not go on here", name, int(np.argmax(back)) + 1
-        )
+        if column.unit is None:
+            # Seconds since 1970 have ten digits, others are of smaller units.
+            steps = int(np.log10(max(time[0], 1.0))) // 3 - 3
+            time = time * 1e-3 ** max(steps, 0)
+    for rows in Log(time, time, kind).kinds:
+        back = np.diff(time[rows]) <= 0.0
+        if back.any():
+            row = int(rows[int(np.argmax(back)) + 1])
+            raise table.cell_error("the time does not go on here", name, row)
     if len(time) < 3:
         raise InputError("is too short to be joined by time", file=table.file)
     return time

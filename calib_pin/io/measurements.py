@@ -126,7 +126,7 @@ def read_measurements(
         tell = portion(progress, k / len(files), 1.0 / len(files))
         table = read_table(file, portion(tell, 0.0, CUT), columns=columns)
         if notice is not None:
-            for remark in table.text.remarks:
+            for remark in table.remarks:
                 notice(f"{file}: {remark}")
         if reading is not None:
             table, reading = _without(table, reading, alone=len(files) == 1)

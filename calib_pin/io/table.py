@@ -30,6 +30,7 @@ from calib_pin.io.columns import (
     what_is_wrong,
     with_points,
 )
+from calib_pin.io.dialects import DIALECTS
 from calib_pin.io.parquet import Parquet, is_parquet, read_parquet
 from calib_pin.io.text import Text, read_text
 from calib_pin.observations import Labels
@@ -50,6 +51,7 @@ class Table:
         lines: Line of each row, or its number, shape (N,).
         text: The file's text.
         missing: Columns that it should have by the setup, ours to theirs.
+        remarks: Sentences about how the file was read.
     """
 
     file: str
@@ -58,6 +60,7 @@ class Table:
     lines: NDArray[np.int64]
     text: Text | Parquet
     missing: Mapping[str, str] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
 
     def __contains__(self, name: object) -> bool:
         """Whether there is a column of exactly this name."""
@@ -131,6 +134,12 @@ class Table:
             return self.cells(names)
         cells = self.cells(names).items()
         return {n: c.map(lambda text: with_points([text])[0]) for n, c in cells}
+
+    def renamed(self, names: Mapping[str, str]) -> Table:
+        """The table with other names of some columns, ours to theirs."""
+        ours = {theirs: name for name, theirs in names.items()}
+        columns = {ours.get(name, name): c for name, c in self.columns.items()}
+        return replace(self, columns=columns)
 
     def ignored(self, names: Collection[str]) -> str:
         """A sentence about columns without a meaning; empty if there are none."""
@@ -311,6 +320,10 @@ def read_table(
         raise InputError("the file has a header but no rows", file=text.file)
     _check_marks(text, grown, lines)
     named, missing = _renamed(_named(text, grown), columns, text)
+    remarks = text.remarks
+    found = next(filter(None, (dialect.read(named) for dialect in DIALECTS)), None)
+    if found is not None:
+        named, remarks = dict(found.columns), (*remarks, f"read as {found.remark}")
     return Table(
         text.file,
         text.header_line,
@@ -318,6 +331,7 @@ def read_table(
         np.frombuffer(lines, np.int64),
         text,
         missing,
+        remarks,
     )
 
 

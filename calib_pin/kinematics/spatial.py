@@ -188,7 +188,7 @@ def so3_log_derivative(vector: Floats) -> Floats:
 
 
 def nearest_rotation(M: Floats) -> Floats:
-    """Rotation matrix closest to M in the Frobenius norm, shape (3, 3)."""
+    """Rotation matrices closest to M in the Frobenius norm, shape (..., 3, 3)."""
     U, _, Vt = np.linalg.svd(M)
-    U[:, -1] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+    U[..., -1] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))[..., None]
     return np.asarray(U @ Vt)

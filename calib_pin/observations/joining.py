@@ -60,12 +60,21 @@ class Log:
     """Values by time.
 
     Attributes:
-        time: Ascending, shape (N,) [s].
+        time: Ascending, shape (N,) [s]; equal only for values of different kinds.
         values: Shape (N, k) [SI units].
+        kind: Point, tool or station that each is of, shape (N,); None if of one.
     """
 
     time: Floats
     values: Floats
+    kind: NDArray[np.int64] | None = None
+
+    @property
+    def kinds(self) -> list[NDArray[np.int64]]:
+        """The rows of each kind."""
+        if self.kind is None:
+            return [np.arange(len(self.time))]
+        return [np.flatnonzero(self.kind == k) for k in np.unique(self.kind)]
 
 
 @dataclass(frozen=True)
@@ -86,7 +95,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class Standstill:
-    """A time in which all joints stood, and the readings in it.
+    """A time in which all joints stood, and the readings of one point in it.
 
     Attributes:
         start: When they had stood for long enough [s, clock of the joints].
@@ -107,7 +116,7 @@ class Joined:
 
     Attributes:
         clock: The clock of the readings.
-        standstills: Those with a reading, in order.
+        standstills: Those with a reading, in order, one for each point that was read.
         empty: Number of standstills without one.
         moving: Number of readings during a motion, or too close to one.
         scattered: Number of readings in a standstill that are far from its others.
@@ -142,22 +151,24 @@ def join(joints: Log, readings: Log, settle: float, gap: float) -> Joined:
         raise InputError(
             f"the joints never stand still for {settle:g} s", allowed="standstills"
         )
-    clock = motion.clock(readings)
+    # Of several points that are read by turns, one moves smoothly.
+    most = max(readings.kinds, key=len)
+    clock = motion.clock(Log(readings.time[most], readings.values[most]))
     time = readings.time - clock.ahead
     guard = SURE * clock.sigma if clock.motions else 0.0
     standstills, empty, used, scattered = [], 0, 0, 0
     for start, end in motion.standstills:
-        (rows,) = np.nonzero((time >= start + guard) & (time <= end - guard))
-        kept = rows[_together(readings.values[rows])]
-        scattered += len(rows) - len(kept)
-        used += len(rows)
-        if not len(kept):
-            empty += 1
-            continue
+        within = (time >= start + guard) & (time <= end - guard)
+        empty += not within.any()
         inside = (joints.time >= start) & (joints.time <= end)
-        standstills.append(
-            Standstill(start, end, joints.values[inside].mean(axis=0), kept)
-        )
+        for kind in readings.kinds:
+            rows = kind[within[kind]]
+            kept = rows[_together(readings.values[rows])]
+            scattered += len(rows) - len(kept)
+            used += len(rows)
+            if len(kept):
+                q = joints.values[inside].mean(axis=0)
+                standstills.append(Standstill(start, end, q, kept))
     return Joined(clock, tuple(standstills), empty, len(time) - used, scattered)
 
 

@@ -52,10 +52,11 @@ def logs(tmp_path, monkeypatch) -> Recording:
 def test_two_logs_become_measurements(logs, run):
     result = run(JOIN)
     assert result.status == 0
-    assert "tracker.txt" in result.err and "Punkt, Temp" in result.err
+    assert result.err == ""
     assert result.out.startswith("12 standstills")
     assert f"{logs.ahead:+.3f}" in result.out
     data = read_measurements("m.csv", CHAIN).only
+    assert data.target.distinct == ("SMR1",)
     assert len(data.q) == 12 and data.sigma is not None
     assert np.allclose(data.sigma, NOISE, rtol=0.2)
     expected = CHAIN.poses(data.q)[:, :3, 3] + [0.3, -1.0, 2.0]
@@ -95,6 +96,70 @@ def test_poses_keep_their_scatter(logs, run):
     data = read_measurements("m.csv", CHAIN).only
     assert data.model == "pose" and data.sigma is not None
     assert np.allclose(data.sigma, 3 * [NOISE] + 3 * [1e-4], rtol=0.25)
+
+
+BALLS = {"A": np.zeros(3), "B": np.array([0.1, 0.0, 0.02])}
+"""Points on the tool, in the tip link."""
+
+
+def test_points_that_are_read_by_turns_stay_apart(logs, run):
+    """Also where a point is lost in some rows, and others share a time."""
+    time = np.arange(0.0, logs.joints.time[-1], 0.05)
+    q = [np.interp(time, logs.joints.time, c) for c in logs.joints.values.T]
+    T, rng = CHAIN.poses(np.column_stack(q)), np.random.default_rng(1)
+    lines = ["stamp,Marker,tracker_x,tracker_y,tracker_z"]
+    for k, (t, pose) in enumerate(zip(time, T, strict=True)):
+        for name, ball in BALLS.items() if k % 3 else [("A", BALLS["A"])]:
+            p = pose[:3, :3] @ ball + pose[:3, 3] + rng.normal(0.0, NOISE, 3)
+            cells = ["MISSING"] * 3 if name == "B" and k % 5 == 0 else map(str, p)
+            lines.append(",".join([f"{t:.3f}", name, *cells]))
+    Path("tracker.csv").write_text("\n".join(lines))
+    result = run("join joints.csv tracker.csv -o m.csv")
+    assert result.status == 0 and "have no reading" in result.err
+    data = read_measurements("m.csv", CHAIN).only
+    assert {*data.target} == {*BALLS} and len(data.q) == 24
+    T = CHAIN.poses(data.q)
+    balls = np.array([BALLS[name] for name in data.target])
+    expected = (T[:, :3, :3] @ balls[:, :, None])[:, :, 0] + T[:, :3, 3]
+    assert np.abs(data.values - expected).max() < 3.0 * NOISE
+    assert np.allclose(data.sigma, NOISE, rtol=0.2)
+
+
+def test_a_log_of_the_robot_as_it_is(logs, run):
+    """Counters, stamps of nanoseconds, speeds and gaps are no joints and hide none."""
+    names = CHAIN.joints
+    speeds = [f"{name}.velocity" for name in names]
+    lines = [",".join(["", "seq", "timestamp", *names, *speeds])]
+    q, epoch = logs.joints.values, 1_700_000_000
+    for k, (t, row) in enumerate(zip(logs.joints.time, q, strict=True)):
+        cells = [repr(float(angle)) for angle in row]
+        cells[k % 6] = "" if k % 50 == 0 else cells[k % 6]
+        stamp = epoch * 10**9 + round(1e9 * float(t))
+        lines.append(",".join([str(k), str(7 + k), str(stamp), *cells, *("0.0",) * 6]))
+    Path("joints.csv").write_text("\n".join(lines))
+    result = run(JOIN)
+    assert result.status == 0 and "joints.csv" in result.err
+    data = read_measurements("m.csv", CHAIN).only
+    header = next(x for x in Path("m.csv").read_text().splitlines() if x[0] != "#")
+    assert header.split(",")[:7] == [*names, "x"]
+    expected = CHAIN.poses(data.q)[:, :3, 3] + [0.3, -1.0, 2.0]
+    assert len(data.q) == 12
+    assert np.abs(data.values - expected).max() < 3.0 * NOISE
+    # Columns that the setup names are the joints, whatever else there is.
+    some = "".join(f"  {name}: {name}\n" for name in names[:3])
+    Path("setup.yaml").write_text(SETUP.replace("  time: Zeit\n", "") + some)
+    assert run("join joints.csv tracker.txt --setup setup.yaml -o n.csv").status == 0
+    header = next(x for x in Path("n.csv").read_text().splitlines() if x[0] != "#")
+    assert header.split(",")[:4] == [*names[:3], "x"]
+
+
+def test_readings_that_do_not_scatter_have_no_sigma(logs, run):
+    lines = ["time,x,y,z,qx,qy,qz,qw"]
+    for t, p in zip(logs.readings.time, logs.readings.values, strict=True):
+        lines.append(",".join(map(str, [t, *p, 0.5, 0.5, 0.5, 0.5])))
+    Path("poses.csv").write_text("\n".join(lines))
+    assert run("join joints.csv poses.csv -o m.csv").status == 0
+    assert read_measurements("m.csv", CHAIN).only.sigma is None
 
 
 @pytest.mark.parametrize(

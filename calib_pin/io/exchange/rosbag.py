@@ -7,7 +7,7 @@ holds the joints and what sensors saw of each sample: nothing is left to be join
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -63,17 +63,17 @@ def read_joint_bag(path: str | Path, topic: str | None = None) -> JointLog:
         InputError: If it cannot be read, or has not one such topic.
         OptionError: If the extra is missing.
     """
-    times, rows, names = [], [], None
+    heard = dict[str, float]()
+    samples = list[tuple[float, dict[str, float]]]()
     for time, message in _messages(path, topic, (JOINTS,)):
-        names = names or [*message.name]
-        stated = dict(zip(message.name, message.position, strict=False))
-        if set(names) <= stated.keys():
-            times.append(time)
-            rows.append([stated[name] for name in names])
-    if not names:
+        # Each publisher states its own joints; others are where they were last.
+        heard |= zip(message.name, message.position, strict=False)
+        samples.append((time, dict(heard)))
+    if not heard:
         raise InputError("holds no joint states", file=path)
-    log = _ordered(path, times, rows)
-    return JointLog(log, tuple(names), np.ones(len(names)))
+    whole = [(time, [*q.values()]) for time, q in samples if len(q) == len(heard)]
+    log = _ordered(path, *zip(*whole, strict=True))
+    return JointLog(log, tuple(heard), np.ones(len(heard)))
 
 
 def read_reading_bag(path: str | Path, topic: str | None = None) -> ReadingLog:
@@ -107,49 +107,73 @@ def holds_calibration_data(path: str | Path) -> bool:
 
 
 def read_calibration_data(
-    path: str | Path, topic: str | None = None
+    path: str | Path,
+    topic: str | None = None,
+    notice: Callable[[str], None] | None = None,
 ) -> tuple[JointLog, ReadingLog, Joined]:
     """The samples of a bag of calibration data, joined as they are.
 
-    A feature is the point `<sensor>-<number>`, and of a single one nothing is said.
+    A feature is the point `<sensor>-<number>`, and of a single one nothing is said. A
+    sensor whose features never move is none: it states known points of the tool, as the
+    chain of an arm does. Of several others each is a station.
+
+    Args:
+        path: The bag.
+        topic: Topic of the samples; None for the only one.
+        notice: Called with a sentence about known points.
 
     Raises:
-        InputError: If it cannot be read, or holds no features.
+        InputError: If it cannot be read, or holds no features that were measured.
         OptionError: If the extra is missing.
     """
-    samples, names = [], None
+    samples = list[tuple[float, list[float]]]()
+    points = dict[str, list[tuple[int, list[float]]]]()
+    names: list[str] | None = None
     for time, message in _messages(path, topic, (DATA,)):
         state = message.joint_states
         names = names or [*state.name]
         stated = dict(zip(state.name, state.position, strict=False))
         if not set(names) <= stated.keys():
             raise InputError("its samples are of different joints", file=path)
-        points = [
-            (f"{seen.sensor_name}-{k}", feature.point)
-            for seen in message.observations
-            for k, feature in enumerate(seen.features)
-        ]
-        samples.append((time, [stated[name] for name in names], points))
-    samples = [sample for sample in samples if sample[2]]
-    if names is None or not samples:
-        raise InputError("its calibration data hold no features", file=path)
-    stamps, targets, values = list[float](), list[str](), list[list[float]]()
-    stands = list[Standstill]()
-    for time, q, points in samples:
-        rows = np.arange(len(values), len(values) + len(points))
-        stands.append(Standstill(time, time, np.array(q, float), rows))
-        for target, point in points:
-            stamps.append(time)
-            targets.append(target)
-            values.append([point.x, point.y, point.z])
-    log = Log(np.array(stamps), np.array(values, float))
-    known = set(targets)
-    texts = {"target": targets} if len(known) > 1 else {}
-    q_log = Log(
-        np.array([time for time, _, _ in samples]), np.array([q for _, q, _ in samples])
+        for seen in message.observations:
+            for k, feature in enumerate(seen.features):
+                p = feature.point
+                point = f"{seen.sensor_name}-{k}"
+                points.setdefault(point, []).append((len(samples), [p.x, p.y, p.z]))
+        samples.append((time, [stated[name] for name in names]))
+    still = {
+        point: seen[0][1]
+        for point, seen in points.items()
+        if len(seen) > 2 and all(xyz == seen[0][1] for _, xyz in seen)
+    }
+    rows = sorted(
+        (sample, point, xyz)
+        for point, seen in points.items()
+        if point not in still
+        for sample, xyz in seen
     )
+    if names is None or not rows:
+        raise InputError("its calibration data hold no features", file=path)
+    if still and notice is not None:
+        known = ", ".join(f"{name}: {xyz}" for name, xyz in still.items())
+        notice(
+            f"{path}: features that never move are known points of the tool: {known}"
+        )
+    which = np.array([sample for sample, _, _ in rows])
+    stamps, q = (np.array(found, float) for found in zip(*samples, strict=True))
+    stands = [
+        Standstill(stamps[k], stamps[k], q[k], np.flatnonzero(which == k))
+        for k in np.unique(which)
+    ]
+    texts = dict[str, list[str]]()
+    if len({point for _, point, _ in rows}) > 1:
+        texts["target"] = [point for _, point, _ in rows]
+    sensors = [point.rpartition("-")[0] for _, point, _ in rows]
+    if len({*sensors}) > 1:
+        texts["station"] = sensors
+    log = Log(stamps[which], np.array([xyz for _, _, xyz in rows]))
     return (
-        JointLog(q_log, tuple(names), np.ones(len(names))),
+        JointLog(Log(stamps, q), tuple(names), np.ones(len(names))),
         ReadingLog(log, POSITION, texts),
         Joined(Clock(0.0, 0.0, 0), tuple(stands), 0, 0, 0),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +59,7 @@ def transform(time: float, p: np.ndarray) -> object:
     return T["tf2_msgs/msg/TFMessage"]([one])
 
 
-def sample(time: float, q: np.ndarray, points: np.ndarray) -> object:
+def sample(time: float, q: np.ndarray, points: Mapping[str, np.ndarray]) -> object:
     zeros = np.zeros(0), np.zeros(9), np.zeros(9), np.zeros(12)
     region = T["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
     info = T["sensor_msgs/msg/CameraInfo"](header(time), 0, 0, "", *zeros, 0, 0, region)
@@ -69,10 +69,13 @@ def sample(time: float, q: np.ndarray, points: np.ndarray) -> object:
     )
     image = T["sensor_msgs/msg/Image"](header(time), 0, 0, "", 0, 0, nothing)
     extended = T["robot_calibration_msgs/msg/ExtendedCameraInfo"](info, [])
-    seen = T["robot_calibration_msgs/msg/Observation"](
-        "head", [point(time, p) for p in points], extended, cloud, image
-    )
-    return T["robot_calibration_msgs/msg/CalibrationData"](joint_state(time, q), [seen])
+    seen = [
+        T["robot_calibration_msgs/msg/Observation"](
+            sensor, [point(time, p) for p in features], extended, cloud, image
+        )
+        for sensor, features in points.items()
+    ]
+    return T["robot_calibration_msgs/msg/CalibrationData"](joint_state(time, q), seen)
 
 
 def write(
@@ -168,12 +171,67 @@ def test_a_bag_joins_like_the_files(made, storage, kind):
         assert np.allclose(first.sigma, second.sigma, rtol=1e-4)
 
 
+def test_joints_of_several_publishers(made):
+    """A gripper speaks first, and each half of the arm for itself."""
+    joints, readings = made
+
+    def states(names: slice, late: float) -> list[tuple[float, object]]:
+        return [
+            (
+                t + late,
+                T["sensor_msgs/msg/JointState"](
+                    header(t + late),
+                    CHAIN.joints[names],
+                    q[names],
+                    np.zeros(0),
+                    np.zeros(0),
+                ),
+            )
+            for t, q in zip(joints.time, joints.values, strict=True)
+        ]
+
+    gripper = T["sensor_msgs/msg/JointState"](
+        header(99.0), ["finger"], np.array([0.02]), np.zeros(0), np.zeros(0)
+    )
+    both = sorted([*states(slice(0, 3), 0.0), *states(slice(3, 6), 2e-3)], key=first)
+    topics = {
+        "/joint_states": [(99.0, gripper), *both],
+        "/tracker": messages(point, readings),
+    }
+    bag = write("bag", "sqlite", topics)
+    assert main(["join", bag, bag, "-o", "b.csv"]) == 0
+    data = read_measurements("b.csv", CHAIN).only
+    expected = CHAIN.poses(data.q)[:, :3, 3]
+    assert len(data.q) == 6 and np.allclose(data.values, expected, rtol=0, atol=5e-5)
+    assert Path("b.csv").read_text().splitlines()[1].startswith("finger,")
+
+
+def first(pair: tuple[float, object]) -> float:
+    return pair[0]
+
+
+def test_points_that_never_move_are_no_measurement(capsys):
+    rng = np.random.default_rng(1)
+    q, seen = CHAIN.random_configurations(5, rng), rng.normal(size=(5, 2, 3))
+    known = np.array([[0.0, 0.0, 0.05], [0.03, 0.0, 0.05]])
+    samples = [
+        (k + 1.0, sample(k + 1.0, q[k], {"arm": known, "camera": seen[k]}))
+        for k in range(5)
+    ]
+    bag = write("bag", "mcap", {"/calibration_data": samples})
+    assert main(["join", bag, bag, "-o", "m.csv"]) == 0
+    data = read_measurements("m.csv", CHAIN).only
+    assert np.array_equal(data.values, seen.reshape(-1, 3))
+    assert {*data.target} == {"camera-0", "camera-1"}
+    assert "arm-1" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("storage", ["mcap", "ros1"])
 def test_calibration_data_need_no_joining(storage):
     rng = np.random.default_rng(0)
     q = CHAIN.random_configurations(6, rng)
     corners = rng.normal(size=(6, 4, 3))
-    samples = [(k + 1.0, sample(k + 1.0, q[k], corners[k])) for k in range(6)]
+    samples = [(k + 1.0, sample(k + 1.0, q[k], {"head": corners[k]})) for k in range(6)]
     bag = write("bag", storage, {"/calibration_data": samples})
     assert main(["join", bag, bag, "-o", "m.csv"]) == 0
     data = read_measurements("m.csv", CHAIN).only

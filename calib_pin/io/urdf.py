@@ -81,17 +81,13 @@ def robot_file(robot: str, name: str) -> Path:
     """
     robots = bundled_robots()
     if robot not in robots:
-        raise RobotError(
-            f"there is no bundled robot '{robot}'{nearest(robot, robots)}",
-            allowed=", ".join(robots),
-        )
+        reason = f"there is no bundled robot '{robot}'{nearest(robot, robots)}"
+        raise RobotError(reason, allowed=", ".join(robots))
     path = robots[robot].parent / name
     if not path.is_file():
         files = sorted(file.name for file in path.parent.iterdir())
-        raise RobotError(
-            f"'{robot}' has no file '{name}'{nearest(name, files)}",
-            allowed=", ".join(files),
-        )
+        reason = f"'{robot}' has no file '{name}'{nearest(name, files)}"
+        raise RobotError(reason, allowed=", ".join(files))
     return path
 
 
@@ -231,11 +227,8 @@ def corrected_urdf(
         RobotError: If the robot has no joint of such a name.
     """
     if is_source(Path(path), robot):
-        raise OptionError(
-            "is the robot's own URDF, which is never changed",
-            file=path,
-            allowed="another file",
-        )
+        reason = "is the robot's own URDF, which is never changed"
+        raise OptionError(reason, file=path, allowed="another file")
     corrected = edit_origins(robot.source, corrections, robot.file)
     try:
         reread = parse_robot(corrected, str(path))

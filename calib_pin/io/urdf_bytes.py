@@ -145,14 +145,13 @@ def parse_document(source: bytes, file: str | None = None) -> Document:
     if not body.strip(b"\0 \t\r\n"):
         raise RobotError("the file is empty", file=file)
     if not re.match(rb"[\s\0]*<", body):
-        raise RobotError(
-            "is not XML", file=file, value=source[:16], allowed="a URDF, as text"
-        )
+        found, allowed = source[:16], "a URDF, as text"
+        raise RobotError("is not XML", file=file, value=found, allowed=allowed)
     codec = codec or _codec(body)
     data = plain = _decode(body, codec, file).encode()
-    if found := _DECLARATION.match(data):
-        blank = re.sub(rb"[^\r\n]", b" ", found[1])
-        plain = data[: found.start(1)] + blank + data[found.end() :]
+    if stated := _DECLARATION.match(data):
+        blank = re.sub(rb"[^\r\n]", b" ", stated[1])
+        plain = data[: stated.start(1)] + blank + data[stated.end() :]
     return Document(file, data, plain, codec, mark, _scan(plain, file))
 
 

@@ -73,9 +73,8 @@ def parse_robot(source: bytes, file: str) -> Robot:
     document = parse_document(source, file)
     root = document.root
     if root.tag != "robot":
-        raise document.error(
-            root, f"the outermost element is <{root.tag}>", allowed="<robot>"
-        )
+        reason = f"the outermost element is <{root.tag}>"
+        raise document.error(root, reason, allowed="<robot>")
     name = _attribute(document, root, "name", "the robot")
     links, joints = _named(document, "link"), _named(document, "joint")
     if not links:
@@ -88,8 +87,7 @@ def parse_robot(source: bytes, file: str) -> Robot:
         _check_joint(document, joint, links)
     for link in links.values():
         _check_link(document, link)
-    parents = _parents(document, joints)
-    root_link = _root(document, links, joints, parents)
+    root_link, parents = _tree(document, links, joints)
     inner = {joint.link("parent") for joint in joints.values()}
     model = _build_model(document, links, joints)
     mimics, refused = _mimics(document, joints)
@@ -187,28 +185,20 @@ def _check_numbers(document: Document, owner: str, element: Element) -> None:
         _check_numbers(document, owner, child)
 
 
-def _parents(document: Document, joints: Mapping[str, Element]) -> dict[str, str]:
-    """The joint that carries each link but the root."""
-    result: dict[str, str] = {}
+def _tree(
+    document: Document, links: Mapping[str, Element], joints: Mapping[str, Element]
+) -> tuple[str, dict[str, str]]:
+    """Name of the root link, and the joint that carries each other link."""
+    parents: dict[str, str] = {}
     for name, joint in joints.items():
         child = joint.link("child")
-        if child in result:
+        if child in parents:
             reason = f"link '{child}' is the child of two joints"
-            raise document.error(joint, f"{reason}, '{result[child]}' and '{name}'")
-        result[child] = name
-    return result
-
-
-def _root(
-    document: Document,
-    links: Mapping[str, Element],
-    joints: Mapping[str, Element],
-    parents: Mapping[str, str],
-) -> str:
-    """Name of the root link, after a check that the links form one tree."""
+            raise document.error(joint, f"{reason}, '{parents[child]}' and '{name}'")
+        parents[child] = name
     children: dict[str, list[str]] = {}
-    for child, joint in parents.items():
-        children.setdefault(joints[joint].link("parent"), []).append(child)
+    for child, name in parents.items():
+        children.setdefault(joints[name].link("parent"), []).append(child)
     roots = [link for link in links if link not in parents]
     depth = dict.fromkeys(roots, 1)
     below = [*roots]
@@ -231,7 +221,7 @@ def _root(
         names = enumerated(f"'{link}'" for link in roots)
         reason = f"the links {names} all have no parent joint, and a URDF has one root"
         raise document.error(links[roots[1]], reason)
-    return roots[0]
+    return roots[0], parents
 
 
 def _mimics(

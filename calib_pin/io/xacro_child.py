@@ -39,10 +39,9 @@ for _name in ("isinstance", "issubclass", "repr", "type", "vars"):
     GLOBAL["python"].pop(_name, None)
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
-    name: function
-    for symbols in (GLOBAL["python"], GLOBAL)
-    for name, function in symbols.items()
-    if callable(function)
+    name: value
+    for name, value in {**GLOBAL["python"], **GLOBAL}.items()
+    if callable(value)
 }
 """Functions that need no namespace."""
 

@@ -25,7 +25,7 @@ EXTRAS = {
     "MJCF": ("calib-pin[mujoco]", "mujoco"),
     "xacro": ("calib-pin[ros]", "xacro", "simpleeval"),
 }
-"""What to install, and the packages in it that read a kind of file."""
+"""The package to install, and those in it that read a kind of file."""
 
 
 def started(script: str) -> subprocess.Popen[bytes]:
@@ -77,12 +77,12 @@ class Reader:
     def ask(
         self, kind: str, file: Path, about: Mapping[str, object] | None = None
     ) -> tuple[Json, bytes]:
-        """What is in a file, as `robot_child.READERS` say.
+        """The content of a file, as `robot_child.READERS` give it.
 
         Args:
             kind: Name of what reads it.
             file: The file.
-            about: What else is needed to read it, as JSON can hold it.
+            about: All else that is needed to read it, as JSON can hold it.
 
         Raises:
             OptionError: If an extra is missing.
@@ -112,10 +112,10 @@ class Reader:
                 raise EOFError
         except (ValueError, EOFError):
             self.close()
-            reason = "what reads it crashes, or needs too much memory"
+            reason = "cannot be read: what reads it crashes, or needs too much memory"
             if monotonic() >= end:
-                reason = f"it takes more than {seconds:.0f} s"
-            raise RobotError(f"cannot be read: {reason}", file=file) from None
+                reason = f"cannot be read: it takes more than {seconds:.0f} s"
+            raise RobotError(reason, file=file) from None
         finally:
             timer.cancel()
         if "reason" in head:

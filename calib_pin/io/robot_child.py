@@ -61,7 +61,7 @@ READERS: dict[str, Callable[..., Answer]] = {
     "MJCF": read_mjcf,
     "xacro": read_xacro,
 }
-"""What reads a file, by the word for it in a request."""
+"""Readers of a file, by the word for it in a request."""
 
 
 def answer(kind: str, file: str, **more: object) -> Answer:

@@ -47,7 +47,7 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
 
 
 class Refused(Exception):
-    """What is wrong with an expression, or with a file that is expanded."""
+    """A fault of an expression, or of a file that is expanded."""
 
 
 class Expression(EvalWithCompoundTypes):  # type: ignore[misc]
@@ -142,7 +142,7 @@ class Arguments(dict[str, str]):
 
 
 def _install(given: Mapping[str, str], folders: list[Path]) -> None:
-    """Replace what xacro takes from Python and from ROS.
+    """Replace the parts of xacro that come from Python and from ROS.
 
     Args:
         given: Arguments of the user.

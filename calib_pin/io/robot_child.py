@@ -36,9 +36,10 @@ def read_mesh(file: str) -> Answer:
         data = re.sub(rb"(?s)<bind_material>.*?</bind_material>", b"", read_bytes(file))
         content = BytesIO(data)
     mesh = trimesh.load_mesh(content, file_type=kind, process=False)
-    if len(mesh.faces) and mesh.faces.min() < 0:
+    corners = mesh.triangles
+    if corners.shape[1:] != (3, 3) or mesh.faces.min(initial=0) < 0:
         raise ValueError("it has a face with a vertex that is not there")
-    return {}, mesh.triangles.astype("<f8").tobytes()
+    return {}, corners.astype("<f8").tobytes()
 
 
 def read_xacro(file: str, arguments: dict[str, str], folders: list[str]) -> Answer:

@@ -158,7 +158,8 @@ def _compiled(path: Path) -> tuple[mujoco.MjModel, str]:
     """The model, and what is to be said of it."""
     spec = mujoco.MjSpec.from_file(str(path))
     spec.compiler.fusestatic = False  # Every body is a link.
-    spec.compiler.boundmass = spec.compiler.boundinertia = LIGHTEST
+    for bound in ("boundmass", "boundinertia"):
+        setattr(spec.compiler, bound, max(getattr(spec.compiler, bound), LIGHTEST))
     try:
         return spec.compile(), REMARK
     except ValueError:

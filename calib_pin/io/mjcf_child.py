@@ -88,7 +88,7 @@ class Writer:
 
     def _inertia(self, link: ElementTree.Element, body: int) -> None:
         model = self.model
-        if model.body_mass[body] <= LIGHTEST:
+        if (mass := float(model.body_mass[body])) <= LIGHTEST:
             return
         turn = _place(np.zeros(3), model.body_iquat[body]).rotation
         inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
@@ -96,8 +96,7 @@ class Writer:
         keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
         words = map(repr, map(float, six))
         element = ElementTree.SubElement(link, "inertial")
-        mass = repr(float(model.body_mass[body]))
-        ElementTree.SubElement(element, "mass", value=mass)
+        ElementTree.SubElement(element, "mass", value=repr(mass))
         ElementTree.SubElement(element, "origin", xyz=_words(model.body_ipos[body]))
         ElementTree.SubElement(element, "inertia", dict(zip(keys, words, strict=True)))
 
@@ -156,6 +155,7 @@ def _words(numbers: Iterable[float]) -> str:
 
 def _compiled(path: Path) -> tuple[mujoco.MjModel, str]:
     """The model, and what is to be said of it."""
+    mujoco.set_mju_user_warning(lambda _: None)  # It would write them into a file.
     spec = mujoco.MjSpec.from_file(str(path))
     spec.compiler.fusestatic = False  # Every body is a link.
     for bound in ("boundmass", "boundinertia"):

@@ -144,6 +144,16 @@ def test_meshes_that_are_not_there(tmp_path: Path) -> None:
     assert robot.model.inertias[1].mass == 0.0
 
 
+def test_warnings_leave_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., Any]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = written(tmp_path, BASE.replace('pos="0 0 0.3"', 'pos="nan 0 0.3"'))
+    with refused(RobotError, file=str(file)):
+        load_robot(file)
+    assert [*tmp_path.iterdir()] == [file]
+
+
 WRONG = [
     '<body name="a"><joint type="ball" name="b"/><geom size="1"/></body>',
     '<include file="arm.xml"/>',

@@ -107,6 +107,7 @@ GROUPS = {
     "browser": ("playwright",),
     "cluster": ("distributed",),
     "docs": ("mkdocs", "latex2mathml"),
+    "mujoco": ("mujoco",),
     "parquet": ("pyarrow",),
     "pdf-reading": ("pypdf",),
     "view": ("viser",),

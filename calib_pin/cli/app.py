@@ -139,7 +139,7 @@ def _is_argument(word: str) -> bool:
     """Whether a word is an argument of a xacro file; loads little for those without."""
     if ":=" not in word:
         return False
-    from calib_pin.io.xacro_files import ARGUMENT
+    from calib_pin.io.urdf import ARGUMENT
 
     return ARGUMENT.fullmatch(word) is not None
 

@@ -7,13 +7,25 @@ import os
 import subprocess
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
+from threading import Timer
+from time import monotonic
+from typing import Self
 
-from calib_pin.errors import RobotError
+from calib_pin.errors import OptionError, RobotError
 from calib_pin.io.json_text import Json
 
 SECONDS = 30.0
-"""Time for a description of a robot; large ones take two [s]."""
+"""Time for a file, and one more for each megabyte; large ones take a fifth [s]."""
+
+
+EXTRAS = {
+    "MJCF": ("calib-pin[mujoco]", "mujoco"),
+    "xacro": ("calib-pin[ros]", "xacro", "simpleeval"),
+}
+"""The package to install, and those in it that read a kind of file."""
 
 
 def started(script: str) -> subprocess.Popen[bytes]:
@@ -24,6 +36,7 @@ def started(script: str) -> subprocess.Popen[bytes]:
         **os.environ,
         "PYTHONPATH": paths,
         "PYTHONUTF8": "1",
+        "PYTHONHASHSEED": "0",
         "OPENBLAS_NUM_THREADS": "1",
     }
     return subprocess.Popen(
@@ -36,33 +49,75 @@ def started(script: str) -> subprocess.Popen[bytes]:
     )
 
 
-def answer(script: str, request: Mapping[str, object], file: str) -> Json:
-    """The answer of a script to one request, both as JSON.
+class Reader:
+    """A process that reads the files of a robot, in a `with` block.
 
-    Args:
-        script: A script of this folder.
-        request: What it reads.
-        file: The file that it is about, for messages.
-
-    Raises:
-        RobotError: With the `reason` in its answer, or if it has none to give.
+    It starts when it is first asked, and again when it was lost; see `robot_child`.
     """
-    child = started(script)
-    try:
-        said, _ = child.communicate(json.dumps(request).encode(), SECONDS)
-    except subprocess.TimeoutExpired:
-        reason = f"cannot be read: it takes more than {SECONDS:.0f} s"
-        raise RobotError(reason, file=file) from None
-    finally:
-        child.kill()
-        child.communicate()
-    try:
-        found: Json = json.loads(said)
-    except ValueError:
-        reason = "cannot be read: what reads it crashes, or needs too much memory"
-        raise RobotError(reason, file=file) from None
-    if "reason" in found:
-        raise RobotError(
-            found["reason"], file=found.get("file", file), allowed=found.get("allowed")
-        )
-    return found
+
+    def __init__(self) -> None:
+        """Nothing starts before it is needed."""
+        self._child: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> Self:
+        """The reader itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End the process, if there is one."""
+        self.close()
+
+    def close(self) -> None:
+        """End the process, if there is one."""
+        if self._child is not None:
+            self._child.kill()
+            self._child.communicate()
+            self._child = None
+
+    def ask(
+        self, kind: str, file: Path, about: Mapping[str, object] | None = None
+    ) -> tuple[Json, bytes]:
+        """The content of a file, as `robot_child.READERS` give it.
+
+        Args:
+            kind: Name of what reads it.
+            file: The file.
+            about: All else that is needed to read it, as JSON can hold it.
+
+        Raises:
+            OptionError: If an extra is missing.
+            RobotError: If it cannot be read, takes too long or crashes the process.
+        """
+        extra, *needed = EXTRAS.get(kind, ("",))
+        for package in needed:
+            if find_spec(package) is None:
+                raise OptionError(
+                    f"{kind} files need the package {package}, which is missing: "
+                    f"pip install '{extra}'",
+                    file=file,
+                )
+        child = self._child = self._child or started("robot_child.py")
+        assert child.stdin is not None and child.stdout is not None
+        seconds = SECONDS + file.stat().st_size / 1e6
+        timer, end = Timer(seconds, child.kill), monotonic() + seconds
+        timer.start()
+        request = {"kind": kind, "file": str(file), **(about or {})}
+        try:
+            with suppress(OSError):  # It is gone, as its answer will tell.
+                child.stdin.write(json.dumps(request).encode() + b"\n")
+                child.stdin.flush()
+            head: Json = json.loads(child.stdout.readline())
+            data = child.stdout.read(head["size"])
+            if len(data) < head["size"]:
+                raise EOFError
+        except (ValueError, EOFError):
+            self.close()
+            reason = "cannot be read: what reads it crashes, or needs too much memory"
+            if monotonic() >= end:
+                reason = f"cannot be read: it takes more than {seconds:.0f} s"
+            raise RobotError(reason, file=file) from None
+        finally:
+            timer.cancel()
+        if "reason" in head:
+            raise RobotError(head["reason"], file=head["file"] or file)
+        return head, data

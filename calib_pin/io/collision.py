@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError, RobotError
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.meshes import MeshReader
-from calib_pin.io.packages import locate_mesh
-from calib_pin.io.urdf import locate_robot
 from calib_pin.io.urdf_bytes import parse_document
 from calib_pin.io.urdf_tree import captured_stderr
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.robot import Robot
+from calib_pin.kinematics.shapes import Surface
 from calib_pin.setup import Obstacle
 
 CLEARANCE = 0.01
@@ -81,12 +80,12 @@ def load_collisions(
     chains = Chains.of(chain)
     robot = chains.robot
     apart = _adjacent(robot.model) if srdf is None else _disabled(srdf, robot)
-    with MeshReader() as meshes:
-        geometry = _solids(robot, package_dirs, meshes)
+    with MeshReader(robot.file, package_dirs) as meshes:
+        geometry = _solids(robot, meshes)
         links = geometry.ngeoms
         for k, obstacle in enumerate(obstacles if links else (), 1):
-            shape = _shape(obstacle, k, file, meshes)
-            geometry.addGeometryObject(_obstacle(chains, obstacle, k, shape))
+            solid = _obstacle(chains, obstacle, k, file, meshes)
+            geometry.addGeometryObject(solid)
     if links == 0:
         nor = ", and neither are collisions with the obstacles" if obstacles else ""
         tell("the robot has no collision geometry: self-collision is not checked" + nor)
@@ -104,10 +103,8 @@ def load_collisions(
             geometry.addCollisionPair(pin.CollisionPair(first, second))
     collisions = Collisions(chains, geometry, clearance)
     if not collisions.pairs:
-        tell(
-            "no two solids that may not touch move against each other, so "
-            "no collision is checked"
-        )
+        still = "no two solids that may not touch move against each other"
+        tell(f"{still}, so no collision is checked")
     return _as_built(chains, collisions, srdf is None, tell)
 
 
@@ -132,17 +129,12 @@ def _as_built(
     touches = bare.contacts(q)
     touching = _by_design(bare.pairs, touches, chains.robot)
     left_out = touching if guess else []
-    if left_out:
-        tell(
-            "links that touch at nearly every configuration are not checked against "
-            f"each other: {_listed(left_out)}"
-        )
     near = [pair for pair in close if pair not in touching]
-    if near:
-        tell(
-            "links that are always closer than the clearance are only kept from "
-            f"touching: {_listed(near)}"
-        )
+    touch = "touch at nearly every configuration are not checked against each other"
+    keep = "are always closer than the clearance are only kept from touching"
+    for found, words in ((left_out, touch), (near, keep)):
+        if found:
+            tell(f"links that {words}: {_listed(found)}")
     for place, touched in zip(places, touches.T, strict=True):
         if collisions.pairs[place] in near:
             clearances[place], contacts[:, place] = 0.0, touched
@@ -157,35 +149,25 @@ def _listed(pairs: Sequence[tuple[str, str]]) -> str:
     return f"{count} ({named}{'; ...' if len(pairs) > 3 else ''})"
 
 
-def _solids(
-    robot: Robot, package_dirs: Sequence[str | Path], meshes: MeshReader
-) -> pin.GeometryModel:
+def _solids(robot: Robot, meshes: MeshReader) -> pin.GeometryModel:
     """The collision geometry of a URDF, without pairs."""
-    urdf = locate_robot(robot.file).resolve()
+    surfaces: dict[str, pin.coal.CollisionGeometry] = {}
     try:
         root = ElementTree.fromstring(parse_document(robot.source).plain)
-    except ElementTree.ParseError as error:
-        # Pinocchio is more lenient.
-        reason = f"its collision geometry cannot be read: {error}"
-        raise _link_error(robot, "", reason, "well-formed XML") from None
-    # Pinocchio would read meshes in this process, so it gets spheres in their place.
-    surfaces: dict[str, pin.coal.CollisionGeometry] = {}
-    for link in root.iterfind("link"):
-        owner = link.get("name", "")
-        for k, solid in enumerate(link.iterfind("collision")):
-            shape = solid.find("geometry/*")
-            if shape is not None and shape.tag == "mesh":
-                try:
-                    surfaces[f"{owner}_{k}"] = _mesh(shape, urdf, package_dirs, meshes)
-                except InputError as error:
-                    hint = error.allowed or "another mesh"
-                    raise _link_error(robot, owner, error.reason, hint) from None
-                shape.tag, shape.attrib = "sphere", {"radius": "1"}
-    text = ElementTree.tostring(root, encoding="unicode")
-    try:
+        # Pinocchio would read meshes in this process: it gets spheres in their place.
+        for link in root.iterfind("link"):
+            owner = link.get("name", "")
+            for k, solid in enumerate(link.iterfind("collision")):
+                shape = solid.find("geometry/*")
+                if shape is not None and shape.tag == "mesh":
+                    surfaces[f"{owner}_{k}"] = _mesh(robot, owner, shape, meshes)
+                    shape.tag, shape.attrib = "sphere", {"radius": "1"}
+        text = ElementTree.tostring(root, encoding="unicode")
         with captured_stderr():
             model = pin.buildGeomFromUrdfString(robot.model, text, pin.COLLISION)
-    except Exception as failure:  # Whatever C++ throws.
+    except RobotError:
+        raise
+    except Exception as failure:  # Whatever C++ throws, and what is no XML.
         reason = f"its collision geometry cannot be read: {failure}"
         raise _link_error(robot, "", reason) from None
     for solid in model.geometryObjects:
@@ -194,44 +176,25 @@ def _solids(
 
 
 def _mesh(
-    mesh: ElementTree.Element,
-    urdf: Path,
-    package_dirs: Sequence[str | Path],
-    meshes: MeshReader,
+    robot: Robot, link: str, mesh: ElementTree.Element, meshes: MeshReader
 ) -> pin.coal.CollisionGeometry:
-    """The surface of a `<mesh>`.
-
-    Raises:
-        InputError: If it is missing or cannot be used.
-    """
+    """The solid of a `<mesh>`."""
     written = mesh.get("filename", "")
-    path = locate_mesh(written, urdf, package_dirs)
-    if path is None:
-        hint = "--package-dir DIR, the folder of its package"
-        if "package://" not in written:
-            hint = "a path from the folder of the URDF"
-        reason = f"the collision mesh '{written}' does not exist"
-        raise InputError(reason, allowed=hint)
     scale = [float(factor) for factor in mesh.get("scale", "1 1 1").split()]
-    return _surface(meshes, path, scale, f"the collision mesh '{written}'")
-
-
-def _surface(
-    meshes: MeshReader, path: Path, scale: Sequence[float], name: str
-) -> pin.coal.CollisionGeometry:
-    """The solid of a mesh file with a name for messages.
-
-    Raises:
-        InputError: If it cannot be used.
-    """
     try:
-        vertices, triangles = meshes.read(path, scale)
+        return _solid(meshes.read(written, scale))
     except InputError as error:
-        raise InputError(f"{name} {error.reason}") from None
+        reason = f"the collision mesh '{written}' {error.reason}"
+        hint = error.allowed or "another mesh"
+        raise _link_error(robot, link, reason, hint) from None
+
+
+def _solid(surface: Surface) -> pin.coal.CollisionGeometry:
+    """A surface that may collide."""
     solid = pin.coal.BVHModelOBBRSS()
-    solid.beginModel(len(triangles), len(vertices))
-    solid.addVertices(vertices)
-    solid.addTriangles(triangles)
+    solid.beginModel(len(surface.triangles), len(surface.vertices))
+    solid.addVertices(surface.vertices)
+    solid.addTriangles(surface.triangles)
     solid.endModel()
     return solid
 
@@ -241,71 +204,49 @@ def _link_error(
 ) -> RobotError:
     """An error about a link, in one line with what helps."""
     document = parse_document(robot.source, robot.file)
-    element = next(
-        (
-            element
-            for element in document.root.children
-            if element.tag == "link" and element.attributes.get("name") == link
-        ),
-        document.root,
-    )
+    links = {e.attributes.get("name"): e for e in document.root.all("link")}
+    element = links.get(link, document.root)
     owner = f"link '{link}'" if link else "the robot"
     allowed = f"{hint}, or no check of collisions (plan --ignore-collisions)"
     return document.error(element, f"{owner}: {reason}", allowed=allowed)
 
 
 def _obstacle(
-    chains: Chains,
-    obstacle: Obstacle,
-    number: int,
-    shape: pin.coal.CollisionGeometry,
+    chains: Chains, obstacle: Obstacle, number: int, file: str, meshes: MeshReader
 ) -> pin.GeometryObject:
     """An obstacle as a solid of the base link."""
+    if obstacle.box is not None:
+        shape = pin.coal.Box(*obstacle.box)
+    elif obstacle.sphere is not None:
+        shape = pin.coal.Sphere(obstacle.sphere)
+    elif obstacle.cylinder is not None:
+        shape = pin.coal.Cylinder(*obstacle.cylinder)
+    else:
+        assert obstacle.mesh is not None
+        path, scale = Path(obstacle.mesh).absolute(), obstacle.scale or (1.0, 1.0, 1.0)
+        try:
+            shape = _solid(meshes.read(path, scale))
+        except InputError as error:
+            reason = f"the mesh '{obstacle.mesh}' of obstacle {number} {error.reason}"
+            raise InputError(reason, file=file or None) from None
     model = chains.robot.model
     base = model.getFrameId(chains.base, pin.FrameType.BODY)
     frame = model.frames[base]
-    placement = pin.SE3(pin.rpy.rpyToMatrix(*obstacle.rpy), np.array(obstacle.xyz))
+    place = pin.SE3(pin.rpy.rpyToMatrix(*obstacle.rpy), np.array(obstacle.xyz))
+    name = f"obstacle {number} ({obstacle.kind})"
     return pin.GeometryObject(
-        f"obstacle {number} ({obstacle.kind})",
-        frame.parentJoint,
-        base,
-        frame.placement * placement,
-        shape,
+        name, frame.parentJoint, base, frame.placement * place, shape
     )
-
-
-def _shape(
-    obstacle: Obstacle, number: int, file: str, meshes: MeshReader
-) -> pin.coal.CollisionGeometry:
-    if obstacle.box is not None:
-        return pin.coal.Box(*obstacle.box)
-    if obstacle.sphere is not None:
-        return pin.coal.Sphere(obstacle.sphere)
-    if obstacle.cylinder is not None:
-        return pin.coal.Cylinder(*obstacle.cylinder)
-    assert obstacle.mesh is not None
-    mesh = f"the mesh '{obstacle.mesh}' of obstacle {number}"
-    if not Path(obstacle.mesh).is_file():
-        raise InputError(f"{mesh} does not exist", file=file or None)
-    try:
-        scale = obstacle.scale or (1.0, 1.0, 1.0)
-        return _surface(meshes, Path(obstacle.mesh), scale, mesh)
-    except InputError as error:
-        raise error.within(file) from None
 
 
 def _adjacent(model: pin.Model) -> set[frozenset[str]]:
     """Links joined by one moving joint."""
-    joined = (
-        (model.frames[frame.parentFrame], frame)
-        for frame in model.frames
-        if frame.type == pin.FrameType.BODY
-    )
-    return {
-        frozenset((str(model.frames[joint.parentFrame].name), str(child.name)))
-        for joint, child in joined
-        if joint.type == pin.FrameType.JOINT
-    }
+    joined: set[frozenset[str]] = set()
+    for frame in model.frames:
+        joint = model.frames[frame.parentFrame]
+        if frame.type == pin.FrameType.BODY and joint.type == pin.FrameType.JOINT:
+            joined.add(frozenset((model.frames[joint.parentFrame].name, frame.name)))
+    return joined
 
 
 def _disabled(srdf: str | Path, robot: Robot) -> set[frozenset[str]]:
@@ -318,13 +259,9 @@ def _disabled(srdf: str | Path, robot: Robot) -> set[frozenset[str]]:
     if root.tag != "robot" or root.find("link") is not None:
         found = "a URDF" if root.tag == "robot" else f"<{root.tag}>"
         raise InputError(f"not an SRDF but {found}", file=srdf)
-    if root.get("name") != robot.name:
-        raise InputError(
-            "the SRDF is of another robot",
-            file=srdf,
-            value=root.get("name", ""),
-            allowed=robot.name,
-        )
+    if (name := root.get("name", "")) != robot.name:
+        reason = "the SRDF is of another robot"
+        raise InputError(reason, file=srdf, value=name, allowed=robot.name)
 
     def named(tag: str) -> set[frozenset[str]]:
         return {

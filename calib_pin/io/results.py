@@ -46,9 +46,8 @@ from calib_pin.io.result_folder import (
 )
 from calib_pin.io.setup import setup_of
 from calib_pin.io.straightening import straight_source
-from calib_pin.io.urdf import corrected_urdf, locate_robot
+from calib_pin.io.urdf import corrected_urdf, is_xacro, locate_robot
 from calib_pin.io.urdf_tree import parse_robot
-from calib_pin.io.xacro_files import is_xacro
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot

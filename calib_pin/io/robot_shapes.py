@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from xml.etree.ElementTree import Element, fromstring
 
 import numpy as np
-import pinocchio as pin
 
-from calib_pin.errors import InputError, RobotError
+from calib_pin.errors import InputError
 from calib_pin.io.meshes import MeshReader
-from calib_pin.io.packages import locate_mesh
-from calib_pin.io.urdf import locate_robot
-from calib_pin.io.urdf_bytes import parse_document
+from calib_pin.io.urdf_bytes import Document, Element, parse_document, read_origin
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import (
     Color,
@@ -26,7 +21,6 @@ from calib_pin.kinematics.shapes import (
     capsule,
     cylinder,
 )
-from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.stand_ins import stand_ins
 
 
@@ -46,116 +40,83 @@ def robot_shapes(
         package_dirs: Folders of packages, see `io.packages.locate_mesh`.
         progress: Told the part that is done, 0 to 1.
     """
-    root = fromstring(parse_document(robot.source).plain)
-    links = root.findall("link")
-    try:
-        urdf = locate_robot(robot.file).resolve()
-    except RobotError:  # The package it came from is not installed here.
-        urdf = Path(robot.file)
-    colors = {m.get("name", ""): _rgb(m) for m in root.iterfind("material")}
+    document = parse_document(robot.source)
+    elements = document.root.children
+    links = [element for element in elements if element.tag == "link"]
+    materials = (element for element in elements if element.tag == "material")
+    colors = {m.attributes.get("name", ""): _rgb(m) for m in materials}
     parts: list[Shape] = []
     missing: list[str] = []
-    with MeshReader() as meshes:
-        reader = _Reader(urdf, package_dirs, meshes)
+    with MeshReader(robot.file, package_dirs) as meshes:
         for k, link in enumerate(links):
             if progress is not None:
                 progress(k / len(links))
-            found, lost = _of_link(link, reader, colors)
+            found, lost = _of_link(document, link, meshes, colors)
             missing += lost
-            parts += stand_ins(robot, link.get("name", "")) if lost else found
+            name = link.attributes.get("name", "")
+            parts += stand_ins(robot, name) if lost else found
     if not parts:
         parts = stand_ins(robot)
     return Shapes(tuple(parts), tuple(dict.fromkeys(missing)))
 
 
 def _of_link(
-    link: Element, reader: _Reader, colors: dict[str, Color | None]
+    document: Document,
+    link: Element,
+    meshes: MeshReader,
+    colors: dict[str, Color | None],
 ) -> tuple[list[Shape], list[str]]:
     """The shapes of a link, and its meshes that are missing."""
     found: list[Shape] = []
     missing: list[str] = []
-    for element in link.findall("visual") or link.findall("collision"):
-        geometry = element.find("geometry/*")
-        if geometry is None:
+    for element in link.all("visual") or link.all("collision"):
+        geometry = element.child("geometry")
+        if geometry is None or not geometry.children:
             continue
-        material = element.find("material")
-        color = None
-        if material is not None:
-            color = _rgb(material) or colors.get(material.get("name", ""))
+        shape, color = geometry.children[0], None
+        if material := element.child("material"):
+            color = _rgb(material) or colors.get(material.attributes.get("name", ""))
         try:
-            surface = reader.surface(geometry)
-            placement = _origin(element)
+            place = read_origin(document, element).homogeneous
+            surface, name = _surface(shape, meshes), link.attributes.get("name", "")
+            found.append(Shape(name, place, surface, color))
         except (InputError, ValueError):
-            missing.append(geometry.get("filename", geometry.tag))
-        else:
-            found.append(Shape(link.get("name", ""), placement, surface, color))
+            missing.append(shape.attributes.get("filename", shape.tag))
     return found, missing
 
 
-@dataclass(frozen=True)
-class _Reader:
-    """Reads the geometry of a URDF, each mesh file only once."""
+def _surface(shape: Element, meshes: MeshReader) -> Surface:
+    """The surface of a shape in a geometry.
 
-    urdf: Path
-    package_dirs: Sequence[str | Path]
-    meshes: MeshReader
-    known: dict[tuple[Path, str], Surface] = field(default_factory=dict)
+    Raises:
+        InputError: If its mesh is missing or cannot be read.
+        ValueError: If it is none, or has a wrong number.
+    """
 
-    def surface(self, geometry: Element) -> Surface:
-        """The surface of a geometry element.
+    def numbers(key: str, usual: str) -> list[float]:
+        return [float(word) for word in shape.attributes.get(key, usual).split()]
 
-        Raises:
-            InputError: If its mesh is missing or cannot be read.
-            ValueError: If it is none, or has a wrong number.
-        """
-        if geometry.tag == "mesh":
-            return self._mesh(geometry.get("filename", ""), geometry.get("scale"))
-        radius, length = (float(geometry.get(k, "0")) for k in ("radius", "length"))
-        if geometry.tag == "box":
-            return box(_vector(geometry.get("size")))
-        if geometry.tag == "sphere":
-            return ball(radius)
-        if geometry.tag == "cylinder":
-            return cylinder(radius, length)
-        if geometry.tag == "capsule":
-            return capsule(radius, length)
-        raise ValueError(f"there is no geometry '{geometry.tag}'")
-
-    def _mesh(self, written: str, scale: str | None) -> Surface:
-        path = locate_mesh(written, self.urdf, self.package_dirs)
-        if path is None:
-            raise InputError("no such file", file=written)
-        key = path, scale or "1 1 1"
-        if key not in self.known:
-            mesh = self.meshes.read(path, _vector(key[1]))
-            self.known[key] = Surface(*mesh)
-        return self.known[key]
-
-
-def _origin(element: Element) -> Floats:
-    """The pose of an `<origin>`, shape (4, 4)."""
-    origin = element.find("origin")
-    result = np.eye(4)
-    if origin is not None:
-        roll, pitch, yaw = _vector(origin.get("rpy"))
-        result[:3, :3] = pin.rpy.rpyToMatrix(roll, pitch, yaw)
-        result[:3, 3] = _vector(origin.get("xyz"))
-    return result
-
-
-def _vector(text: str | None) -> Floats:
-    """Three numbers; zeros where there are none."""
-    x, y, z = map(float, (text or "0 0 0").split())
-    return np.array([x, y, z])
+    if shape.tag == "mesh":
+        name = shape.attributes.get("filename", "")
+        return meshes.read(name, numbers("scale", "1 1 1"))
+    if shape.tag == "box":
+        return box(np.array(numbers("size", "0 0 0")))
+    (radius,), (length,) = numbers("radius", "0"), numbers("length", "0")
+    if shape.tag == "sphere":
+        return ball(radius)
+    if shape.tag == "cylinder":
+        return cylinder(radius, length)
+    if shape.tag == "capsule":
+        return capsule(radius, length)
+    raise ValueError(f"there is no shape '{shape.tag}'")
 
 
 def _rgb(material: Element) -> Color | None:
-    """The color that a material states, if it does."""
-    color = material.find("color")
-    if color is None:
-        return None
+    """The color that a material has, if it does."""
+    color = material.child("color")
+    words = [] if color is None else color.attributes.get("rgba", "").split()
     try:
-        red, green, blue, _ = map(float, color.get("rgba", "").split())
+        red, green, blue, _ = map(float, words)
     except ValueError:
         return None
     return red, green, blue

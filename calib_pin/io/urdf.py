@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -11,17 +12,21 @@ from pathlib import Path
 import pinocchio as pin
 
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError, nearest
+from calib_pin.io.children import Reader
 from calib_pin.io.files import TEXT, read_bytes
-from calib_pin.io.mjcf_files import urdf_of
+from calib_pin.io.packages import package_folders
 from calib_pin.io.straightening import straightened
-from calib_pin.io.urdf_origins import edit_origins
+from calib_pin.io.urdf_bytes import edit_origins, parse_document
 from calib_pin.io.urdf_tree import parse_robot
-from calib_pin.io.xacro_files import expand_xacro, is_xacro, split_arguments
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.setup import ChainSetup
 
+ARGUMENT = re.compile(r"([^\W\d]\w*):=(.*)", re.DOTALL)
+"""A word that is an argument of a xacro file, as ROS writes them."""
+
+_GAP = re.compile(r"\s+(?=[^\W\d]\w*:=)")
 _EXAMPLE = "example:"
 
 
@@ -76,18 +81,14 @@ def robot_file(robot: str, name: str) -> Path:
     """
     robots = bundled_robots()
     if robot not in robots:
-        raise RobotError(
-            f"there is no bundled robot '{robot}'{nearest(robot, robots)}",
-            allowed=", ".join(robots),
-        )
-    folder = robots[robot].parent
-    files = sorted(file.name for file in folder.iterdir())
-    if name not in files:
-        raise RobotError(
-            f"'{robot}' has no file '{name}'{nearest(name, files)}",
-            allowed=", ".join(files),
-        )
-    return folder / name
+        reason = f"there is no bundled robot '{robot}'{nearest(robot, robots)}"
+        raise RobotError(reason, allowed=", ".join(robots))
+    path = robots[robot].parent / name
+    if not path.is_file():
+        files = sorted(file.name for file in path.parent.iterdir())
+        reason = f"'{robot}' has no file '{name}'{nearest(name, files)}"
+        raise RobotError(reason, allowed=", ".join(files))
+    return path
 
 
 def load_chain(
@@ -186,9 +187,16 @@ def load_robot(
         names = f" ({', '.join(bundled)})" if bundled else ""
         allowed = f"a URDF or xacro file, a bundled robot{names}, or {_EXAMPLE}NAME"
         raise RobotError(reason, file=name or ".", allowed=allowed) from error
-    urdf, remarks = urdf_of(source, path, name)
-    if is_xacro(path):
-        urdf = expand_xacro(path, arguments, package_dirs)
+    urdf = source
+    remarks: tuple[str, ...] = ()
+    with Reader() as reader:
+        if is_xacro(path):
+            folders = list(map(str, package_folders(path.absolute(), package_dirs)))
+            about = {"arguments": arguments, "folders": folders}
+            _, urdf = reader.ask("xacro", path, about)
+        elif is_mjcf(path, source, name):
+            head, urdf = reader.ask("MJCF", path)
+            remarks = (head["remark"],)
     try:
         robot = parse_robot(urdf, name)
     except RobotError as error:
@@ -219,11 +227,8 @@ def corrected_urdf(
         RobotError: If the robot has no joint of such a name.
     """
     if is_source(Path(path), robot):
-        raise OptionError(
-            "is the robot's own URDF, which is never changed",
-            file=path,
-            allowed="another file",
-        )
+        reason = "is the robot's own URDF, which is never changed"
+        raise OptionError(reason, file=path, allowed="another file")
     corrected = edit_origins(robot.source, corrections, robot.file)
     try:
         reread = parse_robot(corrected, str(path))
@@ -232,6 +237,41 @@ def corrected_urdf(
     if check is not None:
         check(reread)
     return corrected
+
+
+def split_arguments(robot: str) -> tuple[str, dict[str, str]]:
+    """The file in a user's word for a robot, and its arguments.
+
+    Args:
+        robot: The word.
+
+    Examples:
+        >>> split_arguments("my arm.urdf.xacro size:=10 name:=my arm")
+        ('my arm.urdf.xacro', {'size': '10', 'name': 'my arm'})
+    """
+    file, *words = _GAP.split(robot)
+    pairs = (ARGUMENT.fullmatch(word) for word in words)
+    return file, {pair[1]: pair[2] for pair in pairs if pair}
+
+
+def is_xacro(path: Path) -> bool:
+    """Whether a file is to be expanded, by its name."""
+    return path.suffix.lower() == ".xacro"
+
+
+def is_mjcf(path: Path, source: bytes, name: str) -> bool:
+    """Whether a file is MuJoCo's, by its name and content.
+
+    Raises:
+        RobotError: If it is SDF, or might be MuJoCo's and is no XML.
+    """
+    if path.suffix.lower() not in (".xml", ".mjcf", ".sdf"):
+        return False
+    root = parse_document(source, name).root.tag
+    if root == "sdf":
+        reason = "is SDF, which this Pinocchio does not read; convert it to a URDF"
+        raise RobotError(reason, file=name)
+    return root == "mujoco"
 
 
 def locate_robot(name: str) -> Path:
@@ -269,31 +309,24 @@ def _examples() -> Sequence[Path]:
 
 def _example(name: str) -> Path:
     """Path of a robot of example-robot-data, by the end of its path."""
-    files = _examples()
-    if not files:
-        raise RobotError(
-            "example robots need a package: pip install 'example-robot-data>=4.4'",
-            file=name,
-        )
-    stem = name.removeprefix(_EXAMPLE).removesuffix(".urdf")
-    wanted = Path(stem).parts
+    files, stem = _examples(), name.removeprefix(_EXAMPLE).removesuffix(".urdf")
+    wanted, stems = Path(stem).parts, sorted({path.stem for path in files})
     matches = [
         path for path in files if path.with_suffix("").parts[-len(wanted) :] == wanted
     ]
     if len(matches) == 1:
         return matches[0]
-    if matches:
-        ends = [path.with_suffix("").parts[-3:] for path in matches]
-        raise RobotError(
-            f"{len(matches)} example robots have this name",
-            file=name,
-            allowed=", ".join(_EXAMPLE + "/".join(end) for end in ends),
-        )
-    stems = sorted({path.stem for path in files})
-    longer = [_EXAMPLE + other for other in stems if stem and stem in other]
-    hint = "" if longer else nearest(stem, stems)
-    reason = f"example-robot-data has no robot '{stem}'{hint}"
-    raise RobotError(reason, file=name, allowed=", ".join(longer) or None)
+    others = [other for other in stems if stem and stem in other]
+    reason = f"example-robot-data has no robot '{stem}'"
+    if not files:
+        reason = "example robots need a package: pip install 'example-robot-data>=4.4'"
+    elif matches:
+        reason = f"{len(matches)} example robots have this name"
+        others = ["/".join(path.with_suffix("").parts[-3:]) for path in matches]
+    elif not others:
+        reason += nearest(stem, stems)
+    allowed = ", ".join(_EXAMPLE + other for other in others)
+    raise RobotError(reason, file=name, allowed=allowed or None)
 
 
 def is_source(path: Path, robot: Robot) -> bool:

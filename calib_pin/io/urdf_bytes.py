@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import codecs
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any, NoReturn
 from xml.parsers import expat
 
 import numpy as np
+import pinocchio as pin
 
-from calib_pin.errors import RobotError
+from calib_pin.errors import OutputError, RobotError, nearest
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.units import as_number
 
@@ -25,10 +27,11 @@ _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16-le"),
     (codecs.BOM_UTF16_BE, "utf-16-be"),
 )
-_DECLARED = re.compile(rb"""<\?xml[^>]*?\sencoding\s*=\s*["']([\w.:-]+)["']""")
-_DECLARATION = re.compile(rb"<\?xml\s.*?\?>", re.DOTALL)
-_BEFORE = re.compile(rb"(?>\s++|<!--.*?-->)*+", re.DOTALL)
+# Some generators put a blank line or a comment before the declaration.
+_DECLARATION = re.compile(rb"(?>\s++|<!--.*?-->)*+(<\?xml\s.*?\?>)", re.DOTALL)
+_ENCODING = re.compile(rb"""\sencoding\s*=\s*["']([\w.:-]+)["']""")
 _ATTRIBUTE = re.compile(rb"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")
+_INDENT = re.compile(rb"(?:\r\n|\n|\r)[ \t]*\Z")
 
 _DEEPEST = 4
 """Depth of the shape in the geometry in the collision of a link of the robot."""
@@ -57,7 +60,16 @@ class Element:
 
     def child(self, tag: str) -> Element | None:
         """The first child of that name, the one that URDF readers take."""
-        return next((child for child in self.children if child.tag == tag), None)
+        return next(iter(self.all(tag)), None)
+
+    def link(self, role: str) -> str:
+        """Name of the link that a joint has as its `parent` or `child`."""
+        element = self.child(role)
+        return "" if element is None else element.attributes.get("link", "")
+
+    def all(self, tag: str) -> list[Element]:
+        """The children of that name."""
+        return [child for child in self.children if child.tag == tag]
 
 
 @dataclass(frozen=True)
@@ -67,6 +79,8 @@ class Document:
     Attributes:
         file: Name of the source, for messages.
         data: The document in UTF-8 without byte order mark.
+        plain: The same with blanks in place of the XML declaration, which speaks of
+            the encoding of the file and may be where XML does not allow it.
         codec: Python's name of the encoding in the file.
         mark: Byte order mark at the start of the file, often empty.
         root: The outermost element.
@@ -74,36 +88,18 @@ class Document:
 
     file: str | None
     data: bytes
+    plain: bytes
     codec: str
     mark: bytes
     root: Element
-
-    @property
-    def plain(self) -> bytes:
-        """The data with blanks for the XML declaration, which may stand too late.
-
-        It speaks of the encoding of the file, and some generators put a blank line or a
-        comment before it.
-        """
-        return _undeclared(self.data)
 
     def encode(self, data: bytes) -> bytes:
         """Bytes of a file with this document's encoding."""
         return self.mark + data.decode().encode(self.codec)
 
-    def error(
-        self,
-        element: Element,
-        reason: str,
-        *,
-        value: object = None,
-        allowed: str | None = None,
-    ) -> RobotError:
-        """An error that points at an element."""
-        line = element.line
-        return RobotError(
-            reason, file=self.file, line=line, value=value, allowed=allowed
-        )
+    def error(self, element: Element, reason: str, **about: Any) -> RobotError:
+        """An error that points at an element, and is about a `value` in it."""
+        return RobotError(reason, file=self.file, line=element.line, **about)
 
     def values(self, element: Element) -> tuple[dict[str, tuple[int, int]], int]:
         """Offsets of the attribute values as written, and the end of the last one."""
@@ -146,37 +142,26 @@ def parse_document(source: bytes, file: str | None = None) -> Document:
         (b"", ""),
     )
     body = source[len(mark) :]
-    codec = codec or _codec(body)
     if not body.strip(b"\0 \t\r\n"):
         raise RobotError("the file is empty", file=file)
     if not re.match(rb"[\s\0]*<", body):
-        raise RobotError(
-            "is not XML", file=file, value=source[:16], allowed="a URDF, as text"
-        )
-    data = _decode(body, codec, file).encode()
-    return Document(file, data, codec, mark, _scan(data, file))
+        found, allowed = source[:16], "a URDF, as text"
+        raise RobotError("is not XML", file=file, value=found, allowed=allowed)
+    codec = codec or _codec(body)
+    data = plain = _decode(body, codec, file).encode()
+    if stated := _DECLARATION.match(data):
+        blank = re.sub(rb"[^\r\n]", b" ", stated[1])
+        plain = data[: stated.start(1)] + blank + data[stated.end() :]
+    return Document(file, data, plain, codec, mark, _scan(plain, file))
 
 
 def _codec(body: bytes) -> str:
     """Encoding of a document without byte order mark."""
     if body[:2] in (b"<\0", b"\0<"):
         return "utf-16-le" if body[0] else "utf-16-be"
-    declared = _DECLARED.match(body, _declaration(body))
+    declaration = _DECLARATION.match(body)
+    declared = declaration and _ENCODING.search(declaration[1])
     return declared[1].decode() if declared else "utf-8"
-
-
-def _declaration(data: bytes) -> int:
-    """Offset of the XML declaration, if there is one, behind blanks and comments."""
-    before = _BEFORE.match(data)
-    return before.end() if before else 0
-
-
-def _undeclared(data: bytes) -> bytes:
-    """A document with blanks for its XML declaration."""
-    if not (found := _DECLARATION.match(data, _declaration(data))):
-        return data
-    blank = re.sub(rb"[^\r\n]", b" ", found[0])
-    return data[: found.start()] + blank + data[found.end() :]
 
 
 def _decode(body: bytes, codec: str, file: str | None) -> str:
@@ -201,49 +186,173 @@ def _decode(body: bytes, codec: str, file: str | None) -> str:
 def _scan(data: bytes, file: str | None) -> Element:
     """Run expat over a document in UTF-8."""
     parser = expat.ParserCreate("utf-8")
-    path: list[Element] = []
-    top: list[Element] = []
+    path = [Element("", {}, 0, 0, [])]
 
-    def refuse_doctype(*_: object) -> None:
+    def refuse(reason: str, **about: Any) -> NoReturn:
+        raise RobotError(reason, file=file, line=parser.CurrentLineNumber, **about)
+
+    def doctype(*_: object) -> None:
         # Entities can fetch files and swell to gigabytes; no URDF needs them.
-        raise RobotError(
-            "a DOCTYPE with its entities is not accepted in a URDF",
-            file=file,
-            line=parser.CurrentLineNumber,
-        )
+        refuse("a DOCTYPE with its entities is not accepted in a URDF")
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         line, offset = parser.CurrentLineNumber, parser.CurrentByteIndex
-        if len(attributes) > ATTRIBUTES:
-            raise RobotError(
-                f"<{tag}> has too many attributes",
-                file=file,
-                line=line,
-                value=len(attributes),
-                allowed=f"at most {ATTRIBUTES}",
-            )
-        element = Element(tag, attributes, line, offset, [])
-        # Elsewhere, as in the text of a plugin, a dollar may mean something else.
-        in_joint = tag == "joint" or (len(path) == 2 and path[1].tag == "joint")
-        texts = attributes.values() if in_joint else ()
-        macros = [text for text in texts if "${" in text or "$(" in text]
-        if tag.startswith("xacro:") or macros:
+        if (count := len(attributes)) > ATTRIBUTES:
+            reason = f"<{tag}> has too many attributes"
+            refuse(reason, value=count, allowed=f"at most {ATTRIBUTES}")
+        if tag.startswith("xacro:"):
             reason = "is a xacro file; let its name end in .xacro, or expand it first"
-            value = macros[0] if macros else f"<{tag}>"
-            raise RobotError(reason, file=file, line=line, value=value)
-        if len(path) <= _DEEPEST:
-            (path[-1].children if path else top).append(element)
+            refuse(reason, value=f"<{tag}>")
+        element = Element(tag, attributes, line, offset, [])
+        if len(path) <= 1 + _DEEPEST:
+            path[-1].children.append(element)
         path.append(element)
 
     def end(_: str) -> None:
         path.pop()
 
-    parser.StartDoctypeDeclHandler = refuse_doctype
+    parser.StartDoctypeDeclHandler = doctype
     parser.StartElementHandler = start
     parser.EndElementHandler = end
     try:
-        parser.Parse(_undeclared(data), True)
+        parser.Parse(data, True)
     except expat.ExpatError as error:
         reason = f"is not well-formed XML: {expat.ErrorString(error.code)}"
         raise RobotError(reason, file=file, line=error.lineno) from error
-    return top[0]
+    return path[0].children[0]
+
+
+def edit_origins(
+    source: bytes, corrections: Mapping[str, pin.SE3], file: str | None = None
+) -> bytes:
+    """Change joint origins, `origin <- origin * correction`, and nothing else.
+
+    Only the values of `xyz` and `rpy` (or `quat_xyzw`, from URDF 1.1 on) change, with
+    all digits; a number that stays the same keeps its text. An attribute or an
+    `<origin>` that is missing is added if it is needed.
+
+    Args:
+        source: The bytes of a URDF.
+        corrections: Correction of each joint by name, multiplied from the right.
+        file: Name of the URDF, for messages.
+
+    Returns:
+        The bytes of the corrected URDF.
+
+    Raises:
+        RobotError: If the URDF cannot be read or has no such joint.
+        OutputError: If a correction is not finite.
+
+    Examples:
+        >>> urdf = b'<robot><joint name="j"><origin xyz="1 0 .5"/></joint></robot>'
+        >>> shift = pin.SE3(np.eye(3), np.array([0.25, 0.0, 0.0]))
+        >>> edit_origins(urdf, {"j": shift}).decode()
+        '<robot><joint name="j"><origin xyz="1.25 0 .5"/></joint></robot>'
+    """
+    document = parse_document(source, file)
+    joints = {
+        element.attributes.get("name", ""): element
+        for element in document.root.children
+        if element.tag == "joint"
+    }
+    for name in corrections:
+        if name not in joints:
+            hint = nearest(name, joints)
+            raise RobotError(f"the robot has no joint '{name}'{hint}", file=file)
+    named = corrections.items()
+    return move_origins(document, [(joints[name], move) for name, move in named])
+
+
+def move_origins(document: Document, moves: Iterable[tuple[Element, pin.SE3]]) -> bytes:
+    """The bytes of a URDF with other origins of joints, shapes or masses.
+
+    Args:
+        document: The URDF.
+        moves: Elements with an origin, each with what it is multiplied by.
+
+    Raises:
+        OutputError: If a move is not finite.
+    """
+    edits = [edit for moved in moves for edit in _edits(document, *moved)]
+    data = document.data
+    for start, end, text in sorted(edits, reverse=True):
+        data = data[:start] + text + data[end:]
+    return document.encode(data)
+
+
+def read_origin(document: Document, joint: Element) -> pin.SE3:
+    """Nominal placement in the parent link's frame, as the `<origin>` states it."""
+    owner = f"joint '{joint.attributes.get('name', '')}'"
+    origin = joint.child("origin")
+    placement = pin.SE3.Identity()
+    if origin is None:
+        return placement
+    if "xyz" in origin.attributes:
+        placement.translation = document.numbers(owner, origin, "xyz", 3)
+    if _uses_quaternion(document, origin):
+        quaternion = document.numbers(owner, origin, "quat_xyzw", 4)
+        if not quaternion.any():
+            raise document.error(origin, f"quat_xyzw of {owner} is zero")
+        placement.rotation = pin.Quaternion(quaternion).normalized().matrix()
+    elif "rpy" in origin.attributes:
+        rpy = document.numbers(owner, origin, "rpy", 3)
+        placement.rotation = pin.rpy.rpyToMatrix(rpy)
+    return placement
+
+
+def _uses_quaternion(document: Document, origin: Element | None) -> bool:
+    """Whether urdfdom takes the rotation from `quat_xyzw`: from URDF 1.1 on."""
+    version = document.root.attributes.get("version", "1.0")
+    return origin is not None and "quat_xyzw" in origin.attributes and version != "1.0"
+
+
+def _edits(
+    document: Document, joint: Element, correction: pin.SE3
+) -> list[tuple[int, int, bytes]]:
+    """Replacements (from, to, new bytes) that put a correction into a joint."""
+    origin = joint.child("origin")
+    old = read_origin(document, joint)
+    new = old * correction
+    if not np.isfinite(new.homogeneous).all():
+        name = joint.attributes.get("name", "")
+        raise OutputError(f"the correction of joint '{name}' is not finite")
+    changed: dict[str, Floats] = {}
+    if not np.array_equal(new.translation, old.translation):
+        changed["xyz"] = new.translation
+    if not np.array_equal(new.rotation, old.rotation):
+        if _uses_quaternion(document, origin):
+            changed["quat_xyzw"] = pin.Quaternion(new.rotation).coeffs()
+        else:
+            # scipy's conversion loses 2e-7 near pitch = 90 deg, this one 2e-15.
+            changed["rpy"] = pin.rpy.matrixToRpy(new.rotation)
+    if not changed:
+        return []
+    places, end = ({}, 0) if origin is None else document.values(origin)
+    written = {} if origin is None else origin.attributes
+    edits = []
+    added = b""
+    for key, values in changed.items():
+        text = _text(values, written.get(key, "")).encode()
+        if key in places:
+            edits.append((*places[key], text))
+        else:
+            added += b' %s="%s"' % (key.encode(), text)
+    if origin is None:  # It goes before the first child, indented like it.
+        if not joint.children:
+            raise document.error(joint, "the joint names no parent link")
+        end = joint.children[0].start
+        indent = _INDENT.search(document.data, joint.start, end)
+        added = b"<origin" + added + b"/>" + (indent[0] if indent else b"")
+    return [*edits, (end, end, added)]
+
+
+def _text(values: Floats, old: str) -> str:
+    """Numbers with all their digits, in their old words where they are the same."""
+    words = old.split()
+    if len(words) != len(values):
+        words = ["nan"] * len(values)
+    # Adding zero turns -0.0 into 0.0.
+    return " ".join(
+        word if float(word) == value else repr(float(value) + 0.0)
+        for word, value in zip(words, values, strict=True)
+    )

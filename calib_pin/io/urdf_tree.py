@@ -13,8 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import enumerated, nearest
-from calib_pin.io.urdf_bytes import Document, Element, parse_document
-from calib_pin.io.urdf_origins import read_origin
+from calib_pin.io.urdf_bytes import Document, Element, parse_document, read_origin
 from calib_pin.kinematics.joint_space import Mimic
 from calib_pin.kinematics.robot import Robot
 
@@ -74,12 +73,10 @@ def parse_robot(source: bytes, file: str) -> Robot:
     document = parse_document(source, file)
     root = document.root
     if root.tag != "robot":
-        raise document.error(
-            root, f"the outermost element is <{root.tag}>", allowed="<robot>"
-        )
+        reason = f"the outermost element is <{root.tag}>"
+        raise document.error(root, reason, allowed="<robot>")
     name = _attribute(document, root, "name", "the robot")
-    links = _named(document, "link")
-    joints = _named(document, "joint")
+    links, joints = _named(document, "link"), _named(document, "joint")
     if not links:
         raise document.error(root, "the robot has no links")
     if len(joints) > JOINTS:
@@ -90,25 +87,24 @@ def parse_robot(source: bytes, file: str) -> Robot:
         _check_joint(document, joint, links)
     for link in links.values():
         _check_link(document, link)
-    parents = _parents(document, joints)
-    root_link = _root(document, links, joints, parents)
-    inner = {_end(joint, "parent") for joint in joints.values()}
-    fixed = {
-        child: joint
-        for child, joint in parents.items()
-        if joints[joint].attributes["type"] == "fixed"
-    }
-    mimics = _mimics(document, joints)
+    root_link, parents = _tree(document, links, joints)
+    inner = {joint.link("parent") for joint in joints.values()}
+    model = _build_model(document, links, joints)
+    mimics, refused = _mimics(document, joints)
     return Robot(
         name=name,
         file=file,
         source=source,
-        model=_build_model(document, links, joints),
+        model=model,
         root=root_link,
         links=tuple(links),
         leaves=tuple(link for link in links if link not in inner),
-        fixed_parents=fixed,
-        refused=_refused(joints, mimics),
+        fixed_parents={
+            child: joint
+            for child, joint in parents.items()
+            if joints[joint].attributes["type"] == "fixed"
+        },
+        refused=refused,
         mimics=mimics,
     )
 
@@ -123,9 +119,7 @@ def _attribute(document: Document, element: Element, key: str, owner: str) -> st
 def _named(document: Document, tag: str) -> dict[str, Element]:
     """All links or all joints by name, in the order of the file."""
     result: dict[str, Element] = {}
-    for element in document.root.children:
-        if element.tag != tag:
-            continue
+    for element in document.root.all(tag):
         name = _attribute(document, element, "name", f"a {tag}")
         if name in result:
             reason = f"{tag} '{name}' is here for the second time"
@@ -133,12 +127,6 @@ def _named(document: Document, tag: str) -> dict[str, Element]:
             raise document.error(element, f"{reason}, the first is in line {line}")
         result[name] = element
     return result
-
-
-def _end(joint: Element, role: str) -> str:
-    """Name of a joint's parent or child link."""
-    element = joint.child(role)
-    return "" if element is None else element.attributes.get("link", "")
 
 
 def _check_joint(
@@ -154,7 +142,7 @@ def _check_joint(
         reason = "a joint cannot be called 'universe', Pinocchio's name for the world"
         raise document.error(joint, reason)
     for role in ("parent", "child"):
-        link = _end(joint, role)
+        link = joint.link(role)
         if not link:
             raise document.error(joint, f"{owner} names no {role} link")
         if link not in links:
@@ -197,96 +185,83 @@ def _check_numbers(document: Document, owner: str, element: Element) -> None:
         _check_numbers(document, owner, child)
 
 
-def _parents(document: Document, joints: Mapping[str, Element]) -> dict[str, str]:
-    """The joint that carries each link but the root."""
-    result: dict[str, str] = {}
+def _tree(
+    document: Document, links: Mapping[str, Element], joints: Mapping[str, Element]
+) -> tuple[str, dict[str, str]]:
+    """Name of the root link, and the joint that carries each other link."""
+    parents: dict[str, str] = {}
     for name, joint in joints.items():
-        child = _end(joint, "child")
-        if child in result:
+        child = joint.link("child")
+        if child in parents:
             reason = f"link '{child}' is the child of two joints"
-            raise document.error(joint, f"{reason}, '{result[child]}' and '{name}'")
-        result[child] = name
-    return result
-
-
-def _root(
-    document: Document,
-    links: Mapping[str, Element],
-    joints: Mapping[str, Element],
-    parents: Mapping[str, str],
-) -> str:
-    """Name of the root link, after a check that the links form one tree."""
-    deep: dict[str, int] = {}
-    for link in links:
-        branch = dict.fromkeys([link])
-        while link in parents and link not in deep:
-            link = _end(joints[parents[link]], "parent")
-            if link in branch:
-                loop = [*branch, link]
-                words = " > ".join(reversed(loop[loop.index(link) :]))
-                reason = f"the links {words} form a loop, and a URDF is a tree"
-                raise document.error(joints[parents[link]], reason)
-            branch[link] = None
-        above = deep.get(link, 0)
-        deep |= {name: above + k for k, name in enumerate(reversed(branch))}
-        if above + len(branch) > DEEPEST:
-            reason = f"link '{next(iter(branch))}' is too far from the root"
-            allowed = f"at most {DEEPEST} links one after the other"
-            raise document.error(links[next(iter(branch))], reason, allowed=allowed)
+            raise document.error(joint, f"{reason}, '{parents[child]}' and '{name}'")
+        parents[child] = name
+    children: dict[str, list[str]] = {}
+    for child, name in parents.items():
+        children.setdefault(joints[name].link("parent"), []).append(child)
     roots = [link for link in links if link not in parents]
+    depth = dict.fromkeys(roots, 1)
+    below = [*roots]
+    for link in below:
+        for child in children.get(link, ()):
+            depth[child] = depth[link] + 1
+            below.append(child)
+            if depth[child] > DEEPEST:
+                reason = f"link '{child}' is too far from the root"
+                allowed = f"at most {DEEPEST} links one after the other"
+                raise document.error(links[child], reason, allowed=allowed)
+    if loop := [link for link in links if link not in depth][:1]:
+        while (above := joints[parents[loop[-1]]].link("parent")) not in loop:
+            loop.append(above)
+        loop.append(above)
+        words = " > ".join(reversed(loop[loop.index(above) :]))
+        reason = f"the links {words} form a loop, and a URDF is a tree"
+        raise document.error(joints[parents[above]], reason)
     if len(roots) > 1:
         names = enumerated(f"'{link}'" for link in roots)
         reason = f"the links {names} all have no parent joint, and a URDF has one root"
         raise document.error(links[roots[1]], reason)
-    return roots[0]
+    return roots[0], parents
 
 
-def _mimics(document: Document, joints: Mapping[str, Element]) -> dict[str, Mimic]:
-    """Mimic joints, each with the driven joint at the end of those that it follows."""
+def _mimics(
+    document: Document, joints: Mapping[str, Element]
+) -> tuple[dict[str, Mimic], dict[str, str]]:
+    """Joints that follow another, and the reasons why a chain cannot contain others.
+
+    Returns:
+        Mimic joints, each with the driven joint at the end of those that it follows,
+        and phrases for "joint x is ..., which a chain cannot contain".
+    """
     stated: dict[str, Mimic] = {}
     for name, joint in joints.items():
         element = joint.child("mimic")
         if element is not None and joint.attributes["type"] in _SINGLE:
             factor, offset = (
-                float(document.numbers(f"joint '{name}'", element, key, 1)[0])
-                if key in element.attributes
-                else usual
-                for key, usual in (("multiplier", 1.0), ("offset", 0.0))
+                float(element.attributes.get(key, usual))
+                for key, usual in (("multiplier", "1"), ("offset", "0"))
             )
             stated[name] = Mimic(element.attributes.get("joint", ""), factor, offset)
-    driven: dict[str, Mimic] = {}
-    for name in stated:
-        path: dict[str, None] = {}
-        while name in stated and name not in driven and name not in path:
-            path[name] = None
-            name = stated[name].leader
-        for name in reversed(path):
-            mimic = stated[name]
-            if above := driven.get(mimic.leader):
+    mimics: dict[str, Mimic] = {}
+    refused: dict[str, str] = {}
+    for name, joint in joints.items():
+        kind = joint.attributes["type"]
+        if kind in ("floating", "planar"):
+            refused[name] = f"a {kind} joint"
+        elif name in stated:
+            path, mimic = {name}, stated[name]
+            while (leader := mimic.leader) in stated and leader not in path:
+                path.add(leader)
+                above = stated[leader]
                 offset = mimic.factor * above.offset + mimic.offset
                 mimic = Mimic(above.leader, mimic.factor * above.factor, offset)
-            driven[name] = mimic
-    result = {}
-    for name, mimic in driven.items():
-        leader = None if mimic.leader in stated else joints.get(mimic.leader)
-        if leader is not None and leader.attributes["type"] in _SINGLE:
-            result[name] = mimic
-    return result
-
-
-def _refused(
-    joints: Mapping[str, Element], mimics: Mapping[str, Mimic]
-) -> dict[str, str]:
-    """Reasons, for the sentence "joint x is ..., which a chain cannot contain"."""
-    result = {}
-    for name, joint in joints.items():
-        kind, mimic = joint.attributes["type"], joint.child("mimic")
-        if kind in ("floating", "planar"):
-            result[name] = f"a {kind} joint"
-        elif kind in _SINGLE and mimic is not None and name not in mimics:
-            leader = mimic.attributes.get("joint", "")
-            result[name] = f"a mimic joint without a driven leader ('{leader}')"
-    return result
+            driven = joints.get(leader) if leader not in path else None
+            if driven is not None and driven.attributes["type"] in _SINGLE:
+                mimics[name] = mimic
+            else:
+                leader = stated[name].leader
+                refused[name] = f"a mimic joint without a driven leader ('{leader}')"
+    return mimics, refused
 
 
 def _build_model(
@@ -304,13 +279,12 @@ def _build_model(
     if model.nv > FREEDOM:
         reason = f"the robot has {model.nv} degrees of freedom"
         raise document.error(document.root, reason, allowed=f"at most {FREEDOM}")
-    for name, link in links.items():
-        if not model.existFrame(name, pin.FrameType.BODY):
-            raise document.error(link, f"Pinocchio does not take over link '{name}'")
-    for name, joint in joints.items():
-        fixed = joint.attributes["type"] == "fixed"
-        if not fixed and not model.existJointName(name):
-            raise document.error(joint, f"Pinocchio does not take over joint '{name}'")
+    frames = {(f.name, f.type == pin.FrameType.BODY) for f in model.frames}
+    for elements in (links, joints):
+        for name, element in elements.items():
+            if (name, elements is links) not in frames:
+                reason = f"Pinocchio does not take over {element.tag} '{name}'"
+                raise document.error(element, reason)
     return model
 
 

@@ -1,40 +1,124 @@
-"""Expands a xacro file in a process of its own; `xacro_files.py` runs it as a script.
+"""Expands a xacro file; `robot_child.py` calls it, in a process that has limits.
 
-The package xacro hands the expressions of a file to Python's `eval`, asks ROS for
-packages, and takes entities; all that is replaced here. JSON comes in: the file, its
-arguments, the folders of packages. JSON goes out: the URDF, or the reason why there is
-none and the file where it was found.
+The package xacro hands the expressions of a file to Python's `eval`, and asks ROS for
+packages: both are replaced here. In an expression a dot leads to the keys of mappings,
+the functions of xacro's namespaces and a few methods, and to nothing else.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import re
-import stat
-import sys
+import ast
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
-from xml.dom import minidom
 from xml.parsers import expat
 
 import xacro
+from simpleeval import (
+    BASIC_ALLOWED_ATTRS,
+    EvalWithCompoundTypes,
+    FunctionNotDefined,
+    NameNotDefined,
+)
 from xacro import substitution_args
 
-from calib_pin.errors import enumerated, nearest
-from calib_pin.io.limits import limit
+from calib_pin.errors import RobotError, enumerated, nearest
 from calib_pin.io.packages import packages
-from calib_pin.io.xacro_expressions import Refused, evaluate
 
-FILE = 1 << 24
-"""Bytes of the largest file that is read."""
+METHODS: dict[type, set[str]] = {
+    str: BASIC_ALLOWED_ATTRS[str] - {"format", "format_map"},
+    list: {"count", "index"},
+    dict: {"get", "items", "keys", "values"},
+}
+"""Methods of values, none of which changes them."""
 
-URDF = 1 << 26
-"""Bytes of the largest URDF."""
+GLOBAL: dict[str, Any] = xacro._global_symbols
 
-FILES = 10_000
-"""Most files that are read, each as often as it is included."""
+# They know of classes, to which no expression needs to come.
+for _name in ("isinstance", "issubclass", "repr", "type", "vars"):
+    GLOBAL["python"].pop(_name, None)
+
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    name: value
+    for name, value in {**GLOBAL["python"], **GLOBAL}.items()
+    if callable(value)
+}
+"""Functions that need no namespace."""
+
+
+class Refused(Exception):
+    """A fault of an expression, or of a file that is expanded."""
+
+
+class Expression(EvalWithCompoundTypes):  # type: ignore[misc]
+    """An evaluation.
+
+    Args:
+        symbols: Values by name.
+        functions: Functions by name.
+    """
+
+    def __init__(
+        self, symbols: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]
+    ) -> None:
+        """Nothing is evaluated yet."""
+        super().__init__(functions=dict(functions), names=self._symbol)
+        self.symbols = symbols
+        # The format of a value in a text may lead to its attributes.
+        del self.nodes[ast.JoinedStr], self.nodes[ast.FormattedValue]
+
+    def _symbol(self, node: ast.Name) -> Any:
+        try:
+            return self.symbols[node.id]
+        except KeyError:
+            raise NameNotDefined(node.id, self.expr) from None
+
+    def _eval_attribute(self, node: ast.Attribute) -> Any:
+        owner = self._eval(node.value)
+        if isinstance(owner, Mapping) and node.attr in owner:
+            return owner[node.attr]
+        for kind, names in METHODS.items():
+            if isinstance(owner, kind) and node.attr in names:
+                return getattr(owner, node.attr)
+        raise Refused(f"there is no '{node.attr}' in it")
+
+
+def evaluate(
+    text: str, symbols: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]
+) -> Any:
+    """The value of an expression.
+
+    Args:
+        text: The text between the braces.
+        symbols: Values by name.
+        functions: Functions by name.
+
+    Raises:
+        Refused: If it cannot be evaluated.
+
+    Examples:
+        >>> evaluate("2 * r if kind == 'arm' else pi", {"r": 3, "kind": "arm"}, {})
+        6
+    """
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+        value = Expression(symbols, functions).eval(text, tree)
+        if not callable(value):
+            return value
+        reason = "it is a function and no value"
+    except NameNotDefined as error:
+        reason = f"'{error.name}' is not defined"
+    except FunctionNotDefined as error:
+        reason = f"there is no function '{error.func_name}'"
+    except SyntaxError as error:
+        reason = error.msg
+    except KeyError as error:
+        reason = f"there is no key {error}"
+    except (MemoryError, OSError, RecursionError, xacro.XacroException):
+        raise
+    except Exception as error:
+        reason = str(error)
+    raise Refused(f"cannot evaluate '{text}': {reason}")
 
 
 class Arguments(dict[str, str]):
@@ -43,7 +127,6 @@ class Arguments(dict[str, str]):
     def __init__(self, given: Mapping[str, str]) -> None:
         """Nothing was asked for yet."""
         super().__init__(given)
-        self.given = dict(given)
         self.asked: set[str] = set()
 
     def __contains__(self, name: object) -> bool:
@@ -58,77 +141,41 @@ class Arguments(dict[str, str]):
         return super().__getitem__(name)
 
 
-class Reader:
-    """Takes the place of parts of xacro.
+def _install(given: Mapping[str, str], folders: list[Path]) -> None:
+    """Replace the parts of xacro that come from Python and from ROS.
 
     Args:
-        arguments: The arguments.
+        given: Arguments of the user.
         folders: Folders that are packages or hold some.
     """
+    beside = xacro.abs_filename_spec
 
-    def __init__(self, arguments: Arguments, folders: list[Path]) -> None:
-        """Put it in their place."""
-        self.arguments, self.folders, self.count = arguments, folders, 0
-        self.load_yaml, self.place = xacro.load_yaml, xacro.abs_filename_spec
-        namespace = {
-            "load_yaml": self.yaml,
-            "abs_filename": self.path,
-            "dotify": xacro.YamlDictWrapper,
-            "tokenize": lambda text, sep=",; ": [
-                word for word in re.split(f"[{re.escape(sep)}]", text) if word
-            ],
-            "arg": arguments.__getitem__,
-            "fatal": self.fatal,
-            **dict.fromkeys(("error", "message", "print_location", "warning"), _silent),
-        }
-        plain = ("load_yaml", "abs_filename", "dotify")
-        self.functions: dict[str, Callable[..., Any]] = {
-            **{f"xacro.{name}": function for name, function in namespace.items()},
-            **{name: namespace[name] for name in plain},
-        }
-        for module, name, own in (
-            *((xacro, "safe_eval", self.value), (xacro, "parse", self.parse)),
-            *((xacro, "abs_filename_spec", self.path), (xacro, "warning", _silent)),
-            *((substitution_args, "_eval", self.substituted),),
-            *((substitution_args, "_eval_find", self.find),),
-            *((substitution_args, "_eval_dirname", _folder),),
-        ):
-            if not hasattr(module, name):
-                raise Refused(f"this version of xacro has no {name}")
-            setattr(module, name, own)
+    def place(written: str) -> str:
+        """A file beside the one that names it, or the user's in the working folder."""
+        file = Path(beside(written))
+        if written in given.values() and not file.exists() and Path(written).exists():
+            return str(Path(written).absolute())
+        return str(file)
 
-    def value(self, text: str, symbols: Mapping[str, Any], _: object = None) -> Any:
-        """The value of an expression."""
-        try:
-            return evaluate(text, symbols, self.functions)
-        except Refused as refused:
-            written = text if len(text) < 80 else f"{text[:77]}..."
-            raise Refused(f"cannot evaluate '{written}': {refused}") from None
+    def value(text: str, symbols: Mapping[str, Any], _: object = None) -> Any:
+        return evaluate(text, symbols, FUNCTIONS)
 
-    def substituted(self, text: str, _: object) -> str:
+    def substituted(text: str, context: Mapping[str, Any]) -> str:
         """The value of `$(eval ...)`, as roslaunch has it."""
-        args = {
-            name: substitution_args.convert_value(self.arguments[name], "auto")
-            for name in list(self.arguments)
-        }
-        symbols = {"true": True, "false": False, **args}
-        functions = {
-            "arg": lambda name: substitution_args.convert_value(
-                self.arguments[name], "auto"
-            ),
-            "dirname": _folder,
-            "find": self.find,
-            "env": substitution_args._eval_env,
-            "optenv": substitution_args._eval_optenv,
-        }
-        try:
-            return str(evaluate(text, symbols, functions))
-        except Refused as refused:
-            raise Refused(f"cannot evaluate '{text}': {refused}") from None
+        arguments = context["arg"]
 
-    def find(self, name: str) -> str:
+        def argument(name: str) -> Any:
+            return substitution_args.convert_value(arguments[name], "auto")
+
+        symbols = {"true": True, "false": False, **GLOBAL}
+        symbols |= {name: argument(name) for name in arguments}
+        env, optenv = substitution_args._eval_env, substitution_args._eval_optenv
+        own = {"arg": argument, "dirname": folder, "env": env, "optenv": optenv}
+        return str(evaluate(text, symbols, {**FUNCTIONS, **own, "find": find}))
+
+    def find(name: str) -> str:
         """The folder of a package."""
-        found = next(packages(name, self.folders), None)
+        found = next(packages(name, folders), None)
         if found is None:
             raise Refused(
                 f"the package '{name}' is not found: name its folder, or that which "
@@ -136,89 +183,27 @@ class Reader:
             )
         return str(found.absolute())
 
-    def path(self, written: str) -> str:
-        """The file of a name: beside the file that names it.
+    def folder(*_: object) -> str:
+        """The folder of the file that is read."""
+        return str(Path(xacro.filestack[-1]).absolute().parent)
 
-        What the user gave as an argument may also be there from the working folder.
-        """
-        beside = str(self.place(written))
-        given = written in self.arguments.given.values()
-        if given and not Path(beside).exists() and Path(written).exists():
-            return str(Path(written).absolute())
-        return beside
-
-    def yaml(self, name: str) -> Any:
-        """The data in a YAML file."""
-        path = self.path(name)
-        self.read(path)
-        try:
-            return self.load_yaml(path)
-        except (Refused, RecursionError, MemoryError):
-            raise
-        except Exception as failure:
-            raise Refused(f"{path} cannot be read: {failure}") from None
-
-    def parse(self, _: object, filename: str) -> minidom.Document:
-        """The tree of a XML file."""
-        data = self.read(filename)
-        parser = expat.ParserCreate()
-
-        def refuse(*_: object) -> None:
-            raise Refused("a DOCTYPE with its entities is not accepted in a xacro file")
-
-        parser.StartDoctypeDeclHandler = refuse
-        try:
-            parser.Parse(data, True)
-        except expat.ExpatError as error:
-            kind = expat.ErrorString(error.code)
-            raise Refused(
-                f"it is not well-formed XML: {kind}, line {error.lineno}"
-            ) from None
-        return minidom.parseString(data)
-
-    def read(self, name: str) -> bytes:
-        """The bytes of a file, if they are not too many.
-
-        A file that is not there is an OSError, which xacro knows as optional.
-        """
-        self.count += 1
-        if self.count > FILES:
-            raise Refused(f"more than {FILES} files are included")
-        path = Path(name)
-        try:
-            status = path.stat()
-        except (OSError, ValueError) as error:
-            if len(xacro.filestack) > 1:
-                xacro.filestack.pop()  # It is the file that names it which is wrong.
-            reason = f"cannot read {name}: {getattr(error, 'strerror', error)}"
-            raise xacro.XacroException(reason, exc=OSError("")) from None
-        if not stat.S_ISREG(status.st_mode) or status.st_size > FILE:
-            raise Refused(f"{name} is no file of at most {FILE >> 20} MB")
-        return path.read_bytes()
-
-    def fatal(self, *words: object) -> None:
-        """End with a message of the file itself."""
-        raise Refused(" ".join(map(str, words)))
+    for module, name, own in (
+        (xacro, "safe_eval", value),
+        (xacro, "abs_filename_spec", place),
+        (substitution_args, "_eval", substituted),
+        (substitution_args, "_eval_find", find),
+        (substitution_args, "_eval_dirname", folder),
+    ):
+        if not hasattr(module, name):
+            raise Refused(f"this version of xacro has no {name}")
+        setattr(module, name, own)
+    GLOBAL["xacro"]["abs_filename"] = place
 
 
-def _silent(*_: object, **__: object) -> str:
-    """Print nothing of what a file, or xacro, would."""
-    return ""
-
-
-def _folder(*_: object) -> str:
-    """The folder of the file that is read."""
-    return str(Path(xacro.filestack[-1]).absolute().parent)
-
-
-def expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> str:
-    """The text of the URDF.
-
-    Raises:
-        Exception: Of any kind, if there is none.
-    """
+def _expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> bytes:
+    """The URDF, or an exception of any kind."""
     arguments = Arguments(given)
-    Reader(arguments, folders)
+    _install(given, folders)
     xacro.init_stacks(file)
     document = xacro.parse(None, file)
     xacro.process_doc(document, mappings=arguments, verbosity=0)
@@ -231,57 +216,43 @@ def expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> str:
             else f"has no arguments, and not '{unknown[0]}'"
         )
     text: str = document.toprettyxml(indent="  ")
-    if len(text) > URDF:
-        raise Refused(f"the URDF has more than {URDF >> 20} MB")
-    return text
+    return text.encode()
 
 
-def reason(failure: BaseException) -> str:
+def _reason(failure: BaseException) -> str:
     """Why a file cannot be expanded, without what xacro adds to it."""
-    cause: BaseException | None = failure
-    while isinstance(cause, xacro.XacroException) and isinstance(
-        cause.exc, BaseException
-    ):
-        if isinstance(cause.exc, OSError):
-            return str(cause).strip()
-        cause = cause.exc
+    cause = failure
+    while isinstance(getattr(cause, "exc", None), BaseException):
+        cause = cause.exc  # type: ignore[attr-defined]
     if isinstance(cause, RecursionError):
         return "a macro or an expression calls itself without end"
     if isinstance(cause, MemoryError):
         return "it needs too much memory"
-    if isinstance(cause, Refused):
-        return str(cause)
-    return " ".join(str(cause or failure).split()) or type(failure).__name__
+    if isinstance(cause, OSError):
+        return f"cannot read {cause.filename}: {cause.strerror}"
+    if isinstance(cause, expat.ExpatError):
+        kind = expat.ErrorString(cause.code)
+        return f"it is not well-formed XML: {kind}, line {cause.lineno}"
+    return " ".join(str(cause).split()) or type(cause).__name__
 
 
-def place() -> str:
-    """The macro that is expanded: it, or the call of it, is wrong."""
-    if not xacro.macrostack:
-        return ""
-    macro = xacro.macrostack[-1]
-    file = Path(str(macro.history[-1][-1])).name
-    return f", in macro '{macro.body.getAttribute('name')}' ({file})"
+def expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> bytes:
+    """The URDF in a xacro file.
 
+    Args:
+        file: The file.
+        given: Values of its arguments by name.
+        folders: Folders that are packages or hold some.
 
-def main() -> None:
-    """Answer one request."""
-    limit()
-    request = json.load(sys.stdin)
-    # Nothing that the file prints is an answer.
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)
-    found: dict[str, str]
+    Raises:
+        RobotError: If it cannot be expanded, with the file and macro that is wrong.
+    """
     try:
-        folders = [Path(folder) for folder in request["folders"]]
-        found = {"urdf": expanded(request["file"], request["arguments"], folders)}
+        return _expanded(file, given, folders)
     except Exception as failure:
-        found = {
-            "reason": f"xacro cannot expand it: {reason(failure)}{place()}",
-            "file": str((xacro.filestack or [request["file"]])[-1]),
-        }
-    json.dump(found, answers)
-    answers.close()
-
-
-if __name__ == "__main__":
-    main()
+        reason = f"xacro cannot expand it: {_reason(failure)}"
+    if xacro.macrostack:  # It, or the call of it, is wrong.
+        macro = xacro.macrostack[-1]
+        place = Path(str(macro.history[-1][-1])).name
+        reason += f", in macro '{macro.body.getAttribute('name')}' ({place})"
+    raise RobotError(reason, file=(xacro.filestack or [file])[-1])

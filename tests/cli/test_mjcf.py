@@ -6,11 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
+import pytest
 
 from calib_pin.io.exchange import Exported
 from calib_pin.io.result_file import read_result
 from calib_pin.io.urdf import load_chain
-from tests.io.test_mjcf_files import BASE, BODIES, written
+from tests.io.test_mjcf_child import BASE, BODIES, written
+
+pytestmark = pytest.mark.needs("mujoco")
 
 
 def test_it_comes_back_corrected(tmp_path, monkeypatch, run):

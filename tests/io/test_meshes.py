@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import struct
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.errors import InputError
-from calib_pin.io import meshes
+from calib_pin.io import children
 from calib_pin.io.meshes import MeshReader
 from calib_pin.io.urdf import locate_robot
 
@@ -23,15 +21,14 @@ CORNERS = ((0.0, 0.0, 0.0), (0.25, 0.0, 0.0), (0.0, 0.25, 0.0))
 
 
 @pytest.fixture(autouse=True)
-def nothing_known_and_time_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(meshes, "_known", {})
+def time_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
     # However busy the machine is, memory comes to its end before time does.
-    monkeypatch.setattr(meshes, "SECONDS", 60.0)
+    monkeypatch.setattr(children, "SECONDS", 60.0)
 
 
 @pytest.fixture
 def reader() -> Iterator[MeshReader]:
-    with MeshReader() as opened:
+    with MeshReader("") as opened:
         yield opened
 
 
@@ -98,9 +95,9 @@ def test_a_triangle(tmp_path: Path, reader: MeshReader) -> None:
     files += [(f"{end}.ply", ply(form=f"binary_{end}_endian")) for end in ENDS]
     for name, content in files:
         path = stored(tmp_path, name, content)
-        vertices, triangles = reader.read(path, (4.0, 4.0, 8.0))
-        assert vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
-        assert {tuple(triangle) for triangle in triangles.tolist()} == {(0, 1, 2)}
+        surface = reader.read(path, (4.0, 4.0, 8.0))
+        assert surface.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+        assert {tuple(t) for t in surface.triangles.tolist()} == {(0, 1, 2)}
 
 
 def test_binary_stl_is_what_pinocchio_reads() -> None:
@@ -108,13 +105,26 @@ def test_binary_stl_is_what_pinocchio_reads() -> None:
     robot = locate_robot("example:ur10_robot").resolve()
     file = robot.parents[1] / "meshes/ur10/collision/forearm.stl"
     surface = pin.coal.MeshLoader().load(str(file), np.ones(3))
-    with MeshReader() as reader:
-        vertices, triangles = reader.read(file)
+    with MeshReader("") as reader:
+        found = reader.read(file)
         assert reader._child is None
-    np.testing.assert_array_equal(vertices, surface.vertices())
+    np.testing.assert_array_equal(found.vertices, surface.vertices())
     corners = map(surface.tri_indices, range(surface.num_tris))
     expected = sorted(sorted(t[k] for k in range(3)) for t in corners)
-    assert sorted(map(sorted, triangles.tolist())) == expected
+    assert sorted(map(sorted, found.triangles.tolist())) == expected
+
+
+def test_parts_and_materials(tmp_path: Path, reader: MeshReader) -> None:
+    """Coal joined the parts of a file by wrong triangles; a material matters not."""
+    faces = '<triangles count="1"><input'
+    again = dae()[dae().index("<triangles") : dae().index("</mesh>")]
+    material = '<bind_material><technique_common><instance_material symbol="m" target='
+    material += '"#m"/></technique_common></bind_material>'
+    both = dae().replace(faces, again.replace("0 1 2", "1 0 2") + faces)
+    both = both.replace(' url="#g"/>', f' url="#g">{material}</instance_geometry>')
+    surface = reader.read(stored(tmp_path, "a.dae", both))
+    assert sorted(map(sorted, surface.triangles.tolist())) == [[0, 1, 2]] * 2
+    assert len(surface.vertices) == 3
 
 
 BAD = [
@@ -150,49 +160,3 @@ def test_files_that_could_hurt(
             reader.read(path)
     assert len(reader.read(good).triangles) == 1
     assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="needs limits of memory")
-def test_memory_is_limited(
-    tmp_path: Path, reader: MeshReader, refused: Callable[..., Any]
-) -> None:
-    import resource
-
-    with refused(InputError, reason="memory"):
-        reader.read(stored(tmp_path, "a.dae", dae("0.1 1 2")))
-    assert len(reader.read(stored(tmp_path, "good.obj", obj())).triangles) == 1
-    reader.close()
-    used = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    assert used < 2_000_000  # In kB; of all processes that this one has waited for.
-
-
-@pytest.mark.parametrize(
-    ("program", "said"),
-    [
-        ("os.abort()", "damaged"),
-        ("time.sleep(60)", "1 s"),
-        ('print(\'{"vertices": 9, "triangles": 1}\')', "damaged"),
-        ("print('{\"vertices\": 100000000}')", "1000000"),
-    ],
-)
-def test_a_process_that_does_not_answer(
-    tmp_path: Path,
-    reader: MeshReader,
-    refused: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
-    program: str,
-    said: str,
-) -> None:
-    before = "import os, sys, time; print('{}', flush=True); sys.stdin.readline(); "
-
-    def started(_: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-S", "-c", before + program]
-        return subprocess.Popen(command, stdin=-1, stdout=-1)
-
-    path = stored(tmp_path, "a.obj", obj())
-    with monkeypatch.context() as patch:
-        patch.setattr(meshes, "SECONDS", 1.0)
-        patch.setattr(meshes, "started", started)
-        with refused(InputError, file=str(path), reason=said):
-            reader.read(path)

@@ -15,8 +15,7 @@ import pinocchio as pin
 
 from calib_pin.errors import OptionError
 from calib_pin.io.exchange.base import Encoded, Exported, Format
-from calib_pin.io.urdf_bytes import Document, Element, parse_document
-from calib_pin.io.urdf_origins import read_origin
+from calib_pin.io.urdf_bytes import Document, Element, parse_document, read_origin
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 

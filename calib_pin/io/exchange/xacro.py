@@ -23,8 +23,7 @@ from calib_pin.io.exchange.base import (
     origin_of,
     placed,
 )
-from calib_pin.io.urdf_bytes import parse_document
-from calib_pin.io.urdf_origins import read_origin
+from calib_pin.io.urdf_bytes import parse_document, read_origin
 
 NAMESPACE = "http://www.ros.org/wiki/xacro"
 

@@ -1,4 +1,4 @@
-"""Robots in MuJoCo's files: what Pinocchio understands of them, as a URDF."""
+"""Robots in MuJoCo's files, as a URDF: where MuJoCo has them, and Pinocchio."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ from calib_pin.errors import CalibPinError, RobotError
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.robot import Robot
+
+REMARK = "read from MJCF: bodies and sites are links, shapes are not taken over"
+
+pytestmark = pytest.mark.needs("mujoco")
 
 HEAD = """<mujoco model="arm">
   <compiler angle="degree" autolimits="true"/>
@@ -72,9 +76,7 @@ def test_what_pinocchio_reads(plain: Robot) -> None:
     # Degrees, but those of a slide are meters.
     limits = np.deg2rad([100.0, 100.0, 10.0])
     assert np.allclose(chain.upper, [*limits, 0.3]) and chain.lower[3] == 0.0
-    assert (
-        robot.links[0] == robot.root == "world" and "shapes are not" in robot.remarks[0]
-    )
+    assert robot.links[0] == robot.root == "world" and robot.remarks == (REMARK,)
     assert robot.model.inertias[1] == model.inertias[1]
     assert robot.source.startswith(b'<robot name="arm">')
 
@@ -116,18 +118,40 @@ def test_all_bodies_of_the_world_are_where_they_are(tmp_path: Path) -> None:
     assert np.allclose(one.poses(np.zeros((1, 1)))[0, :3, 3], [0.0, 0.0, 0.8])
 
 
-def test_what_has_no_name_or_is_left_out(tmp_path: Path) -> None:
+def test_what_has_no_name_or_is_in_a_frame(tmp_path: Path) -> None:
     nameless = BODIES.replace('name="j2"', "").replace('name="j3"', "")
-    inner = '<body name="hidden"><joint name="j9"/><geom size="1"/></body>'
+    inner = '<body name="inner"><joint name="j9"/><geom size="1"/></body>'
     part = f'<frame pos="0 0 1">{inner}</frame><site name="tip"'
     bodies = nameless.replace('<site name="tip"', part)
     chain = load_chain(written(tmp_path, bodies), tip="tool")
     robot = chain.robot
-    (remark,) = robot.remarks
-    assert "body 'hidden', joint 'j9'" in remark
-    assert len({*robot.model.names}) == 5 and len(robot.links) == 8
+    assert robot.remarks == (REMARK,)
+    assert len({*robot.model.names}) == 6
     # Without a body that stands still, the world is the base.
     assert chain.base == "world" and len(chain.joints) == 4
+    assert Chain(robot, tip="inner").joints[-1] == "j9"
+
+
+def test_meshes_that_are_not_there(tmp_path: Path) -> None:
+    """And names that a body and a site have in common."""
+    assets = '<asset><mesh name="m" file="no.stl"/><texture name="t" type="2d" '
+    assets += 'file="no.png"/><material name="gray" texture="t"/></asset>'
+    bodies = '<body name="a"><geom size="1"/><body name="b" pos="0 0 1"><joint/>'
+    bodies += '<geom type="mesh" mesh="m" material="gray"/><site name="a"/></body>'
+    robot = load_robot(written(tmp_path, f"{bodies}</body>", f"{HEAD}{assets}"))
+    assert robot.links == ("world", "a", "b", "a_")
+    assert "nor are the masses of meshes" in robot.remarks[0]
+    assert robot.model.inertias[1].mass == 0.0
+
+
+def test_warnings_leave_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., Any]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = written(tmp_path, BASE.replace('pos="0 0 0.3"', 'pos="nan 0 0.3"'))
+    with refused(RobotError, file=str(file)):
+        load_robot(file)
+    assert [*tmp_path.iterdir()] == [file]
 
 
 WRONG = [
@@ -207,7 +231,7 @@ MUJOCO = """<mujoco model="c">
 """
 
 
-def test_it_is_where_mujoco_has_it(tmp_path: Path, refused: Callable[..., Any]) -> None:
+def test_it_is_where_mujoco_has_it(tmp_path: Path) -> None:
     """Defaults inside defaults, references, joints of one body; by MuJoCo 4.0."""
     file = tmp_path / "arm.xml"
     file.write_text(MUJOCO)
@@ -222,6 +246,26 @@ def test_it_is_where_mujoco_has_it(tmp_path: Path, refused: Callable[..., Any]) 
     ranges = [np.deg2rad([-10.0, 10.0]), [0.0, 0.4]]
     found = np.stack([chain.lower, chain.upper], axis=1)
     assert np.allclose(found[:2], ranges)
-    file.write_text(MUJOCO.replace("autolimits", 'eulerseq="XYZ" autolimits'))
-    with refused(RobotError, file=str(file)):
-        load_chain(file)
+
+
+@pytest.mark.parametrize("sequence", ["xyz", "XYZ", "zyx"])
+def test_all_its_bodies_are_where_mujoco_has_them(
+    tmp_path: Path, sequence: str
+) -> None:
+    import mujoco
+
+    file = tmp_path / "arm.xml"
+    setting = f'eulerseq="{sequence}" autolimits'
+    file.write_text(MUJOCO.replace("autolimits", setting))
+    robot = load_robot(file)
+    model = mujoco.MjModel.from_xml_path(str(file))
+    state = mujoco.MjData(model)
+    for q in np.random.default_rng(1).uniform(-1.0, 1.0, (5, 6)):
+        state.qpos[:] = q
+        mujoco.mj_kinematics(model, state)
+        for name in ("b1", "b2", "b3", "b4", "b5"):
+            chain, body = Chain(robot, tip=name), state.body(name)
+            pose = chain.poses(q[None, : len(chain.joints)])[0]
+            # Some dozen products of numbers up to 4.
+            assert np.abs(pose[:3, 3] - body.xpos).max() < 1e-13
+            assert np.abs(pose[:3, :3].ravel() - body.xmat).max() < 1e-13

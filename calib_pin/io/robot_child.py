@@ -1,0 +1,97 @@
+"""Reads files of robots in a process that may crash; `children` runs it as a script.
+
+The libraries that know the formats believe what the files say. A line of JSON comes in
+for each file. A line of JSON goes out, and then as many bytes as it says, or the reason
+why there are none.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+
+from calib_pin.errors import RobotError
+from calib_pin.io.files import read_bytes
+from calib_pin.io.limits import limit
+
+Answer = tuple[dict[str, object], bytes]
+
+ANSWER = 1 << 27
+"""Bytes of the largest answer."""
+
+
+def read_mesh(file: str) -> Answer:
+    """The corners of the triangles in a mesh file, shape (F, 3, 3)."""
+    import trimesh
+
+    content: str | BytesIO = file
+    kind = Path(file).suffix[1:].lower()
+    if kind == "dae":
+        # Where a material is not to be found, the mesh would be left out with it.
+        data = re.sub(rb"(?s)<bind_material>.*?</bind_material>", b"", read_bytes(file))
+        content = BytesIO(data)
+    mesh = trimesh.load_mesh(content, file_type=kind, process=False)
+    corners = mesh.triangles
+    if corners.shape[1:] != (3, 3) or mesh.faces.min(initial=0) < 0:
+        raise ValueError("it has a face with a vertex that is not there")
+    return {}, corners.astype("<f8").tobytes()
+
+
+def read_xacro(file: str, arguments: dict[str, str], folders: list[str]) -> Answer:
+    """The URDF in a xacro file."""
+    from calib_pin.io.xacro_child import expanded
+
+    return {}, expanded(file, arguments, list(map(Path, folders)))
+
+
+def read_mjcf(file: str) -> Answer:
+    """The URDF of a robot in MuJoCo's language, and a remark on what is not in it."""
+    from calib_pin.io.mjcf_child import converted
+
+    urdf, remark = converted(Path(file))
+    return {"remark": remark}, urdf
+
+
+READERS: dict[str, Callable[..., Answer]] = {
+    "mesh": read_mesh,
+    "MJCF": read_mjcf,
+    "xacro": read_xacro,
+}
+"""Readers of a file, by the word for it in a request."""
+
+
+def answer(kind: str, file: str, **more: object) -> Answer:
+    """The answer to one request, with the reason if there is no other."""
+    try:
+        head, data = READERS[kind](file, **more)
+        if len(data) <= ANSWER:
+            return head, data
+        reason = "cannot be read: there is too much in it"
+    except RobotError as error:
+        reason, file = error.reason, error.file or file
+    except Exception as failure:
+        memory = isinstance(failure, MemoryError)
+        words = "it needs too much memory" if memory else " ".join(str(failure).split())
+        reason = f"cannot be read: {words or type(failure).__name__}"
+    return {"reason": reason, "file": file}, b""
+
+
+def main() -> None:
+    """Answer until nobody asks any more."""
+    limit()
+    # What a library prints does not get between the answers.
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    for line in sys.stdin.buffer:
+        head, data = answer(**json.loads(line))
+        answers.write(json.dumps({**head, "size": len(data)}).encode() + b"\n" + data)
+        answers.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -12,14 +12,20 @@ import os
 import re
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 
 from calib_pin.errors import RobotError
 from calib_pin.io.files import read_bytes
-from calib_pin.io.limits import limit
 
 Answer = tuple[dict[str, object], bytes]
+
+MEMORY = 3 << 29
+"""Address space of the process [bytes], of which its libraries take a tenth."""
+
+SECONDS = 600
+"""Time of a processor that it takes in all, should nobody be left to stop it [s]."""
 
 ANSWER = 1 << 27
 """Bytes of the largest answer."""
@@ -81,9 +87,24 @@ def answer(kind: str, file: str, **more: object) -> Answer:
     return {"reason": reason, "file": file}, b""
 
 
+def _limit() -> None:
+    """Give up what this process does not need, where the system can hold it to that."""
+    try:
+        import resource
+    except ImportError:  # On Windows.
+        return
+    for kind, most in (
+        (resource.RLIMIT_AS, MEMORY),
+        (resource.RLIMIT_CPU, SECONDS),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        with suppress(OSError, ValueError):  # It has less, or the system refuses.
+            resource.setrlimit(kind, (most, resource.getrlimit(kind)[1]))
+
+
 def main() -> None:
     """Answer until nobody asks any more."""
-    limit()
+    _limit()
     # What a library prints does not get between the answers.
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

@@ -19,10 +19,12 @@ import numpy as np
 from calib_pin.errors import CalibPinError, InputError
 from calib_pin.estimation.problem import Problem, distinct_values, error_table
 from calib_pin.io.foreign_headers import (
+    VECTORS,
     Foreign,
     families,
     joints_by_name,
     measured,
+    vectors,
     without_meaning,
 )
 from calib_pin.io.measured_columns import reserved
@@ -45,6 +47,13 @@ TURNED = 2.2 * np.pi
 DROPPED = 0.17
 """Orientation errors of the nominal robot from which an orientation is read wrongly, as
 one of another convention [rad]."""
+
+SPATIAL = {*VECTORS[0], *VECTORS[1], *VECTORS[2], *VECTORS[3]}
+"""Columns of positions and orientations."""
+
+COMPUTED = 3e-6
+"""Errors of the nominal robot, in parts of how far the tool moved, from which positions
+are not computed from the joints: a micrometer in a meter is what six digits leave."""
 
 CLEAR = 0.5
 """Part of the errors of another reading that a less likely one must leave, at most."""
@@ -214,28 +223,34 @@ def readings(
     if setup.tip is None and found_joints.tips:
         setup = replace(setup, tip=found_joints.tips[0])
     used = {one.name for one in joints.values()}
-    found = measured([one for one in columns if one.name not in used])
+    rest = [one for one in columns if one.name not in used]
     names = dict[str, Foreign]()
-    for ours, choices in found.items():
+    for ours, choices in measured(rest).items():
         own = next((one for one in choices if one.name == ours), None)
         chosen = own or choices[0]
         if ours != "time" or chosen.largest < DATE:
             names[ours] = chosen
-    orientations = [n for n in names if n[0] in "qr" or n in ("pitch", "yaw")]
-    without = {n: one for n, one in names.items() if n not in orientations}
-    ways = [names, without] if orientations and "x" in names else [names]
+    poses = vectors(rest)
+    without = {n: one for n, one in names.items() if n not in SPATIAL}
+    ways = [
+        {**without, **position, **turned}
+        for position, orientation in poses
+        for turned in ((orientation, {}) if orientation else ({},))
+    ] or [names]
     free = [one for one in joints.values() if one.unit is None]
     turning = [
         one
         for joint, one in joints.items()
         if one.unit is None and turns(robot.model, joint)
     ]
-    degrees = max((one.largest for one in turning), default=0.0) > TURNED
+    # A joint that stands still, as a gripper in percent, tells no unit.
+    degrees = max((one.largest for one in turning if one.moves), default=0.0) > TURNED
     angles = ["deg"] if degrees else ["rad", "deg"]
-    lengths = [one for n, one in without.items() if n in ("x", "y", "z", "distance")]
-    unstated = [one for one in lengths if one.unit is None]
-    scales = ["m", "mm"] if unstated else [""]
-    for way, angle, length in product(ways, angles if free else [""], scales):
+    for way, angle, length in product(ways, angles if free else [""], ["m", "mm"]):
+        lengths = [one for n, one in way.items() if n in ("x", "y", "z", "distance")]
+        unstated = [one for one in lengths if one.unit is None]
+        if length == "mm" and not unstated:
+            continue
         stated, units = dict[str, str](), dict[str, str]()
         for ours, one in [*joints.items(), *way.items()]:
             unit = one.unit
@@ -248,9 +263,9 @@ def readings(
                 stated[ours] = one.stated(unit)
         columns_of = {**stated, **setup.columns}
         read = replace(setup, columns=columns_of)
-        meant = {*used, *(one.name for one in names.values()), *reserved()}
-        rest = tuple(one.name for one in columns if one.name not in meant)
-        yield Look(read, joints=found_joints, units=units, ignored=rest)
+        meant = {*used, *(one.name for one in way.values()), *reserved()}
+        ignored = tuple(one.name for one in columns if one.name not in meant)
+        yield Look(read, joints=found_joints, units=units, ignored=ignored)
 
 
 def looked(
@@ -311,10 +326,23 @@ def best(looks: Sequence[Look]) -> Look:
 
     Args:
         looks: Readings, the likeliest first.
+
+    Raises:
+        InputError: If the nominal robot fits to a file as no instrument sees one.
     """
     whole = [look for look in looks if look.errors]
     if not whole:
         return looks[0]
+    seen = [look for look in whole if look.share > COMPUTED]
+    if not seen:
+        first = whole[0]
+        size = 1e3 * next(iter(first.errors.values()))
+        raise InputError(
+            f"the positions fit to the nominal robot to {size:.2g} mm, which no "
+            "instrument does: they are computed from the joints by the controller, and "
+            "no measurement"
+        )
+    whole = seen
     turned = [k for k in whole if k.errors.get("orientation", 0.0) <= DROPPED] or whole
     least = min(look.share for look in turned)
     chosen = next(look for look in turned if CLEAR * look.share <= least)

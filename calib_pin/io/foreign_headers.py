@@ -85,7 +85,9 @@ TURNED = re.compile(r"quat|orient|rot|angle|normal|euler|^[qr]$")
 LABEL = re.compile(r"(?:id|no|nr|num|number|nummer|name|label|index)?")
 """Words that say no more than that a column has names."""
 
-MEASURED = re.compile(r"meas|mess|track|actual|observ|(?:\b|_)ist|real|reflector|smr")
+MEASURED = re.compile(
+    r"meas|mess|track|laser|actual|observ|(?:\b|_)ist|real|reflector|smr"
+)
 COMMANDED = re.compile(
     r"goal|soll|nominal|cmd|command|desired|(?:\b|_)set|ref|target|diff?\b"
 )
@@ -155,7 +157,8 @@ def _unit(text: str) -> str | None:
 def measured(columns: Sequence[Foreign]) -> dict[str, list[Foreign]]:
     """The columns that may be each of ours, the likeliest first.
 
-    Vectors are whole, and their columns are alike but for the word of the axis.
+    Vectors are whole, and their columns are alike but for the word of the axis: those
+    in the same place are of one vector.
     """
     found = dict[str, dict[str, Foreign]]()
     for ours in MEANINGS:
@@ -195,9 +198,13 @@ def understood(table: Table) -> Table:
 
 
 def _stem(one: Foreign, ours: str) -> str | None:
-    """The words of a header beside one of our meanings; None if it has another."""
+    """The words of a header beside one of our meanings; None if it has another.
+
+    Capitals are words of their own: a file may have `x` and `X`.
+    """
     if one.name == ours:
         return ""
+    capitals = "^" * one.name.isupper()
     parts = re.findall(r"[^\W_]+", one.words)
     single = any(ours in vector for vector in VECTORS)
     ways = [(parts[:-2], "".join(parts[-2:])), (parts[:-1], "".join(parts[-1:]))]
@@ -207,8 +214,34 @@ def _stem(one: Foreign, ours: str) -> str | None:
         turned = ours in ("x", "y", "z") and TURNED.search(stem)
         first = rest == parts[1:] and len(parts) > 1
         if alike and not turned and (single or not first or LABEL.fullmatch(stem)):
-            return stem
+            return stem + capitals
     return None
+
+
+def vectors(
+    columns: Sequence[Foreign],
+) -> list[tuple[dict[str, Foreign], dict[str, Foreign]]]:
+    """Positions that a file may state, the likeliest first, each with an orientation.
+
+    The orientation is that of the same words; of another position's words it is not.
+    One that never moves, while others do, is none.
+    """
+    found = measured(columns)
+    turned = [names for names in VECTORS[1:4] if names[0] in found]
+    stems = [_stem(one, "x") for one in found.get("x", ())]
+    result = []
+    for k, stem in enumerate(stems):
+        position = {axis: found[axis][k] for axis in VECTORS[0]}
+        orientation = dict[str, Foreign]()
+        for names in turned:
+            of = [_stem(one, names[0]) for one in found[names[0]]]
+            at = of.index(stem) if stem in of else 0
+            fits = stem in of or len(stems) == 1
+            whole = {name: found[name][at] for name in names}
+            if fits and any(one.moves for one in whole.values()) and not orientation:
+                orientation = whole
+        result.append((position, orientation))
+    return result
 
 
 def _names(one: Foreign, ours: str) -> bool:

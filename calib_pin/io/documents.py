@@ -9,8 +9,8 @@ import numpy as np
 
 from calib_pin.control.compensation import Compensation
 from calib_pin.estimation.evidence import Finding, PoseErrors
-from calib_pin.estimation.system import System
-from calib_pin.io.json_text import Json, plain
+from calib_pin.io.calibrated_model import model_name
+from calib_pin.io.json_text import Json, format_keys, plain
 from calib_pin.io.targets import Targets
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -48,7 +48,7 @@ def comparison_document(found: Comparison) -> Json:
     """
     names = {"base": None, "tool": None} | {d.frame: d for d in found.displacements}
     return {
-        **stated("comparison"),
+        **format_keys("calib-pin/comparison"),
         "a": _record(found.first),
         "b": _record(found.second),
         "same": {
@@ -89,7 +89,7 @@ def acceptance_document(tests: Mapping[str, Acceptance], limit: LimitSetup) -> J
     """The numbers of an acceptance test, in SI units."""
     *_, last = tests.values()
     return {
-        **stated("acceptance"),
+        **format_keys("calib-pin/acceptance"),
         "limits": [
             {"quantity": name, "status": status, "limit": allowed, "unit": unit}
             for name, status, _, allowed, unit in judged(last, limit)
@@ -101,7 +101,7 @@ def acceptance_document(tests: Mapping[str, Acceptance], limit: LimitSetup) -> J
 def outlook_document(study: Study, found: Sequence[Outlook], limit: LimitSetup) -> Json:
     """Outlooks of a Monte Carlo study, in SI units; quantiles are those of `levels`."""
     return {
-        **stated("monte-carlo"),
+        **format_keys("calib-pin/monte-carlo"),
         "robot": study.chains.robot.name,
         "model": model_name(study.truth),
         "seed": study.seed,
@@ -173,21 +173,6 @@ def _difference(found: Difference) -> Json:
     }
 
 
-def model_name(system: System) -> str:
-    """Names of the measurement models, joined by plus signs."""
-    return "+".join(dict.fromkeys(key.model for key in system.parts))
-
-
-def stated(kind: str, version: int = 1) -> Json:
-    """The first keys of a document.
-
-    Args:
-        kind: Kind of the document, such as `plan`.
-        version: Version of its format.
-    """
-    return {"format": f"calib-pin/{kind}", "version": version}
-
-
 def identification_parts(
     found: Identification, suggestions: Sequence[Suggestion] = ()
 ) -> Json:
@@ -225,7 +210,7 @@ def identification_document(
         findings: Defects of the measurements.
     """
     return {
-        **stated("identification"),
+        **format_keys("calib-pin/identification"),
         **identification_parts(found, suggestions),
         "verdict": {"status": verdict, "reason": reason},
         "findings": plain(findings),
@@ -235,7 +220,7 @@ def identification_document(
 def evaluation_document(found: Evaluation) -> Json:
     """The accuracy of a robot on measurements."""
     return {
-        **stated("evaluation"),
+        **format_keys("calib-pin/evaluation"),
         "rows": found.rows,
         "registered": found.registered,
         "outside_trained_region": found.outside,
@@ -253,7 +238,7 @@ def plan_document(plan: Plan) -> Json:
     """A plan: its configurations, what they reach, and the expected result."""
     predicted = plan.predicted
     return {
-        **stated("plan"),
+        **format_keys("calib-pin/plan"),
         "joints": list(plan.problem.chains.joints),
         "configurations": plan.q.tolist(),
         "target": list(plan.target),
@@ -315,7 +300,7 @@ def compensation_document(
     }
     corrections = np.abs(found.corrections)
     return {
-        **stated("compensation"),
+        **format_keys("calib-pin/compensation"),
         "verdict": {
             "status": "untrusted" if doubts else "good",
             "reason": doubts[0] if doubts else "",

@@ -1,7 +1,8 @@
 """JSON of plain data: one writer and one reader for all documents.
 
-Dataclasses, named tuples, mappings, tuples, arrays and numbers are written as they are
-declared; a field may state another key, `field(metadata={"key": ...})`. JSON knows
+Dataclasses, named tuples, mappings, tuples, arrays and numbers are written, and read
+back, as they are declared. A field may state another key, `metadata={"key": ...}`, and
+records that have a name may be a mapping by it, `metadata={"by": "name"}`. JSON knows
 neither infinity nor NaN: such numbers are null, and `infinite` at the end of a document
 names those that are infinite, so that all numbers come back exactly.
 """
@@ -24,15 +25,21 @@ import numpy as np
 
 from calib_pin.errors import InputError
 
+_T = TypeVar("_T")
+
 Json = dict[str, Any]
 
 INFINITE = "infinite"
 """Key of the infinite numbers, by their paths."""
 
+VERSION = 1
+"""Version of our formats, the only one that is read."""
+
+LARGEST = 1e6
+"""Largest number that a value, a position or an offset can be [m, rad, px]."""
+
 NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
 """A list of numbers: no text holds a line break."""
-
-_T = TypeVar("_T")
 
 
 def encode(document: Mapping[str, Any]) -> bytes:
@@ -69,38 +76,42 @@ def decode(data: bytes) -> Any:
     return document
 
 
-def require_format(
-    document: object, what: str, name: str, newest: int, file: str | Path
-) -> Json:
-    """A document of one of our formats, of a version that can be read.
+def format_keys(name: str) -> Json:
+    """The first keys of a document of a format."""
+    return {"format": name, "version": VERSION}
+
+
+def decoded(data: bytes, what: str, name: str, file: str | Path) -> Json:
+    """The document of one of our formats that a file holds.
 
     Args:
-        document: The content of the file.
-        what: Its name in messages.
-        name: Name of the format.
-        newest: Newest version that can be read.
+        data: Bytes of the file.
+        what: Name of the format in messages.
+        name: Name of the format; version 1 is the only one that can be read.
         file: The file.
 
     Raises:
         InputError: If it is anything else.
     """
+    try:
+        document = decode(data)
+    except (ValueError, RecursionError) as error:
+        reason = f"not a {what}, or truncated: {getattr(error, 'msg', error)}"
+        line = getattr(error, "lineno", None)
+        raise InputError(reason, file=file, line=line) from error
     if not isinstance(document, dict) or document.get("format") != name:
         raise InputError(f"not a {what} of calib-pin", file=file)
     version = document.get("version")
-    if type(version) is not int or not 1 <= version <= newest:
-        raise InputError(
-            f"a {what} of another version",
-            file=file,
-            value=version,
-            allowed=f"1 to {newest}",
-        )
+    if type(version) is not int or version != VERSION:
+        reason = f"a {what} of another version"
+        raise InputError(reason, file=file, value=version, allowed=str(VERSION))
     return document
 
 
 def plain(value: Any) -> Any:
     """Typed data as mappings, lists, texts and numbers."""
     if is_dataclass(value):
-        return {_name(f): plain(getattr(value, f.name)) for f in fields(value)}
+        return {_name(f): _plain_field(f, value) for f in fields(value)}
     if isinstance(value, tuple) and hasattr(value, "_asdict"):
         return plain(value._asdict())
     if isinstance(value, Mapping):
@@ -110,12 +121,18 @@ def plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
+def _plain_field(part: Field[Any], record: Any) -> Any:
+    found, by = plain(getattr(record, part.name)), part.metadata.get("by")
+    return found if by is None else {one.pop(by): one for one in found}
+
+
 def typed(kind: type[_T], value: Any) -> _T:
-    """Plain data as a declared type; unknown keys are ignored.
+    """Plain data as a declared type; unknown keys are ignored, null numbers are NaN.
 
     Args:
-        kind: A dataclass.
-        value: A mapping by the keys of its fields.
+        kind: A type as a field declares it: a dataclass or a named tuple, whose data
+            are a mapping by its keys, a tuple, an array, a number, ...
+        value: The data.
 
     Raises:
         KeyError: If a field that has no default is missing.
@@ -127,34 +144,46 @@ def typed(kind: type[_T], value: Any) -> _T:
 
 def _typed(kind: Any, value: Any) -> Any:
     origin, of = get_origin(kind), get_args(kind)
-    if kind is Any:
-        return value
     if origin in (Union, types.UnionType):
         if value is None and type(None) in of:
             return None
         known = [one for one in of if one is not type(None)]
         # Of a number or a text, a text is what is no number.
-        kind = str if isinstance(value, str) and str in known else known[0]
-        return _typed(kind, value)
+        return _typed(
+            str if isinstance(value, str) and str in known else known[0], value
+        )
     if is_dataclass(kind) or hasattr(kind, "_fields"):
         return _record(kind, value)
     if origin is tuple:
-        several = len(of) == 2 and of[1] is Ellipsis
-        kinds = of[:1] * len(value) if several else of
+        kinds = of[:1] * len(value) if of[1:] == (...,) else of
         if isinstance(value, str) or len(value) != len(kinds):
             raise ValueError(f"{repr(value)} stands in the place of a list")
-        return tuple(map(_typed, kinds, value))
+        return tuple(map(typed, kinds, value))
+    if origin is np.ndarray:
+        return np.array(value, float)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return {str(key): _typed(of[1], item) for key, item in value.items()}
-    if origin is Literal:
-        if value not in of:
-            raise ValueError(f"{repr(value)} is none of {', '.join(map(str, of))}")
-        return value
-    return _scalar(kind, value)
+    if origin is Literal and value not in of:
+        raise ValueError(f"{repr(value)} is none of {', '.join(map(str, of))}")
+    return value if kind is Any or origin is Literal else _scalar(kind, value)
+
+
+def _record(kind: Any, value: Any) -> Any:
+    hints = _hints(kind)
+    if not is_dataclass(kind):
+        return kind(*(_typed(hints[name], value[name]) for name in kind._fields))
+    found = {}
+    for part in fields(kind):
+        key, by = _name(part), part.metadata.get("by")
+        if (part.default, part.default_factory) == (MISSING, MISSING) or key in value:
+            data = value[key]
+            if by is not None:
+                data = [{by: name, **record} for name, record in data.items()]
+            found[part.name] = _typed(hints[part.name], data)
+    return kind(**found)  # type: ignore[operator]
 
 
 def _scalar(kind: Any, value: Any) -> Any:
-    """A number, a text or a flag; null is a number that nobody knows."""
     if kind is float:
         if value is None:
             return math.nan
@@ -169,16 +198,17 @@ def _scalar(kind: Any, value: Any) -> Any:
     return value
 
 
-def _record(kind: Any, value: Any) -> Any:
-    hints = _hints(kind)
-    if not is_dataclass(kind):
-        return kind(*(_typed(hints[name], value[name]) for name in kind._fields))
-    found = {}
-    for part in fields(kind):
-        key = _name(part)
-        if (part.default, part.default_factory) == (MISSING, MISSING) or key in value:
-            found[part.name] = _typed(hints[part.name], value[key])
-    return kind(**found)  # type: ignore[operator]
+def require_finite(value: Any) -> None:
+    """Refuse plain data with numbers that nobody knows, or that nothing can have.
+
+    Raises:
+        ValueError: If there is null, or a number beyond `LARGEST`.
+    """
+    if isinstance(value, list):
+        for item in value:
+            require_finite(item)
+    elif not isinstance(value, str | bool) and not abs(value) < LARGEST:
+        raise ValueError(f"{repr(value)} stands in the place of a number")
 
 
 @cache

@@ -20,7 +20,6 @@ from calib_pin.estimation.layout import side_by_side
 from calib_pin.io.columns import GrowingColumn
 from calib_pin.io.csv_text import CsvText
 from calib_pin.io.measurements import LINES
-from calib_pin.io.older_results import with_blocks
 from calib_pin.io.result_folder import MEASUREMENTS
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity, declared
@@ -129,11 +128,8 @@ def decode_errors(
             (words[name] if name in words else numbers[name]).extend(cells)
     columns = {name: np.frombuffer(found.numbers) for name, found in numbers.items()}
     if "model" not in words:
-        if len(model.parts) > 1:
-            words, columns = with_blocks(words, columns, model)
-        else:
-            count = len(words["set"])
-            words |= {k: [v] * count for k, v in model.only.key._asdict().items()}
+        count = len(words["set"])
+        words |= {k: [v] * count for k, v in model.only.key._asdict().items()}
     fitted, held_out = (
         _part(words, columns, model, to_base[name], name) for name in SETS
     )

@@ -24,14 +24,11 @@ import numpy as np
 
 from calib_pin.errors import InputError
 from calib_pin.io.files import read_bytes, write_atomically
-from calib_pin.io.json_text import Json, decode, encode, plain, require_format, typed
+from calib_pin.io.json_text import Json, decoded, encode, format_keys, plain, typed
 from calib_pin.setup import JointPrior, PopulationPrior
 
-FORMAT, VERSION = "calib-pin/fleet-prior", 1
-"""The newest format of priors."""
-
-OF_ROBOT = "calib-pin/robot-prior"
-"""The format of that by an older calibration."""
+FORMAT, OF_ROBOT = "calib-pin/fleet-prior", "calib-pin/robot-prior"
+"""The format of a prior by other robots, and of one by an older calibration."""
 
 SYMMETRIC = 1e-9
 """Largest part of a correlation that may differ from its mirror image."""
@@ -42,7 +39,7 @@ def prior_document(prior: JointPrior) -> Json:
     content = plain(prior)
     del content["file"]
     name = FORMAT if isinstance(prior, PopulationPrior) else OF_ROBOT
-    return {"format": name, "version": VERSION, **content}
+    return {**format_keys(name), **content}
 
 
 def prior_of(document: Mapping[str, Any]) -> JointPrior:
@@ -71,13 +68,7 @@ def read_population_prior(path: str | Path) -> PopulationPrior:
     Raises:
         InputError: If it is no such file, of a later version, or damaged.
     """
-    data = read_bytes(path)
-    try:
-        document = decode(data)
-    except (ValueError, RecursionError) as mistake:
-        reason = f"not the prior of a fleet, or truncated: {mistake}"
-        raise InputError(reason, file=path) from mistake
-    document = require_format(document, "fleet's prior", FORMAT, VERSION, path)
+    document = decoded(read_bytes(path), "fleet's prior", FORMAT, path)
     try:
         prior = prior_of(document)
     except ValueError as mistake:

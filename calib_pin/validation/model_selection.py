@@ -57,6 +57,7 @@ from calib_pin.validation.splits import FOLDS, Grouping, folds
 from calib_pin.validation.summaries import (
     Candidate,
     HeldOutErrors,
+    MeanError,
     ModelSelection,
     QuantityError,
 )
@@ -276,7 +277,7 @@ class _Candidates:
         judged = replace(
             candidate,
             rank=model.fit.rank,
-            errors=tuple((e.name, e.unit, e.mean) for e in near.errors),
+            errors=tuple(MeanError(e.name, e.unit, e.mean) for e in near.errors),
             score=near.score,
             deviation=near.deviation,
         )

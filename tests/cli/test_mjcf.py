@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.io.exchange import Exported
-from calib_pin.io.result_file import read_result
+from calib_pin.io.results import read_result
 from calib_pin.io.urdf import load_chain
 from tests.io.test_mjcf_files import BASE, BODIES, written
 

@@ -15,16 +15,15 @@ import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.learning import with_learned
-from calib_pin.io.calibration_document import calibration_document
-from calib_pin.io.json_text import encode
-from calib_pin.io.result_folder import RESIDUAL_MODEL
-from calib_pin.io.results import (
+from calib_pin.io.calibrated_model import (
     encode_residual_model,
-    read_calibration,
     read_residual_model,
     reference,
     write_urdf,
 )
+from calib_pin.io.json_text import encode
+from calib_pin.io.result_folder import RESIDUAL_MODEL
+from calib_pin.io.results import calibration_document, read_calibration
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import BlockKey
 from calib_pin.residual_models import LearnedCorrection, TrainedRegion

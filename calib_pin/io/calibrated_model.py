@@ -14,13 +14,14 @@ A residual model has a file of its own: plain numbers in JSON, nothing to execut
      "sha256": ""}        # of the canonical JSON of all the rest
 
 A learned correction means nothing for another robot, and nobody can see from its
-numbers that one of them has been changed; so both are checked.
+numbers that one of them has been changed: a calibration takes it only byte for byte as
+it was written with it.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
@@ -28,14 +29,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import InputError, OptionError, OutputError
+from calib_pin.errors import OptionError, OutputError
 from calib_pin.estimation.formulation import make_parts
 from calib_pin.estimation.scopes import BASE, TOOL
 from calib_pin.estimation.system import FRAME, Part, System, assembled
-from calib_pin.io.files import read_bytes, write_atomically
+from calib_pin.io.files import write_atomically
 from calib_pin.io.journal import sha256
 from calib_pin.io.json_text import Json, decoded, format_keys, require_finite, typed
-from calib_pin.io.result_folder import RESIDUAL_MODEL
+from calib_pin.io.result_folder import RESIDUAL_MODEL, reading
 from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.urdf import corrected_urdf
 from calib_pin.kinematics.chain import Chain
@@ -337,14 +338,22 @@ def encode_residual_model(
             shift[part.index[: len(own.shift)]] = own.shift
     if learned is None:
         return None
+    chain = model.moving.error.chain
     document: Json = {
         **format_keys(RESIDUAL),
         **({} if run is None else {"run": run}),
-        "robot": _robot(model.moving.error.chain),
+        "robot": {
+            "name": chain.robot.name,
+            "sha256": sha256(chain.robot.source),
+            "base": chain.base,
+            "tip": chain.tip,
+            "joints": list(chain.joints),
+        },
         "shift": shift.tolist(),
         "model": learned.model.document(),
     }
-    document["sha256"] = _digest(document)
+    canonical = json.dumps(document, sort_keys=True, separators=(",", ":"))
+    document["sha256"] = sha256(canonical.encode())
     return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
 
 
@@ -355,77 +364,25 @@ def reference(data: bytes) -> dict[str, str]:
 
 
 def read_residual_model(
-    path: str | Path,
-    system: System,
-    content: str | None = None,
-    read: Callable[[str | Path], bytes] = read_bytes,
+    data: bytes, system: System, file: str | Path
 ) -> LearnedCorrection:
-    """The residual model of a file.
+    """The correction of a residual model, with a shift of all parameters.
 
     Args:
-        path: The file.
+        data: Bytes of the file, those that its calibration was written with.
         system: The robot that it corrects.
-        content: SHA-256 that the file must have, as a calibration states it.
-        read: Gives the bytes of the file.
-
-    Returns:
-        The correction, with a shift of all parameters.
+        file: The file.
 
     Raises:
-        InputError: If it is no such file, of a later version, of another robot, or
-            not as it was written.
+        InputError: If it is no such file.
     """
-    data = read(path)
-    document = decoded(data, "residual model", RESIDUAL, path)
-    if document.pop("sha256", None) != _digest(document):
-        raise InputError("edited or damaged: its checksum does not match", file=path)
-    chain = system.moving.error.chain
-    _require_same_robot(document.get("robot"), _robot(chain), path)
-    if content is not None and sha256(data) != content:
-        raise InputError(
-            "not the file that this calibration was written with", file=path
-        )
-    try:
-        stated = numbers(document, "shift", (count_without_instruments(system),))
-        model = restore(document.get("model"), len(chain.joints))
-    except (TypeError, ValueError) as mistake:
-        reason = f"damaged or edited residual model: {mistake}"
-        raise InputError(reason, file=path) from mistake
+    document = decoded(data, "residual model", RESIDUAL, file)
+    count = count_without_instruments(system)
     shift = np.zeros(len(system.given))
-    shift[: len(stated)] = stated
-    return LearnedCorrection(model, shift)
-
-
-def _require_same_robot(stated: object, expected: Json, path: str | Path) -> None:
-    if stated == expected:
-        return
-    found: Mapping[Any, Any] = stated if isinstance(stated, Mapping) else {}
-    what = f"'{found.get('name')}'"
-    if found.get("sha256") == expected["sha256"]:
-        what = f"the chain {found.get('base')} to {found.get('tip')}"
-    elif found.get("name") == expected["name"]:
-        what = "other content of its URDF"
-    raise InputError(
-        f"learned on another robot: {what}",
-        file=path,
-        allowed="'{name}' from {base} to {tip}".format_map(expected),
-    )
-
-
-def _robot(chain: Chain) -> Json:
-    return {
-        "name": chain.robot.name,
-        "sha256": sha256(chain.robot.source),
-        "base": chain.base,
-        "tip": chain.tip,
-        "joints": list(chain.joints),
-    }
-
-
-def _digest(document: Json) -> str:
-    """SHA-256 of a document whatever the spaces and the order of its keys."""
-    text = json.dumps(document, sort_keys=True, separators=(",", ":"))
-    return sha256(text.encode())
+    with reading(file, "residual model"):
+        shift[:count] = numbers(document, "shift", (count,))
+        joints = len(system.moving.error.chain.joints)
+        return LearnedCorrection(restore(document["model"], joints), shift)
 
 
 AGREEMENT = 1e-9

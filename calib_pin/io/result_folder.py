@@ -103,8 +103,12 @@ def read_document(
 
 
 @contextmanager
-def reading(path: str | Path) -> Iterator[None]:
+def reading(path: str | Path, what: str = "calibration") -> Iterator[None]:
     """Turn what goes wrong with the parts of a document into one line.
+
+    Args:
+        path: The file.
+        what: Its name in the line.
 
     Raises:
         InputError: If a part is missing or is not what it should be.
@@ -113,7 +117,7 @@ def reading(path: str | Path) -> Iterator[None]:
         yield
     except (CalibPinError, LookupError, TypeError, ValueError, AttributeError) as error:
         missing = " is missing" if isinstance(error, KeyError) else ""
-        reason = f"damaged or edited calibration: {error}{missing}"
+        reason = f"damaged or edited {what}: {error}{missing}"
         raise InputError(reason, file=path) from error
 
 

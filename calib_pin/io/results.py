@@ -18,7 +18,6 @@ from calib_pin.estimation.evidence import (
     TRUSTED,
     VERDICTS,
     ExpectedAccuracy,
-    Finding,
     FoundCurve,
     PoseErrors,
     TipAccuracy,
@@ -62,16 +61,10 @@ from calib_pin.setup.values import LARGEST_LENGTH
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.assessment import chi2_interval
-from calib_pin.validation.breakdown import Breakdown
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.result import (
     CalibrationResult,
-    CoupledGroup,
-    FoundDistance,
-    Identifiability,
-    ParameterEstimate,
-    RobotError,
     UrdfResult,
 )
 from calib_pin.validation.summaries import (
@@ -79,12 +72,11 @@ from calib_pin.validation.summaries import (
     ModelSelection,
     NamedArray,
     Provenance,
-    Recalibration,
-    SolverSummary,
-    Statistics,
     ToolAccuracy,
-    Validation,
 )
+
+STATED = ("findings", "validation", "statistics", "solver", "distances")
+"""Parts of a result that are written as they are declared, as are its `BREAKDOWN`."""
 
 SAMPLES = ("configurations", "points", "position", "orientation")
 """Keys of the predicted uncertainty of the tool point, arrays over the workspace."""
@@ -352,8 +344,11 @@ def _read_model(path: Path, read: Read) -> tuple[Json, CalibratedModel]:
     require_one_run(listed, run, robot.source, path, read)
     if learned is None:
         return document, model
-    found = read_residual_model(file, model, content, read)
-    return document, with_learned(model, found)
+    data = read(file)
+    if sha256(data) != content:
+        reason = "not the file that this calibration was written with"
+        raise InputError(reason, file=file)
+    return document, with_learned(model, read_residual_model(data, model, file))
 
 
 def _chains(document: Json, robot: Robot) -> Chains:
@@ -378,39 +373,32 @@ def _result(
     document: Json, model: CalibratedModel, file: Path, read: Read
 ) -> CalibrationResult:
     verdict, about = document["verdict"], document["measurements"]
-    found = document["identifiability"]
-    parameters = typed(tuple[ParameterEstimate, ...], document["parameters"])
-    groups = typed(tuple[CoupledGroup, ...], found["coupled"])
-    estimates = [(e.value, e.sigma) for e in parameters]
-    for value, sigma in estimates + [(e.value, e.sigma) for e in groups]:
-        require_finite(value)
+    parts = {key: document[key] for key in (*STATED, *BREAKDOWN)}
+    parts["recalibration"] = document.get("recalibration")
+    parts["parameters"] = document["parameters"]
+    parts["identifiability"] = found = document["identifiability"]
+    parts |= {"groups": found["coupled"], "robot_errors": found["robot_errors"]}
+    kinds = get_type_hints(CalibrationResult)
+    known = {key: typed(kinds[key], part) for key, part in parts.items()}
+    estimates = [*known["parameters"], *known["groups"]]
+    require_finite([estimate.value for estimate in estimates])
+    terms = (term for group in known["groups"] for term in group.terms)
+    require_finite([term.coefficient for term in terms])
+    for sigma in (estimate.sigma for estimate in estimates):
         if sigma is not None and not sigma >= 0.0:
             raise ValueError(f"{sigma!r} is no standard deviation")
-    require_finite([term.coefficient for group in groups for term in group.terms])
-    names = [parameter.name for parameter in parameters]
+    names = [parameter.name for parameter in known["parameters"]]
     covariance = document["covariance"] or np.full((len(names), len(names)), np.nan)
     fitted, held_out = _measured(document, model, file.parent, read)
-    made, urdf, kinds = (
-        document["provenance"],
-        document["urdf"],
-        get_type_hints(Breakdown),
-    )
-    begun, seconds = document.get("recalibration"), document["solver"]["seconds"]
+    made, urdf = document["provenance"], document["urdf"]
     return CalibrationResult(
-        parameters=parameters,
-        groups=groups,
-        identifiability=typed(Identifiability, found),
-        robot_errors=typed(tuple[RobotError, ...], found["robot_errors"]),
+        **known,
         model=model,
         reference=model_of(document, model.chains, reference=True),
         verdict=verdict["status"],
         reason=verdict["reason"],
         errors=_read_errors(document["errors"]),
-        validation=typed(Validation, document["validation"]),
-        solver=typed(SolverSummary, document["solver"]),
-        statistics=typed(Statistics, document["statistics"]),
         accuracies=_accuracies(document, model),
-        **{key: typed(kinds[key], document[key]) for key in BREAKDOWN},
         covariance=NamedArray.of(covariance, names, names),
         fitted=fitted,
         held_out=held_out,
@@ -418,13 +406,10 @@ def _result(
         model_selection=_model_selection(document["model_ladder"]),
         urdf=urdf and _urdf_result(urdf, model.chains),
         rejected=typed(str, document["rejected_residual_model"]),
-        distances=typed(tuple[FoundDistance, ...], document["distances"]),
-        findings=typed(tuple[Finding, ...], document["findings"]),
-        recalibration=None if begun is None else typed(Recalibration, begun),
         provenance=Provenance(
             command=typed(tuple[str, ...], made["command"]),
             created=typed(str, made["created"]),
-            seconds=typed(float, seconds),
+            seconds=typed(float, document["solver"]["seconds"]),
             versions={k: v for k, v in made.items() if k not in MADE},
             file=str(file),
             hashes=tuple(typed(str, entry["sha256"]) for entry in about["files"]),

@@ -35,8 +35,15 @@ from calib_pin.estimation.scopes import BASE, TOOL
 from calib_pin.estimation.system import FRAME, Part, System, assembled
 from calib_pin.io.files import write_atomically
 from calib_pin.io.journal import sha256
-from calib_pin.io.json_text import Json, decoded, format_keys, require_finite, typed
-from calib_pin.io.result_folder import RESIDUAL_MODEL, reading
+from calib_pin.io.json_text import (
+    Json,
+    decoded,
+    format_keys,
+    reading,
+    require_finite,
+    typed,
+)
+from calib_pin.io.result_folder import RESIDUAL_MODEL
 from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.urdf import corrected_urdf
 from calib_pin.kinematics.chain import Chain
@@ -201,7 +208,7 @@ def model_of(
 
     Raises:
         CalibPinError, KeyError, TypeError, ValueError, AttributeError: If a part is
-            missing or is not what it should be, see `result_folder.reading`.
+            missing or is not what it should be, see `json_text.reading`.
     """
     setup, stated = setup_of(document["setup"]), _stated(document, reference)
     for key in required_keys(setup.parameters) - document["setup"].keys():

@@ -15,6 +15,7 @@ import re
 import sys
 import types
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import MISSING, Field, fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -23,7 +24,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 
 import numpy as np
 
-from calib_pin.errors import InputError
+from calib_pin.errors import CalibPinError, InputError
 
 _T = TypeVar("_T")
 
@@ -106,6 +107,25 @@ def decoded(data: bytes, what: str, name: str, file: str | Path) -> Json:
         reason = f"a {what} of another version"
         raise InputError(reason, file=file, value=version, allowed=str(VERSION))
     return document
+
+
+@contextmanager
+def reading(path: str | Path, what: str = "calibration") -> Iterator[None]:
+    """Turn what goes wrong with the parts of a document into one line.
+
+    Args:
+        path: The file.
+        what: Its name in the line.
+
+    Raises:
+        InputError: If a part is missing or is not what it should be.
+    """
+    try:
+        yield
+    except (CalibPinError, LookupError, TypeError, ValueError, AttributeError) as error:
+        missing = " is missing" if isinstance(error, KeyError) else ""
+        reason = f"damaged or edited {what}: {error}{missing}"
+        raise InputError(reason, file=path) from error
 
 
 def plain(value: Any) -> Any:

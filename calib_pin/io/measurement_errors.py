@@ -12,7 +12,6 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -113,23 +112,20 @@ def decode_errors(
             link, shape (B, 3, 3), or one for all, shape (3, 3).
 
     Raises:
-        ValueError: If a column is missing, or there is no measurement.
+        KeyError: If a column is missing.
+        ValueError: If there is no measurement, or a cell is no number.
         InputError: If it is no CSV file.
     """
     first, stretches = CsvText(MEASUREMENTS, len(data), data).split()
     header = first.cells(0)
-    if missing := set(WORDS) - set(header):
-        raise ValueError(f"columns are missing: {', '.join(sorted(missing))}")
-    told = [*WORDS, *(KEYS if "model" in header else ())]
-    words: dict[str, list[str]] = {name: [] for name in told}
+    words: dict[str, list[str]] = {n: [] for n in (*WORDS, *KEYS) if n in header}
     numbers = {name: GrowingColumn() for name in header if name not in words}
     for stretch in stretches:
         for name, cells in zip(header, stretch.columns(header), strict=True):
             (words[name] if name in words else numbers[name]).extend(cells)
     columns = {name: np.frombuffer(found.numbers) for name, found in numbers.items()}
-    if "model" not in words:
-        count = len(words["set"])
-        words |= {k: [v] * count for k, v in model.only.key._asdict().items()}
+    count, only = len(words["set"]), model.only.key._asdict()
+    words = {name: [value] * count for name, value in only.items()} | words
     fitted, held_out = (
         _part(words, columns, model, to_base[name], name) for name in SETS
     )
@@ -153,30 +149,24 @@ def _part(
             of_block.setdefault(key, []).append(row)
     if not of_block:
         return None
-    unknown = unknown_errors(model, 0)
+    unknown, joints = unknown_errors(model, 0), model.chains.joints
     _, first = side_by_side(_quantities(model))
 
     def numbers(chosen: Sequence[int], *names: str) -> Floats:
-        for column in names:
-            if column not in columns:
-                raise ValueError(f"the column '{column}' is missing")
-        found = [columns[column][chosen] for column in names]
-        return np.column_stack([np.zeros((len(chosen), 0)), *found])
+        # Not even a column of a chain without joints.
+        none = np.zeros((len(chosen), 0))
+        return np.column_stack([none, *(columns[column][chosen] for column in names)])
 
     def conditions(chosen: Sequence[int], payload: Labels) -> Conditions:
-        stated: dict[str, Any] = {}
-        directions = [f"direction.{joint}" for joint in model.chains.joints]
-        if directions[0] in columns:
-            stated["direction"] = numbers(chosen, *directions).astype(np.int8)
-            stated["source"] = "columns"
-        for column in ("temperature", "time"):
-            if column in columns:
-                stated[column] = numbers(chosen, column)[:, 0]
-        return Conditions(payload, **stated)
+        known = [name for name in ("temperature", "time") if name in columns]
+        held = Conditions(payload, **{name: columns[name][chosen] for name in known})
+        if f"direction.{joints[0]}" not in columns:
+            return held
+        directions = numbers(chosen, *(f"direction.{joint}" for joint in joints))
+        return replace(held, direction=directions.astype(np.int8), source="columns")
 
     def block(key: BlockKey, chosen: Sequence[int]) -> Measurements:
-        about = declared(key.model)
-        joints, at = model.chains.joints, first[key.model]
+        about, at = declared(key.model), first[key.model]
         own = unknown.components[at : at + len(about.components)]
         stated = [f"{component}.stated" for component in own]
         sigma = numbers(chosen, *stated) if stated[0] in columns else None

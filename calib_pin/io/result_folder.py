@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path, PurePosixPath
 
-from calib_pin.errors import CalibPinError, InputError, RobotError
+from calib_pin.errors import InputError, RobotError
 from calib_pin.io.files import DATA, read_bytes
 from calib_pin.io.journal import inside, settled, sha256
 from calib_pin.io.json_text import Json, decoded, encode
@@ -100,25 +100,6 @@ def read_document(
         reason = "of an older version of calib-pin, or edited: calibrate again"
         raise InputError(f"{reason} from the measurements", file=path)
     return document
-
-
-@contextmanager
-def reading(path: str | Path, what: str = "calibration") -> Iterator[None]:
-    """Turn what goes wrong with the parts of a document into one line.
-
-    Args:
-        path: The file.
-        what: Its name in the line.
-
-    Raises:
-        InputError: If a part is missing or is not what it should be.
-    """
-    try:
-        yield
-    except (CalibPinError, LookupError, TypeError, ValueError, AttributeError) as error:
-        missing = " is missing" if isinstance(error, KeyError) else ""
-        reason = f"damaged or edited {what}: {error}{missing}"
-        raise InputError(reason, file=path) from error
 
 
 @contextmanager

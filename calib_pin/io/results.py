@@ -32,7 +32,14 @@ from calib_pin.io.calibrated_model import (
 from calib_pin.io.documents import identification_parts
 from calib_pin.io.files import read_bytes
 from calib_pin.io.journal import sha256
-from calib_pin.io.json_text import Json, format_keys, plain, require_finite, typed
+from calib_pin.io.json_text import (
+    Json,
+    format_keys,
+    plain,
+    reading,
+    require_finite,
+    typed,
+)
 from calib_pin.io.measurement_errors import (
     SETS,
     decode_errors,
@@ -49,7 +56,6 @@ from calib_pin.io.result_folder import (
     members,
     opened,
     read_document,
-    reading,
     require_one_run,
 )
 from calib_pin.io.setup import setup_of

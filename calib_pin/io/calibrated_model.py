@@ -79,10 +79,10 @@ SECTIONS: Mapping[str, type] = {
     "anchors": AnchorSetup,
     CAMERAS: CameraSetup,
 }
-"""Sections of what has a place, by name among all."""
+"""Sections of frames and reference objects."""
 
 Places = dict[tuple[str, str], Any]
-"""What has a place, by section and name."""
+"""Frames and reference objects, by section and name."""
 
 
 def frame_key(place: str) -> str:
@@ -235,7 +235,7 @@ def model_of(
 
 
 def _stated(document: Json, reference: bool) -> Places:
-    """What has a place in a document, as a setup states it.
+    """The frames and reference objects of a document, as a setup states them.
 
     Args:
         document: The document.
@@ -292,7 +292,7 @@ def _measured(part: Part, setup: Setup, stated: Places, targets: Sequence[str]) 
     Args:
         part: The part.
         setup: The setup.
-        stated: What has a place.
+        stated: Frames and reference objects.
         targets: Targets of the block.
     """
     sections: dict[str, dict[str, Any]] = {}

@@ -159,7 +159,8 @@ def _part(
 
     def conditions(chosen: Sequence[int], payload: Labels) -> Conditions:
         known = [name for name in ("temperature", "time") if name in columns]
-        held = Conditions(payload, **{name: columns[name][chosen] for name in known})
+        stated: dict[str, Any] = {name: columns[name][chosen] for name in known}
+        held = Conditions(payload, **stated)
         if f"direction.{joints[0]}" not in columns:
             return held
         directions = numbers(chosen, *(f"direction.{joint}" for joint in joints))

@@ -74,8 +74,6 @@ from calib_pin.validation.result import (
     UrdfResult,
 )
 from calib_pin.validation.summaries import (
-    Candidate,
-    ModelSelection,
     NamedArray,
     Provenance,
     ToolAccuracy,
@@ -158,7 +156,7 @@ def calibration_document(
         "distances": plain(result.distances),
         "residual_model": plain(residual_model),
         "rejected_residual_model": result.rejected,
-        "model_ladder": result.model_selection and _ladder(result.model_selection),
+        "model_ladder": plain(result.model_selection),
     }
     if model.chains.names != ("",):
         ends = {name: model.chains[name] for name in model.chains.names}
@@ -381,6 +379,7 @@ def _result(
     verdict, about = document["verdict"], document["measurements"]
     parts = {key: document[key] for key in (*STATED, *BREAKDOWN)}
     parts["recalibration"] = document.get("recalibration")
+    parts["model_selection"] = document["model_ladder"]
     parts["parameters"] = document["parameters"]
     parts["identifiability"] = found = document["identifiability"]
     parts |= {"groups": found["coupled"], "robot_errors": found["robot_errors"]}
@@ -409,7 +408,6 @@ def _result(
         fitted=fitted,
         held_out=held_out,
         files=tuple(typed(str, entry["file"]) for entry in about["files"]),
-        model_selection=_model_selection(document["model_ladder"]),
         urdf=urdf and _urdf_result(urdf, model.chains),
         rejected=typed(str, document["rejected_residual_model"]),
         provenance=Provenance(
@@ -558,22 +556,3 @@ def _urdf_result(entry: Json, chains: Chains) -> UrdfResult:
         errors=_read_errors(entry["errors"]),
         reason=typed(str, entry["reason"]),
     )
-
-
-def _ladder(ladder: ModelSelection) -> Json:
-    return {
-        "chosen": ladder.candidates[ladder.chosen].name,
-        "use": ladder.use,
-        "near": plain(ladder.near),
-        "rungs": plain(ladder.candidates),
-    }
-
-
-def _model_selection(entry: Json | None) -> ModelSelection | None:
-    if entry is None:
-        return None
-    candidates = typed(tuple[Candidate, ...], entry["rungs"])
-    names = [candidate.name for candidate in candidates]
-    near = typed(dict[str, tuple[float, float]], entry["near"])
-    chosen, use = names.index(entry["chosen"]), typed(str, entry["use"])
-    return ModelSelection(candidates, chosen, use, near)

@@ -144,7 +144,7 @@ def select_model(
     q = measurements.q
     near = zip(q.min(axis=0).tolist(), q.max(axis=0).tolist(), strict=True)
     ranges = dict(zip(measurements.joints, near, strict=True))
-    selection = ModelSelection(every, chosen, use, ranges)
+    selection = ModelSelection(every[chosen].name, use, ranges, every)
     return SelectedModel(selection, found.model, found.parts)
 
 

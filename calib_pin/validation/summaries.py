@@ -118,17 +118,29 @@ class ModelSelection:
     """The model selection.
 
     Attributes:
-        candidates: All of them, simplest first.
-        chosen: Position of the one that is kept.
+        selected: Name of the candidate that is kept.
         use: Where it must hold: `near` the fitted configurations, `away` from them, or
             `both`.
         near: Least and largest fitted position of every joint, by name [rad, m].
+        candidates: All of them, simplest first.
+
+    Raises:
+        ValueError: If no candidate has the name.
     """
 
-    candidates: tuple[Candidate, ...]
-    chosen: int
-    use: str = "near"
-    near: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    selected: str = field(metadata={"key": "chosen"})
+    use: str
+    near: Mapping[str, tuple[float, float]]
+    candidates: tuple[Candidate, ...] = field(metadata={"key": "rungs"})
+
+    def __post_init__(self) -> None:
+        """Refuse a selection of none of the candidates."""
+        _ = self.chosen
+
+    @property
+    def chosen(self) -> int:
+        """Position of the candidate that is kept."""
+        return [candidate.name for candidate in self.candidates].index(self.selected)
 
 
 @dataclass(frozen=True)

@@ -70,12 +70,14 @@ SEEN = Setup(
 
 SIZES = [(MeanError("position", "m", size),) for size in (2e-3, 1e-4)]
 LADDER = ModelSelection(
+    "geometric",
+    "near",
+    {},
     (
         Candidate("joint offset", (), None, 7, SIZES[0], 20.0, 2.0, True),
         Candidate("geometric", (), None, 34, SIZES[1], 1.0, 0.1, True),
         Candidate("+ compliance", (), None, reason="no masses"),
     ),
-    1,
 )
 
 

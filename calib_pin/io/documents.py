@@ -21,11 +21,7 @@ from calib_pin.planning.suggestions import Suggestion
 from calib_pin.setup import LimitSetup
 from calib_pin.validation.acceptance import Acceptance, judged
 from calib_pin.validation.comparison import BOUND, Comparison, Difference, faults
-from calib_pin.validation.result import (
-    CalibrationResult,
-    Evaluation,
-    Identification,
-)
+from calib_pin.validation.result import CalibrationResult, Evaluation, Identification
 
 
 def comparison_document(found: Comparison) -> Json:

@@ -40,11 +40,7 @@ from calib_pin.io.json_text import (
     require_finite,
     typed,
 )
-from calib_pin.io.measurement_errors import (
-    SETS,
-    decode_errors,
-    unknown_errors,
-)
+from calib_pin.io.measurement_errors import SETS, decode_errors, unknown_errors
 from calib_pin.io.result_folder import (
     BREAKDOWN,
     DOCUMENT,
@@ -69,15 +65,8 @@ from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import MeasurementErrors
-from calib_pin.validation.result import (
-    CalibrationResult,
-    UrdfResult,
-)
-from calib_pin.validation.summaries import (
-    NamedArray,
-    Provenance,
-    ToolAccuracy,
-)
+from calib_pin.validation.result import CalibrationResult, UrdfResult
+from calib_pin.validation.summaries import NamedArray, Provenance, ToolAccuracy
 
 STATED = ("findings", "validation", "statistics", "solver", "distances")
 """Parts of a result that are written as they are declared, as are its `BREAKDOWN`."""

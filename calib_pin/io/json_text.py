@@ -14,7 +14,7 @@ import math
 import re
 import sys
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, Field, fields, is_dataclass
 from functools import cache
@@ -46,10 +46,18 @@ NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
 def encode(document: Mapping[str, Any]) -> bytes:
     """The JSON text of a document; lists of numbers stand on one line each."""
     lost: dict[str, str] = {}
-    finite = dict(_finite(document, "", lost))
+
+    def finite(value: Any, path: str) -> Any:
+        if not isinstance(value, float) or math.isfinite(value):
+            return value
+        if math.isinf(value):
+            lost[path] = str(value)
+        return None
+
+    found = _changed(document, finite)
     if lost:
-        finite[INFINITE] = lost
-    text = json.dumps(finite, indent=1, allow_nan=False, ensure_ascii=False)
+        found[INFINITE] = lost
+    text = json.dumps(found, indent=1, allow_nan=False, ensure_ascii=False)
     text = NUMBERS.sub(lambda found: f"[{' '.join(found[0][1:-1].split())}]", text)
     # Lone surrogates, of file names that are not UTF-8, become JSON's own escapes.
     return text.encode("utf-8", "backslashreplace") + b"\n"
@@ -63,18 +71,29 @@ def decode(data: bytes) -> Any:
         RecursionError: If it is nested too deeply.
     """
     document = json.loads(data.decode("utf-8-sig"))
-    lost = document.get(INFINITE, {}) if isinstance(document, dict) else {}
-    for path, number in lost.items():
-        *way, last = path.split("/")[1:]
-        try:
-            place = document
-            for key in way:
-                place = place[_key(place, key)]
-            if place[_key(place, last)] is None and number in ("inf", "-inf"):
-                place[_key(place, last)] = float(number)
-        except (LookupError, TypeError) as error:
-            raise ValueError(f"'{INFINITE}' names no number: {path}") from error
-    return document
+    lost = document.get(INFINITE) if isinstance(document, dict) else None
+    if not isinstance(lost, dict):
+        return document
+
+    def restored(value: Any, path: str) -> Any:
+        known = value is None and lost.get(path) in ("inf", "-inf")
+        return float(lost[path]) if known else value
+
+    return _changed(document, restored)
+
+
+def _changed(value: Any, change: Callable[[Any, str], Any], path: str = "") -> Any:
+    """Plain data with all that is neither mapping nor list changed, by its path."""
+    if isinstance(value, Mapping):
+        # A path is a JSON pointer.
+        names = {key: str(key).replace("~", "~0").replace("/", "~1") for key in value}
+        return {
+            str(key): _changed(item, change, f"{path}/{names[key]}")
+            for key, item in value.items()
+        }
+    if isinstance(value, list | tuple):
+        return [_changed(v, change, f"{path}/{k}") for k, v in enumerate(value)]
+    return change(value, path)
 
 
 def format_keys(name: str) -> Json:
@@ -203,19 +222,21 @@ def _record(kind: Any, value: Any) -> Any:
     return kind(**found)  # type: ignore[operator]
 
 
+NAMES = {float: "a number", int: "a whole number", str: "a name", bool: "true or false"}
+
+
 def _scalar(kind: Any, value: Any) -> Any:
+    if kind is float and value is None:
+        return math.nan
+    fits = type(value) is kind
     if kind is float:
-        if value is None:
-            return math.nan
-        number = isinstance(value, float | int) and not isinstance(value, bool)
         # Python reads NaN and numbers of any length, JSON knows none.
-        if not number or value != value or sys.float_info.max < abs(value) < math.inf:
-            raise ValueError(f"{repr(value)} stands in the place of a number")
-        return float(value)
-    if type(value) is not kind:
-        names = {int: "a whole number", str: "a name", bool: "true or false"}
-        raise ValueError(f"{repr(value)} stands in the place of {names[kind]}")
-    return value
+        fits = type(value) in (int, float) and (
+            abs(value) <= sys.float_info.max or abs(value) == math.inf
+        )
+    if not fits:
+        raise ValueError(f"{repr(value)} stands in the place of {NAMES[kind]}")
+    return kind(value)
 
 
 def require_finite(value: Any) -> None:
@@ -238,28 +259,3 @@ def _hints(kind: Any) -> Mapping[str, Any]:
 
 def _name(part: Field[Any]) -> str:
     return str(part.metadata.get("key", part.name))
-
-
-def _finite(value: Any, path: str, lost: dict[str, str]) -> Any:
-    """Plain data without the numbers that JSON does not know; these go to `lost`."""
-    if isinstance(value, float):
-        if math.isinf(value):
-            lost[path] = str(value)
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: _finite(item, at, lost) for key, item, at in _below(value, path)}
-    if isinstance(value, list | tuple):
-        return [_finite(v, f"{path}/{k}", lost) for k, v in enumerate(value)]
-    return value
-
-
-def _below(value: Mapping[Any, Any], path: str) -> Iterator[tuple[str, Any, str]]:
-    for key, item in value.items():
-        at = str(key).replace("~", "~0").replace("/", "~1")  # A JSON pointer.
-        yield str(key), item, f"{path}/{at}"
-
-
-def _key(place: Any, key: str) -> Any:
-    if isinstance(place, list):
-        return int(key)
-    return key.replace("~1", "/").replace("~0", "~")

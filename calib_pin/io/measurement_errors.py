@@ -153,8 +153,9 @@ def _part(
     unknown, joints = unknown_errors(model, 0), model.chains.joints
     _, first = side_by_side(_quantities(model))
 
+    starts = [f"start.{joint}" for joint in joints]
+
     def numbers(chosen: Sequence[int], *names: str) -> Floats:
-        # Not even a column of a chain without joints.
         none = np.zeros((len(chosen), 0))
         return np.column_stack([none, *(columns[column][chosen] for column in names)])
 
@@ -173,7 +174,7 @@ def _part(
         stated = [f"{component}.stated" for component in own]
         sigma = numbers(chosen, *stated) if stated[0] in columns else None
         file, line, target, payload = (
-            Labels.of([words[column][row] for row in chosen]) for column in WORDS[1:]
+            [words[column][row] for row in chosen] for column in WORDS[1:]
         )
         measured = (f"measured.{k + 1}" for k in range(len(about.values)))
         return Measurements(
@@ -181,13 +182,11 @@ def _part(
             q=numbers(chosen, *(f"joint.{joint}" for joint in joints)),
             values=numbers(chosen, *measured),
             sigma=None if sigma is None or np.isnan(sigma).all() else sigma,
-            target=target,
-            conditions=conditions(chosen, payload),
-            start=numbers(chosen, *(f"start.{joint}" for joint in joints))
-            if about.relative
-            else np.zeros((0, 0)),
-            lines=np.array(list(line), np.int64),
-            files=file,
+            target=Labels.of(target),
+            conditions=conditions(chosen, Labels.of(payload)),
+            start=numbers(chosen, *(starts if about.relative else ())),
+            lines=np.array(line, np.int64),
+            files=Labels.of(file),
             weight=numbers(chosen, "weight")[:, 0],
             **key._asdict(),
         )

@@ -100,7 +100,7 @@ def count_without_instruments(system: System) -> int:
     return 1 + max(int(part.of_error.max()) for part in system.parts.values())
 
 
-def tip_correction(part: Part, theta: Floats) -> pin.SE3:
+def _tip_correction(part: Part, theta: Floats) -> pin.SE3:
     """The error of the tip that the tool carries, since a URDF has no place for it.
 
     Args:
@@ -164,7 +164,7 @@ def _frames(model: CalibratedModel, reference: CalibratedModel) -> Json:
         stations[name] = frame if name == "base" else {**frame, "link": chain.base}
         name = frame_key(part.scope.tool)
         known = not free[inner : inner + FRAME].any()
-        tool = tip_correction(part, model.theta) * _carrier(part)
+        tool = _tip_correction(part, model.theta) * _carrier(part)
         frame = _frame(tool, _carrier(start), known)
         tools[name] = frame if name == "tool" else {**frame, "link": chain.tip}
     return stations | tools
@@ -320,7 +320,7 @@ def _placed(part: Part, given: ParameterSet, stated: Places, theta: Floats) -> P
             raise ValueError(f"whether '{name}' is estimated is not as in the setup")
         poses.append(frame_pose(frame))
     base, tool = poses
-    tool = tip_correction(part, theta).actInv(tool) * part.scope.offset
+    tool = _tip_correction(part, theta).actInv(tool) * part.scope.offset
     return replace(part, error=part.error.with_frames(base, tool))
 
 

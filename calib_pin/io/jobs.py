@@ -179,19 +179,15 @@ def _name(stated: JobSetup, number: int, found: Sequence[tuple[int, JobSetup]]) 
 
 def _from(folder: Path, stated: JobSetup) -> JobSetup:
     """A job with its files named from here, not from the folder of the table."""
-
-    def placed(file: str | None) -> str | None:
-        return None if file is None else str(folder / file)
-
+    files = {key: getattr(stated, key) for key in ("setup", "validation", "previous")}
+    placed: dict[str, Any] = {k: str(folder / f) for k, f in files.items() if f}
     # A robot may be a bundled one, and a xacro file has its arguments behind it.
     there = (folder / stated.robot.split(" ")[0]).exists()
     return replace(
         stated,
         robot=str(folder / stated.robot) if there else stated.robot,
         measurements=tuple(str(folder / file) for file in stated.measurements),
-        setup=placed(stated.setup),
-        validation=placed(stated.validation),
-        previous=placed(stated.previous),
+        **placed,
     )
 
 

@@ -296,8 +296,10 @@ def used_files(path: str | Path, files: Sequence[Path]) -> list[Path]:
         path: A `calibration.json`, which can be read.
         files: Measurement files; what is no file, such as a pipe, is left alone.
     """
-    stated = read_document(path)["measurements"]["files"]
-    known = {entry["sha256"] for entry in stated}
+    document = read_document(path)
+    with reading(path):
+        stated = document["measurements"]["files"]
+        known = {typed(str, entry["sha256"]) for entry in stated}
     return [file for file in files if _sha256_of(str(file)) in known - {""}]
 
 

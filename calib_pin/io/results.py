@@ -101,24 +101,16 @@ def calibration_document(
         InputError: If a measurement file cannot be read again for its hash.
     """
     model, statistics, dof = result.model, result.statistics, result.statistics.dof
-    robot, chain = model.chains.robot, model.moving.error.chain
     made = provenance or result.provenance
     hashes = made.hashes or tuple(map(_sha256_of, result.files))
     setup_file, method = model.setup.file, result.validation.method
     covariance, urdf = result.covariance, result.urdf
-    described = model_document(model, result.reference)
-    document = {
+    begun, described = result.recalibration, model_document(model, result.reference)
+    return {
         **format_keys(FORMAT),
         "verdict": {"status": result.verdict, "reason": result.reason},
         "findings": plain(result.findings),
-        "robot": {
-            "name": robot.name,
-            "file": robot.file,
-            "sha256": sha256(robot.source),
-            "base": chain.base,
-            "tip": chain.tip,
-            "joints": list(model.chains.joints),
-        },
+        "robot": _robot(model),
         "measurements": {
             "files": [
                 {"file": file, "sha256": content}
@@ -146,15 +138,7 @@ def calibration_document(
         "residual_model": plain(residual_model),
         "rejected_residual_model": result.rejected,
         "model_ladder": plain(result.model_selection),
-    }
-    if model.chains.names != ("",):
-        ends = {name: model.chains[name] for name in model.chains.names}
-        document["robot"]["chains"] = {
-            name: {"base": end.base, "tip": end.tip} for name, end in ends.items()
-        }
-    if result.recalibration is not None:
-        document["recalibration"] = plain(result.recalibration)
-    return document | {
+        **({} if begun is None else {"recalibration": plain(begun)}),
         "urdf": urdf and _urdf(urdf, method),
         "setup_file": {"file": setup_file, "sha256": _sha256_of(setup_file)}
         if setup_file
@@ -344,6 +328,23 @@ def _read_model(path: Path, read: Read) -> tuple[Json, CalibratedModel]:
         reason = "not the file that this calibration was written with"
         raise InputError(reason, file=file)
     return document, with_learned(model, read_residual_model(data, model, file))
+
+
+def _robot(model: CalibratedModel) -> Json:
+    """The robot with the ends of its chains, where they have names."""
+    chains, chain = model.chains, model.moving.error.chain
+    about: Json = {
+        "name": chains.robot.name,
+        "file": chains.robot.file,
+        "sha256": sha256(chains.robot.source),
+        "base": chain.base,
+        "tip": chain.tip,
+        "joints": list(chains.joints),
+    }
+    if chains.names != ("",):
+        ends = {name: chains[name] for name in chains.names}
+        about["chains"] = {k: {"base": e.base, "tip": e.tip} for k, e in ends.items()}
+    return about
 
 
 def _chains(document: Json, robot: Robot) -> Chains:

@@ -39,6 +39,9 @@ VERSION = 1
 LARGEST = 1e6
 """Largest number that a value, a position or an offset can be [m, rad, px]."""
 
+MISTAKES = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+"""Errors that data raise which are not as they should be."""
+
 NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
 """A list of numbers: no text holds a line break."""
 
@@ -141,7 +144,7 @@ def reading(path: str | Path, what: str = "calibration") -> Iterator[None]:
     """
     try:
         yield
-    except (CalibPinError, LookupError, TypeError, ValueError, AttributeError) as error:
+    except (CalibPinError, *MISTAKES) as error:
         missing = " is missing" if isinstance(error, KeyError) else ""
         reason = f"damaged or edited {what}: {error}{missing}"
         raise InputError(reason, file=path) from error
@@ -170,7 +173,7 @@ def typed(kind: type[_T], value: Any) -> _T:
 
     Args:
         kind: A type as a field declares it: a dataclass or a named tuple, whose data
-            are a mapping by its keys, a tuple, an array, a number, ...
+            are a mapping by its keys, a tuple, a number, ...
         value: The data.
 
     Raises:
@@ -198,8 +201,6 @@ def _typed(kind: Any, value: Any) -> Any:
         if isinstance(value, str) or len(value) != len(kinds):
             raise ValueError(f"{repr(value)} stands in the place of a list")
         return tuple(map(typed, kinds, value))
-    if origin is np.ndarray:
-        return np.array(value, float)
     if isinstance(origin, type) and issubclass(origin, Mapping):
         return {str(key): _typed(of[1], item) for key, item in value.items()}
     if origin is Literal and value not in of:

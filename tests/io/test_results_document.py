@@ -101,6 +101,7 @@ DAMAGE: list[tuple[tuple[Any, ...], Any]] = [
     ((*COUPLED, 0, "value"), DEEP),
     (("predicted", "position"), 10**400),
     (("predicted", "samples", "points", 0, 0), 1e9),
+    (("predicted", "samples", "points", 0, 0), 10**400),
     (("predicted", "samples", "position", 0), ...),
     (("statistics", "sigma0"), "one"),
     (("measurements", "training"), ...),

@@ -1,10 +1,11 @@
 """JSON of plain data: one writer and one reader for all documents.
 
-Dataclasses, named tuples, mappings, tuples, arrays and numbers are written, and read
-back, as they are declared. A field may state another key, `metadata={"key": ...}`, and
-records that have a name may be a mapping by it, `metadata={"by": "name"}`. JSON knows
-neither infinity nor NaN: such numbers are null, and `infinite` at the end of a document
-names those that are infinite, so that all numbers come back exactly.
+Dataclasses, named tuples, mappings, tuples and numbers are written, and read back, as
+they are declared; arrays are written as lists. A field may state another key,
+`metadata={"key": ...}`, and records that have a name may be a mapping by it,
+`metadata={"by": "name"}`. JSON knows neither infinity nor NaN: such numbers are null,
+and `infinite` at the end of a document names those that are infinite, so that all
+numbers come back exactly.
 """
 
 from __future__ import annotations

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from calib_pin.calibration import calibrate
     from calib_pin.control.compensation import compensate
     from calib_pin.errors import CalibPinError
+    from calib_pin.io.calibrated_model import write_urdf
     from calib_pin.io.collision import load_collisions
     from calib_pin.io.measurements import read_measurements, write_measurements
-    from calib_pin.io.result_file import read_result
-    from calib_pin.io.results import read_calibration, write_urdf
+    from calib_pin.io.results import read_calibration, read_result
     from calib_pin.io.setup import read_setup
     from calib_pin.io.urdf import load_chain, load_chains, robot_file
     from calib_pin.kinematics.chain import Chain
@@ -90,13 +90,13 @@ _HOMES = {
     "plan": "planning.plan",
     "read_calibration": "io.results",
     "read_measurements": "io.measurements",
-    "read_result": "io.result_file",
+    "read_result": "io.results",
     "read_setup": "io.setup",
     "report": "report.html",
     "robot_file": "io.urdf",
     "simulate": "simulation",
     "write_measurements": "io.measurements",
-    "write_urdf": "io.results",
+    "write_urdf": "io.calibrated_model",
 }
 """Where each public name lives; imported when it is first used."""
 

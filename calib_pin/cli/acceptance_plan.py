@@ -13,6 +13,8 @@ from calib_pin.cli.printing import say, say_written
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from calib_pin.kinematics.chains import Chains
     from calib_pin.kinematics.collision import Collisions
     from calib_pin.setup import Setup
@@ -78,7 +80,8 @@ def plan_acceptance(
     from calib_pin.estimation.formulation import nominal_problem
     from calib_pin.io.exchange.motions import speed_limits
     from calib_pin.io.files import write_files
-    from calib_pin.io.visits import encode_visits
+    from calib_pin.io.joint_columns import column_values, joint_sources, shown_columns
+    from calib_pin.io.measurements import encode_table
     from calib_pin.planning.workspace import joint_limits
     from calib_pin.report.acceptance_plan_text import acceptance_schedule
 
@@ -109,14 +112,17 @@ def plan_acceptance(
     typed = shlex.join(["calib-pin", "accept", *accept])
     robot = chains.robot.name
     schedule = list(acceptance_schedule(found, robot, cycles, speeds, [typed]))
-    text = encode_visits(
-        chain,
-        found,
-        cycles,
-        joints=setup.joints,
-        degrees=degrees,
-        comments=[f"planned by: {command}", "", *schedule],
-    )
+    q, poses, each = found.cycles(cycles)
+    sources = joint_sources(chain, setup.joints)
+    columns: dict[str, Sequence[object]] = {
+        name: column.tolist()
+        for name, column in shown_columns(
+            column_values(q, sources), sources, degrees
+        ).items()
+    }
+    columns |= {"cycle": each, "pose": [f"P{pose}" for pose in poses]}
+    columns |= {f"{axis} [mm]": [""] * len(q) for axis in "xyz"}  # To be filled in.
+    text = encode_table(columns, [f"planned by: {command}", "", *schedule])
     with write_files({output: text}, force=force):
         if not quiet:
             say("".join(f"{line}\n" for line in schedule))

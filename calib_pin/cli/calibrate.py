@@ -170,7 +170,7 @@ def calibrate(
         if json and files is not None:
             say(contents[files.json].decode())
         elif json:
-            from calib_pin.io.calibration_document import calibration_document
+            from calib_pin.io.results import calibration_document
 
             say_json(calibration_document(result, suggestions=found.suggestions))
         elif not quiet:

@@ -53,7 +53,7 @@ def compare(
     from calib_pin.io.documents import comparison_document
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
-    from calib_pin.io.result_file import read_result
+    from calib_pin.io.results import read_result
     from calib_pin.report.comparison import comparison_report
     from calib_pin.validation.comparison import compare as run
     from calib_pin.validation.comparison import faults

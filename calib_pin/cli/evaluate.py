@@ -54,7 +54,7 @@ def evaluate(
 
     from calib_pin.io.documents import evaluation_document
     from calib_pin.io.json_text import encode
-    from calib_pin.io.result_file import used_files
+    from calib_pin.io.results import used_files
     from calib_pin.kinematics.chains import Chains
     from calib_pin.report.accuracy import evaluated
     from calib_pin.validation.calibrated_model import CalibratedModel

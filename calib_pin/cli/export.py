@@ -54,7 +54,7 @@ def export(
     """
     from calib_pin.io.exchange import FORMATS, Exported
     from calib_pin.io.files import write_files
-    from calib_pin.io.result_file import document_file, read_result
+    from calib_pin.io.results import document_file, read_result
 
     if form == "list":
         for known in FORMATS.values():

@@ -71,7 +71,7 @@ class Outcome(NamedTuple):
 @serial_blas
 def calibrate_job(orders: Orders, job: Job) -> Outcome:
     """Calibrate, write the folder of the results, and tell its row."""
-    from calib_pin.io.result_file import read_result
+    from calib_pin.io.results import read_result
 
     blank = _blank(job)
     try:
@@ -133,7 +133,7 @@ class Successor:
 @serial_blas
 def compare_job(orders: Orders, pair: Successor) -> FleetRow:
     """The row of a calibration with its drift."""
-    from calib_pin.io.result_file import read_result
+    from calib_pin.io.results import read_result
     from calib_pin.validation.comparison import compare
 
     row, (file, name) = pair.row, pair.previous
@@ -193,7 +193,7 @@ def _finished(orders: Orders, job: Job) -> CalibrationResult | None:
     """
     from calib_pin.io.files import read_bytes
     from calib_pin.io.journal import sha256
-    from calib_pin.io.result_file import read_result
+    from calib_pin.io.results import read_result
 
     request, folder = _request(job), orders.folder(job.name)
     try:

@@ -15,7 +15,7 @@ import typer
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, require_distinct, require_folders
 from calib_pin.cli.printing import notice, say, say_json, say_written, told_command
-from calib_pin.errors import InputError, OptionError, enumerated
+from calib_pin.errors import InputError, OptionError, enumerated, stated_in
 
 if TYPE_CHECKING:
     from calib_pin.io.first_look import Joints, Look
@@ -209,7 +209,8 @@ def _best(
             for camera in _mounts(stated)
             for way in readings(camera, robot, own, columns)
         ]
-        found = best(looks)
+        with stated_in(str(files[0])):
+            found = best(looks)
         if CLEAR * found.next_share <= found.share < inf:
             raise InputError(
                 "the robot fits about as well with other units; state the units in the "

@@ -56,7 +56,7 @@ def open_older(
     """
     if path is None:
         return None
-    from calib_pin.io.result_file import document_file, read_result, used_files
+    from calib_pin.io.results import document_file, read_result, used_files
 
     found = read_result(path)
     for file in used_files(document_file(path), measurements):
@@ -71,7 +71,7 @@ def open_older(
 
 def older_files(path: Path) -> list[Path]:
     """The file of an older calibration, which nothing may replace."""
-    from calib_pin.io.result_file import document_file
+    from calib_pin.io.results import document_file
 
     return [document_file(path)]
 

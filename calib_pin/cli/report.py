@@ -51,16 +51,15 @@ def report(
 
     calibration.json, measurements.csv and the robot are all that it takes. The robot is
     drawn with its meshes where they are found as in the calibration, and with simple
-    shapes where the folder has been moved away from them. Of a
-    calibration without measurements.csv, as older versions wrote it, there are no
-    figures of single measurements. '--pdf' writes a report to be printed and signed;
-    'report' in the setup of the calibration says whose robot it is. Exit status 2: the
-    calibration must not be trusted.
+    shapes where the folder has been moved away from them. Without
+    measurements.csv it has no figures of single measurements. '--pdf' writes a report
+    to be printed and signed; 'report' in the setup of the calibration says whose robot
+    it is. Exit status 2: the calibration must not be trusted.
     """
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.files import write_files
-    from calib_pin.io.result_file import document_file, read_suggestions, read_written
     from calib_pin.io.result_folder import MEASUREMENTS, REPORT
+    from calib_pin.io.results import document_file, read_suggestions, read_written
     from calib_pin.report.cover import calibration_cover
     from calib_pin.report.html import html_report, provenance_blocks
     from calib_pin.report.pdf import pdf_report

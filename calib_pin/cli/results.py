@@ -94,12 +94,16 @@ def result_contents(
     The corrected URDF is there if it can be trusted, and is the nominal one where
     there is no gain; the page is there if figures for it are given, however few.
     """
-    from calib_pin.io.calibration_document import calibration_document, provenance
+    from calib_pin.io.calibrated_model import (
+        encode_residual_model,
+        encode_urdf,
+        reference,
+    )
     from calib_pin.io.journal import inside, listed, sha256
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurement_errors import encode_errors
     from calib_pin.io.result_folder import run_id
-    from calib_pin.io.results import encode_residual_model, encode_urdf, reference
+    from calib_pin.io.results import calibration_document, provenance
     from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 

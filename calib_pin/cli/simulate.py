@@ -126,6 +126,7 @@ def simulate(
     import numpy as np
 
     from calib_pin.estimation.formulation import nominal_problem
+    from calib_pin.io.calibrated_model import encode_urdf
     from calib_pin.io.condition_columns import read_held
     from calib_pin.io.files import write_files
     from calib_pin.io.measurements import (
@@ -133,7 +134,6 @@ def simulate(
         read_configurations,
         read_names,
     )
-    from calib_pin.io.results import encode_urdf
     from calib_pin.io.setup import read_true_errors
     from calib_pin.observations import Observations
     from calib_pin.simulation import draw_errors

@@ -1,27 +1,61 @@
-"""The calibrated robot of a `calibration.json`."""
+"""The calibrated robot as plain data, as a URDF, and the file of what was learned.
+
+Frames and reference objects are written as a setup file states them, where the fit has
+them, with `reference`, where it began: the values of their parameters are the way
+between both.
+
+A residual model has a file of its own: plain numbers in JSON, nothing to execute.
+
+    {"format": "calib-pin/residual-model", "version": 1,
+     "run": "",           # id of the run that learned it, where there was one
+     "robot": {"name", "sha256", "base", "tip", "joints"},
+     "shift": [],         # of the parameters of the error model, in their order
+     "model": {...},      # what `ResidualModel.document` gives
+     "sha256": ""}        # of the canonical JSON of all the rest
+
+A learned correction means nothing for another robot, and nobody can see from its
+numbers that one of them has been changed: a calibration takes it only byte for byte as
+it was written with it.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields, replace
-from itertools import permutations, product
-from typing import Any, TypeVar
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from calib_pin.errors import OptionError, OutputError
 from calib_pin.estimation.formulation import make_parts
 from calib_pin.estimation.scopes import BASE, TOOL
 from calib_pin.estimation.system import FRAME, Part, System, assembled
-from calib_pin.io.json_text import Json, typed
-from calib_pin.io.result_folder import numbers, text
-from calib_pin.io.setup import setup_of
+from calib_pin.io.files import write_atomically
+from calib_pin.io.journal import sha256
+from calib_pin.io.json_text import (
+    Json,
+    decoded,
+    format_keys,
+    reading,
+    require_finite,
+    typed,
+)
+from calib_pin.io.result_folder import RESIDUAL_MODEL
+from calib_pin.io.setup import setup_document, setup_of
+from calib_pin.io.urdf import corrected_urdf
+from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.robot import Robot
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import BlockKey
-from calib_pin.parameterizations import PARAMETERIZATIONS, frame_setup
+from calib_pin.parameterizations import frame_pose, frame_setup, required_keys
 from calib_pin.parameters import ParameterSet
+from calib_pin.residual_models import LearnedCorrection, restore
+from calib_pin.residual_models.documents import numbers
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
@@ -33,25 +67,22 @@ from calib_pin.setup import (
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
 
-_T = TypeVar("_T")
-
-SECTIONS: Mapping[str, type] = {
-    "planes": PlaneSetup,
-    "targets": PointSetup,
-    "sockets": PointSetup,
-    "spheres": SphereSetup,
-    "anchors": AnchorSetup,
-}
-"""Sections of what measurements can refer to by name."""
-
 CAMERA, CAMERAS = "camera", "cameras"
 """The section of the camera, and that of the cameras where stations have their own."""
 
-References = Mapping[str, Mapping[str, Any]]
-"""The reference objects of measurements, by section and by name among all."""
+SECTIONS: Mapping[str, type] = {
+    "frames": FrameSetup,
+    "targets": PointSetup,
+    "planes": PlaneSetup,
+    "sockets": PointSetup,
+    "spheres": SphereSetup,
+    "anchors": AnchorSetup,
+    CAMERAS: CameraSetup,
+}
+"""Sections of frames and reference objects."""
 
-Blocks = Mapping[BlockKey, Sequence[str]]
-"""The targets of each block of measurements."""
+Places = dict[tuple[str, str], Any]
+"""Frames and reference objects, by section and name."""
 
 
 def frame_key(place: str) -> str:
@@ -69,7 +100,7 @@ def count_without_instruments(system: System) -> int:
     return 1 + max(int(part.of_error.max()) for part in system.parts.values())
 
 
-def tip_correction(part: Part, theta: np.ndarray[Any, Any]) -> pin.SE3:
+def _tip_correction(part: Part, theta: Floats) -> pin.SE3:
     """The error of the tip that the tool carries, since a URDF has no place for it.
 
     Args:
@@ -81,272 +112,344 @@ def tip_correction(part: Part, theta: np.ndarray[Any, Any]) -> pin.SE3:
     return part.error.corrections(part.values(theta)[0])[-2]
 
 
-def model_of(document: Json, chains: Chains) -> CalibratedModel:
+def model_name(system: System) -> str:
+    """Names of the measurement models, joined by plus signs."""
+    return "+".join(dict.fromkeys(key.model for key in system.parts))
+
+
+def model_document(model: CalibratedModel, reference: CalibratedModel) -> Json:
+    """A calibrated robot as plain data, without its parameters.
+
+    Points of the tool and planes have a section in every document.
+
+    Args:
+        model: The calibrated robot.
+        reference: The nominal robot where the fit began.
+    """
+    targets = {k: list(p.measurement.targets) for k, p in model.parts.items()}
+    about: Json = {
+        "model": model_name(model),
+        "targets": list(dict.fromkeys(t for own in targets.values() for t in own)),
+    }
+    if len(targets) > 1 or any(model.only.key[1:]):
+        blocks = targets.items()
+        about["blocks"] = [{**key._asdict(), "targets": own} for key, own in blocks]
+    sections: Json = {"targets": {}, "planes": {}}
+    for (section, name), found in model.references.items():
+        start = reference.references[section, name].stated()
+        entry = _entry(found.stated(), start)
+        if (section, name) == (CAMERA, CAMERA):
+            sections[CAMERA] = entry
+        else:
+            key = CAMERAS if section == CAMERA else section
+            sections.setdefault(key, {})[name] = entry
+    return {
+        "measurements": about,
+        "frames": _frames(model, reference),
+        **sections,
+        "setup": setup_document(model.setup),
+    }
+
+
+def _frames(model: CalibratedModel, reference: CalibratedModel) -> Json:
+    """The frames of all stations, then of all tools, each once."""
+    stations: Json = {}
+    tools: Json = {}
+    for key, part in model.parts.items():
+        chain, start = part.error.chain, reference.parts[key]
+        free, inner = model.given.free[part.index], len(part.error.screws) - FRAME
+        name = frame_key(part.scope.station)
+        known = not free[:FRAME].any()
+        frame = _frame(part.error.base, start.error.base, known)
+        stations[name] = frame if name == "base" else {**frame, "link": chain.base}
+        name = frame_key(part.scope.tool)
+        known = not free[inner : inner + FRAME].any()
+        tool = _tip_correction(part, model.theta) * _carrier(part)
+        frame = _frame(tool, _carrier(start), known)
+        tools[name] = frame if name == "tool" else {**frame, "link": chain.tip}
+    return stations | tools
+
+
+def _frame(pose: pin.SE3, start: pin.SE3, known: bool) -> Json:
+    return _entry(frame_setup(pose, known=known), frame_setup(start, known=True))
+
+
+def _carrier(part: Part) -> pin.SE3:
+    """The tool frame of a part, or that of the tool that its own is known on."""
+    return part.error.tool * part.scope.offset.inverse()
+
+
+def _entry(found: Any, start: Any) -> Json:
+    """A frame or a reference object, what of it was estimated, and where it began."""
+
+    def parts(place: Any, flags: bool) -> Json:
+        return {
+            key.replace("estimate", "estimated"): value
+            for key, value in asdict(place).items()
+            if key.startswith("estimate") == flags
+        }
+
+    return {
+        **parts(found, False),
+        **parts(found, True),
+        "reference": parts(start, False),
+    }
+
+
+def model_of(
+    document: Json, chains: Chains, *, reference: bool = False
+) -> CalibratedModel:
     """The calibrated robot of a document.
 
     Args:
-        document: Frames, what the measurements refer to, parameters and setup.
+        document: What `model_document` made, and the parameters.
         chains: The nominal chains.
+        reference: Whether to return the nominal robot where the fit began.
 
     Raises:
         CalibPinError, KeyError, TypeError, ValueError, AttributeError: If a part is
-            missing or is not what it should be, see `result_folder.reading`.
+            missing or is not what it should be, see `json_text.reading`.
     """
-    references, about = _references(document), document["measurements"]
-    sections: dict[str, Any] = {name: references[name] for name in SECTIONS}
-    sections[CAMERA] = next(iter(references[CAMERA].values()), None)
-    stated = "setup" in document
-    if stated:
-        setup = setup_of(document["setup"])
-    else:  # It is no part of the contract; what is known follows from the rest.
-        ends = (document["frames"][frame_key(place)] for place in (BASE, TOOL))
-        base, tool = (
-            FrameSetup(estimate=True) if estimated else frame_setup(pose, known=True)
-            for pose, estimated in map(_read_frame, ends)
-        )
-        setup = Setup(**sections, base_frame=base, tool_frame=tool)
-    # Earlier files name no targets; they have neither several blocks nor points.
-    named = "blocks" in about or "targets" in about or bool(references["targets"])
-    blocks = _blocks(about) if named else {BlockKey(text(about["model"])): ()}
-    shape = setup if stated and named else replace(setup, **sections)
-    values = _values(document["parameters"])
-    kinds = {_kind(name) for name in values}
-    for member in PARAMETERIZATIONS.values():
-        for key in member.requires if member.kind in kinds else ():
-            if key not in document.get("setup", {}):
-                raise ValueError(
-                    f"'setup.{key}' is missing, which '{member.kind}' needs"
-                )
-    parts, given = _parts(chains, blocks, shape, references, values, stated)
-    if named:
-        for part in parts.values():
-            if (list(part.measurement.targets) or [""]) != blocks[part.key]:
-                raise ValueError("'measurements' have other targets than their model")
-    theta = given.vector({name: values.get(name, 0.0) for name in given.names})
-    # The frames hold these.
-    theta[System(chains, parts, given).referred] = 0.0
-    return CalibratedModel(
-        chains=chains,
-        parts=_placed(parts, given, document["frames"], theta),
-        given=given,
-        theta=theta,
-        setup=setup,
+    setup, stated = setup_of(document["setup"]), _stated(document, reference)
+    for key in required_keys(setup.parameters) - document["setup"].keys():
+        raise ValueError(f"'setup.{key}' is missing")
+    blocks = _blocks(document["measurements"])
+    parts, given = assembled(
+        [
+            _measured(part, setup, stated, blocks[key])
+            for key, part in make_parts(chains, blocks, setup)[0].items()
+        ]
     )
+    values = _values(document["parameters"])
+    count = count_without_instruments(System(chains, parts, given))
+    if tuple(values) not in (given.names, given.names[:count]):
+        raise ValueError("the parameters are not those of this chain, in their order")
+    theta = given.vector({} if reference else values)
+    parts = {key: _placed(part, given, stated, theta) for key, part in parts.items()}
+    model = CalibratedModel(chains, parts, given, theta, setup)
+    places = {place for place in stated if place[0] != "frames"}
+    for section, name in places - model.references.keys():
+        raise ValueError(f"no measurement refers to '{name}' under '{section}'")
+    # Frames and reference objects hold their own values.
+    return replace(model, theta=np.where(model.referred, 0.0, theta))
 
 
-def reference_of(document: Json, model: CalibratedModel) -> CalibratedModel:
-    """The nominal robot about the references of a document.
+def _stated(document: Json, reference: bool) -> Places:
+    """The frames and reference objects of a document, as a setup states them.
 
     Args:
-        document: The document; where it states no reference, that is the value.
-        model: The calibrated robot that it tells of.
-
-    Raises:
-        CalibPinError, KeyError, TypeError, ValueError, AttributeError: As `model_of`.
+        document: The document.
+        reference: Whether it is where the fit began.
     """
-
-    def at_start(entries: Json) -> Json:
-        return {
-            k: {**entry, **entry.get("reference", {})} for k, entry in entries.items()
-        }
-
-    keys = ("frames", *SECTIONS, CAMERAS)
-    sections = {key: at_start(document.get(key, {})) for key in keys}
-    if document.get(CAMERA) is not None:
-        sections |= at_start({CAMERA: document[CAMERA]})
-    zero = [{**entry, "value": 0.0} for entry in document["parameters"]]
-    return model_of({**document, **sections, "parameters": zero}, model.chains)
-
-
-def _references(document: Json) -> References:
-    """The references of the measurements as they were fitted."""
-    sections: dict[str, dict[str, Any]] = {
-        # Files may lack what came later.
-        section: {
-            name: _reference(kind, entry)
-            for name, entry in document.get(section, {}).items()
-        }
-        for section, kind in SECTIONS.items()
-    }
-    for plane in sections["planes"].values():
-        if not 0.99 < math.hypot(*plane.normal) < 1.01:
-            raise ValueError("the normal of a plane is not of unit length")
-    if any(sphere.radius <= 0.0 for sphere in sections["spheres"].values()):
-        raise ValueError("the radius of a sphere is not positive")
-    cameras = dict(document.get(CAMERAS, {}))
-    if document.get(CAMERA) is not None:
-        cameras[CAMERA] = document[CAMERA]
-    sections[CAMERA] = {k: _reference(CameraSetup, v) for k, v in cameras.items()}
-    return sections
-
-
-def _reference(kind: type[_T], entry: Json) -> _T:
-    """One of them, of which a document states every key."""
-    keys = [part.name for part in fields(kind)]  # type: ignore[arg-type]
-    stated = {key: entry[key.replace("estimate", "estimated")] for key in keys}
-    for key, value in stated.items():
-        if not isinstance(value, str | bool) and (key, value) != ("size", None):
-            numbers(value if isinstance(value, list) else [value])
-    return typed(kind, stated)
-
-
-def _blocks(about: Json) -> Blocks:
-    """The blocks of measurements; a document of only one need not list it."""
-    found: dict[BlockKey, list[str]] = {}
-    for block in about.get("blocks") or [about]:
-        stated = (block.get(field, "") for field in BlockKey._fields[1:])
-        key = BlockKey(text(block["model"]), *map(_name, stated))
-        if key in found:
-            raise ValueError("a block of the measurements is here twice")
-        # A model that looks at nothing with a name has no targets.
-        found[key] = list(map(_name, block["targets"])) or [""]
+    sections = {name: document.get(name, {}) for name in SECTIONS}
+    if CAMERA in document:
+        sections[CAMERAS] = {CAMERA: document[CAMERA]}
+    found: Places = {}
+    for section, entries in sections.items():
+        kind = SECTIONS[section]
+        for name, entry in entries.items():
+            values = {**entry, **entry["reference"]} if reference else entry
+            place = {
+                part.name: values[part.name.replace("estimate", "estimated")]
+                for part in fields(kind)
+            }
+            for key, value in place.items():
+                if (key, value) != ("size", None):  # An image without an edge.
+                    require_finite(value)
+            found[CAMERA if section == CAMERAS else section, name] = typed(kind, place)
+    for (section, name), place in found.items():
+        if section == "planes" and not 0.99 < np.linalg.norm(place.normal) < 1.01:
+            raise ValueError(f"the normal of '{name}' is not of unit length")
+        if section == "spheres" and place.radius <= 0.0:
+            raise ValueError(f"the radius of '{name}' is not positive")
     return found
 
 
-def _name(value: object) -> str:
-    """A name that may be empty."""
-    return "" if value == "" else text(value)
-
-
-def _parts(
-    chains: Chains,
-    blocks: Blocks,
-    shape: Setup,
-    references: References,
-    values: Mapping[str, float],
-    stated: bool,
-) -> tuple[dict[BlockKey, Part], ParameterSet]:
-    """The parts of all blocks with their instruments, and all parameters.
-
-    Args:
-        chains: The nominal chains.
-        blocks: The blocks.
-        shape: The setup, whose references have the names that measurements give.
-        references: What these refer to, as it was fitted.
-        values: Value of every parameter; those of the robot must be these.
-        stated: Whether the setup names the parameterizations.
-    """
-    for order in [shape.parameters] if stated else _orders(values):
-        bare, _ = make_parts(chains, blocks, replace(shape, parameters=order))
-        used: set[tuple[str, str]] = set()
-        own = [
-            _measured(p, shape, references, blocks[p.key], used) for p in bare.values()
-        ]
-        for section, members in references.items():
-            for name in members:
-                if (section, name) not in used:
-                    raise ValueError(
-                        f"no measurement refers to '{name}' under '{section}'"
-                    )
-        parts, given = assembled(own)
-        count = count_without_instruments(System(chains, parts, given))
-        instrument = given.names[count:]
-        names = [name for name in values if name not in instrument]
-        if names == [n for n in given.names[:count] if n in values or not _later(n)]:
-            return parts, given
-    raise ValueError("the parameters are not those of this chain, in their order")
-
-
-def _measured(
-    part: Part,
-    shape: Setup,
-    references: References,
-    targets: Sequence[str],
-    used: set[tuple[str, str]],
-) -> Part:
-    """A part with its instrument as it was fitted.
-
-    Args:
-        part: The part.
-        shape: The setup.
-        references: What measurements refer to.
-        targets: Targets of the block.
-        used: Section and name of what any part refers to; these are added.
-    """
-    sections: dict[str, dict[str, Any]] = {name: {} for name in (*SECTIONS, CAMERA)}
-    for reference in part.measurement.references:
-        section, name = reference.section, part.scope.reference(reference)
-        if name not in references[section]:
-            place = "" if section == CAMERA else f" under '{section}'"
-            raise ValueError(f"'{name}' is missing{place}")
-        sections[section][reference.name] = references[section][name]
-        used.add((section, name))
-    camera = sections.pop(CAMERA).get(CAMERA)
-    own = replace(shape, **sections, camera=camera)  # type: ignore[arg-type]
-    measurement = measurement_model(part.key.model, own, targets)
-    return replace(part, measurement=measurement)
-
-
-def _placed(
-    parts: Mapping[BlockKey, Part],
-    given: ParameterSet,
-    frames: Json,
-    theta: np.ndarray[Any, Any],
-) -> dict[BlockKey, Part]:
-    """The parts about their stations and tools."""
-    result = {}
-    for key, part in parts.items():
-        poses = []
-        inner = len(part.error.screws) - FRAME
-        for place, start in ((part.scope.station, 0), (part.scope.tool, inner)):
-            pose, estimated = _read_frame(frames[frame_key(place)])
-            if estimated != given.free[part.index[start : start + FRAME]].any():
-                raise ValueError(
-                    f"whether '{frame_key(place)}' is estimated is not as in the setup"
-                )
-            poses.append(pose)
-        base, tool = poses
-        tool = tip_correction(part, theta).actInv(tool) * part.scope.offset
-        result[key] = replace(part, error=part.error.with_frames(base, tool))
-    return result
+def _blocks(about: Json) -> dict[BlockKey, list[str]]:
+    """The targets of the blocks of measurements; the only one need not be listed."""
+    found: dict[BlockKey, list[str]] = {}
+    for block in about.get("blocks", [about]):
+        key = typed(BlockKey, dict.fromkeys(BlockKey._fields, "") | block)
+        if key in found:
+            raise ValueError("a block of the measurements is here twice")
+        # A model that looks at nothing with a name has no targets.
+        found[key] = list(typed(tuple[str, ...], block["targets"])) or [""]
+    return found
 
 
 def _values(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """Value of every parameter by name."""
-    values: dict[str, float] = {}
-    for entry in entries:
-        name = text(entry["name"])
-        if name in values:
-            raise ValueError(f"parameter '{name}' is here twice")
-        (values[name],) = numbers([entry["value"]], 1)
+    values = {typed(str, e["name"]): typed(float, e["value"]) for e in entries}
+    require_finite([*values.values()])
+    if len(values) < len(entries):
+        raise ValueError("a parameter is here twice")
     return values
 
 
-def _orders(names: Iterable[str]) -> Iterator[tuple[str, ...]]:
-    """Parameterizations that parameters could be of.
+def _measured(part: Part, setup: Setup, stated: Places, targets: Sequence[str]) -> Part:
+    """A part with its instrument as it was fitted.
 
-    The order matters: it is that of the screws at a place, so also that in which the
-    user named the parameterizations.
+    Args:
+        part: The part.
+        setup: The setup.
+        stated: Frames and reference objects.
+        targets: Targets of the block.
     """
-    kinds = [
-        [name for name, member in PARAMETERIZATIONS.items() if member.kind == kind]
-        for kind in dict.fromkeys(map(_kind, names))
-    ]
-    # Several parameterizations may share a kind of parameters.
-    for members in product(*filter(None, kinds)):
-        yield from permutations(members)
+    sections: dict[str, dict[str, Any]] = {}
+    for reference in part.measurement.references:
+        section, name = part.scope.place(reference)
+        if (section, name) not in stated:
+            raise ValueError(f"'{name}' is missing under '{section}'")
+        sections.setdefault(section, {})[reference.name] = stated[section, name]
+    camera = sections.pop(CAMERA, {}).get(CAMERA)
+    fitted: Any = {**sections, "camera": camera}
+    measurement = measurement_model(part.key.model, replace(setup, **fitted), targets)
+    if (list(measurement.targets) or [""]) != targets:
+        raise ValueError("'measurements' have other targets than their model")
+    return replace(part, measurement=measurement)
 
 
-def _later(name: str) -> bool:
-    """Whether older calibrations do not have a parameter of the robot."""
-    _, kind, component = name.rsplit(".", 2)
-    members = (one for one in PARAMETERIZATIONS.values() if one.kind == kind)
-    return any(component in member.later for member in members)
+def _placed(part: Part, given: ParameterSet, stated: Places, theta: Floats) -> Part:
+    """A part about its station and its tool."""
+    free, inner = given.free[part.index], len(part.error.screws) - FRAME
+    poses = []
+    for place, start in ((part.scope.station, 0), (part.scope.tool, inner)):
+        name = frame_key(place)
+        frame = stated["frames", name]
+        if frame.estimate != free[start : start + FRAME].any():
+            raise ValueError(f"whether '{name}' is estimated is not as in the setup")
+        poses.append(frame_pose(frame))
+    base, tool = poses
+    tool = _tip_correction(part, theta).actInv(tool) * part.scope.offset
+    return replace(part, error=part.error.with_frames(base, tool))
 
 
-def _kind(name: str) -> str:
-    """The kind in `<owner>.<kind>.<component>`; an owner may contain points.
+RESIDUAL = "calib-pin/residual-model"
+"""Format of the file of what was learned."""
+
+
+def encode_residual_model(
+    model: CalibratedModel, run: str | None = None
+) -> bytes | None:
+    """The file of a learned correction; None where nothing was learned.
+
+    Args:
+        model: The calibrated robot.
+        run: Id of the run that learned it.
+    """
+    learned, shift = None, np.zeros(count_without_instruments(model))
+    for part in model.parts.values():
+        own = part.error.learned
+        if isinstance(own, LearnedCorrection):
+            learned = learned or own
+            shift[part.index[: len(own.shift)]] = own.shift
+    if learned is None:
+        return None
+    chain = model.moving.error.chain
+    document: Json = {
+        **format_keys(RESIDUAL),
+        **({} if run is None else {"run": run}),
+        "robot": {
+            "name": chain.robot.name,
+            "sha256": sha256(chain.robot.source),
+            "base": chain.base,
+            "tip": chain.tip,
+            "joints": list(chain.joints),
+        },
+        "shift": shift.tolist(),
+        "model": learned.model.document(),
+    }
+    canonical = json.dumps(document, sort_keys=True, separators=(",", ":"))
+    document["sha256"] = sha256(canonical.encode())
+    return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+
+
+def reference(data: bytes) -> dict[str, str]:
+    """The reference of `calibration.json` to the bytes of such a file beside it."""
+    name = json.loads(data)["model"]["kind"]
+    return {"name": name, "file": RESIDUAL_MODEL, "sha256": sha256(data)}
+
+
+def read_residual_model(
+    data: bytes, system: System, file: str | Path
+) -> LearnedCorrection:
+    """The correction of a residual model, with a shift of all parameters.
+
+    Args:
+        data: Bytes of the file, those that its calibration was written with.
+        system: The robot that it corrects.
+        file: The file.
 
     Raises:
-        ValueError: If it is no such name.
+        InputError: If it is no such file.
     """
-    _, kind, _ = name.rsplit(".", 2)
-    return kind
+    document = decoded(data, "residual model", RESIDUAL, file)
+    count = count_without_instruments(system)
+    shift = np.zeros(len(system.given))
+    with reading(file, "residual model"):
+        shift[:count] = numbers(document, "shift", (count,))
+        joints = len(system.moving.error.chain.joints)
+        return LearnedCorrection(restore(document["model"], joints), shift)
 
 
-def _read_frame(entry: Mapping[str, Any]) -> tuple[pin.SE3, bool]:
-    """A frame and whether it was estimated."""
-    roll, pitch, yaw = numbers(entry["rpy"], 3)
-    position = np.array(numbers(entry["xyz"], 3))
-    pose = pin.SE3(pin.rpy.rpyToMatrix(roll, pitch, yaw), position)
-    return pose, typed(bool, entry["estimated"])
+AGREEMENT = 1e-9
+"""Largest difference of forward kinematics between model and written URDF [m, rad]."""
+
+
+def write_urdf(
+    model: CalibratedModel, path: str | Path, *, force: bool = False
+) -> None:
+    """Write the corrected URDF of a calibrated robot.
+
+    Args:
+        model: The calibrated robot, `CalibrationResult.geometry`.
+        path: The new file.
+        force: Replace an existing file; the robot's own file is never replaced.
+
+    Raises:
+        OptionError: If the file exists or is the robot's own, or the model has
+            corrections that a URDF cannot hold.
+        OutputError: If it cannot be written or does not agree with the model.
+    """
+    write_atomically(Path(path), encode_urdf(model, path), force=force)
+
+
+def encode_urdf(model: CalibratedModel, path: str | Path) -> bytes:
+    """The corrected URDF of a calibrated robot.
+
+    Only the joint origins that change are edited. The result is read again and its
+    forward kinematics compared with the model.
+
+    Args:
+        model: The calibrated robot, `CalibrationResult.geometry`.
+        path: The file it is for, never the robot's own.
+
+    Raises:
+        OptionError: If the file is the robot's own, or the model has corrections that
+            a URDF cannot hold.
+        OutputError: If it does not agree with the model.
+    """
+    if not model.geometric:
+        raise OptionError(
+            "a URDF cannot hold corrections of the joints; write the geometry alone",
+            file=path,
+            allowed="CalibrationResult.geometry",
+        )
+    chains = model.chains
+    q = chains.random_configurations(20, np.random.default_rng(0))
+
+    def check(robot: Robot) -> None:
+        for name in model.measured_chains:
+            own, nominal = q[:, chains.columns(name)], chains[name]
+            fitted = model.of(name)
+            expected = fitted.error.base.inverse().homogeneous @ fitted.poses(own)
+            written = Chain(robot, nominal.base, nominal.tip)
+            found = written.poses(own) @ fitted.tool.homogeneous
+            difference = float(np.abs(found - expected).max())
+            if not difference < AGREEMENT:
+                raise OutputError(
+                    f"{path}: the written robot differs from the model by "
+                    f"{difference:.2g}"
+                )
+
+    return corrected_urdf(path, chains.robot, model.urdf_corrections(), check)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from calib_pin.control.compensation import Compensation
-from calib_pin.estimation.evidence import Finding, PoseErrors
-from calib_pin.estimation.system import System
-from calib_pin.io.json_text import Json, plain
+from calib_pin.estimation.evidence import Finding
+from calib_pin.io.calibrated_model import model_name
+from calib_pin.io.json_text import Json, format_keys, plain
 from calib_pin.io.targets import Targets
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -21,23 +21,7 @@ from calib_pin.planning.suggestions import Suggestion
 from calib_pin.setup import LimitSetup
 from calib_pin.validation.acceptance import Acceptance, judged
 from calib_pin.validation.comparison import BOUND, Comparison, Difference, faults
-from calib_pin.validation.frame_drift import Displacement
-from calib_pin.validation.result import (
-    CalibrationResult,
-    Evaluation,
-    Identification,
-)
-
-
-def _displacement(moved: Displacement) -> Json:
-    """The displacement of a frame, with what it moves and its uncertainty."""
-    return {
-        "position": moved.shift,
-        "orientation": moved.turn,
-        "sigma": PoseErrors(*moved.sigma)._asdict(),
-        "chance": moved.chance,
-        "tool_point": moved.motion,
-    }
+from calib_pin.validation.result import CalibrationResult, Evaluation, Identification
 
 
 def comparison_document(found: Comparison) -> Json:
@@ -46,9 +30,16 @@ def comparison_document(found: Comparison) -> Json:
     `drifted` is null where the noise is unknown, orientations where rows do not tell
     them.
     """
-    names = {"base": None, "tool": None} | {d.frame: d for d in found.displacements}
+    moved: Json = {"base": None, "tool": None}
+    for entry in map(plain, found.displacements):
+        del entry["of_tool"]
+        moved[entry.pop("frame")] = entry
+    tips: Json = {}
+    if len(found.drifts) > 1:  # `tip` is that which drifted most.
+        by_chain = {name: _tip(found, name) for name in found.drifts}
+        tips = {"chain": found.chain, "tips": by_chain}
     return {
-        **stated("comparison"),
+        **format_keys("calib-pin/comparison"),
         "a": _record(found.first),
         "b": _record(found.second),
         "same": {
@@ -60,23 +51,14 @@ def comparison_document(found: Comparison) -> Json:
         "drifted": found.drifted,
         "changed": found.changed,
         "tip": _tip(found, found.chain),
-        **_tips(found),
-        "displacements": {
-            name: None if d is None else _displacement(d) for name, d in names.items()
-        },
+        **tips,
+        "displacements": moved,
         "bound": BOUND,
         "parameters": [
             {"name": d.name, **_difference(d)} for d in found.differences if not d.terms
         ],
         "coupled": [
-            {
-                "expression": d.name,
-                **_difference(d),
-                "terms": [
-                    {"parameter": name, "coefficient": coefficient}
-                    for name, coefficient in d.terms
-                ],
-            }
+            {"expression": d.name, **_difference(d), "terms": plain(d.terms)}
             for d in found.differences
             if d.terms
         ],
@@ -89,7 +71,7 @@ def acceptance_document(tests: Mapping[str, Acceptance], limit: LimitSetup) -> J
     """The numbers of an acceptance test, in SI units."""
     *_, last = tests.values()
     return {
-        **stated("acceptance"),
+        **format_keys("calib-pin/acceptance"),
         "limits": [
             {"quantity": name, "status": status, "limit": allowed, "unit": unit}
             for name, status, _, allowed, unit in judged(last, limit)
@@ -101,7 +83,7 @@ def acceptance_document(tests: Mapping[str, Acceptance], limit: LimitSetup) -> J
 def outlook_document(study: Study, found: Sequence[Outlook], limit: LimitSetup) -> Json:
     """Outlooks of a Monte Carlo study, in SI units; quantiles are those of `levels`."""
     return {
-        **stated("monte-carlo"),
+        **format_keys("calib-pin/monte-carlo"),
         "robot": study.chains.robot.name,
         "model": model_name(study.truth),
         "seed": study.seed,
@@ -131,14 +113,6 @@ def _record(record: CalibrationResult) -> Json:
             for error in record.errors
         },
     }
-
-
-def _tips(found: Comparison) -> Json:
-    """The tips of all chains, where there are several; `tip` drifted most."""
-    if len(found.drifts) == 1:
-        return {}
-    tips = {name: _tip(found, name) for name in found.drifts}
-    return {"chain": found.chain, "tips": tips}
 
 
 def _tip(found: Comparison, chain: str) -> Json:
@@ -171,21 +145,6 @@ def _difference(found: Difference) -> Json:
         "sigma": found.sigma,
         "significance": found.significance,
     }
-
-
-def model_name(system: System) -> str:
-    """Names of the measurement models, joined by plus signs."""
-    return "+".join(dict.fromkeys(key.model for key in system.parts))
-
-
-def stated(kind: str, version: int = 1) -> Json:
-    """The first keys of a document.
-
-    Args:
-        kind: Kind of the document, such as `plan`.
-        version: Version of its format.
-    """
-    return {"format": f"calib-pin/{kind}", "version": version}
 
 
 def identification_parts(
@@ -225,7 +184,7 @@ def identification_document(
         findings: Defects of the measurements.
     """
     return {
-        **stated("identification"),
+        **format_keys("calib-pin/identification"),
         **identification_parts(found, suggestions),
         "verdict": {"status": verdict, "reason": reason},
         "findings": plain(findings),
@@ -235,7 +194,7 @@ def identification_document(
 def evaluation_document(found: Evaluation) -> Json:
     """The accuracy of a robot on measurements."""
     return {
-        **stated("evaluation"),
+        **format_keys("calib-pin/evaluation"),
         "rows": found.rows,
         "registered": found.registered,
         "outside_trained_region": found.outside,
@@ -253,7 +212,7 @@ def plan_document(plan: Plan) -> Json:
     """A plan: its configurations, what they reach, and the expected result."""
     predicted = plan.predicted
     return {
-        **stated("plan"),
+        **format_keys("calib-pin/plan"),
         "joints": list(plan.problem.chains.joints),
         "configurations": plan.q.tolist(),
         "target": list(plan.target),
@@ -307,15 +266,12 @@ def compensation_document(
         hasty: Lines to which a joint would move faster than it can.
     """
     lines, reached = asked.lines, found.reached
-    units = {"position": "m", "orientation": "rad"}
-    parts = [part for part in units if part == "position" or found.oriented]
-    sizes = {
-        "position": (found.position_before, found.position),
-        "orientation": (found.orientation_before, found.orientation),
-    }
+    errors = {"position": ("m", found.position_before, found.position)}
+    if found.oriented:
+        errors["orientation"] = "rad", found.orientation_before, found.orientation
     corrections = np.abs(found.corrections)
     return {
-        **stated("compensation"),
+        **format_keys("calib-pin/compensation"),
         "verdict": {
             "status": "untrusted" if doubts else "good",
             "reason": doubts[0] if doubts else "",
@@ -324,15 +280,17 @@ def compensation_document(
         "rows": len(found),
         "reached": int(reached.sum()),
         "too_fast": list(hasty),
-        "collisions": None
-        if ways is None
-        else {
+        "collisions": ways
+        and {
             "vias": ways[0],
             "colliding": lines[found.collides].tolist(),
             "blocked": [int(line) for line in ways[1]],
         },
         "unreachable": [
-            {"line": int(lines[k]), **{p: float(sizes[p][1][k]) for p in parts}}
+            {
+                "line": int(lines[k]),
+                **{name: float(after[k]) for name, (_, _, after) in errors.items()},
+            }
             for k in np.flatnonzero(~reached)
         ],
         "corrections": {
@@ -342,12 +300,12 @@ def compensation_document(
             )
         },
         "errors": {
-            p: {
-                "unit": units[p],
-                "nominal": _spread(sizes[p][0][reached]),
-                "compensated": _spread(sizes[p][1][reached]),
+            name: {
+                "unit": unit,
+                "nominal": _spread(before[reached]),
+                "compensated": _spread(after[reached]),
             }
-            for p in parts
+            for name, (unit, before, after) in errors.items()
         },
         "at_limit": lines[reached & found.at_limit].tolist(),
         "outside_trained_region": lines[reached & found.outside].tolist(),

@@ -100,6 +100,7 @@ class Look:
         units: Column to unit, where nobody stated it.
         ignored: Names of columns without a meaning.
         next_share: The share in other units; infinite where there are none.
+        position: Name of the column that is taken for x.
     """
 
     setup: Setup
@@ -111,6 +112,7 @@ class Look:
     units: Mapping[str, str] = field(default_factory=dict)
     ignored: Sequence[str] = ()
     next_share: float = inf
+    position: str = ""
 
     @property
     def fits(self) -> bool:
@@ -263,9 +265,12 @@ def readings(
                 stated[ours] = one.stated(unit)
         columns_of = {**stated, **setup.columns}
         read = replace(setup, columns=columns_of)
+        if "x" in way and read.model is None and not SPATIAL & {*way} - {*VECTORS[0]}:
+            read = replace(read, model="position")  # Whatever else is in the file.
         meant = {*used, *(one.name for one in way.values()), *reserved()}
         ignored = tuple(one.name for one in columns if one.name not in meant)
-        yield Look(read, joints=found_joints, units=units, ignored=ignored)
+        x = way["x"].name if "x" in way else ""
+        yield Look(read, joints=found_joints, units=units, ignored=ignored, position=x)
 
 
 def looked(
@@ -333,7 +338,8 @@ def best(looks: Sequence[Look]) -> Look:
     whole = [look for look in looks if look.errors]
     if not whole:
         return looks[0]
-    seen = [look for look in whole if look.share > COMPUTED]
+    computed = {look.position for look in whole if look.share <= COMPUTED} - {""}
+    seen = [look for look in whole if look.position not in computed]
     if not seen:
         first = whole[0]
         size = 1e3 * next(iter(first.errors.values()))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache, partial
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +16,6 @@ from calib_pin.io.table import Table, read_table
 from calib_pin.setup import JobSetup
 
 if TYPE_CHECKING:
-    from pydantic import TypeAdapter
-
     from calib_pin.io.yaml_tree import Keys
 
 KEYS = tuple(field.name for field in fields(JobSetup))
@@ -90,7 +88,7 @@ def read_jobs(
 
 
 def _of_yaml(path: str | Path) -> Iterator[tuple[int, JobSetup]]:
-    from pydantic import ValidationError
+    from pydantic import TypeAdapter, ValidationError
 
     from calib_pin.io.yaml_tree import read_tree
 
@@ -102,6 +100,7 @@ def _of_yaml(path: str | Path) -> Iterator[tuple[int, JobSetup]]:
             (),
             allowed=f"{JOBS}: [{{robot: arm.urdf, measurements: [a.csv]}}, ...]",
         )
+    adapter = TypeAdapter(JobSetup)
     general = {key: value for key, value in tree.data.items() if key != JOBS}
     for number, own in enumerate(listed):
         place = (JOBS, number)
@@ -109,7 +108,7 @@ def _of_yaml(path: str | Path) -> Iterator[tuple[int, JobSetup]]:
             raise tree.error("a job is a mapping of keys to values", place)
         given = _several({**general, **own})
         try:
-            stated = _adapter().validate_python(given, context=context())
+            stated = adapter.validate_python(given, context=context())
         except ValidationError as error:
             where = partial(_place, place, general.keys() - own.keys())
             raise wrong_value(tree, error, lambda path: KEYS, where) from None
@@ -126,7 +125,7 @@ def _place(
 def _of_csv(
     path: str | Path, notice: Callable[[str], None]
 ) -> Iterator[tuple[int, JobSetup]]:
-    from pydantic import ValidationError
+    from pydantic import TypeAdapter, ValidationError
 
     table = read_table(path)
     foreign = [name for name in table.columns if name not in KEYS]
@@ -138,11 +137,12 @@ def _of_csv(
     for name in ("robot", "measurements"):
         if name not in table:
             raise table.error(f"the column '{name}' is missing", None, ", ".join(KEYS))
+    adapter = TypeAdapter(JobSetup)
     texts = table.texts([name for name in KEYS if name in table])
     for row, line in enumerate(table.lines.tolist()):
         cells = {name: column[row] for name, column in texts.items() if column[row]}
         try:
-            stated = _adapter().validate_python(_several(cells), context=context())
+            stated = adapter.validate_python(_several(cells), context=context())
         except ValidationError as error:
             raise _cell_error(table, row, error.errors(include_url=False)[0]) from None
         yield line, stated
@@ -167,13 +167,6 @@ def _cell_error(table: Table, row: int, problem: Mapping[str, Any]) -> InputErro
     return table.cell_error("the job cannot have this", name, row, allowed)
 
 
-@cache
-def _adapter() -> TypeAdapter[JobSetup]:
-    from pydantic import TypeAdapter
-
-    return TypeAdapter(JobSetup)
-
-
 def _name(stated: JobSetup, number: int, found: Sequence[tuple[int, JobSetup]]) -> str:
     """The name of a job that states none."""
     serial = stated.serial_number
@@ -186,19 +179,15 @@ def _name(stated: JobSetup, number: int, found: Sequence[tuple[int, JobSetup]]) 
 
 def _from(folder: Path, stated: JobSetup) -> JobSetup:
     """A job with its files named from here, not from the folder of the table."""
-
-    def placed(file: str | None) -> str | None:
-        return None if file is None else str(folder / file)
-
+    files = {key: getattr(stated, key) for key in ("setup", "validation", "previous")}
+    placed: dict[str, Any] = {k: str(folder / f) for k, f in files.items() if f}
     # A robot may be a bundled one, and a xacro file has its arguments behind it.
     there = (folder / stated.robot.split(" ")[0]).exists()
     return replace(
         stated,
         robot=str(folder / stated.robot) if there else stated.robot,
         measurements=tuple(str(folder / file) for file in stated.measurements),
-        setup=placed(stated.setup),
-        validation=placed(stated.validation),
-        previous=placed(stated.previous),
+        **placed,
     )
 
 

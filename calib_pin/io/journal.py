@@ -223,15 +223,15 @@ def _decided(journal: Path) -> tuple[dict[str, str], list[str]]:
     try:
         found = json.loads(_read(journal))
         files, removed = dict(found["files"]), list(found["remove"])
-        if all(inside(n) or Path(n).is_absolute() for n in files) and all(
-            map(inside, removed)
-        ):
-            return files, removed
+        known = all(inside(name) or Path(name).is_absolute() for name in files)
+        known &= all(map(inside, removed))
     except FileNotFoundError:
         return {}, []
     except (OSError, ValueError, KeyError, TypeError):
-        pass
-    raise InputError("no list of files to put in place; remove it", file=journal)
+        known = False
+    if not known:
+        raise InputError("no list of files to put in place; remove it", file=journal)
+    return files, removed
 
 
 def listed(path: Path, folder: Path) -> str:

@@ -19,7 +19,6 @@ import numpy as np
 from calib_pin.estimation.layout import side_by_side
 from calib_pin.io.columns import GrowingColumn
 from calib_pin.io.measurements import LINES
-from calib_pin.io.older_results import with_blocks
 from calib_pin.io.result_folder import MEASUREMENTS
 from calib_pin.io.text import parsed
 from calib_pin.kinematics.spatial import Floats
@@ -114,26 +113,20 @@ def decode_errors(
             link, shape (B, 3, 3), or one for all, shape (3, 3).
 
     Raises:
-        ValueError: If a column is missing, or there is no measurement.
+        KeyError: If a column is missing.
+        ValueError: If there is no measurement, or a cell is no number.
         InputError: If it is no CSV file.
     """
     text = parsed(data, MEASUREMENTS)
     header = text.header
-    if missing := set(WORDS) - set(header):
-        raise ValueError(f"columns are missing: {', '.join(sorted(missing))}")
-    told = [*WORDS, *(KEYS if "model" in header else ())]
-    words: dict[str, list[str]] = {name: [] for name in told}
+    words: dict[str, list[str]] = {n: [] for n in (*WORDS, *KEYS) if n in header}
     numbers = {name: GrowingColumn() for name in header if name not in words}
     for _, columns_of in text.rows():
         for name, cells in zip(header, columns_of, strict=True):
             (words[name] if name in words else numbers[name]).extend(cells)
     columns = {name: np.frombuffer(found.numbers) for name, found in numbers.items()}
-    if "model" not in words:
-        if len(model.parts) > 1:
-            words, columns = with_blocks(words, columns, model)
-        else:
-            count = len(words["set"])
-            words |= {k: [v] * count for k, v in model.only.key._asdict().items()}
+    count, only = len(words["set"]), model.only.key._asdict()
+    words = {name: [value] * count for name, value in only.items()} | words
     fitted, held_out = (
         _part(words, columns, model, to_base[name], name) for name in SETS
     )
@@ -157,35 +150,31 @@ def _part(
             of_block.setdefault(key, []).append(row)
     if not of_block:
         return None
-    unknown = unknown_errors(model, 0)
+    unknown, joints = unknown_errors(model, 0), model.chains.joints
     _, first = side_by_side(_quantities(model))
 
+    starts = [f"start.{joint}" for joint in joints]
+
     def numbers(chosen: Sequence[int], *names: str) -> Floats:
-        for column in names:
-            if column not in columns:
-                raise ValueError(f"the column '{column}' is missing")
-        found = [columns[column][chosen] for column in names]
-        return np.column_stack([np.zeros((len(chosen), 0)), *found])
+        none = np.zeros((len(chosen), 0))
+        return np.column_stack([none, *(columns[column][chosen] for column in names)])
 
     def conditions(chosen: Sequence[int], payload: Labels) -> Conditions:
-        stated: dict[str, Any] = {}
-        directions = [f"direction.{joint}" for joint in model.chains.joints]
-        if directions[0] in columns:
-            stated["direction"] = numbers(chosen, *directions).astype(np.int8)
-            stated["source"] = "columns"
-        for column in ("temperature", "time"):
-            if column in columns:
-                stated[column] = numbers(chosen, column)[:, 0]
-        return Conditions(payload, **stated)
+        known = [name for name in ("temperature", "time") if name in columns]
+        stated: dict[str, Any] = {name: columns[name][chosen] for name in known}
+        held = Conditions(payload, **stated)
+        if f"direction.{joints[0]}" not in columns:
+            return held
+        directions = numbers(chosen, *(f"direction.{joint}" for joint in joints))
+        return replace(held, direction=directions.astype(np.int8), source="columns")
 
     def block(key: BlockKey, chosen: Sequence[int]) -> Measurements:
-        about = declared(key.model)
-        joints, at = model.chains.joints, first[key.model]
+        about, at = declared(key.model), first[key.model]
         own = unknown.components[at : at + len(about.components)]
         stated = [f"{component}.stated" for component in own]
         sigma = numbers(chosen, *stated) if stated[0] in columns else None
         file, line, target, payload = (
-            Labels.of([words[column][row] for row in chosen]) for column in WORDS[1:]
+            [words[column][row] for row in chosen] for column in WORDS[1:]
         )
         measured = (f"measured.{k + 1}" for k in range(len(about.values)))
         return Measurements(
@@ -193,13 +182,11 @@ def _part(
             q=numbers(chosen, *(f"joint.{joint}" for joint in joints)),
             values=numbers(chosen, *measured),
             sigma=None if sigma is None or np.isnan(sigma).all() else sigma,
-            target=target,
-            conditions=conditions(chosen, payload),
-            start=numbers(chosen, *(f"start.{joint}" for joint in joints))
-            if about.relative
-            else np.zeros((0, 0)),
-            lines=np.array(list(line), np.int64),
-            files=file,
+            target=Labels.of(target),
+            conditions=conditions(chosen, Labels.of(payload)),
+            start=numbers(chosen, *(starts if about.relative else ())),
+            lines=np.array(line, np.int64),
+            files=Labels.of(file),
             weight=numbers(chosen, "weight")[:, 0],
             **key._asdict(),
         )

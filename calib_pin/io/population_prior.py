@@ -22,16 +22,20 @@ from typing import Any
 
 import numpy as np
 
-from calib_pin.errors import InputError
 from calib_pin.io.files import read_bytes, write_atomically
-from calib_pin.io.json_text import Json, decode, encode, plain, require_format, typed
+from calib_pin.io.json_text import (
+    Json,
+    decoded,
+    encode,
+    format_keys,
+    plain,
+    reading,
+    typed,
+)
 from calib_pin.setup import JointPrior, PopulationPrior
 
-FORMAT, VERSION = "calib-pin/fleet-prior", 1
-"""The newest format of priors."""
-
-OF_ROBOT = "calib-pin/robot-prior"
-"""The format of that by an older calibration."""
+FORMAT, OF_ROBOT = "calib-pin/fleet-prior", "calib-pin/robot-prior"
+"""The format of a prior by other robots, and of one by an older calibration."""
 
 SYMMETRIC = 1e-9
 """Largest part of a correlation that may differ from its mirror image."""
@@ -42,22 +46,18 @@ def prior_document(prior: JointPrior) -> Json:
     content = plain(prior)
     del content["file"]
     name = FORMAT if isinstance(prior, PopulationPrior) else OF_ROBOT
-    return {"format": name, "version": VERSION, **content}
+    return {**format_keys(name), **content}
 
 
 def prior_of(document: Mapping[str, Any]) -> JointPrior:
     """The prior of plain data.
 
     Raises:
-        ValueError: If it is none; the message says why.
+        KeyError, TypeError, ValueError, AttributeError: If it is none, see
+            `json_text.reading`.
     """
     kind = JointPrior if document.get("format") == OF_ROBOT else PopulationPrior
-    try:
-        prior = typed(kind, document)
-    except KeyError as error:
-        raise ValueError(f"{error} is missing") from error
-    except (TypeError, AttributeError) as error:
-        raise ValueError("a value is not of its type") from error
+    prior = typed(kind, document)
     _require_whole(prior)
     return replace(prior, file="")
 
@@ -71,18 +71,9 @@ def read_population_prior(path: str | Path) -> PopulationPrior:
     Raises:
         InputError: If it is no such file, of a later version, or damaged.
     """
-    data = read_bytes(path)
-    try:
-        document = decode(data)
-    except (ValueError, RecursionError) as mistake:
-        reason = f"not the prior of a fleet, or truncated: {mistake}"
-        raise InputError(reason, file=path) from mistake
-    document = require_format(document, "fleet's prior", FORMAT, VERSION, path)
-    try:
+    document = decoded(read_bytes(path), "fleet's prior", FORMAT, path)
+    with reading(path, "prior"):
         prior = prior_of(document)
-    except ValueError as mistake:
-        reason = f"damaged or edited prior: {mistake}"
-        raise InputError(reason, file=path) from mistake
     assert isinstance(prior, PopulationPrior)
     return replace(prior, file=str(path))
 
@@ -113,17 +104,14 @@ def _require_whole(prior: JointPrior) -> None:
     count = len(prior.parameters)
     if not count or (isinstance(prior, PopulationPrior) and prior.robots < 1):
         raise ValueError("it is of no robots, or of no parameters")
-    for kind, names in (
-        ("parameters", prior.names),
-        ("joints", [joint.name for joint in prior.robot.joints]),
-    ):
-        if len(set(names)) < len(names):
-            raise ValueError(f"two '{kind}' have one name")
-    if [len(row) for row in prior.covariance] != [count] * count:
-        raise ValueError(f"'covariance' does not have {count} rows and columns")
+    joints = [joint.name for joint in prior.robot.joints]
+    if len(set(prior.names)) < count or len(set(joints)) < len(joints):
+        raise ValueError("two parameters, or two joints, have one name")
     covariance = np.array(prior.covariance)
+    if covariance.shape != (count, count):
+        raise ValueError(f"'covariance' does not have {count} rows and columns")
     means = [parameter.mean for parameter in prior.parameters]
-    if not np.isfinite(covariance).all() or not np.isfinite(means).all():
+    if not np.isfinite([*covariance, means]).all():
         raise ValueError("a number is missing, or infinite")
     for quantity, sigma in prior.noise.items():
         if not 0.0 < sigma < np.inf:
@@ -134,7 +122,5 @@ def _require_whole(prior: JointPrior) -> None:
     correlation = covariance / np.sqrt(np.outer(variances, variances))
     if np.abs(correlation - correlation.T).max() > SYMMETRIC:
         raise ValueError("'covariance' is not symmetric")
-    try:
-        np.linalg.cholesky(correlation)
-    except np.linalg.LinAlgError:
-        raise ValueError("'covariance' is not positive definite") from None
+    if np.linalg.eigvalsh(correlation)[0] <= 0.0:
+        raise ValueError("'covariance' is not positive definite")

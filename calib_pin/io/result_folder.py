@@ -9,121 +9,28 @@ leaves the same manifest at any time.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path, PurePosixPath
-from reprlib import repr
-from typing import Any
 
-from calib_pin.errors import CalibPinError, InputError
+from calib_pin.errors import InputError, RobotError
 from calib_pin.io.files import DATA, read_bytes
 from calib_pin.io.journal import inside, settled, sha256
-from calib_pin.io.json_text import Json, decode, encode, require_format, typed
-from calib_pin.units import DISPLAY
-from calib_pin.validation.accuracy import Accuracy, QuantityErrors
+from calib_pin.io.json_text import Json, decoded, encode
+from calib_pin.io.straightening import straight_source
+from calib_pin.io.urdf import is_xacro, locate_robot
+from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.kinematics.robot import Robot
+from calib_pin.validation.breakdown import Breakdown
 
-FORMAT, VERSION = "calib-pin/calibration", 1
-"""The format that is read, and its newest version."""
+FORMAT = "calib-pin/calibration"
+
+BREAKDOWN = tuple(f.name for f in fields(Breakdown) if f.name != "accuracies")
+"""Parts of a result that tell of its stations, tools, chains and blocks."""
 
 JSON = 1 << 28
 """Bytes of the largest document: its objects take many times as much memory."""
-
-LARGEST = 1e6
-"""Largest number that a value, a position or an offset can be [m, rad, px]."""
-
-
-def read_document(
-    path: str | Path, read: Callable[[str | Path], bytes] = read_bytes
-) -> Json:
-    """The content of a `calibration.json`.
-
-    Args:
-        path: The file.
-        read: Gives its bytes.
-
-    Raises:
-        InputError: If the file is not such a document or of a later version.
-    """
-    try:
-        document = decode(read(path))
-    except RecursionError as error:
-        raise InputError("not a calibration of calib-pin", file=path) from error
-    except ValueError as error:
-        line = getattr(error, "lineno", None)
-        reason = f"not a calibration: {getattr(error, 'msg', error)}"
-        raise InputError(reason, file=path, line=line) from error
-    return require_format(document, "calibration", FORMAT, VERSION, path)
-
-
-@contextmanager
-def reading(path: str | Path) -> Iterator[None]:
-    """Turn what goes wrong with the parts of a document into one line.
-
-    Raises:
-        InputError: If a part is missing or is not what it should be.
-    """
-    try:
-        yield
-    except KeyError as error:
-        reason = f"damaged or edited calibration: {error} is missing"
-        raise InputError(reason, file=path) from error
-    except (CalibPinError, TypeError, ValueError, AttributeError) as error:
-        reason = f"damaged or edited calibration: {error}"
-        raise InputError(reason, file=path) from error
-
-
-def stated_errors(document: Json) -> tuple[tuple[QuantityErrors, str], ...]:
-    """Accuracy by quantity, each with how it was validated.
-
-    Raises:
-        KeyError, TypeError, ValueError, AttributeError: See `reading`.
-    """
-    result = []
-    for name, entry in document["errors"].items():
-        training, validation = entry["training"], entry["validation"]
-        unit = text(entry["unit"])
-        if unit not in DISPLAY:
-            raise ValueError(f"{repr(unit)} is no unit of '{name}'")
-        fitted = (_accuracy(training[stage]) for stage in ("before", "after"))
-        unseen = (
-            None if validation[stage] is None else _accuracy(validation[stage])
-            for stage in ("before", "after")
-        )
-        errors = QuantityErrors(name, unit, *fitted, *unseen)
-        result.append((errors, text(validation["method"])))
-    return tuple(result)
-
-
-def _accuracy(entry: Mapping[str, Any]) -> Accuracy:
-    return typed(Accuracy, {"p95": None, **entry})  # Older files have no 95 %.
-
-
-def text(value: object) -> str:
-    """A name.
-
-    Raises:
-        ValueError: If it is none, or empty.
-    """
-    if not isinstance(value, str) or not value:
-        raise ValueError(f"{repr(value)} stands in the place of a name")
-    return value
-
-
-def numbers(values: Sequence[object], count: int | None = None) -> list[float]:
-    """Finite numbers, of a count where that is known.
-
-    Raises:
-        ValueError: If there are more or fewer, or one is no such number.
-    """
-    if count is not None and len(values) != count:
-        raise ValueError(f"{len(values)} numbers stand in the place of {count}")
-    for value in values:
-        number = isinstance(value, float | int) and not isinstance(value, bool)
-        # Python reads NaN, Infinity and numbers of any length, JSON knows none.
-        if not number or not abs(value) < LARGEST:  # type: ignore[arg-type]
-            raise ValueError(f"{repr(value)} stands in the place of a number")
-    return [float(value) for value in values]  # type: ignore[arg-type]
-
 
 DOCUMENT = "calibration.json"
 REPORT = "report.html"
@@ -172,6 +79,26 @@ def run_id(document: Json, learned: bytes | None) -> str:
         "provenance": {k: v for k, v in about.items() if k not in MADE},
     }
     return sha256(encode(content) + (learned or b""))[:16]
+
+
+def read_document(
+    path: str | Path, read: Callable[[str | Path], bytes] = read_bytes
+) -> Json:
+    """The content of a `calibration.json`.
+
+    Args:
+        path: The file.
+        read: Gives its bytes.
+
+    Raises:
+        InputError: If the file is not such a document, or of another version.
+    """
+    document = decoded(read(path), "calibration", FORMAT, path)
+    # Version 0.1 of the program wrote none of these.
+    if not document.keys() >= set(BREAKDOWN):
+        reason = "of an older version of calib-pin, or edited: calibrate again"
+        raise InputError(f"{reason} from the measurements", file=path)
+    return document
 
 
 @contextmanager
@@ -252,11 +179,59 @@ def require_one_run(
             )
 
 
+def find_robot(name: str, content: str, path: Path, read: Read) -> Robot:
+    """The robot that was calibrated, recognized by its content.
+
+    Where it was calibrated comes before the copy: meshes are beside the former.
+
+    Args:
+        name: Its file as it was given.
+        content: Its SHA-256.
+        path: The `calibration.json`.
+        read: Gives the bytes of a file.
+
+    Raises:
+        InputError: If there is only another one.
+        RobotError: If there is none.
+    """
+    copy, other = path.parent / NOMINAL, None
+    missing = RobotError(
+        f"the robot '{name}' that was calibrated is neither there nor beside the "
+        "calibration",
+        file=path,
+    )
+    try:
+        given = locate_robot(name)
+        places = [given, path.parent / given, path.parent / given.name, copy]
+    except RobotError as error:  # The package it came from is not installed here.
+        missing, given, places = error, copy, [copy]
+    if is_xacro(given):  # It was expanded, and what came of it is in the copy.
+        places = [copy]
+    for place in places:
+        try:
+            data = read(place)
+        except InputError:
+            continue
+        if sha256(data) != content and place != copy:
+            data = straight_source(data)
+        if sha256(data) == content:
+            kept = given if is_xacro(given) and given.is_file() else place
+            there = kept == given and given != copy
+            return parse_robot(data, name if there else str(place))
+        other = other or place
+    if other is None:
+        raise missing
+    raise InputError(
+        f"'{other}' is not the robot that was calibrated: its content differs; keep "
+        "the files of one run together",
+        file=path,
+    )
+
+
 def written_before(path: Path) -> list[Path]:
     """Files that were written with a calibration and are still there.
 
-    They are those of its manifest. Earlier versions had none; what they wrote is
-    recognized by its name and its content. Of anything else, nothing is known.
+    They are those of its manifest; of anything else, nothing is known.
 
     Args:
         path: The `calibration.json`, if there is one.
@@ -264,38 +239,10 @@ def written_before(path: Path) -> list[Path]:
     Raises:
         OutputError: If another program does not let go of the folder.
     """
-    folder = path.parent
     try:
         with opened(path) as read:
-            document = read_document(path, read)
-            if "files" in document:
-                names = list(members(document))
-            else:
-                names = list(_known(document, folder, read))
-    except (InputError, KeyError, TypeError, ValueError, AttributeError):
+            document = decoded(read(path), "calibration", FORMAT, path)
+        names = members(document)
+    except (InputError, ValueError):
         return []
-    return [folder / name for name in names if (folder / name).is_file()]
-
-
-def _known(document: Mapping[str, Any], folder: Path, read: Read) -> Iterator[str]:
-    """Names of what a calibration without a manifest was written with."""
-    robot, learned = document["robot"], document.get("residual_model")
-    content = robot["sha256"]
-
-    def holds(name: str, test: Callable[[bytes], bool]) -> bool:
-        try:
-            return test(read(folder / name))
-        except InputError:
-            return False
-
-    name = re.escape(robot["name"]).encode()
-    tag = re.compile(rb"<robot\s[^>]*name\s*=\s*[\"']" + name + rb"[\"']")
-    urdf = urdf_name(robot["name"])
-    if holds(urdf, lambda data: bool(tag.search(data)) and sha256(data) != content):
-        yield urdf
-    if learned and holds(
-        RESIDUAL_MODEL, lambda data: sha256(data) == learned["sha256"]
-    ):
-        yield RESIDUAL_MODEL
-    if holds(REPORT, lambda data: content.encode() in data):
-        yield REPORT
+    return [path.parent / name for name in names if (path.parent / name).is_file()]

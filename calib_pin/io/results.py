@@ -1,184 +1,218 @@
-"""The calibrated robot out of `calibration.json`, and into a corrected URDF.
-
-A residual model has a file of its own: plain numbers in JSON, nothing to execute.
-
-    {"format": "calib-pin/residual-model", "version": 1,
-     "run": "",           # id of the run that learned it, where there was one
-     "robot": {"name", "sha256", "base", "tip", "joints"},
-     "shift": [],         # of the parameters of the error model, in their order
-     "model": {...},      # what `ResidualModel.document` gives
-     "sha256": ""}        # of the canonical JSON of all the rest
-
-A learned correction means nothing for another robot, and nobody can see from its
-numbers that one of them has been changed; so both are checked.
-"""
+"""`calibration.json`, section 8 of the contract: a result as a document, and back."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from reprlib import repr
+from typing import Any, get_type_hints
 
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError, OptionError, OutputError, RobotError
-from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.errors import InputError
+from calib_pin.estimation.evidence import (
+    TRUSTED,
+    VERDICTS,
+    ExpectedAccuracy,
+    FoundCurve,
+    PoseErrors,
+    TipAccuracy,
+)
 from calib_pin.estimation.learning import with_learned
-from calib_pin.estimation.system import System
-from calib_pin.io.calibrated_model import count_without_instruments, model_of
-from calib_pin.io.files import read_bytes, write_atomically
+from calib_pin.io.calibrated_model import (
+    count_without_instruments,
+    model_document,
+    model_of,
+    read_residual_model,
+)
+from calib_pin.io.documents import identification_parts
+from calib_pin.io.files import read_bytes
 from calib_pin.io.journal import sha256
-from calib_pin.io.json_text import Json, require_format
-from calib_pin.io.older_results import upgraded
+from calib_pin.io.json_text import (
+    Json,
+    format_keys,
+    plain,
+    reading,
+    require_finite,
+    typed,
+)
+from calib_pin.io.measurement_errors import SETS, decode_errors, unknown_errors
 from calib_pin.io.result_folder import (
-    NOMINAL,
-    RESIDUAL_MODEL,
+    BREAKDOWN,
+    DOCUMENT,
+    FORMAT,
+    MADE,
+    MEASUREMENTS,
     Read,
+    find_robot,
     members,
     opened,
     read_document,
-    reading,
     require_one_run,
-    stated_errors,
-    text,
 )
 from calib_pin.io.setup import setup_of
-from calib_pin.io.straightening import straight_source
-from calib_pin.io.urdf import corrected_urdf, is_xacro, locate_robot
-from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
-from calib_pin.residual_models import LearnedCorrection, restore
-from calib_pin.residual_models.documents import numbers
+from calib_pin.planning.suggestions import Suggestion
+from calib_pin.setup.values import LARGEST_LENGTH
+from calib_pin.units import DISPLAY
+from calib_pin.validation.accuracy import Accuracy, QuantityErrors
+from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.measurement_errors import MeasurementErrors
+from calib_pin.validation.result import CalibrationResult, UrdfResult
+from calib_pin.validation.summaries import NamedArray, Provenance, ToolAccuracy
 
-FORMAT, VERSION = "calib-pin/residual-model", 1
-"""The newest format of residual models."""
+STATED = ("findings", "validation", "statistics", "solver", "distances")
+"""Parts of a result that are written as they are declared, as are its `BREAKDOWN`."""
 
+SAMPLES = ("configurations", "points", "position", "orientation")
+"""Keys of the predicted uncertainty of the tool point, arrays over the workspace."""
 
-def encode_residual_model(
-    model: CalibratedModel, run: str | None = None
-) -> bytes | None:
-    """The file of a learned correction; None where nothing was learned.
+CURVE = ("measurements", "position")
+"""Keys of that uncertainty by the number of measurements."""
 
-    Args:
-        model: The calibrated robot.
-        run: Id of the run that learned it.
-    """
-    learned, shift = None, np.zeros(count_without_instruments(model))
-    for part in model.parts.values():
-        own = part.error.learned
-        if isinstance(own, LearnedCorrection):
-            learned = learned or own
-            shift[part.index[: len(own.shift)]] = own.shift
-    if learned is None:
-        return None
-    document: Json = {
-        "format": FORMAT,
-        "version": VERSION,
-        **({} if run is None else {"run": run}),
-        "robot": _robot(model.moving.error.chain),
-        "shift": shift.tolist(),
-        "model": learned.model.document(),
-    }
-    document["sha256"] = _digest(document)
-    return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+STAGES = ("before", "after")
+"""Keys of errors: of the nominal robot, registered, and of the calibrated one."""
 
 
-def reference(data: bytes) -> dict[str, str]:
-    """The reference of `calibration.json` to the bytes of such a file beside it."""
-    name = json.loads(data)["model"]["kind"]
-    return {"name": name, "file": RESIDUAL_MODEL, "sha256": sha256(data)}
+def calibration_document(
+    result: CalibrationResult,
+    provenance: Provenance | None = None,
+    residual_model: Mapping[str, str] | None = None,
+    suggestions: Sequence[Suggestion] = (),
+) -> Json:
+    """A result as the JSON document of version 1.
 
-
-def read_residual_model(
-    path: str | Path,
-    system: System,
-    content: str | None = None,
-    read: Callable[[str | Path], bytes] = read_bytes,
-) -> LearnedCorrection:
-    """The residual model of a file.
+    Errors of single measurements stand beside it, see `io.measurement_errors`.
 
     Args:
-        path: The file.
-        system: The robot that it corrects.
-        content: SHA-256 that the file must have, as a calibration states it.
-        read: Gives the bytes of the file.
-
-    Returns:
-        The correction, with a shift of all parameters.
+        result: The result.
+        provenance: How it came about; default what the result says.
+        residual_model: Where what was learned is written, see `io.calibrated_model`.
+        suggestions: Suggested measurements.
 
     Raises:
-        InputError: If it is no such file, of a later version, of another robot, or
-            not as it was written.
+        InputError: If a measurement file cannot be read again for its hash.
     """
-    data = read(path)
-    try:
-        document = json.loads(data)
-    except (ValueError, RecursionError) as mistake:
-        # Cut off anywhere it is no JSON any more.
-        found = getattr(mistake, "msg", mistake)
-        reason = f"not a residual model, or truncated: {found}"
-        raise InputError(reason, file=path) from mistake
-    document = require_format(document, "residual model", FORMAT, VERSION, path)
-    if document.pop("sha256", None) != _digest(document):
-        raise InputError("edited or damaged: its checksum does not match", file=path)
-    chain = system.moving.error.chain
-    _require_same_robot(document.get("robot"), chain, path)
-    if content is not None and sha256(data) != content:
-        raise InputError(
-            "not the file that this calibration was written with", file=path
-        )
-    try:
-        stated = numbers(document, "shift", (count_without_instruments(system),))
-        model = restore(document.get("model"), len(chain.joints))
-    except (TypeError, ValueError) as mistake:
-        reason = f"damaged or edited residual model: {mistake}"
-        raise InputError(reason, file=path) from mistake
-    shift = np.zeros(len(system.given))
-    shift[: len(stated)] = stated
-    return LearnedCorrection(model, shift)
+    model, statistics, dof = result.model, result.statistics, result.statistics.dof
+    made = provenance or result.provenance
+    hashes = made.hashes or tuple(map(_sha256_of, result.files))
+    setup_file, method = model.setup.file, result.validation.method
+    covariance, urdf = result.covariance, result.urdf
+    begun, described = result.recalibration, model_document(model, result.reference)
+    return {
+        **format_keys(FORMAT),
+        "verdict": {"status": result.verdict, "reason": result.reason},
+        "findings": plain(result.findings),
+        "robot": _robot(model),
+        "measurements": {
+            "files": [
+                {"file": file, "sha256": content}
+                for file, content in zip(result.files, hashes, strict=True)
+            ],
+            **described.pop("measurements"),
+            "training": len(result.fitted),
+            "validation": result.validation.count,
+            "placed_by_validation": list(result.validation.located),
+        },
+        **_rotations(result),
+        **described,
+        **identification_parts(result, suggestions),
+        "errors": _errors(result.errors, method),
+        "validation": plain(result.validation),
+        **_predictions(result),
+        **{key: plain(getattr(result, key)) for key in BREAKDOWN},
+        "statistics": {
+            **plain(statistics),
+            "chi2_interval": list(chi2_interval(dof)) if dof > 0 else [],
+        },
+        "covariance": plain(covariance) if np.isfinite(covariance).all() else None,
+        "solver": {**plain(result.solver), "seconds": made.seconds},
+        "distances": plain(result.distances),
+        "residual_model": plain(residual_model),
+        "rejected_residual_model": result.rejected,
+        "model_ladder": plain(result.model_selection),
+        **({} if begun is None else {"recalibration": plain(begun)}),
+        "urdf": urdf and _urdf(urdf, method),
+        "setup_file": {"file": setup_file, "sha256": _sha256_of(setup_file)}
+        if setup_file
+        else None,
+        "provenance": {
+            **made.versions,
+            "command": list(made.command),
+            "created": made.created,
+        },
+    }
 
 
-def _require_same_robot(stated: object, chain: Chain, path: str | Path) -> None:
-    expected = _robot(chain)
-    if isinstance(stated, Mapping) and dict(stated) == expected:
-        return
-    name = stated.get("name") if isinstance(stated, Mapping) else None
-    what = "other content of its URDF" if name == expected["name"] else f"'{name}'"
-    if isinstance(stated, Mapping) and stated.get("sha256") == expected["sha256"]:
-        what = f"the chain {stated.get('base')} to {stated.get('tip')}"
-    raise InputError(
-        f"learned on another robot: {what}",
-        file=path,
-        allowed=f"'{chain.robot.name}' from {chain.base} to {chain.tip}",
+def provenance(command: tuple[str, ...] = (), seconds: float = math.nan) -> Provenance:
+    """How a result comes about that is written now, by these versions.
+
+    Args:
+        command: The command line; none for a program of its own.
+        seconds: Time the solver took; NaN where nobody looked.
+    """
+    names = {"calib_pin": "calib-pin", "pinocchio": "pin", "numpy": "numpy"}
+    return Provenance(
+        command=command,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        seconds=seconds,
+        versions={name: version(package) for name, package in names.items()},
     )
 
 
-def _robot(chain: Chain) -> Json:
-    return {
-        "name": chain.robot.name,
-        "sha256": sha256(chain.robot.source),
-        "base": chain.base,
-        "tip": chain.tip,
-        "joints": list(chain.joints),
-    }
+def document_file(path: str | Path) -> Path:
+    """The `calibration.json` of a folder, or the file itself."""
+    path = Path(path)
+    return path / DOCUMENT if path.is_dir() else path
 
 
-def _digest(document: Mapping[str, Any]) -> str:
-    """SHA-256 of a document whatever the spaces and the order of its keys."""
-    try:
-        text = json.dumps(document, sort_keys=True, separators=(",", ":"))
-    except (ValueError, RecursionError):
-        return ""
-    return sha256(text.encode())
+def read_result(path: str | Path) -> CalibrationResult:
+    """Read the whole result of a calibration.
+
+    If `measurements.csv` is missing, the errors of the measurements are unknown (NaN).
+
+    Args:
+        path: The folder of the result, or its `calibration.json`.
+
+    Raises:
+        InputError: If the file is not such a document or is of another version, the
+            robot has changed, or the files beside it belong to another run.
+        OutputError: If another program keeps the folder locked.
+        RobotError: If the robot cannot be found.
+
+    Examples:
+        >>> import calib_pin
+        >>> calib_pin.read_result("/no/such/folder/calibration.json")
+        Traceback (most recent call last):
+        calib_pin.errors.InputError: /no/such/folder/calibration.json: no such file
+    """
+    return read_written(path)[0]
 
 
-AGREEMENT = 1e-9
-"""Largest difference of forward kinematics between model and written URDF [m, rad]."""
+@serial_blas
+def read_written(path: str | Path) -> tuple[CalibrationResult, Json]:
+    """A result, and the document that it was read from.
+
+    Args:
+        path: The folder of the result, or its `calibration.json`.
+
+    Raises:
+        InputError, OutputError, RobotError: As `read_result`.
+    """
+    file = document_file(path)
+    with opened(file) as read:
+        document, model = _read_model(file, read)
+        with reading(file):
+            result = _result(document, model, file, read)
+            read_suggestions(document)
+    return result, document
 
 
 @serial_blas
@@ -196,62 +230,17 @@ def read_calibration(
         notice: Called with one sentence if the calibration must not be trusted.
 
     Raises:
-        InputError: If the file is not such a document or of a later version, the
+        InputError: If the file is not such a document or of another version, the
             robot has changed, or the files beside it are of another run.
         OutputError: If another program does not let go of the folder.
         RobotError: If the robot cannot be found.
     """
     with opened(path) as read:
-        document, model = read_model(Path(path), read)
+        document, model = _read_model(Path(path), read)
     verdict = document["verdict"]
     if notice is not None and verdict["status"] not in TRUSTED:
         notice(f"{path} must not be trusted: {verdict['reason']}")
     return model
-
-
-def read_model(path: Path, read: Read) -> tuple[Json, CalibratedModel]:
-    """A `calibration.json` and the calibrated robot that it tells of.
-
-    Args:
-        path: The file.
-        read: Gives the bytes of a file.
-
-    Raises:
-        InputError, RobotError: As `read_calibration`.
-    """
-    document = read_document(path, read)
-    robot = _find_robot(document, path, read)
-    with reading(path):
-        listed, run = members(document), str(document.get("run", ""))
-        document = upgraded(document)
-        model = model_of(document, _chains(document, robot))
-        learned = _learned(document.get("residual_model"))
-        if (learned is None) != (model.setup.learned is None):
-            raise ValueError("'residual_model' and 'setup.learned' need each other")
-        _ = document["verdict"]["status"], document["verdict"]["reason"]
-    require_one_run(listed, run, robot.source, path, read)
-    if learned is None:
-        return document, model
-    name, content = learned
-    found = read_residual_model(path.parent / name, model, content, read)
-    return document, with_learned(model, found)
-
-
-def _chains(document: Json, robot: Robot) -> Chains:
-    """The chains that were measured."""
-    about = document["robot"]
-    ends = about.get("chains") or {"": about}
-    built = {
-        name: Chain(robot, text(end["base"]), text(end["tip"]))
-        for name, end in ends.items()
-    }
-    setup = setup_of(document.get("setup", {}))
-    default = built.get("", setup)
-    stated = default.base, default.tip, setup.chains
-    chains = Chains(robot, *stated, tuple(built), built)
-    if list(chains.joints) != about["joints"]:
-        raise ValueError("the joints are not those from base to tip")
-    return chains
 
 
 def read_accuracy(path: str | Path) -> dict[str, dict[str, Any]]:
@@ -266,129 +255,296 @@ def read_accuracy(path: str | Path) -> dict[str, dict[str, Any]]:
     with opened(path) as read:
         document = read_document(path, read)
     with reading(path):
-        stated = stated_errors(document)
-    return {
-        errors.name: {
-            "unit": errors.unit,
-            "mean": errors.validation_after.mean,
-            "max": errors.validation_after.max,
-            "method": method,
+        return {
+            errors.name: {
+                "unit": errors.unit,
+                "mean": errors.validation_after.mean,
+                "max": errors.validation_after.max,
+                "method": document["errors"][errors.name]["validation"]["method"],
+            }
+            for errors in _read_errors(document["errors"])
+            if errors.validation_after is not None and errors.unit in ("m", "rad")
         }
-        for errors, method in stated
-        if errors.validation_after is not None and errors.unit in ("m", "rad")
+
+
+def read_suggestions(document: Json) -> tuple[Suggestion, ...]:
+    """The suggested measurements in a document."""
+    stated = document["identifiability"]["remedies"]
+    return typed(tuple[Suggestion, ...], stated)
+
+
+def used_files(path: str | Path, files: Sequence[Path]) -> list[Path]:
+    """Those of some files whose content a calibration has used, to fit or to check.
+
+    Args:
+        path: A `calibration.json`, which can be read.
+        files: Measurement files; what is no file, such as a pipe, is left alone.
+    """
+    document = read_document(path)
+    with reading(path):
+        stated = document["measurements"]["files"]
+        known = {typed(str, entry["sha256"]) for entry in stated}
+    return [file for file in files if _sha256_of(str(file)) in known - {""}]
+
+
+def _sha256_of(file: str) -> str:
+    """Hexadecimal SHA-256 of a file; empty for what is none, such as a pipe."""
+    # A pipe cannot be read twice.
+    return sha256(read_bytes(file)) if Path(file).is_file() else ""
+
+
+# --- the robot ---------------------------------------------------------------------
+
+
+def _read_model(path: Path, read: Read) -> tuple[Json, CalibratedModel]:
+    """A `calibration.json` and the calibrated robot that it tells of.
+
+    Raises:
+        InputError, RobotError: As `read_calibration`.
+    """
+    document = read_document(path, read)
+    with reading(path):
+        verdict, stated = document["verdict"], document["robot"]
+        if typed(str, verdict["status"]) not in VERDICTS:
+            raise ValueError(f"'{verdict['status']}' is no verdict")
+        typed(str, verdict["reason"])
+        name, content = typed(str, stated["file"]), typed(str, stated["sha256"])
+    robot = find_robot(name, content, path, read)
+    with reading(path):
+        listed, run = members(document), str(document.get("run", ""))
+        model = model_of(document, _chains(document, robot))
+        learned = document["residual_model"]
+        if (learned is None) != (model.setup.learned is None):
+            raise ValueError("'residual_model' and 'setup.learned' need each other")
+        if learned is not None:
+            # Its name alone: a calibration does not reach into other folders.
+            file = path.with_name(Path(learned["file"]).name)
+            content = typed(str, learned["sha256"])
+    require_one_run(listed, run, robot.source, path, read)
+    if learned is None:
+        return document, model
+    data = read(file)
+    if sha256(data) != content:
+        reason = "not the file that this calibration was written with"
+        raise InputError(reason, file=file)
+    return document, with_learned(model, read_residual_model(data, model, file))
+
+
+def _robot(model: CalibratedModel) -> Json:
+    """The robot with the ends of its chains, where they have names."""
+    chains, chain = model.chains, model.moving.error.chain
+    about: Json = {
+        "name": chains.robot.name,
+        "file": chains.robot.file,
+        "sha256": sha256(chains.robot.source),
+        "base": chain.base,
+        "tip": chain.tip,
+        "joints": list(chains.joints),
     }
+    if chains.names != ("",):
+        ends = {name: chains[name] for name in chains.names}
+        about["chains"] = {k: {"base": e.base, "tip": e.tip} for k, e in ends.items()}
+    return about
 
 
-def write_urdf(
-    model: CalibratedModel, path: str | Path, *, force: bool = False
-) -> None:
-    """Write the corrected URDF of a calibrated robot.
-
-    Args:
-        model: The calibrated robot, `CalibrationResult.geometry`.
-        path: The new file.
-        force: Replace an existing file; the robot's own file is never replaced.
-
-    Raises:
-        OptionError: If the file exists or is the robot's own, or the model has
-            corrections that a URDF cannot hold.
-        OutputError: If it cannot be written or does not agree with the model.
-    """
-    write_atomically(Path(path), encode_urdf(model, path), force=force)
+def _chains(document: Json, robot: Robot) -> Chains:
+    """The chains that were measured."""
+    about, setup = document["robot"], setup_of(document["setup"])
+    built = {
+        name: Chain(robot, typed(str, end["base"]), typed(str, end["tip"]))
+        for name, end in about.get("chains", {"": about}).items()
+    }
+    default = built.get("", setup)
+    stated = default.base, default.tip, setup.chains
+    chains = Chains(robot, *stated, tuple(built), built)
+    if list(chains.joints) != about["joints"]:
+        raise ValueError("the joints are not those from base to tip")
+    return chains
 
 
-def encode_urdf(model: CalibratedModel, path: str | Path) -> bytes:
-    """The corrected URDF of a calibrated robot.
-
-    Only the joint origins that change are edited. The result is read again and its
-    forward kinematics compared with the model.
-
-    Args:
-        model: The calibrated robot, `CalibrationResult.geometry`.
-        path: The file it is for, never the robot's own.
-
-    Raises:
-        OptionError: If the file is the robot's own, or the model has corrections that
-            a URDF cannot hold.
-        OutputError: If it does not agree with the model.
-    """
-    if not model.geometric:
-        raise OptionError(
-            "a URDF cannot hold corrections of the joints; write the geometry alone",
-            file=path,
-            allowed="CalibrationResult.geometry",
-        )
-    chains = model.chains
-    q = chains.random_configurations(20, np.random.default_rng(0))
-
-    def check(robot: Robot) -> None:
-        for name in model.measured_chains:
-            own, nominal = q[:, chains.columns(name)], chains[name]
-            fitted = model.of(name)
-            expected = fitted.error.base.inverse().homogeneous @ fitted.poses(own)
-            written = Chain(robot, nominal.base, nominal.tip)
-            found = written.poses(own) @ fitted.tool.homogeneous
-            difference = float(np.abs(found - expected).max())
-            if not difference < AGREEMENT:
-                raise OutputError(
-                    f"{path}: the written robot differs from the model by "
-                    f"{difference:.2g}"
-                )
-
-    return corrected_urdf(path, chains.robot, model.urdf_corrections(), check)
+# --- the result --------------------------------------------------------------------
 
 
-def _find_robot(document: Json, path: Path, read: Read) -> Robot:
-    """The robot that was calibrated, recognized by its content.
-
-    Where it was calibrated comes before the copy: meshes are beside the former.
-    """
-    missing: RobotError | None = None
-    copy = path.parent / NOMINAL
-    try:
-        name, content = document["robot"]["file"], document["robot"]["sha256"]
-        stated = locate_robot(name)
-        places = [stated, path.parent / stated, path.parent / stated.name, copy]
-        if is_xacro(stated):  # It was expanded, and what came of it is in the copy.
-            places = [copy]
-    except RobotError as error:  # The package it came from is not installed here.
-        missing, stated, places = error, copy, [copy]
-    except (KeyError, TypeError, AttributeError) as error:
-        reason = "damaged or edited calibration: it names no robot"
-        raise InputError(reason, file=path) from error
-    found = None
-    for place in dict.fromkeys(places):
-        try:
-            data = read(place)
-        except InputError:
-            continue
-        if sha256(data) != content and place != copy:
-            data = straight_source(data)
-        if sha256(data) == content:
-            kept = stated if is_xacro(stated) and stated.is_file() else place
-            own = kept == stated and missing is None
-            return parse_robot(data, name if own else str(place))
-        found = found or place
-    if missing is not None:
-        raise missing
-    if found is None:
-        raise RobotError(
-            f"the robot '{name}' that was calibrated is neither there nor beside the "
-            "calibration",
-            file=path,
-        )
-    raise InputError(
-        f"'{found}' is not the robot that was calibrated: its content differs; keep "
-        "the files of one run together",
-        file=path,
+def _result(
+    document: Json, model: CalibratedModel, file: Path, read: Read
+) -> CalibrationResult:
+    verdict, about = document["verdict"], document["measurements"]
+    parts = {key: document[key] for key in (*STATED, *BREAKDOWN)}
+    parts["recalibration"] = document.get("recalibration")
+    parts["model_selection"] = document["model_ladder"]
+    parts["parameters"] = document["parameters"]
+    parts["identifiability"] = found = document["identifiability"]
+    parts |= {"groups": found["coupled"], "robot_errors": found["robot_errors"]}
+    kinds = get_type_hints(CalibrationResult)
+    known = {key: typed(kinds[key], part) for key, part in parts.items()}
+    estimates = [*known["parameters"], *known["groups"]]
+    require_finite([estimate.value for estimate in estimates])
+    terms = (term for group in known["groups"] for term in group.terms)
+    require_finite([term.coefficient for term in terms])
+    for sigma in (estimate.sigma for estimate in estimates):
+        if sigma is not None and not sigma >= 0.0:
+            raise ValueError(f"{sigma!r} is no standard deviation")
+    names = [parameter.name for parameter in known["parameters"]]
+    covariance = document["covariance"] or np.full((len(names), len(names)), np.nan)
+    fitted, held_out = _measured(document, model, file.parent, read)
+    made, urdf = document["provenance"], document["urdf"]
+    return CalibrationResult(
+        **known,
+        model=model,
+        reference=model_of(document, model.chains, reference=True),
+        verdict=verdict["status"],
+        reason=verdict["reason"],
+        errors=_read_errors(document["errors"]),
+        accuracies=_accuracies(document, model),
+        covariance=NamedArray.of(covariance, names, names),
+        fitted=fitted,
+        held_out=held_out,
+        files=tuple(typed(str, entry["file"]) for entry in about["files"]),
+        urdf=urdf and _urdf_result(urdf, model.chains),
+        rejected=typed(str, document["rejected_residual_model"]),
+        provenance=Provenance(
+            command=typed(tuple[str, ...], made["command"]),
+            created=typed(str, made["created"]),
+            seconds=typed(float, document["solver"]["seconds"]),
+            versions={k: v for k, v in made.items() if k not in MADE},
+            file=str(file),
+            hashes=tuple(typed(str, entry["sha256"]) for entry in about["files"]),
+        ),
     )
 
 
-def _learned(stated: Mapping[str, Any] | None) -> tuple[str, str] | None:
-    """Name and SHA-256 of the file of what was learned, if anything was."""
-    if stated is None:
-        return None
-    if not isinstance(stated, Mapping):
-        raise ValueError("'residual_model' is not a mapping")
-    # Its name alone: a calibration does not reach into other folders.
-    return Path(text(stated["file"])).name, text(stated["sha256"])
+def _errors(errors: Sequence[QuantityErrors], method: str) -> Json:
+    return {
+        e.name: {
+            "unit": e.unit,
+            "training": {"before": plain(e.before), "after": plain(e.after)},
+            "validation": {
+                "method": method,
+                "before": plain(e.validation_before),
+                "after": plain(e.validation_after),
+            },
+        }
+        for e in errors
+    }
+
+
+def _read_errors(document: Json) -> tuple[QuantityErrors, ...]:
+    result = []
+    for name, entry in document.items():
+        unit, training, held_out = entry["unit"], entry["training"], entry["validation"]
+        if unit not in DISPLAY:
+            raise ValueError(f"{repr(unit)} is no unit of '{name}'")
+        fitted = (typed(Accuracy, training[stage]) for stage in STAGES)
+        unseen = (
+            None if held_out[stage] is None else typed(Accuracy, held_out[stage])
+            for stage in STAGES
+        )
+        result.append(QuantityErrors(name, unit, *fitted, *unseen))
+    return tuple(result)
+
+
+def _predictions(result: CalibrationResult) -> Json:
+    """The expected errors of the tools: of the first chain, and of the others."""
+    _, *others = result.accuracies or [""]
+    found = {name: _predicted(result.accuracies[name]) for name in others}
+    return {
+        "predicted": _predicted(result.accuracy),
+        **({"predicted_by_chain": found} if found else {}),
+    }
+
+
+def _predicted(accuracy: ToolAccuracy) -> Json | None:
+    """Errors of the tool to expect: what noise leaves by the fit, and all of them."""
+    stages = {"measured": accuracy.measured, "workspace": accuracy.workspace}
+    known = {name: plain(found) for name, found in stages.items() if found}
+    if accuracy.tip is None:
+        return {"position": None, "orientation": None, **known} if known else None
+    tip = accuracy.tip
+    samples = tip.q, tip.points, tip.position, tip.orientation
+    return {
+        **plain(PoseErrors(*tip.rms)),
+        "robot": plain(PoseErrors(*tip.of_robot)),
+        **known,
+        "samples": plain(dict(zip(SAMPLES, samples, strict=True))),
+        "by_count": plain(dict(zip(CURVE, tip.by_count.curve, strict=True))),
+    }
+
+
+def _accuracies(document: Json, model: CalibratedModel) -> dict[str, ToolAccuracy]:
+    """The expected errors of the tool by the name of the chain."""
+    first = {model.moving.key.chain: document["predicted"]}
+    entries = first | document.get("predicted_by_chain", {})
+    return {name: _accuracy(entry or {}) for name, entry in entries.items()}
+
+
+def _accuracy(entry: Json) -> ToolAccuracy:
+    measured, workspace = (
+        typed(ExpectedAccuracy, entry[key]) if key in entry else None
+        for key in ("measured", "workspace")
+    )
+    if "samples" not in entry:
+        return ToolAccuracy(None, measured, workspace)
+    typed(PoseErrors, entry)
+    samples = (np.array(entry["samples"][key], float) for key in SAMPLES)
+    q, points, position, orientation = samples
+    if not len(q) == len(points) == len(position) == len(orientation):
+        raise ValueError("the lists of 'samples' are not of one length")
+    if not np.abs(points).max() <= LARGEST_LENGTH:
+        raise ValueError(f"points are more than {LARGEST_LENGTH:g} m away")
+    counts, errors = (np.array(entry["by_count"][key], float) for key in CURVE)
+    alone, curve = typed(PoseErrors, entry["robot"]), FoundCurve((counts, errors))
+    tip = TipAccuracy(q, points, position, orientation, alone, curve)
+    return ToolAccuracy(tip, measured, workspace)
+
+
+def _rotations(result: CalibrationResult) -> Json:
+    """Rotations from the measurement frame to the base link.
+
+    It is that of the first block; where others differ, those of all stand beside it.
+    """
+    sets = zip(SETS, (result.fitted, result.held_out), strict=True)
+    found = {name: part.to_base for name, part in sets if part is not None}
+    first = result.fitted.to_base[0]
+    every = np.concatenate([*found.values()])
+    alike = np.array_equal(every, np.broadcast_to(first, every.shape), equal_nan=True)
+    return {
+        "rotation_to_base": first.tolist(),
+        **({} if alike else {"rotations_to_base": plain(found)}),
+    }
+
+
+def _measured(
+    document: Json, model: CalibratedModel, folder: Path, read: Read
+) -> tuple[MeasurementErrors, MeasurementErrors | None]:
+    """The errors of the fitted and of the validation measurements."""
+    count = typed(int, document["measurements"]["training"])
+    try:
+        data = read(folder / MEASUREMENTS)
+    except InputError:
+        return unknown_errors(model, count), None
+    rotations = dict.fromkeys(SETS, document["rotation_to_base"])
+    rotations |= document.get("rotations_to_base", {})
+    to_base = {name: np.array(stated, float) for name, stated in rotations.items()}
+    return decode_errors(data, model, to_base)
+
+
+def _urdf(urdf: UrdfResult, method: str) -> Json:
+    described = None
+    if urdf.model is not None:
+        model, count = urdf.model, count_without_instruments(urdf.model)
+        values = zip(model.given.names[:count], model.theta.tolist(), strict=False)
+        parameters = [{"name": name, "value": value} for name, value in values]
+        described = {**model_document(model, model), "parameters": parameters}
+    return {
+        "reason": urdf.reason,
+        "errors": _errors(urdf.errors, method),
+        "model": described,
+    }
+
+
+def _urdf_result(entry: Json, chains: Chains) -> UrdfResult:
+    return UrdfResult(
+        model=entry["model"] and model_of(entry["model"], chains),
+        errors=_read_errors(entry["errors"]),
+        reason=typed(str, entry["reason"]),
+    )

@@ -59,7 +59,7 @@ BINARY: Sequence[tuple[bytes, str]] = (
     (b"#ROSBAG", "a bag of ROS 1: convert it with rosbags-convert"),
     (b"%PDF", "a PDF: export the table as CSV"),
 )
-"""The first bytes of files that hold no lines, and what these are."""
+"""The first bytes of files that hold no lines, and their kinds."""
 
 ZIPPED: Sequence[tuple[bytes, str]] = (
     (b"xl/", "an Excel workbook: save the sheet as CSV"),
@@ -68,7 +68,7 @@ ZIPPED: Sequence[tuple[bytes, str]] = (
     (b".npy", "NumPy arrays (npz): write them with numpy.savetxt, and a header"),
     (b"", "an archive (zip): unpack it"),
 )
-"""What a ZIP archive is, by a name in it."""
+"""The kind of a ZIP archive, by a name in it."""
 
 
 @dataclass(frozen=True)

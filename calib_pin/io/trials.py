@@ -14,11 +14,12 @@ from pathlib import Path
 
 from calib_pin.errors import InputError, OutputError
 from calib_pin.io.files import read_bytes, write_atomically
-from calib_pin.io.json_text import typed
 from calib_pin.monte_carlo import Trial
 
 COLUMNS = tuple(field.name for field in fields(Trial))
-"""Columns of the file."""
+"""Columns of the file; all between the first two and the last are errors."""
+
+SIZES = COLUMNS[2:-1]
 
 
 def encode_trials(trials: Iterable[Trial]) -> bytes:
@@ -55,30 +56,19 @@ def read_trials(path: Path, study: str, each: int) -> list[tuple[Trial, ...]]:
     if not data.startswith(begin):
         raise InputError("holds trials of another study; use --force", file=path)
     whole = data[len(begin) : data.rfind(b"\n") + 1].decode("utf-8", "replace")
-    found: list[tuple[Trial, ...]] = []
-    own: list[Trial] = []
+    found: list[Trial] = []
     for line, cells in enumerate(csv.reader(io.StringIO(whole, newline="")), 3):
-        trial = _trial(cells)
-        if trial is None or trial.robot != len(found):
+        try:
+            robot, configurations, *numbers, reason = cells
+            sizes = dict(zip(SIZES, map(float, numbers), strict=True))
+            trial = Trial(int(robot), int(configurations), **sizes, reason=reason)
+        except ValueError:
+            trial = Trial(-1, 0)
+        if trial.robot != len(found) // each:
             raise InputError("damaged; use --force", file=path, line=line)
-        own.append(trial)
-        if len(own) == each:
-            found.append(tuple(own))
-            own = []
-    return found
-
-
-def _trial(cells: Sequence[str]) -> Trial | None:
-    """A trial from its line; None where it is none."""
-    if len(cells) != len(COLUMNS):
-        return None
-    robot, configurations, *numbers, reason = cells
-    try:
-        sizes = [None if text == "nan" else float(text) for text in numbers]
-        values = (int(robot), int(configurations), *sizes, reason)
-        return typed(Trial, dict(zip(COLUMNS, values, strict=True)))
-    except ValueError:
-        return None
+        found.append(trial)
+    ends = range(each, len(found) + 1, each)
+    return [tuple(found[end - each : end]) for end in ends]
 
 
 def kept(

@@ -160,7 +160,6 @@ class Parameterization(ABC):
         effects: Components that act as random effects unless they are estimated.
         conditions: What the measurements must state, `direction`, `temperature` or
             `time`, for the parameters to mean anything.
-        later: Components that older calibrations do not have; there they are zero.
     """
 
     name: ClassVar[str]
@@ -169,7 +168,6 @@ class Parameterization(ABC):
     requires: ClassVar[tuple[str, ...]] = ()
     effects: ClassVar[Effects | None] = None
     conditions: ClassVar[tuple[str, ...]] = ()
-    later: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls) -> None:
         """Name the parameters after the parameterization unless stated."""

@@ -55,7 +55,6 @@ class Transmission(Parameterization):
     name = "transmission"
     geometric = False
     requires = ("gear_ratios",)
-    later: ClassVar[tuple[str, ...]] = ("motor_sin2", "motor_cos2")
     effects: ClassVar[Effects | None] = Effects(
         ("sin1", "cos1", "sin2", "cos2"), AMPLITUDE_SCALES["rad"]
     )

@@ -12,9 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from calib_pin.io.calibration_document import calibration_document, provenance
 from calib_pin.io.files import write_atomically
-from calib_pin.io.result_file import read_suggestions, read_written
+from calib_pin.io.results import (
+    calibration_document,
+    provenance,
+    read_suggestions,
+    read_written,
+)
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
 from calib_pin.report.accuracy import (

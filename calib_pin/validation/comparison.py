@@ -51,7 +51,7 @@ class Difference:
     first: float
     second: float
     sigma: float
-    terms: tuple[tuple[str, float], ...] = ()
+    terms: tuple[Term, ...] = ()
 
     @property
     def change(self) -> float:

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
 
 from calib_pin.compiled.threads import serial_blas
+from calib_pin.estimation.evidence import PoseErrors
 from calib_pin.estimation.statistics.distributions import chi_square_tail
 from calib_pin.estimation.system import FRAME, Part
 from calib_pin.estimation.tip_accuracy import LEVER
@@ -30,6 +31,10 @@ SAMPLES = 300
 
 SEEN = 1e-6
 """Part of the largest deviation below which nothing is known of a direction."""
+
+
+UNKNOWN = PoseErrors(math.nan, math.nan)
+"""Sizes that nobody knows."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +57,12 @@ class Displacement:
     """
 
     frame: str
-    shift: float
-    turn: float | None
+    shift: float = field(metadata={"key": "position"})
+    turn: float | None = field(metadata={"key": "orientation"})
     of_tool: bool = False
-    sigma: tuple[float, float] = (math.nan, math.nan)
+    sigma: PoseErrors = UNKNOWN
     chance: float = math.nan
-    motion: float = math.nan
+    motion: float = field(default=math.nan, metadata={"key": "tool_point"})
 
 
 @serial_blas
@@ -141,7 +146,7 @@ def _moved(
             shift=float(np.linalg.norm(motion[:3, 3])),
             turn=float(np.linalg.norm(twist[3:])) if told or k == 0 else None,
             of_tool=k == 1,
-            sigma=(_mean(own[:3, :3]), _mean(own[3:, 3:])),
+            sigma=PoseErrors(_mean(own[:3, :3]), _mean(own[3:, 3:])),
             chance=_chance(twist[known], own[known, known]),
             motion=float(np.sqrt(np.mean(steps**2))),
         )

@@ -57,6 +57,7 @@ from calib_pin.validation.splits import FOLDS, Grouping, folds
 from calib_pin.validation.summaries import (
     Candidate,
     HeldOutErrors,
+    MeanError,
     ModelSelection,
     QuantityError,
 )
@@ -143,7 +144,7 @@ def select_model(
     q = measurements.q
     near = zip(q.min(axis=0).tolist(), q.max(axis=0).tolist(), strict=True)
     ranges = dict(zip(measurements.joints, near, strict=True))
-    selection = ModelSelection(every, chosen, use, ranges)
+    selection = ModelSelection(every[chosen].name, use, ranges, every)
     return SelectedModel(selection, found.model, found.parts)
 
 
@@ -276,7 +277,7 @@ class _Candidates:
         judged = replace(
             candidate,
             rank=model.fit.rank,
-            errors=tuple((e.name, e.unit, e.mean) for e in near.errors),
+            errors=tuple(MeanError(e.name, e.unit, e.mean) for e in near.errors),
             score=near.score,
             deviation=near.deviation,
         )

@@ -47,6 +47,14 @@ class NamedArray(np.ndarray):
         self.rows, self.columns = (), ()
 
 
+class MeanError(NamedTuple):
+    """Mean error of one quantity of held-out measurements, in its unit."""
+
+    name: str
+    unit: str
+    mean: float
+
+
 class QuantityError(NamedTuple):
     """Errors of one quantity of held-out measurements, in its unit."""
 
@@ -66,7 +74,7 @@ class HeldOutErrors:
         deviation: Standard error of the score.
     """
 
-    errors: tuple[QuantityError, ...]
+    errors: tuple[QuantityError, ...] = field(metadata={"by": "name"})
     score: float
     deviation: float
 
@@ -80,7 +88,7 @@ class Candidate:
         parameters: Names of its parameterizations.
         learned: Its residual model, None for none.
         rank: Practical rank of its fit; 0 where it could not be tried.
-        errors: Name, unit and mean error on held-out measurements of every quantity.
+        errors: Mean error on held-out measurements of every quantity.
         score: Mean error on held-out measurements, root mean square of the components
             in standard deviations; NaN where it could not be tried.
         deviation: Standard error of the score.
@@ -97,7 +105,7 @@ class Candidate:
     parameters: tuple[str, ...]
     learned: str | None
     rank: int = 0
-    errors: tuple[tuple[str, str, float], ...] = ()
+    errors: tuple[MeanError, ...] = field(default=(), metadata={"by": "name"})
     score: float = float("nan")
     deviation: float = float("nan")
     helps: bool = False
@@ -110,17 +118,29 @@ class ModelSelection:
     """The model selection.
 
     Attributes:
-        candidates: All of them, simplest first.
-        chosen: Position of the one that is kept.
+        selected: Name of the candidate that is kept.
         use: Where it must hold: `near` the fitted configurations, `away` from them, or
             `both`.
         near: Least and largest fitted position of every joint, by name [rad, m].
+        candidates: All of them, simplest first.
+
+    Raises:
+        ValueError: If no candidate has the name.
     """
 
-    candidates: tuple[Candidate, ...]
-    chosen: int
-    use: str = "near"
-    near: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    selected: str = field(metadata={"key": "chosen"})
+    use: str
+    near: Mapping[str, tuple[float, float]]
+    candidates: tuple[Candidate, ...] = field(metadata={"key": "rungs"})
+
+    def __post_init__(self) -> None:
+        """Refuse a selection of none of the candidates."""
+        _ = self.chosen
+
+    @property
+    def chosen(self) -> int:
+        """Position of the candidate that is kept."""
+        return [candidate.name for candidate in self.candidates].index(self.selected)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 import calib_pin
 from benchmarks.timing import best, show, simulated
-from calib_pin.io.calibration_document import calibration_document
+from calib_pin.io.results import calibration_document
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.figures import calibration_figures
 from calib_pin.report.html import html_report

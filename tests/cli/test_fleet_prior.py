@@ -10,7 +10,7 @@ import pytest
 
 import calib_pin
 from calib_pin.io.population_prior import write_population_prior
-from calib_pin.io.result_file import read_result
+from calib_pin.io.results import read_result
 from calib_pin.setup import PopulationPrior
 from calib_pin.validation.population_evidence import robot_evidence
 from tests.cli.files import document

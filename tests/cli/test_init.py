@@ -97,7 +97,9 @@ def test_small_motions_in_degrees(measured):
     """Numbers that might be radians as well are told apart by the robot."""
     chain = calib_pin.load_chain("space6")
     q = measured[np.abs(measured[:, :6]).max(axis=1) < 3.0, :6] / 40.0
-    rows = np.hstack([q, chain.poses(q)[:, :3, 3]]) * DEGREES * MILLIMETERS
+    points = chain.poses(q)[:, :3, 3]
+    points = points + np.random.default_rng(3).normal(0.0, 1e-5, points.shape)
+    rows = np.hstack([q, points]) * DEGREES * MILLIMETERS
     assert np.abs(rows[:, :6]).max() < 2.0 * np.pi
     foreign([*JOINTS, "tcp_x", "tcp_y", "tcp_z"], rows)
     assert main(INIT.split()) == 0
@@ -195,7 +197,9 @@ def twins(mirror: float) -> None:
     chain = calib_pin.load_chain("twins.urdf", tip="left_3")
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (40, 4))
     names = [f"{side}_joint_{k}" for side in ("left", "right") for k in range(4)]
-    foreign([*names, *"xyz"], np.hstack([q, q, chain.poses(q)[:, :3, 3]]))
+    points = chain.poses(q)[:, :3, 3]
+    points = points + np.random.default_rng(1).normal(0.0, 1e-5, points.shape)
+    foreign([*names, *"xyz"], np.hstack([q, q, points]))
 
 
 def test_the_arm_that_fits_is_the_one_that_was_measured(run, fails, monkeypatch):

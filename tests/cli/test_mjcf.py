@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.io.exchange import Exported
-from calib_pin.io.result_file import read_result
+from calib_pin.io.results import read_result
 from calib_pin.io.urdf import load_chain
 from tests.io.test_mjcf_child import BASE, BODIES, written
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from calib_pin.cli import main
-from calib_pin.io.result_file import read_result
+from calib_pin.io.results import read_result
 from calib_pin.setup import JointPrior
 from tests.cli.files import document
 

@@ -13,9 +13,8 @@ from calib_pin.estimation.drift import with_drift
 from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.io.calibration_document import calibration_document, provenance
 from calib_pin.io.json_text import encode
-from calib_pin.io.results import read_calibration
+from calib_pin.io.results import calibration_document, provenance, read_calibration
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats

@@ -18,11 +18,15 @@ from hypothesis import strategies as st
 from calib_pin.calibration import calibrate
 from calib_pin.errors import CalibPinError, InputError, OptionError, RobotError
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.calibration_document import calibration_document
+from calib_pin.io.calibrated_model import write_urdf
 from calib_pin.io.json_text import encode
 from calib_pin.io.measurement_errors import encode_errors
-from calib_pin.io.result_file import read_result
-from calib_pin.io.results import read_accuracy, read_calibration, write_urdf
+from calib_pin.io.results import (
+    calibration_document,
+    read_accuracy,
+    read_calibration,
+    read_result,
+)
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -539,47 +543,28 @@ def test_what_is_not_finite_or_not_utf_8_is_valid_json() -> None:
 # --- older, newer and untrusted files ----------------------------------------------
 
 
-def test_files_without_what_came_later() -> None:
+def test_unknown_keys_are_passed_over() -> None:
     result, rows = solved("plane-distance")
     document = document_of("plane-distance")
-    kept = {"format", "version", "verdict", "robot", "measurements", "parameters"}
-    kept |= {"identifiability", "errors", "statistics", "solver", "frames", "targets"}
-    kept |= {"planes", "residual_model", "model_ladder", "urdf", "setup", "provenance"}
-    old = {key: document[key] for key in document if key in kept}
-    assert old.keys() == kept
-    del old["measurements"]["targets"]
-    for later in ("noise", "gains", "displaced"):
-        del old["statistics"][later]
-    old |= {"later": {"unknown": 1}}
-    old["parameters"][0]["note"] = "unknown"
-    assert_predicts_the_same(read_calibration(stored(old)), result.model, rows)
-    # The setup is no part of the contract; what is known follows from the rest.
-    (result, rows), old = (of("pose, known base") for of in (solved, document_of))
-    del old["setup"]
-    assert_predicts_the_same(read_calibration(stored(old)), result.model, rows)
+    document |= {"later": {"unknown": 1}}
+    document["parameters"][0]["note"] = "unknown"
+    assert_predicts_the_same(read_calibration(stored(document)), result.model, rows)
 
 
-def test_waves_twice_per_turn_may_be_missing(refused: Callable[..., Any]) -> None:
-    """They are zero in what was fitted before there were such."""
-    model, document = (of("pose, joint corrections") for of in (solved, document_of))
-    model, later = model[0].model, ("motor_sin2", "motor_cos2")
-    document["parameters"] = [
-        entry for entry in document["parameters"] if not entry["name"].endswith(later)
-    ]
-    found = read_calibration(stored(document))
-    assert found.given.names == model.given.names
-    old = np.array([name.endswith(later) for name in model.given.names])
-    assert old.any()
-    np.testing.assert_array_equal(found.theta, np.where(old, 0.0, model.theta))
-    # Others must be there.
-    del document["parameters"][20]
-    with refused(InputError):
-        read_calibration(stored(document))
+def test_a_result_of_an_older_version_is_refused() -> None:
+    """Version 0.1 wrote nothing of stations and blocks."""
+    document = document_of("plane-distance")
+    for key in ("stations", "tools", "chains", "blocks", "coupled_frames"):
+        del document[key]
+    for read in (read_calibration, read_result, read_accuracy):
+        with pytest.raises(InputError, match="calibrate again") as caught:
+            read(stored(document))
+        assert caught.value.file == "calibration.json" and "\n" not in str(caught.value)
 
 
 def test_the_accuracy_of_pixels_is_passed_over() -> None:
     document = document_of("position and camera")
-    accuracy = {"mean": 1.0, "rms": 2.0, "max": 3.0}
+    accuracy = {"mean": 1.0, "rms": 2.0, "p95": 2.5, "max": 3.0}
     assert [error["unit"] for error in document["errors"].values()] == ["m", "px"]
     for error in document["errors"].values():
         error["validation"] = {"method": "set", "before": accuracy, "after": accuracy}

@@ -29,7 +29,12 @@ from calib_pin.setup import (
 )
 from calib_pin.validation.breakdown import BlockSummary
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import Candidate, ModelSelection, Validation
+from calib_pin.validation.summaries import (
+    Candidate,
+    MeanError,
+    ModelSelection,
+    Validation,
+)
 
 ARM = """<robot name="{0}">
   <link name="base"/><link name="a"/><link name="b"/><link name="c"/>
@@ -63,14 +68,16 @@ SEEN = Setup(
 """A camera that stands still looks at a board of four marks."""
 
 
-SIZES = [(("position", "m", size),) for size in (2e-3, 1e-4)]
+SIZES = [(MeanError("position", "m", size),) for size in (2e-3, 1e-4)]
 LADDER = ModelSelection(
+    "geometric",
+    "near",
+    {},
     (
         Candidate("joint offset", (), None, 7, SIZES[0], 20.0, 2.0, True),
         Candidate("geometric", (), None, 34, SIZES[1], 1.0, 0.1, True),
         Candidate("+ compliance", (), None, reason="no masses"),
     ),
-    1,
 )
 
 

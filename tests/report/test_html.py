@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from calib_pin.estimation.evidence import Outlier
-from calib_pin.io.calibration_document import calibration_document
 from calib_pin.io.json_text import encode
+from calib_pin.io.results import calibration_document
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.figures import NAMES, Drawn, calibration_figures
 from calib_pin.report.html import FIRST, LISTED, SECTIONS, html_report

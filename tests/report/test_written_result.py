@@ -9,7 +9,7 @@ import pytest
 
 from calib_pin.cli.results import Run, result_contents, result_files
 from calib_pin.io.measurement_errors import decode_errors, encode_errors
-from calib_pin.io.result_file import read_suggestions, read_written
+from calib_pin.io.results import read_suggestions, read_written
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.figures import Drawn, calibration_figures
 from calib_pin.report.figures.cumulative import cumulative_errors

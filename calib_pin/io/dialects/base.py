@@ -1,4 +1,4 @@
-"""What a foreign layout does: it gives its columns our names, units and meaning."""
+"""A foreign layout: its columns with our names, units and meaning."""
 
 from __future__ import annotations
 

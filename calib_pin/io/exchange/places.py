@@ -10,7 +10,7 @@ import pinocchio as pin
 import yaml
 
 from calib_pin.errors import OptionError, OutputError
-from calib_pin.io.calibrated_model import frame_key, tip_correction
+from calib_pin.io.calibrated_model import frame_key
 from calib_pin.io.exchange.base import EXACT, Encoded, Exported, Format
 from calib_pin.setup import CameraSetup
 
@@ -47,10 +47,9 @@ def places(exported: Exported) -> list[Place]:
                 tool = "camera"
             elif isinstance(camera, CameraSetup):
                 station = "camera"
-        tip = tip_correction(part, model.theta)
         ends = (
             (chain.base, station, part.error.base.inverse()),
-            (chain.tip, tool, tip * part.error.tool),
+            (chain.tip, tool, model.of(part.key).tool),
         )
         for parent, child, pose in ends:
             name = child.replace(".", "_").replace("/", "_")

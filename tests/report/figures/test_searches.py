@@ -69,10 +69,10 @@ def test_rungs_have_their_score_and_its_deviation(calibrated, draw):
 
 def test_rungs_alike_have_a_linear_axis(calibrated, draw):
     rung = Candidate("a\nname", (), None, 7, (("x", "m", 1e-3),), 0.0, 0.0)
-    drawn = draw(
-        model_ladder, replace(calibrated, model_selection=ModelSelection((rung,), 0))
-    )
+    selection = ModelSelection(rung.name, "near", {}, (rung,))
+    drawn = draw(model_ladder, replace(calibrated, model_selection=selection))
     (axes,) = drawn.figure.axes
     assert axes.get_xscale() == "linear" and axes.get_xlim()[0] == 0.0
-    untried = ModelSelection((Candidate("a", (), None, reason="too few rows"),), 0)
+    blank = Candidate("a", (), None, reason="too few rows")
+    untried = ModelSelection("a", "near", {}, (blank,))
     assert model_ladder(replace(calibrated, model_selection=untried)) is None

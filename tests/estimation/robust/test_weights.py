@@ -6,6 +6,7 @@ The jobs are those of `scripts/benchmark recovery`, with some configurations spo
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,9 +18,10 @@ from calib_pin.errors import OptionError
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.robust.causes import _places
 from calib_pin.estimation.robust.weights import LOSSES
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements, Observations
+from calib_pin.observations import Labels, Measurements, Observations
 
 GROSS = (5e-3, 1.0)
 """Sizes of gross errors, equally often in every factor [m, rad, kpx]."""
@@ -213,6 +215,18 @@ def test_a_target_is_named() -> None:
     # When all others are gone, the last one says where the target is.
     assert moved[list(told)].all()
     assert len(told) >= moved.sum() - 1
+
+
+def test_a_place_with_sockets_is_named() -> None:
+    """What is out elsewhere is not of its cause."""
+    names = [f"{at}/{k}" for at in ("front", "back", "left") for k in (0, 1) * 10]
+    problem = SimpleNamespace(data=SimpleNamespace(target=Labels.of(names)))
+    out = np.zeros(60, bool)
+    out[[21, 22, 23, 25, 26, 30, 33, 50]] = True
+    told = [21, 22, 23, 25, 26, 30, 33], "place back"
+    assert [*_places(problem, out)] == [told]
+    out[[0, 3, 4, 7, 41, 44, 51, 59]] = True  # As many as there are by chance.
+    assert [*_places(problem, out)] == []
 
 
 def test_a_configuration_fails_as_a_whole() -> None:

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from calib_pin.errors import OptionError
 from calib_pin.io.measured_columns import ORIENTED, needed
 from calib_pin.io.table import Table
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
+
+FEW = 4
+"""Measurements from which an orientation that never moves is none."""
 
 
 def asked_models(model: str | None) -> tuple[str, ...]:
@@ -37,7 +42,7 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
     """
     if asked:
         return asked[0] if len(asked) == 1 else _one_of(table, asked)
-    oriented = any(name in table for name in ORIENTED)
+    oriented = any(_moves(table, name) for name in ORIENTED if name in table)
     found: dict[str, list[str]] = {}
     partly = ""
     for name in MEASUREMENT_MODELS:
@@ -81,6 +86,12 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
         f"no measured columns; {'; '.join(told)}; "
         f"{', '.join(contacts)} need only a target and --model"
     )
+
+
+def _moves(table: Table, name: str) -> bool:
+    """Whether a column may be measured: no instrument repeats all of its digits."""
+    numbers = table.columns[name].numbers
+    return len(numbers) < FEW or bool(np.ptp(numbers) != 0.0)
 
 
 def _one_of(table: Table, names: Sequence[str]) -> str:

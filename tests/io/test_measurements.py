@@ -779,6 +779,19 @@ def test_measurements_without_a_reading_are_left_out(write, chain, missing, colu
     )
 
 
+@pytest.mark.parametrize("turned", ["rx,ry,rz", "roll,pitch,yaw", "qx,qy,qz,qw"])
+def test_an_orientation_that_never_moves_is_none(write, chain, turned):
+    zeros = ",".join(["0"] * (turned.count(",")) + ["1" if "qw" in turned else "0"])
+    rows = [f"0,{k / 10},0,{k},0,{k},{zeros}" for k in range(5)]
+    file, notices = write("\n".join([f"{J},x,y,z,{turned}", *rows])), list[str]()
+    assert read(file, chain, notice=notices.append).model == "position"
+    assert turned.split(",")[0] in notices[0]
+    assert read(file, chain, model="pose").model == "pose"
+    rows[3] = rows[3].removesuffix("1").removesuffix("0") + "0.9999"
+    file = write("\n".join([f"{J},x,y,z,{turned}", *rows]))
+    assert read(file, chain).model == "pose"
+
+
 @pytest.mark.parametrize("sign", ["-9999", "9E9", "1e30"])
 def test_a_number_for_no_reading_is_named_with_its_lines(write, chain, sign):
     rows = [f"0,{k / 10},0,{k}0,0,{k}" for k in range(1, 9)]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator
-from dataclasses import replace
 from functools import partial
 
 from calib_pin.errors import RobotError
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models import declared
+from calib_pin.setup import FrameSetup
 from calib_pin.validation.findings.case import LINKS, Case
 from calib_pin.validation.findings.hypotheses import Hypothesis
 
@@ -45,7 +45,8 @@ def _frames(case: Case) -> Iterator[Hypothesis]:
                 code,
                 f"the frame of the {end} is not the stated one",
                 f"{end} frame",
-                setup={f"{end}_frame": replace(frame, estimate=True)},
+                # Half a turn away the stated one is no start.
+                setup={f"{end}_frame": FrameSetup(estimate=True)},
                 stated={"frames": {end: {"estimate": True}}},
             )
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -102,5 +104,28 @@ def test_a_frame_that_is_stated_wrongly(code) -> None:
     wrong = FrameSetup((0.08, 0.08, 0.12), TOOL.rpy, estimate=False)
     setup = Setup(parameters=("joint-offset",), **{f"{end}_frame": wrong})
     (found,) = told(chain, measured(), setup)
+    assert found.code == code
+    assert found.setup == {"frames": {end: {"estimate": True}}}
+
+
+@pytest.mark.parametrize(
+    ("code", "xyz", "rpy"),
+    [
+        ("base-frame", (0.0, 0.0, 0.0), (0.0, 0.0, np.pi)),
+        ("base-frame", (0.0, 0.0, 0.0), (np.pi, 0.0, 0.0)),
+        ("base-frame", (0.3, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ("tool-frame", (0.05, 0.08, 0.27), TOOL.rpy),
+    ],
+)
+def test_a_frame_that_is_far_from_where_it_was_stated(code, xyz, rpy) -> None:
+    """Half a turn, too, where nothing is fitted from what was stated."""
+    chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
+    known = {
+        "base_frame": FrameSetup((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), estimate=False),
+        "tool_frame": replace(TOOL, estimate=False),
+    }
+    end = code.removesuffix("-frame")
+    known[f"{end}_frame"] = FrameSetup(xyz, rpy, estimate=False)
+    (found,) = told(chain, measured(), Setup(**known))
     assert found.code == code
     assert found.setup == {"frames": {end: {"estimate": True}}}

@@ -128,7 +128,7 @@ def decoded(data: bytes, what: str, name: str, file: str | Path) -> Json:
     version = document.get("version")
     if type(version) is not int or version != VERSION:
         reason = f"a {what} of another version"
-        raise InputError(reason, file=file, value=version, allowed=f"1 to {VERSION}")
+        raise InputError(reason, file=file, value=version, allowed=str(VERSION))
     return document
 
 

@@ -357,7 +357,7 @@ CASES: dict[str, Case] = {
     "later version": (
         EVALUATE,
         {"done/calibration.json": stored("version", to=2)},
-        dict(file="done/calibration.json", value=2, allowed="1 to 1"),
+        dict(file="done/calibration.json", value=2, allowed="1"),
     ),
     "edited value": (
         EVALUATE,

@@ -27,6 +27,7 @@ from calib_pin.validation.findings.approach import approach, approach_order
 from calib_pin.validation.findings.axes import axes
 from calib_pin.validation.findings.case import DOUBTFUL, NONE, Case, Others
 from calib_pin.validation.findings.coarse_values import coarse_values
+from calib_pin.validation.findings.computed_values import computed_values
 from calib_pin.validation.findings.design import design
 from calib_pin.validation.findings.drift import drift
 from calib_pin.validation.findings.explanations import Family, explain
@@ -80,6 +81,7 @@ CONSEQUENCES: tuple[Kind, ...] = (
 """Faults in every fit that may follow from another one, and then are not told."""
 
 FACTS: tuple[Kind, ...] = (
+    computed_values,
     repetitions,
     unmoved_joints,
     design,

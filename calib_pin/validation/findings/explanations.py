@@ -134,12 +134,12 @@ class _Search:
                     if key in found or any(h.of == hypothesis.of for h in kept):
                         continue
                     misfit = size(trial)
-                    if misfit < CLEAR * left:
+                    if hypothesis.absorbs * misfit < CLEAR * left:
                         found[key] = misfit, trial
             # Of those that leave the same, the likelier kind comes first.
-            beam = sorted(found.values(), key=lambda pair: _rounded(pair[0]))[:WIDTH]
+            beam = sorted(found.values(), key=_rank)[:WIDTH]
             every += beam
-            every.sort(key=lambda pair: _rounded(pair[0]))
+            every.sort(key=_rank)
             left, faults = every[0]
             if left < enough or self._ratio(faults, last, left) < self._chance:
                 break
@@ -166,8 +166,8 @@ class _Search:
         told = not any(fault.gross for _, kept in close for fault in kept)
         if told and len(close) > 1:
             # A fit that gets lost leaves no more than the nominal robot.
-            sizes = [min(self._fitted(kept), size) for size, kept in close]
-            left, faults = close[int(np.argmin([*map(_rounded, sizes)]))]
+            sizes = [(min(self._fitted(kept), size), kept) for size, kept in close]
+            left, faults = close[int(np.argmin([*map(_rank, sizes)]))]
         found = self._decided(faults, self.first, left, DECISIVE, fitted=False)
         told = told and not any(h.chains or h.reading.without for h in faults)
         return found or (self._of_fits(faults, DECISIVE) if told else None)
@@ -338,6 +338,12 @@ class _Search:
         except (CalibPinError, np.linalg.LinAlgError):
             return np.inf
         return fit.rms if fit.redundant and np.isfinite(fit.rms) else np.inf
+
+
+def _rank(tried: tuple[float, tuple[Hypothesis, ...]]) -> float:
+    """Order of some faults by what they leave, and by what they would leave anyway."""
+    left, faults = tried
+    return _rounded(left * float(np.prod([fault.absorbs for fault in faults])))
 
 
 def _rounded(misfit: float) -> float:

@@ -63,6 +63,7 @@ class Hypothesis:
     advice: str = ""
     figure: str = ""
     joint: str = ""
+    absorbs: float = 1.0
 
 
 def read_so(data: Observations, faults: Iterable[Hypothesis]) -> Observations:

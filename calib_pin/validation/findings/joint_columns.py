@@ -10,6 +10,7 @@ import numpy as np
 from calib_pin.setup import ConvertedSetup, ReadingSetup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.hypotheses import Hypothesis
+from calib_pin.validation.findings.robot import turned_by_base
 from calib_pin.validation.findings.setup_lines import JointReading
 
 TURNS = (90.0, -90.0, 180.0)
@@ -33,6 +34,8 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
             joints=JointReading(factors, plain.offsets),
         )
     for j in turning:
+        if joints[j] == turned_by_base(case):
+            continue  # The frame of the base, which is another explanation, tells it.
         for turn in TURNS:
             yield offset_by(joints, j, turn)
     for order in _orders(len(joints)):

@@ -124,6 +124,11 @@ def inverted(v: Floats) -> Floats:
     return np.hstack([-turned.apply(v[:, :3]), turned.as_quat()])
 
 
+def computed(rows: Measurements) -> Measurements:
+    """Six digits of what the controller takes the tool point for."""
+    return replace(rows, values=ARM.poses(rows.q)[:, :3, 3].round(6))
+
+
 def lagging(q: Floats) -> Floats:
     """Joint 2 is read with a part of its last motion still before it."""
     read = q.copy()
@@ -245,6 +250,7 @@ MISHAPS = [
         KNOWN,
     ),
     Mishap("scale", values(lambda v: 1.05 * v)),
+    Mishap("computed-values", computed),
     Mishap("coarse-steps", values(lambda v: np.round(v, 3)), severity="warning"),
     Mishap("known-distance", setup=ruler(0.11), job={"names": "ab"}),
     Mishap(

@@ -1,0 +1,48 @@
+"""Values that a controller computed from the joints, and no instrument measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.problem import error_table
+from calib_pin.units import DISPLAY
+from calib_pin.validation.findings.case import Case
+
+COMPUTED = 3e-6
+"""Errors of the nominal robot, in parts of how far the tool moved, below which it has
+computed them: a micrometer in a meter is what six digits leave, and the best tracker
+sees ten times that on a robot without errors."""
+
+FEWEST = 8
+"""Configurations below which frames alone may explain positions."""
+
+
+def computed_values(case: Case) -> Iterator[Finding]:
+    """Positions that fit to the nominal robot as those of no instrument can."""
+    problem = case.fit.problem
+    errors = error_table(problem, case.nominal)
+    for quantity in problem.layout.quantities:
+        blocks = [b for b in problem.data.blocks if b.model in ("position", "pose")]
+        if quantity.name != "position" or not blocks:
+            continue
+        if problem.data.configurations < FEWEST:
+            return
+        sizes = quantity.errors(errors)
+        rms = float(np.sqrt(np.mean(sizes**2)))
+        points = np.concatenate(
+            [b.values[:, :3] - b.values[:, :3].mean(0) for b in blocks]
+        )
+        moved = float(np.sqrt(np.mean(np.sum(points**2, axis=1))))
+        if rms < COMPUTED * moved:
+            unit, factor = DISPLAY["m"]
+            yield Finding(
+                "computed-values",
+                "error",
+                f"the positions fit to the nominal robot to {factor * rms:.2g} {unit}, "
+                "which no instrument does: they were computed from the joints",
+                {"rms": rms, "moved": moved},
+                "take the columns that an instrument measured",
+            )

@@ -22,7 +22,15 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.measurement_models.position import Position
 from calib_pin.observations import Observations
-from calib_pin.setup import FrameSetup, Payload, PlaneSetup, Setup
+from calib_pin.setup import (
+    CameraSetup,
+    FrameSetup,
+    Payload,
+    PlaneSetup,
+    PointSetup,
+    Setup,
+)
+from calib_pin.simulation import exact_problem
 
 Measured = Callable[..., Problem]
 
@@ -94,6 +102,22 @@ def test_every_model_and_kind_of_correction(
     # The corrections do something.
     theta[:, corrected] = 0.0
     assert (np.abs(PopulationCost(problem)(theta) - found)[:-1] > 1.0).all()
+
+
+def test_a_camera_that_looks_at_the_robot() -> None:
+    """Its chain is passed from the tool to the base."""
+    camera = CameraSetup("world", focal=(900.0, 900.0), center=(640.0, 480.0))
+    setup = Setup(
+        camera=camera,
+        base_frame=FrameSetup((0.1, -0.2, 4.0), (np.pi, 0.1, 0.2), estimate=True),
+        targets={"led": PointSetup((0.03, -0.02, 0.05))},
+    )
+    chain = load_chain("space6")
+    problem = nominal_problem(chain, "camera", setup)
+    rng = np.random.default_rng(0)
+    q, zero = chain.random_configurations(30, rng), np.zeros(len(problem.parameters))
+    rows = exact_problem(problem, zero, q, ("led",) * 30).data
+    assert_costs(replace(problem, data=rows), 0.1 * members(problem, 4)[:3])
 
 
 def test_what_no_kernel_knows_is_evaluated_in_a_loop(measured: Measured) -> None:

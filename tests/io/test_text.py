@@ -113,6 +113,7 @@ def saved() -> bytes:
         (b"# only\n\n", "empty"),
         (b"", "empty"),
     ],
+    ids=range(13),
 )
 def test_files_that_are_no_text_are_told_by_what_they_are(data, word):
     with pytest.raises(InputError) as caught:

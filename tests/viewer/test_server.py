@@ -27,7 +27,7 @@ from calib_pin.report.surroundings import Thing
 from calib_pin.validation.evaluation import prepared
 from calib_pin.viewer.controls import Controls
 from calib_pin.viewer.errors import stage_errors
-from calib_pin.viewer.panel import Joints, Player
+from calib_pin.viewer.panel import MAGNIFICATIONS, Joints, Player, add_panel
 from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, tip_paths
 from calib_pin.viewer.stage import Stage, lines
 
@@ -304,6 +304,33 @@ def viser_server() -> Iterator[Any]:
     server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     yield server
     server.stop()
+
+
+def test_controls_do_what_they_say(scene, viser_server, monkeypatch):
+    """All of a scene with measurements, a plan and corrections."""
+    known: dict[str, tuple[Any, Callable[[Any], None]]] = {}
+    listen = Controls.on
+
+    def on(self: Controls, control: Any, do: Callable[[Any], None]) -> None:
+        known[control.label] = control, do
+        listen(self, control, do)
+
+    monkeypatch.setattr(Controls, "on", on)
+    stage = Stage(viser_server, scene)
+    assert isinstance(add_panel(Controls(viser_server.gui), scene, stage), Player)
+    assert {"measurement", "magnified", "nominal", "after"} <= known.keys()
+    assert scene.rows is not None and stage.rows is not None
+    known["measurement"][1](4)
+    moved = known["panda_joint3"][0].value
+    column = scene.rows.data.joints.index("panda_joint3")
+    assert moved == pytest.approx(np.rad2deg(scene.rows.data.q[3, column]), abs=0.01)
+    known["nominal"][1](False)
+    assert not stage.robots["nominal"].root.visible
+    known["panda_joint3"][1](moved + 0.1)
+    known["magnified"][1]((5,))
+    drawn = np.asarray(stage.rows.vectors["after"].points)
+    expected = np.asarray(lines(scene.rows.stages["after"], float(MAGNIFICATIONS[5])))
+    np.testing.assert_array_equal(drawn, expected)
 
 
 def test_the_plan_is_played(scene, viser_server, monkeypatch):

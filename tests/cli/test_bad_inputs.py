@@ -227,8 +227,8 @@ CASES: dict[str, Case] = {
     # measurement files
     "not a number": (
         CALIBRATE,
-        {"rows.csv": cell(7, "y", "NaN")},
-        dict(file="rows.csv", line=7, column="y", value="NaN"),
+        {"rows.csv": cell(7, "y", "-Inf")},
+        dict(file="rows.csv", line=7, column="y", value="-Inf"),
     ),
     "angles in degrees": (
         CALIBRATE,

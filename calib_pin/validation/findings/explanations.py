@@ -64,6 +64,9 @@ it; and those without a fault of several, if that is not needed."""
 DECISIVE = 0.2
 """Part of the nominal robot's errors that all of them together may leave."""
 
+CALM = 0.3
+"""Part of the robot's largest correction that a frame which is fitted may leave."""
+
 EXPLAINED = 0.02
 """Part of the errors with which nothing more is sought; of unknown ones, one expected
 size of an error."""
@@ -261,13 +264,30 @@ class _Search:
         fitted: bool,
     ) -> Explanation | None:
         before, most = self._most(before, limit, fitted)
-        if not faults or not after < most:
+        if not faults or not after < most or not self._calmer(faults, after):
             return None
         ratio = self._ratio(faults, before, after)
         if ratio < self._chance:
             return None
         sizes = self._unit * before, self._unit * after
         return Explanation(tuple(faults), *sizes, ratio, self.tried, fitted)
+
+    def _calmer(self, faults: Sequence[Hypothesis], after: float) -> bool:
+        """Whether a robot need no longer be corrected as much, if numbers are fitted.
+
+        A frame explains a part of large errors of joints, too, and then they are still
+        there.
+        """
+        if all(fault.absorbs == 1.0 for fault in faults):
+            return True
+        if self.case.fitted is None or self._one * self.case.errors_left > after:
+            return True  # The fit explains less.
+        try:
+            problem = self._problem(faults, replace(self.case.setup, learned=None))
+            corrected = QuickFit.of(problem).largest_correction
+        except (CalibPinError, np.linalg.LinAlgError):
+            return False
+        return corrected < CALM * self.case.fit.largest_correction
 
     def _most(
         self, before: float, limit: float, fitted: bool = False

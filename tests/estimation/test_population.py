@@ -104,18 +104,21 @@ def test_every_model_and_kind_of_correction(
     assert (np.abs(PopulationCost(problem)(theta) - found)[:-1] > 1.0).all()
 
 
-def test_a_camera_that_looks_at_the_robot() -> None:
-    """Its chain is passed from the tool to the base."""
-    camera = CameraSetup("world", focal=(900.0, 900.0), center=(640.0, 480.0))
+@pytest.mark.parametrize("mount", ["hand", "world"])
+def test_cameras_on_the_hand_and_beside_the_robot(mount: str) -> None:
+    """The chain of one on the hand is passed from the base to the tool."""
+    chain, rng = load_chain("space6"), np.random.default_rng(0)
+    q = chain.random_configurations(1, rng) + 0.1 * rng.normal(size=(30, 6))
+    seen = chain.poses(q[:1])[0] @ np.array([0.0, 0.0, 4.0, 1.0])
+    led = (0.03, -0.02, 0.05) if mount == "world" else tuple(seen[:3])
+    base = FrameSetup((0.1, -0.2, 4.0), (np.pi, 0.1, 0.2), estimate=True)
     setup = Setup(
-        camera=camera,
-        base_frame=FrameSetup((0.1, -0.2, 4.0), (np.pi, 0.1, 0.2), estimate=True),
-        targets={"led": PointSetup((0.03, -0.02, 0.05))},
+        camera=CameraSetup(mount, focal=(900.0, 900.0), center=(640.0, 480.0)),
+        base_frame=base if mount == "world" else FrameSetup(),
+        targets={"led": PointSetup(led)},
     )
-    chain = load_chain("space6")
     problem = nominal_problem(chain, "camera", setup)
-    rng = np.random.default_rng(0)
-    q, zero = chain.random_configurations(30, rng), np.zeros(len(problem.parameters))
+    zero = np.zeros(len(problem.parameters))
     rows = exact_problem(problem, zero, q, ("led",) * 30).data
     assert_costs(replace(problem, data=rows), 0.1 * members(problem, 4)[:3])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 import signal
 import socket
@@ -11,11 +12,13 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from calib_pin.cli import main
 from calib_pin.io.robot_shapes import robot_shapes
@@ -27,7 +30,13 @@ from calib_pin.report.surroundings import Thing
 from calib_pin.validation.evaluation import prepared
 from calib_pin.viewer.controls import Controls
 from calib_pin.viewer.errors import stage_errors
-from calib_pin.viewer.panel import MAGNIFICATIONS, Joints, Player, add_panel
+from calib_pin.viewer.panel import (
+    MAGNIFICATIONS,
+    Joints,
+    Player,
+    add_panel,
+    save_picture,
+)
 from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, tip_paths
 from calib_pin.viewer.stage import Stage, lines
 
@@ -331,6 +340,22 @@ def test_controls_do_what_they_say(scene, viser_server, monkeypatch):
     drawn = np.asarray(stage.rows.vectors["after"].points)
     expected = np.asarray(lines(scene.rows.stages["after"], float(MAGNIFICATIONS[5])))
     np.testing.assert_array_equal(drawn, expected)
+
+
+def test_a_picture_is_what_the_browser_draws():
+    """A PNG file of the view, called as the robot is."""
+    image = np.random.default_rng(0).integers(0, 255, (4, 6, 3), np.uint8)
+    saved = dict[str, bytes]()
+    client = SimpleNamespace(
+        camera=SimpleNamespace(image_height=4, image_width=6),
+        get_render=lambda height, width, **_: image[:height, :width],
+        send_file_download=lambda name, data, **_: saved.update({name: data}),
+    )
+    save_picture(client, "arm")
+    ((name, data),) = saved.items()
+    assert name.startswith("arm") and name.endswith(".png")
+    with Image.open(io.BytesIO(data)) as read:
+        np.testing.assert_array_equal(np.asarray(read), image)
 
 
 def test_the_plan_is_played(scene, viser_server, monkeypatch):

@@ -6,7 +6,6 @@ import codecs
 import csv
 import io
 import re
-from array import array
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,8 +17,8 @@ from calib_pin.errors import InputError
 from calib_pin.io.files import read_blocks
 from calib_pin.progress import Progress
 
-ROWS = 4096
-"""Rows that are cut into cells at a time."""
+LINES = 1 << 18
+"""Letters of the lines that are cut into cells at a time."""
 
 HEAD = 200
 """Lines among which the header stands."""
@@ -93,7 +92,7 @@ class Text:
 
     def rows(
         self, progress: Progress | None = None
-    ) -> Iterator[tuple[array[int], list[tuple[str, ...]]]]:
+    ) -> Iterator[tuple[list[int], list[tuple[str, ...]]]]:
         """Lines of some rows and their cells by column, and so on.
 
         Args:
@@ -103,36 +102,25 @@ class Text:
             InputError: If a row has more or fewer cells than the header, or its quotes
                 are not as CSV has them; names the line.
         """
-        fed, done = array("q", [0]), 0
-        raw = self._open()
+        raw, last = self._open(), 0
         size = raw.seek(0, io.SEEK_END)
         raw.seek(0)
         with io.TextIOWrapper(raw, "utf-8-sig") as stream:
-            lines = self._lines(stream, fed)
-            reader = csv.reader(
-                lines, delimiter=self.separator, strict=True, skipinitialspace=True
-            )
-            while True:
-                rows: list[list[str]] = []
-                try:
-                    rows.extend(islice(reader, ROWS))
-                except csv.Error as error:
-                    # An open quote is blamed where it stands: rows are lines.
-                    at = fed[done + len(rows) + 1]
-                    raise self._quotes(at, str(error)) from None
-                if not rows:
-                    return
-                numbers = fed[done + 1 : done + len(rows) + 1]
-                if reader.line_num != done + len(rows):
-                    broken = (k for k, row in enumerate(rows) if "\n" in "".join(row))
-                    raise self._quotes(numbers[next(broken)], "they are not closed")
-                if {*map(len, rows)} != {len(self.header)}:
-                    pairs = zip(numbers, rows, strict=True)
-                    rows = [self._whole(line, row) for line, row in pairs]
-                done += len(rows)
+            while lines := self._next(stream):
+                numbers = [
+                    number
+                    for number, line in enumerate(lines, last + 1)
+                    if line[0] not in OTHER or not (line.isspace() or _comment(line))
+                    if number > self.header_line
+                ]
+                kept = lines
+                if len(numbers) < len(lines):
+                    kept = [lines[number - last - 1] for number in numbers]
+                last += len(lines)
                 if progress is not None:
                     progress(raw.tell() / size)
-                yield numbers, [*zip(*rows, strict=True)]
+                if numbers:
+                    yield numbers, [*zip(*self._parsed(numbers, kept), strict=True)]
 
     def cells(self, line: int) -> tuple[str, ...]:
         """Cells of the row in a line."""
@@ -153,17 +141,31 @@ class Text:
         except OSError:
             raise self._changed() from None
 
-    def _lines(self, stream: TextIO, numbers: array[int]) -> Iterator[str]:
-        """The lines that are rows, each after its number has been added to others."""
+    def _next(self, stream: TextIO) -> list[str]:
+        """Some more lines."""
         try:
-            for number, line in enumerate(stream, 1):
-                if line[0] in OTHER and (line.isspace() or _comment(line)):
-                    continue
-                if number > self.header_line:
-                    numbers.append(number)
-                    yield line
+            return stream.readlines(LINES)
         except UnicodeDecodeError:
             raise self._changed() from None
+
+    def _parsed(self, numbers: Sequence[int], lines: list[str]) -> list[list[str]]:
+        """Cells of some lines, by row; rows are lines."""
+        reader = csv.reader(
+            lines, delimiter=self.separator, strict=True, skipinitialspace=True
+        )
+        rows: list[list[str]] = []
+        try:
+            rows.extend(reader)
+        except csv.Error as error:
+            # An open quote is blamed where it stands.
+            raise self._quotes(numbers[len(rows)], str(error)) from None
+        if len(rows) < len(lines):
+            broken = (k for k, row in enumerate(rows) if "\n" in "".join(row))
+            raise self._quotes(numbers[next(broken)], "they are not closed")
+        if {*map(len, rows)} != {len(self.header)}:
+            pairs = zip(numbers, rows, strict=True)
+            return [self._whole(number, row) for number, row in pairs]
+        return rows
 
     def _whole(self, line: int, row: list[str]) -> list[str]:
         """A row as long as the header; blank cells behind that are none."""

@@ -71,7 +71,7 @@ def number(cell: str) -> float:
 
 @pytest.mark.parametrize("count", [3, 4096])
 def test_cells_and_numbers_are_those_of_every_line_alone(monkeypatch, table, count):
-    monkeypatch.setattr(text_module, "ROWS", count)
+    monkeypatch.setattr(text_module, "LINES", count)
     rng = random.Random(1)
     for _ in range(25):
         lines = spoiled(rng)

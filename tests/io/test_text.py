@@ -30,7 +30,7 @@ def read(text: Text) -> list[tuple[int, tuple[str, ...]]]:
 @pytest.mark.parametrize("last", [False, True])
 @pytest.mark.parametrize("code", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
 def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
-    monkeypatch.setattr(text_module, "ROWS", count)
+    monkeypatch.setattr(text_module, "LINES", count)
     text = parsed((end.join(LINES) + end * last).encode(code), "a.csv")
     assert (text.header, text.header_line) == (("a", "b"), 2)
     assert read(text) == KEPT
@@ -133,7 +133,7 @@ def test_files_that_are_no_text_are_told_by_what_they_are(data, word):
     ],
 )
 def test_errors_name_the_line(monkeypatch, count, data, line):
-    monkeypatch.setattr(text_module, "ROWS", count)
+    monkeypatch.setattr(text_module, "LINES", count)
     with pytest.raises(InputError) as caught:
         read(parsed(data.encode(), "a.csv"))
     assert (caught.value.file, caught.value.line) == ("a.csv", line)

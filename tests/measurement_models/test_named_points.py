@@ -17,6 +17,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.position import Position
+from calib_pin.measurement_models.references import Point
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, PointSetup, Setup
 
@@ -154,6 +155,14 @@ def test_some_points_are_known(base: pin.SE3 | None) -> None:
 
 
 # What can be known.
+
+
+def test_a_point_that_no_row_looks_at_stays_at_the_origin() -> None:
+    F, data = seen(("a", "b"))
+    model = Position(tuple(Point(name, "target") for name in "abc"), origin=False)
+    found, _, _ = model.register(F, data, None, None)
+    assert found.missing == ""
+    np.testing.assert_array_equal(located(found)[2], np.zeros(3))
 
 
 @pytest.mark.parametrize(

@@ -148,7 +148,7 @@ def _conditions(study: Study) -> Table:
 
 
 def _searches(study: Study) -> Table:
-    table = Table("Time of a search")
+    table = Table("Processor time of a search")
     fast = Condition("our search is fast", "at most", LIMIT)
     table.add(OURS, study.ours.seconds, "s", fast)
     table.add(f"{OURS}, without self-collision", study.apart.seconds, "s")

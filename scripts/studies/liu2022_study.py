@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from time import perf_counter
+from time import process_time
 
 import numpy as np
 
@@ -148,7 +148,7 @@ def optimize(settings: Settings, seed: int, *, avoid: bool = False) -> Search:
         seed: Seed of the candidates and the starts.
         avoid: Whether self-collision is avoided.
     """
-    arm, rng, begun = Arm.load(), np.random.default_rng(seed), perf_counter()
+    arm, rng, begun = Arm.load(), np.random.default_rng(seed), process_time()
     rows = Watched(arm.rows)
     workspace = Workspace.create(arm.problem, arm.collisions() if avoid else None)
     search = planning.Search(
@@ -162,7 +162,7 @@ def optimize(settings: Settings, seed: int, *, avoid: bool = False) -> Search:
         starts=settings.starts,
     )
     found = search.run("auto")
-    seconds = perf_counter() - begun
+    seconds = process_time() - begun
     q = np.radians(np.round(np.degrees(found.q), 2))
     if not workspace.inside(q, found.aim).all():
         q = found.q
@@ -180,7 +180,7 @@ def swarm(settings: Settings, seed: int) -> Search:
 
     Size and length of the published one are lost.
     """
-    arm, size, begun = Arm.load(), [], perf_counter()
+    arm, size, begun = Arm.load(), [], process_time()
 
     def costs(members: Floats) -> Floats:
         size.append(len(members))
@@ -198,7 +198,7 @@ def swarm(settings: Settings, seed: int) -> Search:
         condition=float(history[-1]),
         evaluations=np.cumsum(size, dtype=float)[: len(history)],
         best=history,
-        seconds=perf_counter() - begun,
+        seconds=process_time() - begun,
     )
 
 

@@ -173,11 +173,25 @@ def read_reading_log(
     if ignored and notice is not None:
         notice(ignored)
     order = np.argsort(time, kind="stable")
+    log = Log(time[order], np.column_stack(values)[order], kind[order])
     return ReadingLog(
-        Log(time[order], np.column_stack(values)[order], kind[order]),
+        continuous(log) if way else log,
         tuple(own),
         {name: [*labels[order]] for name, labels in texts.items()},
     )
+
+
+def continuous(log: Log) -> Log:
+    """A log whose last four values are quaternions, of which no sign jumps.
+
+    Both signs are the same orientation, and at half turns either comes out.
+    """
+    values = log.values.copy()
+    for rows in log.kinds:
+        q = values[rows, -4:]
+        jumps = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0)
+        values[rows[1:], -4:] *= np.cumprod(jumps)[:, None]
+    return replace(log, values=values)
 
 
 def _whole(
@@ -275,8 +289,6 @@ def _mean(readings: ReadingLog, used: NDArray[np.int64]) -> Floats:
     values = readings.log.values[used].copy()
     if QUATERNION[0] in readings.columns:
         k = readings.columns.index(QUATERNION[0])
-        turned = values[:, k : k + 4]
-        turned[turned @ turned[0] < 0.0] *= -1.0
         mean = values.mean(axis=0)
         mean[k : k + 4] /= np.linalg.norm(mean[k : k + 4])
         return np.asarray(mean)

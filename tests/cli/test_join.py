@@ -162,6 +162,19 @@ def test_readings_that_do_not_scatter_have_no_sigma(logs, run):
     assert read_measurements("m.csv", CHAIN).only.sigma is None
 
 
+def test_half_turns_have_a_mean(logs, run):
+    """Which of both signs a quaternion has is chance there."""
+    lines = ["time,x,y,z,qx,qy,qz,qw"]
+    pairs = zip(logs.readings.time, logs.readings.values, strict=True)
+    for k, (t, p) in enumerate(pairs):
+        lines.append(",".join(map(str, [t, *p, 0.6, 0.8, 0.0, 1e-6 * (-1) ** k])))
+    Path("poses.csv").write_text("\n".join(lines))
+    assert run("join joints.csv poses.csv -o m.csv").status == 0
+    turned = read_measurements("m.csv", CHAIN).only.values[:, 3:]
+    expected = np.tile([0.6, 0.8], (len(turned), 1))
+    np.testing.assert_allclose(np.abs(turned[:, :2]), expected, rtol=0, atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("file", "change", "named"),
     [

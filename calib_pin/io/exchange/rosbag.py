@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from calib_pin.errors import InputError, OptionError, enumerated
-from calib_pin.io.logs import QUATERNION, JointLog, ReadingLog
+from calib_pin.io.logs import QUATERNION, JointLog, ReadingLog, continuous
 from calib_pin.observations.joining import Clock, Joined, Log, Standstill
 
 SUFFIXES = (".mcap", ".db3", ".bag")
@@ -96,8 +96,10 @@ def read_reading_bag(path: str | Path, topic: str | None = None) -> ReadingLog:
         raise InputError("holds no points or poses", file=path)
     if len(kinds) > 1:
         raise InputError("its topic holds messages of several kinds", file=path)
-    columns = POSITION if kinds == {POINT} else POSITION + QUATERNION
-    return ReadingLog(_ordered(path, times, rows), columns, {})
+    log = _ordered(path, times, rows)
+    if kinds == {POINT}:
+        return ReadingLog(log, POSITION, {})
+    return ReadingLog(continuous(log), POSITION + QUATERNION, {})
 
 
 def holds_calibration_data(path: str | Path) -> bool:

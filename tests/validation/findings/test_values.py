@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.measurement_models.orientations import numbers_of, quaternions
 from calib_pin.validation.findings.coarse_values import coarse_step
 
 RANDOM = np.random.default_rng(0).uniform(-2.0, 2.0, 60)
@@ -17,8 +18,8 @@ RANDOM = np.random.default_rng(0).uniform(-2.0, 2.0, 60)
 def told(moved_job):
     """The findings of a job's measurements of which something was changed."""
 
-    def of(change):
-        job = moved_job((), (), 55)
+    def of(change, **more):
+        job = moved_job((), (), 55, **more)
         block = replace(job.plain.only, sigma=None)
         rows = replace(block, **change(block))
         result = calib_pin.calibrate(job.chain, rows, validate=False)
@@ -45,6 +46,17 @@ def test_coarse_joint_positions(told) -> None:
     found = told(lambda rows: {"q": step * np.round(rows.q / step)})
     assert found["coarse-steps"].severity == "warning"
     assert " 0.02 deg" in found["coarse-steps"].message
+
+
+def test_coarse_orientations(told) -> None:
+    def change(block):
+        angles = numbers_of(block.values[:, 3:], "roll-pitch-yaw")[0]
+        coarse = quaternions(np.round(angles, 3), "roll-pitch-yaw")
+        return {"values": np.hstack([block.values[:, :3], coarse])}
+
+    found = told(change, model="pose")["coarse-steps"]
+    assert found.evidence["step"] == pytest.approx(1e-3)
+    assert "orientations" in found.message
 
 
 def test_pairs_that_are_exchanged_and_one_that_is_off(told) -> None:

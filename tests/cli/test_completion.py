@@ -1,34 +1,34 @@
-"""Completion in a shell: commands, and names that options and arguments know."""
+"""What a shell completes."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from calib_pin.cli.completion import KNOWN, completed, robots
 
-@pytest.mark.parametrize(
-    ("words", "found"),
-    [
-        ("calib-pin ca", ["calibrate"]),
-        ("calib-pin calibrate space", ["space6", "space7"]),
-        ("calib-pin plan space7 --criterion O", ["O1", "O2", "O3", "O4", "O5"]),
-    ],
-)
-def test_a_shell_completes(words: str, found: list[str]):
-    """The last word of a command line, as bash asks for it."""
-    environment = os.environ | {
-        "_CALIB_PIN_COMPLETE": "complete_bash",
-        "COMP_WORDS": words,
-        "COMP_CWORD": str(len(words.split(" ")) - 1),
-    }
-    done = subprocess.run(
-        [sys.executable, "-m", "calib_pin"],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.split() == found
+FORMATS = {"export": "ur-kinematics", "compensate": "urscript"}
+
+
+def names(option: str, begun: str, command: str = "") -> list[str]:
+    context: Any = SimpleNamespace(info_name=command)
+    complete = completed(option)
+    assert complete is not None
+    return complete(context, begun)
+
+
+@pytest.mark.parametrize("option", KNOWN)
+def test_every_option_with_names_completes_them(option: str) -> None:
+    known = names(option, "")
+    assert known and names(option, known[-1][:-1]).count(known[-1]) == 1
+    assert names(option, "no such") == []
+
+
+def test_formats_are_those_of_the_command() -> None:
+    for command, one in FORMATS.items():
+        assert one in names("--format", "ur", command)
+    assert names("--format", "urs", "export") == []
+    assert completed("--count") is None
+    assert "space6" in robots(SimpleNamespace(), "space")  # type: ignore[arg-type]

@@ -37,6 +37,7 @@ from calib_pin.observations import Observations
 from calib_pin.setup import Setup
 from calib_pin.validation.evaluation import prepared
 from calib_pin.validation.findings.case import some_of
+from calib_pin.validation.findings.computed_values import COMPUTED
 
 USUAL = ("tool0", "tcp", "ee", "tip", "tool", "flange", "hand", "gripper")
 """Parts of the names of links at which a tool is usually mounted."""
@@ -50,10 +51,6 @@ one of another convention [rad]."""
 
 SPATIAL = {*VECTORS[0], *VECTORS[1], *VECTORS[2], *VECTORS[3]}
 """Columns of positions and orientations."""
-
-COMPUTED = 3e-6
-"""Errors of the nominal robot, in parts of how far the tool moved, from which positions
-are not computed from the joints: a micrometer in a meter is what six digits leave."""
 
 CLEAR = 0.5
 """Part of the errors of another reading that a less likely one must leave, at most."""

@@ -23,7 +23,7 @@ from calib_pin.io.measured_columns import (
     reserved,
 )
 from calib_pin.io.measurements import encode_table
-from calib_pin.io.table import Table, read_table, require_columns
+from calib_pin.io.table import Table, read_table, require_columns, with_readings
 from calib_pin.kinematics.spatial import from_quaternion, so3_log
 from calib_pin.measurement_models.declaration import ROTATION_VECTOR
 from calib_pin.observations.joining import Joined, Log, Standstill, scatter
@@ -208,15 +208,7 @@ def _whole(
     missing = np.any([table.columns[name].missing() for name in names], axis=0)
     if missing.all():
         raise table.error(f"no row has all of {enumerated(names)}")
-    if not missing.any():
-        return table
-    if notice is not None:
-        first = table.lines[int(np.argmax(missing))]
-        notice(
-            f"{table.file}: {missing.sum()} of {len(missing)} rows have no reading "
-            f"(the first in line {first})"
-        )
-    return table.rows(np.flatnonzero(~missing), table.columns)
+    return with_readings(table, ~missing, "rows", notice)
 
 
 def _is_position(one: Foreign) -> bool:

@@ -34,7 +34,7 @@ from calib_pin.io.measured_columns import (
     sigmas,
     stated_way,
 )
-from calib_pin.io.table import Table
+from calib_pin.io.table import Table, with_readings
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import (
@@ -108,11 +108,7 @@ def read_blocks(
         names["model"] = Labels.all(infer_model(table, asked), count)
     kept = _with_readings(table, chains, sources, names)
     if not kept.all():
-        if notice is not None:
-            first = table.lines[int(np.argmin(kept))]
-            left_out = f"{count - kept.sum()} of {count} measurements have no reading"
-            notice(f"{table.file}: {left_out} (the first in line {first})")
-        table = table.rows(np.flatnonzero(kept), table.columns)
+        table = with_readings(table, kept, "measurements", notice)
         return read_blocks(
             table, every, joints, orientation, asked, station, unnamed, notice, progress
         )

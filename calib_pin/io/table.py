@@ -8,7 +8,7 @@ The text of a number is in the file, and is read from there where it is asked fo
 from __future__ import annotations
 
 from array import array
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -413,6 +413,29 @@ def _renamed(
             ours = f"{name} (of the file)"
         result[ours] = read
     return result, missing
+
+
+def with_readings(
+    table: Table,
+    kept: NDArray[np.bool_],
+    what: str,
+    notice: Callable[[str], None] | None,
+) -> Table:
+    """The rows that have a reading, and a word on those that have none.
+
+    Args:
+        table: The file.
+        kept: Whether each row has one, shape (N,).
+        what: The name of its rows.
+        notice: Called with a sentence that counts those without.
+    """
+    if kept.all():
+        return table
+    if notice is not None:
+        first = table.lines[int(np.argmin(kept))]
+        count = f"{np.count_nonzero(~kept)} of {len(kept)} {what}"
+        notice(f"{table.file}: {count} have no reading (the first in line {first})")
+    return table.rows(np.flatnonzero(kept), table.columns)
 
 
 def require_columns(tables: Sequence[Table]) -> None:

@@ -273,9 +273,8 @@ def _comment(line: str) -> bool:
 def _separator(plain: Sequence[tuple[int, str]], file: str) -> str:
     """The separator that stands as often in most lines."""
     for mark in SEPARATORS:
-        ((count, lines),) = Counter(line.count(mark) for _, line in plain).most_common(
-            1
-        )
+        counts = Counter(line.count(mark) for _, line in plain)
+        ((count, lines),) = counts.most_common(1)
         if count and 2 * lines >= len(plain):
             return mark
     number, header = plain[0]

@@ -23,26 +23,21 @@ FEWEST = 8
 def computed_values(case: Case) -> Iterator[Finding]:
     """Positions that fit to the nominal robot as those of no instrument can."""
     problem = case.fit.problem
-    errors = error_table(problem, case.nominal)
-    for quantity in problem.layout.quantities:
-        blocks = [b for b in problem.data.blocks if b.model in ("position", "pose")]
-        if quantity.name != "position" or not blocks:
-            continue
-        if problem.data.configurations < FEWEST:
-            return
-        sizes = quantity.errors(errors)
-        rms = float(np.sqrt(np.mean(sizes**2)))
-        points = np.concatenate(
-            [b.values[:, :3] - b.values[:, :3].mean(0) for b in blocks]
+    blocks = [b for b in problem.data.blocks if b.model in ("position", "pose")]
+    if not blocks or problem.data.configurations < FEWEST:
+        return
+    (quantity,) = (q for q in problem.layout.quantities if q.name == "position")
+    sizes = quantity.errors(error_table(problem, case.nominal))
+    rms = float(np.sqrt(np.mean(sizes**2)))
+    points = np.concatenate([b.values[:, :3] - b.values[:, :3].mean(0) for b in blocks])
+    moved = float(np.sqrt(np.mean(np.sum(points**2, axis=1))))
+    if rms < COMPUTED * moved:
+        unit, factor = DISPLAY["m"]
+        yield Finding(
+            "computed-values",
+            "error",
+            f"the positions fit to the nominal robot to {factor * rms:.2g} {unit}, "
+            "which no instrument does: they were computed from the joints",
+            {"rms": rms, "moved": moved},
+            "take the columns that an instrument measured",
         )
-        moved = float(np.sqrt(np.mean(np.sum(points**2, axis=1))))
-        if rms < COMPUTED * moved:
-            unit, factor = DISPLAY["m"]
-            yield Finding(
-                "computed-values",
-                "error",
-                f"the positions fit to the nominal robot to {factor * rms:.2g} {unit}, "
-                "which no instrument does: they were computed from the joints",
-                {"rms": rms, "moved": moved},
-                "take the columns that an instrument measured",
-            )

@@ -28,6 +28,37 @@ def read_numbers(cells: Sequence[str]) -> NDArray[np.float64]:
         The numbers, shape (N,); infinite or not-a-number where a cell says so or holds
         none.
     """
+    if (numbers := _decimals(cells, len(cells))) is not None:
+        return numbers
+    text = "".join(cells)
+    if text.isascii() and "_" not in text:
+        with suppress(ValueError):
+            return np.fromiter(map(float, cells), np.float64, len(cells))
+    known = {cell: _number(cell) for cell in set(cells)}
+    return np.array([known[cell] for cell in cells])
+
+
+def read_lines(lines: Sequence[str], width: int) -> NDArray[np.float64] | None:
+    """The numbers in lines of cells between commas, as `read_numbers` has them.
+
+    Args:
+        lines: Lines, N strings.
+        width: Cells in each.
+
+    Returns:
+        The numbers by column, shape (width, N); None unless all cells are decimal
+        fractions, which are read three times as fast at once.
+    """
+    if {line.count(",") for line in lines} != {width - 1}:
+        return None
+    numbers = _decimals(lines, len(lines) * width)
+    if numbers is None or not np.isfinite(numbers).all():
+        return None
+    return numbers.reshape(-1, width).T
+
+
+def _decimals(cells: Sequence[str], count: int) -> NDArray[np.float64] | None:
+    """The numbers of so many cells, shape (count,), where all are decimal fractions."""
     # Importing it takes time, and most of the commands have done so before.
     from pydantic_core import from_json
 
@@ -36,14 +67,9 @@ def read_numbers(cells: Sequence[str]) -> NDArray[np.float64]:
     # fraction is not left to it (JSON's integers have no -0).
     with suppress(ValueError):
         numbers = from_json(f"[{','.join(cells)}]", allow_inf_nan=False)
-        if len(numbers) == len(cells) and set(map(type, numbers)) == {float}:
+        if len(numbers) == count and set(map(type, numbers)) == {float}:
             return np.array(numbers)
-    text = "".join(cells)
-    if text.isascii() and "_" not in text:
-        with suppress(ValueError):
-            return np.fromiter(map(float, cells), np.float64, len(cells))
-    known = {cell: _number(cell) for cell in set(cells)}
-    return np.array([known[cell] for cell in cells])
+    return None
 
 
 def with_points(cells: Sequence[str]) -> list[str]:

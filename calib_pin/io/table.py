@@ -26,6 +26,7 @@ from calib_pin.io.columns import (
     Kind,
     Numbering,
     closest,
+    read_lines,
     split_header,
     what_is_wrong,
     with_points,
@@ -312,10 +313,16 @@ def read_table(
     else:
         text = read_text(path)
         lines, grown = array("q"), [GrowingColumn() for _ in text.header]
-        for numbers, cells_of in text.rows(progress):
+        commas = text.separator != ","
+        for numbers, rows in text.blocks(progress):
             lines.extend(numbers)
-            for column, cells in zip(grown, cells_of, strict=True):
-                column.extend(cells, commas=text.separator != ",")
+            plain = None if commas else read_lines(rows, len(grown))
+            if plain is not None:
+                for column, read in zip(grown, plain, strict=True):
+                    column.add(read, ())
+                continue
+            for column, cells in zip(grown, text.cut(numbers, rows), strict=True):
+                column.extend(cells, commas=commas)
     if not lines:
         raise InputError("the file has a header but no rows", file=text.file)
     _check_marks(text, grown, lines)

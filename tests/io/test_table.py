@@ -106,7 +106,7 @@ def test_cells_and_numbers_are_those_of_every_line_alone(monkeypatch, table, cou
 
 
 def test_text_of_numbers_stands_in_the_file(table):
-    found = table("# c\nname,x [mm]\n 01,1.50\n\n1e0, 2.50\n3,7\n")
+    found = table("# c\nname,x [mm]\n 01,1.50\n\n1e0,2.50\n3,7\n")
     assert found.texts(["name", "note"]) == {"name": ("01", "1e0", "3")}
     some = found.rows(np.array([2, 1]), ["name", "x", "y"])
     assert some.texts(["name"]) == {"name": ("3", "1e0")}

@@ -37,7 +37,7 @@ def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
     assert text.cells(5) == (" x ", "#")
     assert len(text.remarks) == (code == "latin-1")
     progress: list[float] = []
-    list(text.rows(progress.append))
+    list(text.blocks(progress.append))
     assert progress == sorted(progress) and progress[-1] == 1.0
 
 

@@ -74,6 +74,8 @@ class Draft:
         if "columns" in document:
             yield ""
             yield "# Our names of columns, and those of the file with their units."
+            if look.joints.order:
+                yield f"# Joints are known by the order alone, {look.joints.order}."
             yield "columns:"
             for ours, theirs in document["columns"].items():
                 told = " (unit by its numbers)" if ours in look.units else ""

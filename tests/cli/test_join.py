@@ -125,6 +125,49 @@ def test_points_that_are_read_by_turns_stay_apart(logs, run):
     assert np.allclose(data.sigma, NOISE, rtol=0.2)
 
 
+def test_points_with_names_need_no_time(tmp_path, monkeypatch, run):
+    """Two targets of each point; what only one file has is left out and told."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(3)
+    q = CHAIN.random_configurations(8, rng)
+    joints = [",".join(["name", *CHAIN.joints])]
+    joints += [",".join([f"P{k}", *map(repr, row.tolist())]) for k, row in enumerate(q)]
+    points = ["Punkt-Nr;Kugel;X [mm];Y [mm];Z [mm];RMS"]
+    T = CHAIN.poses(q)
+    for k in rng.permutation(7):
+        for name, ball in BALLS.items():
+            p = 1e3 * (T[k, :3, :3] @ ball + T[k, :3, 3])
+            points.append(";".join([f"p{k}", name, *map(comma, p), "0,01"]))
+    points.append("P99;A;1;2;3;0,01")
+    Path("joints.csv").write_text("\n".join(joints))
+    Path("points.txt").write_text("\n".join(points))
+    result = run("join joints.csv points.txt -o m.csv")
+    assert result.status == 0
+    assert "in one of both files only, and left out: p7, p99" in result.err
+    data = read_measurements("m.csv", CHAIN).only
+    assert len(data.q) == 14
+    at = [np.flatnonzero((q == row).all(axis=1))[0] for row in data.q]
+    balls = np.array([BALLS[name] for name in data.target])
+    expected = (T[at, :3, :3] @ balls[:, :, None])[:, :, 0] + T[at, :3, 3]
+    assert np.allclose(data.values, expected, atol=1e-7)
+    Path("points.txt").write_text("\n".join(points).replace("p", "q"))
+    wrong = run("join joints.csv points.txt -o n.csv")
+    assert wrong.status == 1 and "no column of names" in wrong.err
+    assert not Path("n.csv").exists()
+
+
+def test_times_of_one_log_may_be_milliseconds(logs, run):
+    header, *lines = Path("joints.csv").read_text().splitlines()
+    cut = [line.partition(",") for line in lines]
+    late = [f"{1e3 * float(time):.1f},{rest}" for time, _, rest in cut]
+    Path("joints.csv").write_text("\n".join([header, *late]))
+    result = run(JOIN)
+    assert "the times of the joints are read as ms" in result.err
+    assert result.out.startswith("12 standstills")
+    Path("joints.csv").write_text("\n".join([header.replace("p", "p [s]", 1), *late]))
+    assert run(f"{JOIN} --force").status == 1
+
+
 def test_a_log_of_the_robot_as_it_is(logs, run):
     """Counters, stamps of nanoseconds, speeds and gaps are no joints and hide none."""
     names = CHAIN.joints

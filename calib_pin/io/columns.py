@@ -273,6 +273,10 @@ class Numbering:
         return np.fromiter(map(self.known.__getitem__, cells), np.int64, len(cells))
 
 
+ELSEWHERE = "; 'calib-pin init' finds columns with other names"
+"""What to do where a file says it in its own way."""
+
+
 def closest(name: str, candidates: Collection[str]) -> str:
     """Hint at the one column that may have been meant by a missing name.
 

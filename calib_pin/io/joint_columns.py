@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib_pin.errors import CalibPinError, InputError, nearest
-from calib_pin.io.columns import ANGLE, LENGTH, Floats, Kind, closest
+from calib_pin.io.columns import ANGLE, ELSEWHERE, LENGTH, Floats, Kind, closest
 from calib_pin.io.measured_columns import reserved
 from calib_pin.io.table import Table
 from calib_pin.io.written_columns import column_name
@@ -367,10 +367,10 @@ def _check_present(
     what = f"joint '{joint_of[first]}' of the chain" + f" '{chain}'" * bool(chain)
     if first != joint_of[first]:
         what = f"column '{first}' for {what}"
+    also = f"; missing as well: {', '.join(rest)}" if rest else ""
+    hint = closest(first, free)
     raise table.error(
-        f"{what} is missing{closest(first, free)}"
-        + (f"; missing as well: {', '.join(rest)}" if rest else ""),
-        first,
+        f"{what} is missing{hint}{also}{'' if hint else ELSEWHERE}", first
     )
 
 

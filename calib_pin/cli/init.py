@@ -110,6 +110,8 @@ def init(
     elif distance is not None:
         raise OptionError("--distance is that of sockets (fixed-point)")
     text = Draft(loaded, look).text(told_command(context))
+    for remark in look.remarks:
+        notice(remark)
     if not look.fits:
         notice("no reading of the columns fits the robot; see the draft")
     files = {} if output is None else {output: text.encode()}

@@ -53,6 +53,11 @@ class Draft:
         model = "+".join(data.models)
         yield f"# Setup file of calib-pin, drafted by: {command}"
         yield f"# {len(data)} measurements of {self.robot.name}. {self._fit()}"
+        if look.computed:
+            yield (
+                f"# The controller computed {_few(look.computed)} from the joints: no "
+                "measurement, other columns are taken."
+            )
         if look.ignored:
             yield f"# Columns without a meaning: {_few(look.ignored)}."
         if "base" in document:

@@ -101,6 +101,8 @@ class Look:
         ignored: Names of columns without a meaning.
         next_share: The share in other units; infinite where there are none.
         position: Name of the column that is taken for x.
+        remarks: Sentences about how the files were read.
+        computed: Names of columns of x that the controller computed.
     """
 
     setup: Setup
@@ -113,6 +115,8 @@ class Look:
     ignored: Sequence[str] = ()
     next_share: float = inf
     position: str = ""
+    remarks: Sequence[str] = ()
+    computed: Sequence[str] = ()
 
     @property
     def fits(self) -> bool:
@@ -318,7 +322,7 @@ def looked(
     look: Look, robot: Robot, files: Sequence[Path], *, station_per_file: bool = False
 ) -> Look:
     """A reading with the errors that it leaves the nominal robot."""
-    setup = look.setup
+    setup, remarks = look.setup, list[str]()
     names = () if setup.tip is None else ("",)
     try:
         chains = Chains(robot, setup.base, setup.tip, setup.chains, names)
@@ -329,6 +333,7 @@ def looked(
             columns=setup.columns,
             joints=setup.joints,
             station_per_file=station_per_file,
+            notice=remarks.append,
         )
         chains = chains.named(tuple(key.chain for key in data.keys))
         ready = prepared(chains, some_of(data)[0], setup)
@@ -353,7 +358,7 @@ def looked(
     first = next(iter(errors), "")
     moved = _moved(ready.problem)
     share = errors[first] / moved if first and moved > 0.0 else inf
-    return replace(look, data=data, errors=errors, share=share)
+    return replace(look, data=data, errors=errors, share=share, remarks=remarks)
 
 
 def _moved(problem: Problem) -> float:
@@ -402,4 +407,6 @@ def best(looks: Sequence[Look]) -> Look:
         for look in whole
         if look.joints is chosen.joints and look.units != chosen.units
     )
-    return replace(chosen, next_share=min(others, default=inf))
+    return replace(
+        chosen, next_share=min(others, default=inf), computed=sorted(computed)
+    )

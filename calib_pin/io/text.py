@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import BinaryIO, TextIO
 
 from calib_pin.errors import InputError
+from calib_pin.io.dialects import Heading, heading
 from calib_pin.io.files import read_blocks
 from calib_pin.progress import Progress
 
@@ -77,10 +78,11 @@ class Text:
     Attributes:
         file: Path as the caller gave it.
         data: Its bytes, in UTF-8; None where the file can be read again.
-        separator: Separator of two cells.
+        separator: Separator of two cells; a space stands for any blanks.
         header: Trimmed cells of the header.
-        header_line: Its line, counted from 1.
+        header_line: Its line, counted from 1; 0 where there is none.
         remarks: Sentences about how the file had to be read.
+        foreign: The header of a foreign layout, where it is no line of names.
     """
 
     file: str
@@ -89,6 +91,7 @@ class Text:
     header: tuple[str, ...]
     header_line: int
     remarks: tuple[str, ...] = ()
+    foreign: Heading | None = None
 
     def rows(self) -> Iterator[tuple[list[int], list[tuple[str, ...]]]]:
         """Lines of some rows and their cells by column, and so on.
@@ -139,7 +142,8 @@ class Text:
         if any('"' in line for line in lines):
             rows = self._quoted(numbers, lines)
         else:
-            rows = [line.rstrip("\n").split(self.separator) for line in lines]
+            mark = None if self.separator == " " else self.separator
+            rows = [line.rstrip("\n").split(mark) for line in lines]
         if {*map(len, rows)} != {len(self.header)}:
             rows = list(map(self._whole, numbers, rows))
         return [*zip(*rows, strict=True)]
@@ -270,6 +274,10 @@ def _laid_out(head: bytes, data: bytes | None, file: str) -> Text:
     stream = io.TextIOWrapper(io.BytesIO(head), "utf-8-sig", errors="ignore")
     first = islice(enumerate(stream, 1), HEAD)
     lines = [(n, line.strip("\n")) for n, line in first if line.strip()]
+    if found := heading(lines):
+        remark = f"read as {found.remark}"
+        names = tuple(found.names)
+        return Text(file, data, found.separator, names, found.line, (remark,), found)
     separator, remarks = "", tuple[str, ...]()
     # Excel writes it, and takes it for no row either.
     if lines and (stated := re.fullmatch(r'"?sep=(.)"?', lines[0][1].strip())):
@@ -278,7 +286,7 @@ def _laid_out(head: bytes, data: bytes | None, file: str) -> Text:
     if not plain:
         reason = "the file is empty, it needs a header and rows"
         raise InputError(reason, file=file)
-    separator = separator or _separator(plain, file)
+    separator = separator or _separator(plain)
     line, header = _header(lines, plain, separator, file)
     if above := sum(n < line for n, _ in plain):
         remarks = (f"{above} lines above the header in line {line} are left out",)
@@ -289,26 +297,19 @@ def _comment(line: str) -> bool:
     return line.lstrip().startswith(COMMENTS)
 
 
-def _separator(plain: Sequence[tuple[int, str]], file: str) -> str:
+def _separator(plain: Sequence[tuple[int, str]]) -> str:
     """The separator that stands as often in most lines."""
     for mark in SEPARATORS:
         counts = Counter(line.count(mark) for _, line in plain)
         ((count, lines),) = counts.most_common(1)
         if count and 2 * lines >= len(plain):
             return mark
-    number, header = plain[0]
+    header = plain[0][1]
     found = max(SEPARATORS, key=header.count)
     names = re.sub(r"\[[^\[\]]*\]", "", header).split()
     # A single column may have a space in its name, but not in its numbers.
     alone = found not in header and len(names) > 1
-    if alone and len(plain[-1][1].split()) == len(names):
-        raise InputError(
-            "the columns are separated by spaces, the separator must be a comma, a "
-            "semicolon or a tab",
-            file=file,
-            line=number,
-        )
-    return found
+    return " " if alone and len(plain[-1][1].split()) == len(names) else found
 
 
 def _header(
@@ -350,6 +351,9 @@ def _header(
 
 
 def _cut(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        # A unit belongs to the name before it.
+        return re.split(r"\s+(?!\[)", line.strip())
     try:
         return next(
             csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calib_pin.io.columns import LENGTH, Column
-from calib_pin.io.dialects import DIALECTS, Reading
+from calib_pin.io.columns import LENGTH
+from calib_pin.io.dialects import DIALECTS
 from calib_pin.io.logs import TIME
 from calib_pin.io.measured_columns import read_quaternions
 from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.spatial import so3_exp, to_quaternion
+from calib_pin.plugins import extensions
 
 
 @pytest.fixture
@@ -65,13 +66,30 @@ def test_columns_that_the_setup_names_are_as_it_says(table):
     assert found.numbers("x", LENGTH).tolist() == [1.0] and not found.remarks
 
 
-def test_a_dialect_is_one_file_and_one_line(table, monkeypatch):
-    class Shout:
-        def read(self, columns: Mapping[str, Column]) -> Reading | None:
-            if not all(name.isupper() for name in columns):
-                return None
-            return Reading({k.lower(): c for k, c in columns.items()}, "shouting")
+@pytest.fixture
+def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The dialect of another package, as pip leaves it."""
+    info = tmp_path / "site" / "shouting-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Name: shouting\nVersion: 1.0\n")
+    entry = "[calib_pin.dialects]\nshouting = shouting:Shouting\n"
+    (info / "entry_points.txt").write_text(entry)
+    (tmp_path / "site" / "shouting.py").write_text(
+        "from calib_pin.io.dialects import Dialect, Reading\n\n\n"
+        "class Shouting(Dialect):\n"
+        "    def read(self, columns, file):\n"
+        "        if not all(name.isupper() for name in columns):\n"
+        "            return None\n"
+        "        return Reading({k.lower(): c for k, c in columns.items()}, 'loud')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    extensions.cache_clear()
+    yield
+    extensions.cache_clear()
 
-    monkeypatch.setattr("calib_pin.io.table.DIALECTS", (*DIALECTS, Shout()))
-    assert list(table("X,Y\n1,2\n").columns) == ["x", "y"]
+
+def test_a_dialect_of_another_package(table, outside):
+    found = table("X,Y\n1,2\n")
+    assert list(found.columns) == ["x", "y"] and found.remarks == ("read as loud",)
     assert list(table("X,y\n1,2\n").columns) == ["X", "y"]
+    assert list(DIALECTS)[-1] == "shouting"

@@ -13,17 +13,12 @@ from typing import Any
 import numpy as np
 
 from calib_pin.errors import InputError, OptionError
+from calib_pin.io.dialects.lerobot import STEPS, read_motors
 from calib_pin.io.exchange.base import Encoded, Exported, Format
 from calib_pin.io.exchange.joint_offsets import column_offsets, doubts, remarks
-from calib_pin.io.files import TEXT, read_bytes
-
-STEPS = 4095
-"""Steps of a turn, as LeRobot counts them (resolution 4096)."""
 
 FARTHEST = 2047
 """Largest homing offset that a motor stores."""
-
-KEYS = ("homing_offset", "range_min", "range_max")
 
 
 def encode(exported: Exported, template: Path | None) -> Encoded:
@@ -37,7 +32,7 @@ def encode(exported: Exported, template: Path | None) -> Encoded:
         OptionError: If a joint does not turn, or a motor stores no such offset.
     """
     assert template is not None
-    motors = _read(template)
+    motors = read_motors(template)
     if not exported.nominal.revolute.all():
         raise OptionError("a motor needs a joint that turns", file=exported.file)
     rounded = 0.0
@@ -66,24 +61,6 @@ def encode(exported: Exported, template: Path | None) -> Encoded:
         f"whole steps leave up to {rounded:.3f} deg of a joint",
     )
     return Encoded(data, (*said, *remarks(exported.offsets), *doubts(exported)))
-
-
-def _read(template: Path) -> dict[str, dict[str, Any]]:
-    try:
-        data = json.loads(read_bytes(template, TEXT))
-    except (ValueError, RecursionError) as error:
-        found = getattr(error, "msg", error)
-        raise InputError(f"is not JSON: {found}", file=template) from None
-    if not isinstance(data, dict) or not data:
-        raise InputError("holds no motors", file=template)
-    for name, motor in data.items():
-        numbers = [motor.get(key) if isinstance(motor, dict) else None for key in KEYS]
-        if any(isinstance(n, bool) or not isinstance(n, int) for n in numbers):
-            raise InputError(
-                f"motor '{name}' lacks one of {', '.join(KEYS)}, in whole steps",
-                file=template,
-            )
-    return data
 
 
 def _motor(

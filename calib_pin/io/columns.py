@@ -100,6 +100,9 @@ def what_is_wrong(cell: str, value: float) -> str:
     return "not a number"
 
 
+HUGE = 1e9
+"""Numbers from here on are none of a length or an angle, in any unit."""
+
 NO_READING = "the reading is missing"
 
 MISSING = frozenset(
@@ -187,6 +190,17 @@ class Column:
     def missing(self) -> NDArray[np.bool_]:
         """Whether each cell says that there is no reading, shape (N,)."""
         return self._holds(lambda word: word.strip().lower() in MISSING)
+
+    @property
+    def sentinel(self) -> float | None:
+        """A number that stands for no reading: nines, or huge, in several rows."""
+        values, counts = np.unique(np.abs(self.numbers), return_counts=True)
+        values, counts = values[np.isfinite(values)], counts[np.isfinite(values)]
+        if len(values) < 2 or counts[-1] < 2 or values[-1] < 2.0 * values[-2]:
+            return None
+        nines = {*f"{values[-1]:.6f}".rstrip("0").replace(".", "")} == {"9"}
+        far = self.numbers[np.argmax(np.abs(self.numbers) == values[-1])]
+        return float(far) if nines or values[-1] >= HUGE else None
 
     @property
     def numeric(self) -> bool:

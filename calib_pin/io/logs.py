@@ -328,6 +328,14 @@ def _whole(
         for remark in table.remarks:
             notice(f"{table.file}: {remark}")
     missing = np.any([table.columns[name].missing() for name in names], axis=0)
+    for name in (name for name in names if name not in _times_of(table)):
+        sign = table.columns[name].sentinel
+        if sign is not None:
+            rows = table.columns[name].numbers == sign
+            missing |= rows
+            if notice is not None:
+                told = f"{sign:g} in {np.count_nonzero(rows)} rows of '{name}'"
+                notice(f"{table.file}: {told} is taken for a reading that is missing")
     if missing.all():
         raise table.error(f"no row has all of {enumerated(names)}")
     return with_readings(table, ~missing, "rows", notice)
@@ -337,6 +345,8 @@ def _is_position(one: Foreign) -> bool:
     """Whether a column of a log may be one of joint positions: no counter, no stamp."""
     numbers = one.column.numbers[np.isfinite(one.column.numbers)]
     if not one.column.numeric or OTHER.search(one.words) or STAMPS.search(one.words):
+        return False
+    if one.column.unit not in (None, *ANGLE.units, *LENGTH.units):
         return False
     steps = np.unique(np.diff(numbers))
     return not (len(steps) == 1 and steps[0] > 0.0 and len(numbers) > COUNTED)
@@ -432,8 +442,11 @@ def _sigmas(
 def _times_of(table: Table) -> list[str]:
     """Columns that may be that of the times, the likeliest first."""
     known = {name.lower(): name for name in reversed([*table.columns])}
-    own = ["time"] if "time" in table else []
-    return own + [known[name] for name in TIMES if name in known]
+    known |= {"time": "time"} if "time" in table else {}
+    found = [known[name] for name in ("time", *TIMES) if name in known]
+    last = {name: re.findall(r"[a-z]+", name.lower())[-1:] for name in table.columns}
+    # Loggers put words of their own before all names.
+    return found or [name for name, word in last.items() if {*word} & {*TIMES[:3]}]
 
 
 def _time_column(table: Table) -> str:

@@ -332,15 +332,18 @@ def _header(
         return cut[0]
     ((width, _),) = Counter(len(cells) for _, cells in rows).most_common(1)
     first = next(number for number, cells in rows if len(cells) == width)
-    for number, cells in cut:
-        if number < first and len(cells) == width:
+    above = [(number, cells) for number, cells in cut if number < first]
+    commented = [
+        (number, _cut(line.lstrip(" \t#%/"), separator))
+        for number, line in lines
+        if number < first
+    ]
+    for number, cells in [*above, *commented]:
+        if len(cells) == width and not _is_row(cells, separator):
             return number, cells
-    if cut[0][0] < first:
-        return cut[0]
-    for number, line in lines:
-        cells = _cut(line.lstrip(" \t#%/"), separator)
-        if number < first and len(cells) == width and not _is_row(cells, separator):
-            return number, cells
+    number, cells = max(above, key=lambda each: len(each[1]), default=(0, []))
+    if 2 * len(cells) >= width:
+        return number, cells
     raise InputError(
         "the first row holds numbers, a header with the names of the columns is "
         "missing",

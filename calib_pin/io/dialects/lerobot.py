@@ -48,7 +48,7 @@ class LeRobot(base.Dialect):
             if found := MOTOR.fullmatch(name):
                 motors[found[1] or found[2]] = column
             elif not name.startswith("action"):
-                read[name] = column
+                read["time" if name == "timestamp" else name] = column
         joints = motors.keys() - {GRIPPER}
         if len(joints) < 2:
             return None

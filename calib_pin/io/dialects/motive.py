@@ -30,6 +30,8 @@ KINDS = {
 }
 """Types of columns, of which the first that is there is read."""
 
+AXES = ("X", "Y", "Z", "W")
+
 UNITS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "in"}
 
 
@@ -56,7 +58,7 @@ class Motive(base.Dialect):
         for k, (of, name, group, axis) in enumerate(columns):
             if k < 2 or not of:
                 names.append("time [s]" if axis.startswith("Time (") else axis)
-            elif name not in (labeled or labels) or of != kind or axis not in "XYZW":
+            elif name not in (labeled or labels) or of != kind or axis not in AXES:
                 names.append(base.of(str(k), "other", "column"))
             elif group == "Position":
                 names.append(base.of(axis.lower(), KINDS[kind], name, unit))

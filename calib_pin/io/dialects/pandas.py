@@ -22,6 +22,9 @@ INDEX = "column 1"
 """An unnamed first column, as it is called then."""
 
 
+REMARK = "a data frame of pandas"
+
+
 class Pandas(base.Dialect):
     """A data frame."""
 
@@ -38,17 +41,23 @@ class Pandas(base.Dialect):
             return None
         # A name of the index stands alone in a line.
         last = lines[1 if any(rows[1][1:]) else 2][0]
-        return base.Heading(mark, names, last, "a data frame of pandas")
+        return base.Heading(mark, names, last, REMARK, _without_index)
 
     def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:
         """The columns without the index, names of two parts with `_` between."""
-        read = dict(columns)
-        steps = np.diff(read[INDEX].numbers) if INDEX in read else np.zeros(0)
-        if len(steps) and (steps == 1.0).all():
-            del read[INDEX]
+        read = _without_index(columns)
         for name in columns:
             if pair := PAIR.fullmatch(name):
                 ours = "_".join(filter(None, pair.groups()))
                 read[ours] = base.named(read.pop(name), ours)
         changed = read.keys() != columns.keys()
-        return base.Reading(read, "a data frame of pandas") if changed else None
+        return base.Reading(read, REMARK) if changed else None
+
+
+def _without_index(columns: Mapping[str, Column]) -> dict[str, Column]:
+    """The columns but for an unnamed first one that counts the rows."""
+    read = dict(columns)
+    steps = np.diff(read[INDEX].numbers) if INDEX in read else np.zeros(0)
+    if len(steps) and (steps == 1.0).all():
+        del read[INDEX]
+    return read

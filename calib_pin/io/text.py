@@ -15,6 +15,7 @@ from typing import BinaryIO, TextIO
 
 from calib_pin.errors import InputError
 from calib_pin.io.dialects import Heading, heading
+from calib_pin.io.dialects.base import cells_of
 from calib_pin.io.files import read_blocks
 from calib_pin.progress import Progress
 
@@ -326,7 +327,7 @@ def _header(
         separator: Separator of two cells.
         file: The file, for messages.
     """
-    cut = [(number, _cut(line, separator)) for number, line in plain]
+    cut = [(number, cells_of(line, separator)) for number, line in plain]
     rows = [(number, cells) for number, cells in cut if _is_row(cells, separator)]
     if not rows:
         return cut[0]
@@ -338,7 +339,7 @@ def _header(
     if cut[0][0] < first:
         return cut[0]
     for number, line in lines:
-        cells = _cut(line.lstrip(" \t#%/"), separator)
+        cells = cells_of(line.lstrip(" \t#%/"), separator)
         if number < first and len(cells) == width and not _is_row(cells, separator):
             return number, cells
     raise InputError(
@@ -348,18 +349,6 @@ def _header(
         line=first,
         allowed=f"{width} names above it, such as {separator.join(_names(width))}",
     )
-
-
-def _cut(line: str, separator: str) -> list[str]:
-    if separator == " ":
-        # A unit belongs to the name before it.
-        return re.split(r"\s+(?!\[)", line.strip())
-    try:
-        return next(
-            csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True)
-        )
-    except csv.Error:
-        return line.split(separator)
 
 
 def _is_row(cells: Sequence[str], separator: str) -> bool:

@@ -73,11 +73,10 @@ class Motive(base.Dialect):
 
 def _converted(order: str, columns: dict[str, Column]) -> dict[str, Column]:
     """Centimeters as millimeters, Euler angles as quaternions."""
-    for axis in "xyz":
+    for axis in {*"xyz"} & columns.keys():
         if columns[axis].unit == "cm":
-            numbers = 10.0 * columns[axis].numbers
-            columns[axis] = base.computed(axis, numbers, "mm")
-    if "turn x" in columns:
+            columns[axis] = base.computed(axis, 10.0 * columns[axis].numbers, "mm")
+    if "turn x" in columns and sorted(order) == [*"xyz"]:
         angles = base.stacked(columns.pop(f"turn {axis}") for axis in order)
         way = OrientationSetup("rotation-vector", f"intrinsic-{order}")
         columns |= base.oriented(

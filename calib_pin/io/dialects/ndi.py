@@ -46,7 +46,9 @@ class Ndi(base.Dialect):
             if not tool or name in there or "Markers" in there:
                 names.append(base.of(str(k), "other", "column"))
             else:
-                names.append(base.of(name, "tool", tool, unit and unit[:1]))
+                names.append(
+                    base.of(name, "tool", tool, "s" if unit == "sec" else unit)
+                )
             there.add(name)
         return base.Heading(mark, names, lines[0][0], REMARK, _ours) if tool else None
 

@@ -36,8 +36,8 @@ class Pandas(base.Dialect):
         names = [
             "_".join(filter(None, pair)) for pair in zip(upper, rows[0], strict=True)
         ]
-        plain = not any(re.fullmatch(r"-?\d*\.\d+.*", cell) for cell in rows[0])
-        if len({*upper}) == len(upper) or len({*names}) < len(names) or not plain:
+        numbered = rows[0][0][:1].isdigit()  # It is a row, with its index.
+        if len({*upper}) == len(upper) or len({*names}) < len(names) or numbered:
             return None
         # A name of the index stands alone in a line.
         last = lines[1 if any(rows[1][1:]) else 2][0]

@@ -275,7 +275,8 @@ def _laid_out(head: bytes, data: bytes | None, file: str) -> Text:
     stream = io.TextIOWrapper(io.BytesIO(head), "utf-8-sig", errors="ignore")
     first = islice(enumerate(stream, 1), HEAD)
     lines = [(n, line.strip("\n")) for n, line in first if line.strip()]
-    if found := heading(lines):
+    # Excel writes blank lines as separators.
+    if found := heading([one for one in lines if one[1].strip(" ,;\t")]):
         remark = f"read as {found.remark}"
         names = tuple(found.names)
         return Text(file, data, found.separator, names, found.line, (remark,), found)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
@@ -138,6 +139,28 @@ def test_readings_are_those_written(written, layout):
     assert found.cell("x", row) == found.cells(["x"])["x"][row].strip()
     scale = {"m": 1.0, "mm": 1e-3}[str(found.columns["x"].unit)]
     assert np.isclose(float(found.cell("x", row)) * scale, place[row, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("layout", ["motive", "vicon", "ndi_tools"])
+@pytest.mark.parametrize(
+    "how",
+    [
+        lambda text: "# by hand\n" + text,
+        lambda text: "\ufeff\n\n" + text.replace("\n", ",\n"),
+        lambda text: re.sub(r"(?<=\d)\.(?=\d)", ",", text.replace(",", ";")),
+        lambda text: text.replace(",", "\t").replace("\n", "\r\n"),
+        lambda text: "# " * (text[0] in "FT") + text,
+    ],
+)
+def test_headings_however_they_were_saved(written, layout, how):
+    file = written(layout) / READINGS[layout][0]
+    first = read_table(file)
+    file.write_text(how(file.read_text()), encoding="utf-8")
+    again = read_table(file)
+    assert [*first.columns] == [name for name in again.columns if "column" not in name]
+    for name in "xyz":
+        same = again.columns[name].numbers, first.columns[name].numbers
+        assert np.array_equal(*same, equal_nan=True)
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,9 @@ def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
         ("1,2\n0.5,0.25\n", "1 2", 1, [("0.5", "0.25")], 0),
         ("robot,file\nr1,a.csv\n", "robot file", 1, [("r1", "a.csv")], 0),
         ("a b\n0.5\n", "a b", 1, [("0.5",)], 0),
+        # Blanks separate where there is nothing else.
+        ("a b[mm]  c\n1 2.5   3\n", "a b[mm] c", 1, [("1", "2.5", "3")], 0),
+        ("# a b\n0.5 x\n", "a b", 1, [("0.5", "x")], 0),
     ],
 )
 def test_headers(text, header, line, rows, remarks):

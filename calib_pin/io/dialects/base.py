@@ -125,6 +125,15 @@ def cells_of(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in row]
 
 
+def starting(lines: Sequence[tuple[int, str]], word: str) -> list[tuple[int, str]]:
+    """The lines from that on which begins with a word, maybe behind a sign."""
+    for k, (number, line) in enumerate(lines):
+        bare = line.lstrip("#%/ \t")
+        if bare.lstrip('"').startswith(word):
+            return [(number, bare), *lines[k + 1 :]]
+    return []
+
+
 def cut(lines: Sequence[tuple[int, str]]) -> tuple[list[list[str]], str]:
     """Cells of some lines, and the separator that is in the first of them."""
     separator = max(",;\t", key=lines[0][1].count)

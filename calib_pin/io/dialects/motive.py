@@ -40,7 +40,7 @@ class Motive(base.Dialect):
 
     def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
         """The settings, and the lines down to that of the axes."""
-        if not lines[0][1].startswith("Format Version"):
+        if not (lines := base.starting(lines, "Format Version")):
             return None
         rows, mark = base.cut(lines)
         at = next((k for k, row in enumerate(rows) if row[:1] == ["Frame"]), 0)

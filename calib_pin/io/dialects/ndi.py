@@ -35,7 +35,7 @@ class Ndi(base.Dialect):
 
     def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
         """One line of names, which are the same for each tool."""
-        if not lines[0][1].startswith("Tools"):
+        if not (lines := base.starting(lines, "Tools")):
             return None
         (cells, *_), mark = base.cut(lines[:1])
         tool, there, names = "", set[str](), list[str]()

@@ -30,7 +30,8 @@ class Pandas(base.Dialect):
 
     def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
         """Two lines of names below a blank index, of which the upper ones repeat."""
-        (upper, *rows), mark = base.cut(lines[:3])
+        lines = [one for one in lines if not one[1].startswith("#")]
+        (upper, *rows), mark = base.cut(lines[:3] or [(1, "")])
         if len(rows) < 2 or upper[0] or len({*map(len, (upper, *rows))}) > 1:
             return None
         names = [

@@ -60,9 +60,6 @@ def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
         ("1,2\n0.5,0.25\n", "1 2", 1, [("0.5", "0.25")], 0),
         ("robot,file\nr1,a.csv\n", "robot file", 1, [("r1", "a.csv")], 0),
         ("a b\n0.5\n", "a b", 1, [("0.5",)], 0),
-        # Blanks separate where there is nothing else.
-        ("a b[mm]  c\n1 2.5   3\n", "a b[mm] c", 1, [("1", "2.5", "3")], 0),
-        ("# a b\n0.5 x\n", "a b", 1, [("0.5", "x")], 0),
     ],
 )
 def test_headers(text, header, line, rows, remarks):
@@ -71,6 +68,16 @@ def test_headers(text, header, line, rows, remarks):
     assert found.header_line == line
     assert len(found.remarks) == (remarks > 0)
     assert rows is None or [cells for _, cells in read(found)] == rows
+
+
+@pytest.mark.parametrize("sign", ["", "# "])
+def test_blanks_separate_where_nothing_else_does(sign):
+    found = parsed(f"{sign}a b [mm]  c\n1.5 2  3\n4.5 x 6\n".encode(), "a.csv")
+    assert found.header == ("a", "b [mm]", "c")
+    assert [cells for _, cells in read(found)] == [
+        ("1.5", "2", "3"),
+        ("4.5", "x", "6"),
+    ]
 
 
 @pytest.mark.parametrize(

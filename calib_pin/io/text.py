@@ -15,6 +15,7 @@ from typing import BinaryIO, TextIO
 
 from calib_pin.errors import InputError
 from calib_pin.io.dialects import Heading, heading
+from calib_pin.io.dialects.base import cells_of
 from calib_pin.io.files import read_blocks
 from calib_pin.progress import Progress
 
@@ -274,7 +275,8 @@ def _laid_out(head: bytes, data: bytes | None, file: str) -> Text:
     stream = io.TextIOWrapper(io.BytesIO(head), "utf-8-sig", errors="ignore")
     first = islice(enumerate(stream, 1), HEAD)
     lines = [(n, line.strip("\n")) for n, line in first if line.strip()]
-    if found := heading(lines):
+    # Excel writes blank lines as separators.
+    if found := heading([one for one in lines if one[1].strip(" ,;\t")]):
         remark = f"read as {found.remark}"
         names = tuple(found.names)
         return Text(file, data, found.separator, names, found.line, (remark,), found)
@@ -326,7 +328,7 @@ def _header(
         separator: Separator of two cells.
         file: The file, for messages.
     """
-    cut = [(number, _cut(line, separator)) for number, line in plain]
+    cut = [(number, cells_of(line, separator)) for number, line in plain]
     rows = [(number, cells) for number, cells in cut if _is_row(cells, separator)]
     if not rows:
         return cut[0]
@@ -334,7 +336,7 @@ def _header(
     first = next(number for number, cells in rows if len(cells) == width)
     above = [(number, cells) for number, cells in cut if number < first]
     commented = [
-        (number, _cut(line.lstrip(" \t#%/"), separator))
+        (number, cells_of(line.lstrip(" \t#%/"), separator))
         for number, line in lines
         if number < first
     ]
@@ -351,18 +353,6 @@ def _header(
         line=first,
         allowed=f"{width} names above it, such as {separator.join(_names(width))}",
     )
-
-
-def _cut(line: str, separator: str) -> list[str]:
-    if separator == " ":
-        # A unit belongs to the name before it.
-        return re.split(r"\s+(?!\[)", line.strip())
-    try:
-        return next(
-            csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True)
-        )
-    except csv.Error:
-        return line.split(separator)
 
 
 def _is_row(cells: Sequence[str], separator: str) -> bool:

@@ -100,33 +100,44 @@ class Renaming(Dialect):
         for theirs, column in columns.items():
             name, unit = theirs, None
             for way, ours, stated in self.ours:
-                # A joint of the same name in a second topic keeps theirs.
-                if (found := re.fullmatch(way, theirs)) and found.expand(
-                    ours
-                ) not in read:
+                if found := re.fullmatch(way, theirs):
                     name, unit = found.expand(ours), stated
-            if not re.fullmatch(self.other, theirs):
+            # A joint of the same name in a second topic keeps theirs.
+            name, unit = (theirs, None) if name in read else (name, unit)
+            if name != theirs or not re.fullmatch(self.other, theirs):
                 read[name] = named(column, name, unit)
         return Reading(read, self.remark)
 
 
-def cut(
-    lines: Sequence[tuple[int, str]], separator: str = ""
-) -> tuple[list[list[str]], str]:
-    """Trimmed cells of lines of a header, and their separator.
+def cells_of(line: str, separator: str) -> list[str]:
+    """Trimmed cells of a line; a space stands for any blanks, of which a unit has some.
 
-    Args:
-        lines: The lines with their numbers.
-        separator: The separator, a space for any blanks; by default the one that is in
-            the first line most often.
+    Examples:
+        >>> cells_of("x [mm]  y", " "), cells_of('a, "b,c"', ",")
+        (['x [mm]', 'y'], ['a', 'b,c'])
     """
-    separator = separator or max(",;\t", key=lines[0][1].count)
     if separator == " ":
-        return [line.split() for _, line in lines], separator
-    reader = csv.reader(
-        (line for _, line in lines), delimiter=separator, skipinitialspace=True
-    )
-    return [[cell.strip() for cell in row] for row in reader], separator
+        return re.split(r"\s+(?!\[)", line.strip())
+    try:
+        row = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    except csv.Error:
+        row = line.split(separator)
+    return [cell.strip() for cell in row]
+
+
+def starting(lines: Sequence[tuple[int, str]], word: str) -> list[tuple[int, str]]:
+    """The lines from that on which begins with a word, maybe behind a sign."""
+    for k, (number, line) in enumerate(lines):
+        bare = line.lstrip("#%/ \t")
+        if bare.lstrip('"').startswith(word):
+            return [(number, bare), *lines[k + 1 :]]
+    return []
+
+
+def cut(lines: Sequence[tuple[int, str]]) -> tuple[list[list[str]], str]:
+    """Cells of some lines, and the separator that is in the first of them."""
+    separator = max(",;\t", key=lines[0][1].count)
+    return [cells_of(line, separator) for _, line in lines], separator
 
 
 def of(column: str, kind: str, name: str, unit: str | None = None) -> str:

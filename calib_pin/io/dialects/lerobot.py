@@ -24,7 +24,10 @@ from calib_pin.io.columns import Column, Floats
 from calib_pin.io.files import TEXT, read_bytes
 
 STATE = "observation.state"
-MOTOR = re.compile(rf"(?:{STATE}\.)?([\w-]+)\.pos|{STATE}\.([\w-]+)")
+MOTOR = re.compile(
+    rf"(?:{STATE}\.)?(?!(?:\w+_)?[xyz]\.)([\w-]+)\.pos|{STATE}\.([\w-]+)"
+)
+"""Motors, of which none is an axis of a position."""
 
 RADIANS = 2.2 * np.pi
 """Joints that never go beyond this are in rad."""
@@ -48,40 +51,35 @@ class LeRobot(base.Dialect):
             if found := MOTOR.fullmatch(name):
                 motors[found[1] or found[2]] = column
             elif not name.startswith("action"):
-                read[name] = column
+                read["time" if name == "timestamp" else name] = column
         joints = motors.keys() - {GRIPPER}
         if len(joints) < 2:
             return None
-        largest = np.nanmax([np.abs(motors[name].numbers) for name in joints])
-        path, half = (
-            _half_ranges(file, motors) if RADIANS < largest <= 100 else ("", {})
-        )
-        if path:
-            remark = (
-                f"-100 to 100 of the ranges in {path}; are they degrees, move it away"
-            )
-        elif largest == 100.0:
-            reason = (
-                "the joints are in -100 to 100 of their ranges: put the calibration "
-            )
-            raise InputError(reason + "file of the robot (JSON) beside it", file=file)
-        else:
-            remark = (
-                "degrees; are they -100 to 100 of a range, put the calibration file "
-            )
-            remark += "of the robot (JSON) beside it"
-        for name, column in motors.items():
-            if path:
+        largest = max(np.abs(np.nan_to_num(motors[k].numbers)).max() for k in joints)
+        beside = "put the calibration file of the robot (JSON) beside it"
+        if RADIANS < largest <= 100.0 and (ranges := _half_ranges(file, motors)):
+            for name, column in motors.items():
                 part = column.numbers / 100.0
                 part = 2.0 * part - 1.0 if name == GRIPPER else part
-                read[name] = base.computed(name, part * half[name], "deg")
-            elif name == GRIPPER:
+                read[name] = base.computed(name, part * ranges[1][name], "deg")
+            remark = (
+                f"-100 to 100 of the ranges in {ranges[0]}; are they degrees, move "
+            )
+            return base.Reading(read, f"joints of LeRobot in {remark}that file away")
+        if largest == 100.0:
+            reason = (
+                f"the joints are in -100 to 100 of their ranges: {beside}, or state "
+            )
+            raise InputError(reason + "their unit in 'columns' of the setup", file=file)
+        unit, remark = ("deg", "degrees") if largest > RADIANS else (None, "rad")
+        if RADIANS < largest < 100.0:
+            remark += f"; are they in -100 to 100 of a range, {beside}"
+        for name, column in motors.items():
+            if name == GRIPPER:
                 read[f"{name}.pos"] = column
             else:
-                read[name] = base.named(
-                    column, name, "deg" if largest > RADIANS else None
-                )
-        return base.Reading(read, f"joints of LeRobot, in {remark}")
+                read[name] = base.named(column, name, unit)
+        return base.Reading(read, f"joints of LeRobot in {remark}")
 
 
 def read_motors(template: Path) -> dict[str, dict[str, Any]]:
@@ -109,7 +107,7 @@ def read_motors(template: Path) -> dict[str, dict[str, Any]]:
 
 def _half_ranges(
     file: Path, motors: Collection[str]
-) -> tuple[str, Mapping[str, float]]:
+) -> tuple[str, Mapping[str, float]] | None:
     """The calibration file beside a file, and half the range of each motor [deg].
 
     Raises:
@@ -129,27 +127,30 @@ def _half_ranges(
     if len(found) > 1:
         reason = f"there are several calibration files beside it: {', '.join(found)}"
         raise InputError(reason, file=file)
-    return next(iter(found.items()), ("", {}))
+    return next(iter(found.items()), None)
 
 
 def _elements(columns: Mapping[str, Column], file: Path) -> dict[str, Column]:
     """The columns, that of lists of joint positions as a column for each."""
     read = dict(columns)
-    if STATE in columns:
-        words = read.pop(STATE).words
-        rows = [re.sub(r"[\[\],()]", " ", word).split() for word in words]
-        numbers: Floats = np.array(rows, float)[columns[STATE].codes]
+    lists = columns.get(STATE)
+    if lists is None or not lists.words or (lists.codes < 0).any():
+        return read
+    rows = [re.sub(r"[\[\],()]", " ", word).split() for word in lists.words]
+    with suppress(ValueError):  # Other texts, or lists of several lengths.
+        numbers: Floats = np.array(rows, float)[lists.codes]
         names = _names(file) or [f"q_{k}" for k in range(numbers.shape[1])]
-        for k, name in enumerate(names):
-            read[f"{STATE}.{name}"] = base.computed(name, numbers[:, k])
+        for name, column in zip(names, numbers.T, strict=True):
+            read[f"{STATE}.{name}"] = base.computed(name, column)
+        del read[STATE]
     return read
 
 
 def _names(file: Path) -> list[str]:
     """Names of the joints, from the data set that a file is of."""
-    for folder in file.parents:
-        with suppress(OSError, ValueError, KeyError, TypeError):
+    for folder in file.resolve().parents[:4]:
+        with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
             info = json.loads((folder / "meta" / "info.json").read_text("utf-8"))
             names = info["features"][STATE]["names"]
-            return [*names] if isinstance(names, list) else [*names["motors"]]
+            return [*names] if isinstance(names, list) else [*names.popitem()[1]]
     return []

@@ -30,6 +30,8 @@ KINDS = {
 }
 """Types of columns, of which the first that is there is read."""
 
+AXES = ("X", "Y", "Z", "W")
+
 UNITS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "in"}
 
 
@@ -38,7 +40,7 @@ class Motive(base.Dialect):
 
     def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
         """The settings, and the lines down to that of the axes."""
-        if not lines[0][1].startswith("Format Version"):
+        if not (lines := base.starting(lines, "Format Version")):
             return None
         rows, mark = base.cut(lines)
         at = next((k for k, row in enumerate(rows) if row[:1] == ["Frame"]), 0)
@@ -56,7 +58,7 @@ class Motive(base.Dialect):
         for k, (of, name, group, axis) in enumerate(columns):
             if k < 2 or not of:
                 names.append("time [s]" if axis.startswith("Time (") else axis)
-            elif name not in (labeled or labels) or of != kind or axis not in "XYZW":
+            elif name not in (labeled or labels) or of != kind or axis not in AXES:
                 names.append(base.of(str(k), "other", "column"))
             elif group == "Position":
                 names.append(base.of(axis.lower(), KINDS[kind], name, unit))
@@ -71,11 +73,10 @@ class Motive(base.Dialect):
 
 def _converted(order: str, columns: dict[str, Column]) -> dict[str, Column]:
     """Centimeters as millimeters, Euler angles as quaternions."""
-    for axis in "xyz":
+    for axis in {*"xyz"} & columns.keys():
         if columns[axis].unit == "cm":
-            numbers = 10.0 * columns[axis].numbers
-            columns[axis] = base.computed(axis, numbers, "mm")
-    if "turn x" in columns:
+            columns[axis] = base.computed(axis, 10.0 * columns[axis].numbers, "mm")
+    if "turn x" in columns and sorted(order) == [*"xyz"]:
         angles = base.stacked(columns.pop(f"turn {axis}") for axis in order)
         way = OrientationSetup("rotation-vector", f"intrinsic-{order}")
         columns |= base.oriented(

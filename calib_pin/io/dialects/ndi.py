@@ -35,7 +35,7 @@ class Ndi(base.Dialect):
 
     def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
         """One line of names, which are the same for each tool."""
-        if not lines[0][1].startswith("Tools"):
+        if not (lines := base.starting(lines, "Tools")):
             return None
         (cells, *_), mark = base.cut(lines[:1])
         tool, there, names = "", set[str](), list[str]()
@@ -46,7 +46,9 @@ class Ndi(base.Dialect):
             if not tool or name in there or "Markers" in there:
                 names.append(base.of(str(k), "other", "column"))
             else:
-                names.append(base.of(name, "tool", tool, unit and unit[:1]))
+                names.append(
+                    base.of(name, "tool", tool, "s" if unit == "sec" else unit)
+                )
             there.add(name)
         return base.Heading(mark, names, lines[0][0], REMARK, _ours) if tool else None
 

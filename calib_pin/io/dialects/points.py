@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import calib_pin.io.dialects.base as base
 
 FRACTION = re.compile(r"[+-]?\d*[.,]\d+(?:[eE][+-]?\d+)?")
+NUMBER = re.compile(rf"[+-]?\d+|{FRACTION.pattern}")
 
 UNITS = {
     "mm": r"\bmm\b|millimet",
@@ -29,13 +30,15 @@ class Points(base.Dialect):
     """Points with their names."""
 
     def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
-        """No header: every line begins with names, and three fractions follow."""
+        """No header: every line begins with names, and three numbers follow."""
         plain = [one for one in lines if not one[1].lstrip().startswith("//")]
         for mark in "\t;, " if plain else "":
-            rows, _ = base.cut(plain, mark)
+            rows = [base.cells_of(line, mark) for _, line in plain]
             width = len(rows[0])
             lead = min(width - 3, len(NAMES))
             if lead < 1 or not all(_is_point(row, lead, width) for row in rows):
+                continue
+            if not any(FRACTION.fullmatch(cell) for row in rows for cell in row):
                 continue
             comments = " ".join(line for _, line in lines if line.startswith("//"))
             found = (u for u, way in UNITS.items() if re.search(way, comments, re.I))
@@ -48,10 +51,10 @@ class Points(base.Dialect):
 
 
 def _is_point(row: Sequence[str], lead: int, width: int) -> bool:
-    """Whether a row begins with names, the first with a letter, and then fractions."""
+    """Whether a row begins with names, the first with a letter, and then numbers."""
     return (
         len(row) == width
         and re.match(r"[^\W\d]", row[0]) is not None
         and not any(map(FRACTION.fullmatch, row[:lead]))
-        and all(map(FRACTION.fullmatch, row[lead : lead + 3]))
+        and all(map(NUMBER.fullmatch, row[lead : lead + 3]))
     )

@@ -18,7 +18,7 @@ class Rtde(Renaming):
     sign = "actual_q_0"
     ours = ((r"actual_(q_\d)", r"\1", "rad"), ("timestamp", "time", "s"))
     other = (
-        r"(?:actual|target|joint|tool|tcp|elbow|output|input)_(?!q_)\w+_\d+|target_q_\d"
+        r"(?:actual|target|joint|tool|tcp|elbow|output|input)_\w+_\d+"
         r"|(?:actual|robot|safety|runtime|speed|payload)_(?:\w+_)?"
         r"(?:time|state|mode|status|bits|scaling|fraction|mass|voltage|current)"
     )

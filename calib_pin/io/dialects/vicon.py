@@ -24,8 +24,7 @@ class Vicon(base.Dialect):
 
     def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
         """The lines from the title of the section to that of the units."""
-        found = (k for k, (_, line) in enumerate(lines) if line.startswith("Frame"))
-        at = next(found, 0)
+        at = len(lines) - len(base.starting(lines, "Frame"))
         if not 3 <= at < len(lines) - 1:
             return None
         (axes, units, objects, rate), mark = base.cut(

@@ -288,7 +288,7 @@ class Numbering:
 
 
 ELSEWHERE = "; 'calib-pin init' finds columns with other names"
-"""What to do where a file says it in its own way."""
+"""The advice where a file says it in its own way."""
 
 
 def closest(name: str, candidates: Collection[str]) -> str:

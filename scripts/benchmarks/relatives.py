@@ -32,7 +32,7 @@ from pathlib import Path
 import numpy as np
 
 import calib_pin
-from benchmarks.layouts import WRITERS, Files, Job, job
+from benchmarks.layouts import WRITERS, Files, Job, job, table
 from calib_pin.cli import main as command
 from calib_pin.cli.files import open_chains, open_measurements
 from calib_pin.errors import CalibPinError
@@ -144,6 +144,24 @@ class Sheet:
             if "time" not in name.lower() and "." in self.rows[0][k]
         ]
 
+
+def plain(job: Job, rng: np.random.Generator) -> Files:
+    """Joints and points in a file, with our names."""
+    columns = [job.q[job.measured], job.point("Ball")[job.measured]]
+    return {"measurements.csv": table([*job.joints, *"xyz"], columns)}
+
+
+def numbered(job: Job, rng: np.random.Generator) -> Files:
+    """Joints by their number in degrees, and points in millimeters."""
+    name = str(rng.choice(["J{}", "A{}", "joint{}", "Axis {}"]))
+    axes = str(rng.choice(["XYZ", "xyz"]))
+    joints = [name.format(k + 1) for k in range(len(job.joints))]
+    columns = [np.degrees(job.q[job.measured]), 1e3 * job.point("Ball")[job.measured]]
+    return {"measurements.csv": table([*joints, *axes], columns)}
+
+
+LAYOUTS = {**WRITERS, "plain": plain, "numbered": numbered}
+"""All layouts, and two of spreadsheets."""
 
 Damage = Callable[[np.random.Generator, Sheet], bool]
 """What is done to a file; false where it cannot be done to it."""
@@ -408,7 +426,7 @@ def _said(words: Sequence[str]) -> None:
 @cache
 def undamaged(layout: str, seed: int) -> float:
     """Errors of the tool of the files before the damage [m]."""
-    files = WRITERS[layout](made(seed), np.random.default_rng(seed))
+    files = LAYOUTS[layout](made(seed), np.random.default_rng(seed))
     return calibrated({n: text.encode() for n, text in files.items()}, made(seed))[2]
 
 
@@ -438,9 +456,9 @@ def damaged(
 def run(seed: int) -> Outcome:
     """The outcome of a number."""
     rng = np.random.default_rng(seed)
-    number, layout = int(rng.integers(JOBS)), str(rng.choice([*WRITERS]))
+    number, layout = int(rng.integers(JOBS)), str(rng.choice([*LAYOUTS]))
     of = made(number)
-    files = WRITERS[layout](of, np.random.default_rng(number))
+    files = LAYOUTS[layout](of, np.random.default_rng(number))
     found, done, words = damaged(files, of, rng)
     ratio, line = np.nan, ""
     try:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.layouts import WRITERS, Job, job
 from calib_pin.errors import InputError
 from calib_pin.io.columns import ANGLE, LENGTH
 from calib_pin.io.dialects import DIALECTS
@@ -20,7 +21,6 @@ from calib_pin.io.measured_columns import read_quaternions
 from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.spatial import from_quaternion, so3_exp, to_quaternion
 from calib_pin.plugins import extensions
-from benchmarks.layouts import WRITERS, Job, job
 
 
 @pytest.fixture

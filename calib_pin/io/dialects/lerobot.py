@@ -55,11 +55,12 @@ class LeRobot(base.Dialect):
         joints = motors.keys() - {GRIPPER}
         if len(joints) < 2:
             return None
-        largest = max(np.abs(np.nan_to_num(motors[k].numbers)).max() for k in joints)
+        numbers = {name: _readings(column) for name, column in motors.items()}
+        largest = max(np.abs(np.nan_to_num(numbers[k])).max() for k in joints)
         beside = "put the calibration file of the robot (JSON) beside it"
         if RADIANS < largest <= 100.0 and (ranges := _half_ranges(file, motors)):
-            for name, column in motors.items():
-                part = column.numbers / 100.0
+            for name, values in numbers.items():
+                part = values / 100.0
                 part = 2.0 * part - 1.0 if name == GRIPPER else part
                 read[name] = base.computed(name, part * ranges[1][name], "deg")
             remark = (
@@ -80,6 +81,11 @@ class LeRobot(base.Dialect):
             else:
                 read[name] = base.named(column, name, unit)
         return base.Reading(read, f"joints of LeRobot in {remark}")
+
+
+def _readings(column: Column) -> Floats:
+    """The numbers of a column, nan for one that stands for no reading, shape (N,)."""
+    return np.where(column.numbers == column.sentinel, np.nan, column.numbers)
 
 
 def read_motors(template: Path) -> dict[str, dict[str, Any]]:

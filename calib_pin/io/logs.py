@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, enumerated
 from calib_pin.io.columns import ANGLE, LENGTH, PURE, Floats, Kind, closest
-from calib_pin.io.foreign_headers import OTHER, Foreign, foreign, understood
+from calib_pin.io.foreign_headers import OTHER, Foreign, foreign, understood, vectors
 from calib_pin.io.measured_columns import (
     NAMES,
     ORIENTED,
@@ -160,10 +160,17 @@ def read_joint_log(
     """
     stamp = POSE if POSE in table else _time_column(table)
     given = [name for name in columns if name in table and name not in reserved()]
+    columns_of = foreign(table.columns)
+    # The pose that a controller computes, or an instrument's in the same log.
+    points = {
+        one.name for pair in vectors(columns_of) for way in pair for one in way.values()
+    }
     names = [name for name in given if name != stamp] or [
         one.name
-        for one in foreign(table.columns)
-        if one.name not in {stamp, *NAMES} and _is_position(one)
+        for one in columns_of
+        if one.name not in {stamp, *NAMES}
+        and one.name not in points
+        and _is_position(one)
     ]
     if not names:
         raise table.error("there are no columns of joints beside the time")

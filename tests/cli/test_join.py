@@ -168,6 +168,24 @@ def test_times_of_one_log_may_be_milliseconds(logs, run):
     assert run(f"{JOIN} --force").status == 1
 
 
+def test_words_of_a_logger_and_signs_of_lost_readings(logs, run):
+    """-9999 in some rows is told and left out; a voltage is no joint."""
+    header, *lines = Path("joints.csv").read_text().splitlines()
+    names = [f"rec.{name}" for name in header.split(",")]
+    rows = [[*line.split(","), "24.1"] for line in lines]
+    for k in (30, 200, 201):
+        rows[k][3] = "-9999"
+    text = "\n".join(",".join(row) for row in [[*names, "Battery [V]"], *rows])
+    Path("joints.csv").write_text(text)
+    result = run(JOIN)
+    assert result.status == 0 and "-9999 in 3 rows" in result.err
+    assert result.out.startswith("12 standstills")
+    columns = {joint: f"rec.{joint} [deg]" for joint in CHAIN.joints}
+    data = read_measurements("m.csv", CHAIN, columns=columns).only
+    expected = CHAIN.poses(data.q)[:, :3, 3] + [0.3, -1.0, 2.0]
+    assert np.abs(data.values - expected).max() < 3.0 * NOISE
+
+
 def test_a_log_of_the_robot_as_it_is(logs, run):
     """Counters, stamps of nanoseconds, speeds and gaps are no joints and hide none."""
     names = CHAIN.joints

@@ -89,6 +89,12 @@ LABEL = re.compile(r"(?:id|no|nr|num|number|nummer|name|label|index)?")
 MEASURED = re.compile(
     r"meas|mess|track|laser|actual|observ|(?:\b|_)ist|real|reflector|smr"
 )
+COMPUTED = re.compile(r"tcp|\bee\b|flange|robot|ctrl|controller|\bfk\b|computed")
+"""Words of what a controller computes from the joints, more often than not."""
+
+PLACES = re.compile(r"\b(?:pos|position|p|t)\b")
+"""Words with which an x is one of a position, and that say no more."""
+
 COMMANDED = re.compile(
     r"goal|soll|nominal|cmd|command|desired|action|(?:\b|_)set|ref|target|diff?\b"
 )
@@ -214,7 +220,9 @@ def _stem(one: Foreign, ours: str) -> str | None:
     single = any(ours in vector for vector in VECTORS)
     ways = [(parts[:-2], "".join(parts[-2:])), (parts[:-1], "".join(parts[-1:]))]
     for rest, word in [*ways, (parts[1:], "".join(parts[:1]))]:
-        stem = " ".join(rest)
+        # Two points may be called pos_x and tcp_x.
+        before = [word[:-1]] if ours in VECTORS[0] and word[:-1] else []
+        stem = " ".join([*rest, *before])
         alike = re.fullmatch(MEANINGS[ours], word) and not OTHER.search(stem)
         turned = ours in ("x", "y", "z") and TURNED.search(stem)
         first = rest == parts[1:] and len(parts) > 1
@@ -234,6 +242,7 @@ def vectors(
     found = measured(columns)
     turned = [names for names in VECTORS[1:4] if names[0] in found]
     stems = [_stem(one, "x") for one in found.get("x", ())]
+    stems = [stem and PLACES.sub("", stem).strip() for stem in stems]
     result = []
     for k, stem in enumerate(stems):
         position = {axis: found[axis][k] for axis in VECTORS[0]}
@@ -258,7 +267,8 @@ def _names(one: Foreign, ours: str) -> bool:
 
 def _likelihood(one: Foreign) -> int:
     """Order in which columns of the same meaning are tried."""
-    return bool(COMMANDED.search(one.words)) - bool(MEASURED.search(one.words))
+    wrong = COMMANDED.search(one.words) or COMPUTED.search(one.words)
+    return bool(wrong) - bool(MEASURED.search(one.words))
 
 
 def joints_by_name(

@@ -220,6 +220,11 @@ class Table:
         reason += f", {why}" if why else ""
         if unit in kind.smaller:
             theirs, smaller = self._theirs(name), kind.smaller[unit]
+            number = abs(value) / kind.units[unit]
+            while kind.units[smaller] * number > kind.largest and (
+                smaller in kind.smaller
+            ):
+                smaller = kind.smaller[smaller]
             reason += (
                 f"; write the header as '{name} [{smaller}]'"
                 if theirs == name

@@ -283,13 +283,13 @@ def test_a_gripper_in_percent(run):
     q = chain.random_configurations(40, np.random.default_rng(0))
     rows = np.hstack([q + 0.001, q, np.full((40, 1), 37.5), chain.poses(q)[:, :3, 3]])
     rows[:, -3:] += np.random.default_rng(1).normal(0.0, 1e-3, (40, 3))
-    names = [f"action.{joint}.pos" for joint in chain.joints]
-    names += [f"observation.state.{joint}.pos" for joint in [*chain.joints, "gripper"]]
+    names = [f"goal/{joint}/angle" for joint in chain.joints]
+    names += [f"state/{joint}/angle" for joint in [*chain.joints, "gripper"]]
     foreign([*names, *"xyz"], rows)
     assert run("init example:so101 foreign.csv -o setup.yaml").status == 0
     setup = read_setup("setup.yaml")
     assert setup.tip == "gripper_frame_link" and len(setup.columns) == 5
-    assert setup.columns["elbow_flex"] == "observation.state.elbow_flex.pos"
+    assert setup.columns["elbow_flex"] == "state/elbow_flex/angle"
 
 
 POSITIONER = """<robot name="table">

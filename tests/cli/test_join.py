@@ -168,6 +168,21 @@ def test_times_of_one_log_may_be_milliseconds(logs, run):
     assert run(f"{JOIN} --force").status == 1
 
 
+def test_columns_of_one_point_stay_together(logs, run):
+    """Of two points the one is taken that no controller computes, whole."""
+    time = np.arange(0.0, logs.joints.time[-1], 0.05)
+    q = [np.interp(time, logs.joints.time, c) for c in logs.joints.values.T]
+    p = CHAIN.poses(np.column_stack(q))[:, :3, 3]
+    cells = np.column_stack([time, p[:, :2] + 1.0, p - 9.0, p[:, 2] + 1.0])
+    lines = [",".join(f"{number:.6f}" for number in row) for row in cells]
+    header = "time,pos_x,pos_y,tcp_x,tcp_y,tcp_z,pos_z"
+    Path("two.csv").write_text("\n".join([header, *lines]))
+    assert run("join joints.csv two.csv -o m.csv").status == 0
+    data = read_measurements("m.csv", CHAIN).only
+    expected = CHAIN.poses(data.q)[:, :3, 3] + 1.0
+    assert np.abs(data.values - expected).max() < 1e-5
+
+
 def test_words_of_a_logger_and_signs_of_lost_readings(logs, run):
     """-9999 in some rows is told and left out; a voltage is no joint."""
     header, *lines = Path("joints.csv").read_text().splitlines()

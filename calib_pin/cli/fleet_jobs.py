@@ -191,8 +191,7 @@ def _finished(orders: Orders, job: Job) -> CalibrationResult | None:
 
     It is the same if the command and the content of all files are.
     """
-    from calib_pin.io.files import read_bytes
-    from calib_pin.io.journal import sha256
+    from calib_pin.io.files import read_bytes, sha256
     from calib_pin.io.results import read_result
 
     request, folder = _request(job), orders.folder(job.name)

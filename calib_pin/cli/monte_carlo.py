@@ -84,7 +84,7 @@ def simulated(
 
 def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:
     """The study of a setup file, and a hash of everything its numbers depend on."""
-    from calib_pin.io.journal import sha256
+    from calib_pin.io.files import sha256
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import read_configurations
     from calib_pin.io.setup import setup_document

@@ -99,7 +99,7 @@ def result_contents(
         encode_urdf,
         reference,
     )
-    from calib_pin.io.journal import inside, listed, sha256
+    from calib_pin.io.files import inside, listed, sha256
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurement_errors import encode_errors
     from calib_pin.io.result_folder import run_id
@@ -147,14 +147,13 @@ def write_results(
     Files of an earlier run that are not rewritten would pass for a result of this
     one, so they are removed.
     """
-    from calib_pin.io.files import write_folder
-    from calib_pin.io.journal import listed
+    from calib_pin.io.files import listed, write_folder
     from calib_pin.io.result_folder import written_before
 
     folder = files.json.parent
     names = {listed(path, folder) for path in (*contents, files.nominal)}
     old = [p for p in written_before(files.json) if listed(p, folder) not in names]
-    with write_folder(folder, contents, old, force=force, notice=notice):
+    with write_folder(folder, contents, old, force=force):
         yield
     for path in old:
         notice(f"removed {path} of an earlier run")

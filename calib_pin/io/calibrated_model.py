@@ -33,8 +33,7 @@ from calib_pin.errors import OptionError, OutputError
 from calib_pin.estimation.formulation import make_parts
 from calib_pin.estimation.scopes import BASE, TOOL
 from calib_pin.estimation.system import FRAME, Part, System, assembled
-from calib_pin.io.files import write_atomically
-from calib_pin.io.journal import sha256
+from calib_pin.io.files import sha256, write_atomically
 from calib_pin.io.json_text import (
     Json,
     decoded,

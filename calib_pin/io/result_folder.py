@@ -9,15 +9,13 @@ leaves the same manifest at any time.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path, PurePosixPath
 
 from calib_pin.errors import InputError, RobotError
-from calib_pin.io.files import DATA, read_bytes
-from calib_pin.io.journal import inside, settled, sha256
-from calib_pin.io.json_text import Json, decoded, encode
+from calib_pin.io.files import inside, read_bytes, settled, sha256
+from calib_pin.io.json_text import Json, decoded, encode, reading
 from calib_pin.io.straightening import straight_source
 from calib_pin.io.urdf import is_xacro, locate_robot
 from calib_pin.io.urdf_tree import parse_robot
@@ -39,9 +37,6 @@ MEASUREMENTS = "measurements.csv"
 RESIDUAL_MODEL = "residual_model.json"
 """Names in a folder: the result, the page, the robot as it was, the errors of the
 measurements, and what was learned."""
-
-Read = Callable[[str | Path], bytes]
-"""Gives the bytes of a file."""
 
 MADE = ("command", "created")
 """Keys of the provenance that are new for every run; all others are versions."""
@@ -81,48 +76,18 @@ def run_id(document: Json, learned: bytes | None) -> str:
     return sha256(encode(content) + (learned or b""))[:16]
 
 
-def read_document(
-    path: str | Path, read: Callable[[str | Path], bytes] = read_bytes
-) -> Json:
+def read_document(path: str | Path) -> Json:
     """The content of a `calibration.json`.
-
-    Args:
-        path: The file.
-        read: Gives its bytes.
 
     Raises:
         InputError: If the file is not such a document, or of another version.
     """
-    document = decoded(read(path), "calibration", FORMAT, path)
+    document = decoded(read_bytes(path, JSON), "calibration", FORMAT, path)
     # Version 0.1 of the program wrote none of these.
     if not document.keys() >= set(BREAKDOWN):
         reason = "of an older version of calib-pin, or edited: calibrate again"
         raise InputError(f"{reason} from the measurements", file=path)
     return document
-
-
-@contextmanager
-def opened(path: str | Path) -> Iterator[Read]:
-    """The folder of a calibration for reading; no run writes to it meanwhile.
-
-    Args:
-        path: The `calibration.json`.
-
-    Yields:
-        A function that returns the bytes of the files in it.
-
-    Raises:
-        InputError: If a run was killed that cannot be completed.
-        OutputError: If another program does not let go of the folder.
-    """
-    with settled(Path(path).parent) as waiting:
-
-        def read(file: str | Path) -> bytes:
-            path = Path(file)
-            largest = JSON if path.suffix == ".json" else DATA
-            return read_bytes(waiting.get(path, path), largest)
-
-        yield read
 
 
 def members(document: Json) -> dict[str, str | None]:
@@ -141,33 +106,32 @@ def members(document: Json) -> dict[str, str | None]:
     return dict(stated)
 
 
-def require_one_run(
-    listed: Mapping[str, str | None], run: str, robot: bytes, path: Path, read: Read
-) -> None:
+def require_one_run(document: Json, robot: bytes, path: Path) -> None:
     """Refuse a calibration among files that were not written with it.
 
     Those that are not there are not missed here; pictures may be edited.
 
     Args:
-        listed: Its `members`.
-        run: The id of its run.
+        document: The calibration.
         robot: The robot that was calibrated, which may stand in the place of the
             corrected one.
         path: The `calibration.json`.
-        read: Gives the bytes of a file.
 
     Raises:
         InputError: If one of them is of another run, or was edited.
     """
+    run = str(document.get("run", "")).encode()
+    with reading(path):
+        listed = members(document)
     for name, content in listed.items():
         if PurePosixPath(name).suffix in PICTURES:
             continue
         try:
-            data = read(path.parent / name)
+            data = read_bytes(path.parent / name)
         except InputError:
             continue
         if content is None:
-            fits = run.encode() in data
+            fits = run in data
         else:
             fits = sha256(data) == content or data == robot
         if not fits:
@@ -179,7 +143,7 @@ def require_one_run(
             )
 
 
-def find_robot(name: str, content: str, path: Path, read: Read) -> Robot:
+def find_robot(name: str, content: str, path: Path) -> Robot:
     """The robot that was calibrated, recognized by its content.
 
     Where it was calibrated comes before the copy: meshes are beside the former.
@@ -188,7 +152,6 @@ def find_robot(name: str, content: str, path: Path, read: Read) -> Robot:
         name: Its file as it was given.
         content: Its SHA-256.
         path: The `calibration.json`.
-        read: Gives the bytes of a file.
 
     Raises:
         InputError: If there is only another one.
@@ -209,7 +172,7 @@ def find_robot(name: str, content: str, path: Path, read: Read) -> Robot:
         places = [copy]
     for place in places:
         try:
-            data = read(place)
+            data = read_bytes(place)
         except InputError:
             continue
         if sha256(data) != content and place != copy:
@@ -237,12 +200,11 @@ def written_before(path: Path) -> list[Path]:
         path: The `calibration.json`, if there is one.
 
     Raises:
-        OutputError: If another program does not let go of the folder.
+        OutputError: If what a killed run decided on cannot be put in place.
     """
     try:
-        with opened(path) as read:
-            document = decoded(read(path), "calibration", FORMAT, path)
-        names = members(document)
+        with settled(path.parent):
+            names = members(read_document(path))
     except (InputError, ValueError):
         return []
     return [path.parent / name for name in names if (path.parent / name).is_file()]

@@ -30,8 +30,7 @@ from calib_pin.io.calibrated_model import (
     read_residual_model,
 )
 from calib_pin.io.documents import identification_parts
-from calib_pin.io.files import read_bytes
-from calib_pin.io.journal import sha256
+from calib_pin.io.files import read_bytes, settled, sha256
 from calib_pin.io.json_text import (
     Json,
     format_keys,
@@ -47,10 +46,7 @@ from calib_pin.io.result_folder import (
     FORMAT,
     MADE,
     MEASUREMENTS,
-    Read,
     find_robot,
-    members,
-    opened,
     read_document,
     require_one_run,
 )
@@ -184,7 +180,7 @@ def read_result(path: str | Path) -> CalibrationResult:
     Raises:
         InputError: If the file is not such a document or is of another version, the
             robot has changed, or the files beside it belong to another run.
-        OutputError: If another program keeps the folder locked.
+        OutputError: If what a killed run decided on cannot be put in place.
         RobotError: If the robot cannot be found.
 
     Examples:
@@ -207,10 +203,10 @@ def read_written(path: str | Path) -> tuple[CalibrationResult, Json]:
         InputError, OutputError, RobotError: As `read_result`.
     """
     file = document_file(path)
-    with opened(file) as read:
-        document, model = _read_model(file, read)
+    with settled(file.parent):
+        document, model = _read_model(file)
         with reading(file):
-            result = _result(document, model, file, read)
+            result = _result(document, model, file)
             read_suggestions(document)
     return result, document
 
@@ -232,11 +228,12 @@ def read_calibration(
     Raises:
         InputError: If the file is not such a document or of another version, the
             robot has changed, or the files beside it are of another run.
-        OutputError: If another program does not let go of the folder.
+        OutputError: If what a killed run decided on cannot be put in place.
         RobotError: If the robot cannot be found.
     """
-    with opened(path) as read:
-        document, model = _read_model(Path(path), read)
+    path = Path(path)
+    with settled(path.parent):
+        document, model = _read_model(path)
     verdict = document["verdict"]
     if notice is not None and verdict["status"] not in TRUSTED:
         notice(f"{path} must not be trusted: {verdict['reason']}")
@@ -252,8 +249,7 @@ def read_accuracy(path: str | Path) -> dict[str, dict[str, Any]]:
     Returns:
         Unit, mean, max and method of every quantity; none where nothing was checked.
     """
-    with opened(path) as read:
-        document = read_document(path, read)
+    document = read_document(path)
     with reading(path):
         return {
             errors.name: {
@@ -296,22 +292,21 @@ def _sha256_of(file: str) -> str:
 # --- the robot ---------------------------------------------------------------------
 
 
-def _read_model(path: Path, read: Read) -> tuple[Json, CalibratedModel]:
+def _read_model(path: Path) -> tuple[Json, CalibratedModel]:
     """A `calibration.json` and the calibrated robot that it tells of.
 
     Raises:
         InputError, RobotError: As `read_calibration`.
     """
-    document = read_document(path, read)
+    document = read_document(path)
     with reading(path):
         verdict, stated = document["verdict"], document["robot"]
         if typed(str, verdict["status"]) not in VERDICTS:
             raise ValueError(f"'{verdict['status']}' is no verdict")
         typed(str, verdict["reason"])
         name, content = typed(str, stated["file"]), typed(str, stated["sha256"])
-    robot = find_robot(name, content, path, read)
+    robot = find_robot(name, content, path)
     with reading(path):
-        listed, run = members(document), str(document.get("run", ""))
         model = model_of(document, _chains(document, robot))
         learned = document["residual_model"]
         if (learned is None) != (model.setup.learned is None):
@@ -320,10 +315,10 @@ def _read_model(path: Path, read: Read) -> tuple[Json, CalibratedModel]:
             # Its name alone: a calibration does not reach into other folders.
             file = path.with_name(Path(learned["file"]).name)
             content = typed(str, learned["sha256"])
-    require_one_run(listed, run, robot.source, path, read)
+    require_one_run(document, robot.source, path)
     if learned is None:
         return document, model
-    data = read(file)
+    data = read_bytes(file)
     if sha256(data) != content:
         reason = "not the file that this calibration was written with"
         raise InputError(reason, file=file)
@@ -365,9 +360,7 @@ def _chains(document: Json, robot: Robot) -> Chains:
 # --- the result --------------------------------------------------------------------
 
 
-def _result(
-    document: Json, model: CalibratedModel, file: Path, read: Read
-) -> CalibrationResult:
+def _result(document: Json, model: CalibratedModel, file: Path) -> CalibrationResult:
     verdict, about = document["verdict"], document["measurements"]
     parts = {key: document[key] for key in (*STATED, *BREAKDOWN)}
     parts["recalibration"] = document.get("recalibration")
@@ -386,7 +379,7 @@ def _result(
             raise ValueError(f"{sigma!r} is no standard deviation")
     names = [parameter.name for parameter in known["parameters"]]
     covariance = document["covariance"] or np.full((len(names), len(names)), np.nan)
-    fitted, held_out = _measured(document, model, file.parent, read)
+    fitted, held_out = _measured(document, model, file.parent)
     made, urdf = document["provenance"], document["urdf"]
     return CalibrationResult(
         **known,
@@ -514,12 +507,12 @@ def _rotations(result: CalibrationResult) -> Json:
 
 
 def _measured(
-    document: Json, model: CalibratedModel, folder: Path, read: Read
+    document: Json, model: CalibratedModel, folder: Path
 ) -> tuple[MeasurementErrors, MeasurementErrors | None]:
     """The errors of the fitted and of the validation measurements."""
     count = typed(int, document["measurements"]["training"])
     try:
-        data = read(folder / MEASUREMENTS)
+        data = read_bytes(folder / MEASUREMENTS)
     except InputError:
         return unknown_errors(model, count), None
     rotations = dict.fromkeys(SETS, document["rotation_to_base"])

@@ -152,8 +152,8 @@ def compensate(
     """
     import numpy as np
 
+    from calib_pin.cli.documents import compensation_document
     from calib_pin.control.calibrated import ends_estimated, with_payload
-    from calib_pin.io.documents import compensation_document
     from calib_pin.io.exchange.motions import (
         PROGRAMS,
         moving_times,

@@ -52,7 +52,7 @@ def evaluate(
     """
     from dataclasses import replace
 
-    from calib_pin.io.documents import evaluation_document
+    from calib_pin.cli.documents import evaluation_document
     from calib_pin.io.json_text import encode
     from calib_pin.io.results import used_files
     from calib_pin.kinematics.chains import Chains

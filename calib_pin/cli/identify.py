@@ -52,8 +52,8 @@ def identify(
     from dataclasses import replace
 
     from calib_pin.calibration import calibrate as run
+    from calib_pin.cli.documents import identification_document
     from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.documents import identification_document
     from calib_pin.io.json_text import encode
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.report.accuracy import judged

@@ -40,7 +40,7 @@ def simulated(
     bar: Bar | None,
 ) -> int:
     """Simulate the robots of a study; returns the exit status."""
-    from calib_pin.io.documents import outlook_document
+    from calib_pin.cli.documents import outlook_document
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.setup import read_setup

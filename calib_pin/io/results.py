@@ -29,7 +29,6 @@ from calib_pin.io.calibrated_model import (
     model_of,
     read_residual_model,
 )
-from calib_pin.io.documents import identification_parts
 from calib_pin.io.files import read_bytes, settled, sha256
 from calib_pin.io.json_text import (
     Json,
@@ -61,7 +60,11 @@ from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import MeasurementErrors
-from calib_pin.validation.result import CalibrationResult, UrdfResult
+from calib_pin.validation.result import (
+    CalibrationResult,
+    Identification,
+    UrdfResult,
+)
 from calib_pin.validation.summaries import NamedArray, Provenance, ToolAccuracy
 
 STATED = ("findings", "validation", "statistics", "solver", "distances")
@@ -143,6 +146,26 @@ def calibration_document(
             **made.versions,
             "command": list(made.command),
             "created": made.created,
+        },
+    }
+
+
+def identification_parts(
+    found: Identification, suggestions: Sequence[Suggestion] = ()
+) -> Json:
+    """The parts `parameters` and `identifiability` of section 8 of the contract.
+
+    Args:
+        found: The identifiability of a robot.
+        suggestions: Suggested measurements.
+    """
+    return {
+        "parameters": plain(found.parameters),
+        "identifiability": {
+            **plain(found.identifiability),
+            "coupled": plain(found.groups),
+            "robot_errors": plain(found.robot_errors),
+            "remedies": plain(suggestions),
         },
     }
 

@@ -51,7 +51,7 @@ from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import BlockKey
-from calib_pin.parameterizations import frame_pose, frame_setup, required_keys
+from calib_pin.parameterizations import frame_pose, frame_setup
 from calib_pin.parameters import ParameterSet
 from calib_pin.residual_models import LearnedCorrection, restore
 from calib_pin.residual_models.documents import numbers
@@ -210,8 +210,6 @@ def model_of(
             missing or is not what it should be, see `json_text.reading`.
     """
     setup, stated = setup_of(document["setup"]), _stated(document, reference)
-    for key in required_keys(setup.parameters) - document["setup"].keys():
-        raise ValueError(f"'setup.{key}' is missing")
     blocks = _blocks(document["measurements"])
     parts, given = assembled(
         [
@@ -256,11 +254,6 @@ def _stated(document: Json, reference: bool) -> Places:
                 if (key, value) != ("size", None):  # An image without an edge.
                     require_finite(value)
             found[CAMERA if section == CAMERAS else section, name] = typed(kind, place)
-    for (section, name), place in found.items():
-        if section == "planes" and not 0.99 < np.linalg.norm(place.normal) < 1.01:
-            raise ValueError(f"the normal of '{name}' is not of unit length")
-        if section == "spheres" and place.radius <= 0.0:
-            raise ValueError(f"the radius of '{name}' is not positive")
     return found
 
 
@@ -269,8 +262,6 @@ def _blocks(about: Json) -> dict[BlockKey, list[str]]:
     found: dict[BlockKey, list[str]] = {}
     for block in about.get("blocks", [about]):
         key = typed(BlockKey, dict.fromkeys(BlockKey._fields, "") | block)
-        if key in found:
-            raise ValueError("a block of the measurements is here twice")
         # A model that looks at nothing with a name has no targets.
         found[key] = list(typed(tuple[str, ...], block["targets"])) or [""]
     return found
@@ -280,8 +271,6 @@ def _values(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """Value of every parameter by name."""
     values = {typed(str, e["name"]): typed(float, e["value"]) for e in entries}
     require_finite([*values.values()])
-    if len(values) < len(entries):
-        raise ValueError("a parameter is here twice")
     return values
 
 

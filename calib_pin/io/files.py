@@ -18,7 +18,7 @@ import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
-from tempfile import mkdtemp
+from uuid import uuid4
 
 from calib_pin.errors import InputError, OptionError, OutputError
 
@@ -220,9 +220,10 @@ def _staged(
                 with locked(left, wait=False) as dead:
                     if dead:
                         shutil.rmtree(left, ignore_errors=True)
-            staged = Path(mkdtemp(prefix=STAGED, dir=folder))
+            staged = folder / f"{STAGED}{uuid4().hex}"
             for _ in range(2):  # A signal may come in the midst of the first.
                 stack.callback(shutil.rmtree, staged, ignore_errors=True)
+            staged.mkdir()
             stack.enter_context(locked(staged))
         for path, data in contents.items():
             with _writing(path):

@@ -35,7 +35,6 @@ from calib_pin.io.json_text import (
     format_keys,
     plain,
     reading,
-    require_finite,
     typed,
 )
 from calib_pin.io.measurement_errors import SETS, decode_errors, unknown_errors
@@ -54,9 +53,8 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.planning.suggestions import Suggestion
-from calib_pin.setup.values import LARGEST_LENGTH
 from calib_pin.units import DISPLAY
-from calib_pin.validation.accuracy import Accuracy, QuantityErrors
+from calib_pin.validation.accuracy import QuantityErrors
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import MeasurementErrors
@@ -67,8 +65,11 @@ from calib_pin.validation.result import (
 )
 from calib_pin.validation.summaries import NamedArray, Provenance, ToolAccuracy
 
-STATED = ("findings", "validation", "statistics", "solver", "distances")
-"""Parts of a result that are written as they are declared, as are its `BREAKDOWN`."""
+STATED = (
+    *("findings", "parameters", "identifiability", "validation"),
+    *("statistics", "solver", "distances", *BREAKDOWN),
+)
+"""Parts of a result that are written as they are declared, under their own names."""
 
 SAMPLES = ("configurations", "points", "position", "orientation")
 """Keys of the predicted uncertainty of the tool point, arrays over the workspace."""
@@ -272,17 +273,17 @@ def read_accuracy(path: str | Path) -> dict[str, dict[str, Any]]:
     Returns:
         Unit, mean, max and method of every quantity; none where nothing was checked.
     """
-    document = read_document(path)
     with reading(path):
+        stated = read_document(path)["errors"]
         return {
-            errors.name: {
-                "unit": errors.unit,
-                "mean": errors.validation_after.mean,
-                "max": errors.validation_after.max,
-                "method": document["errors"][errors.name]["validation"]["method"],
+            e.name: {
+                "unit": e.unit,
+                "mean": e.validation_after.mean,
+                "max": e.validation_after.max,
+                "method": stated[e.name]["validation"]["method"],
             }
-            for errors in _read_errors(document["errors"])
-            if errors.validation_after is not None and errors.unit in ("m", "rad")
+            for e in _read_errors(stated)
+            if e.validation_after is not None and e.unit in ("m", "rad")
         }
 
 
@@ -385,21 +386,14 @@ def _chains(document: Json, robot: Robot) -> Chains:
 
 def _result(document: Json, model: CalibratedModel, file: Path) -> CalibrationResult:
     verdict, about = document["verdict"], document["measurements"]
-    parts = {key: document[key] for key in (*STATED, *BREAKDOWN)}
-    parts["recalibration"] = document.get("recalibration")
-    parts["model_selection"] = document["model_ladder"]
-    parts["parameters"] = document["parameters"]
-    parts["identifiability"] = found = document["identifiability"]
-    parts |= {"groups": found["coupled"], "robot_errors": found["robot_errors"]}
     kinds = get_type_hints(CalibrationResult)
+    parts = {key: document[key] for key in STATED} | {
+        "recalibration": document.get("recalibration"),
+        "model_selection": document["model_ladder"],
+        "groups": document["identifiability"]["coupled"],
+        "robot_errors": document["identifiability"]["robot_errors"],
+    }
     known = {key: typed(kinds[key], part) for key, part in parts.items()}
-    estimates = [*known["parameters"], *known["groups"]]
-    require_finite([estimate.value for estimate in estimates])
-    terms = (term for group in known["groups"] for term in group.terms)
-    require_finite([term.coefficient for term in terms])
-    for sigma in (estimate.sigma for estimate in estimates):
-        if sigma is not None and not sigma >= 0.0:
-            raise ValueError(f"{sigma!r} is no standard deviation")
     names = [parameter.name for parameter in known["parameters"]]
     covariance = document["covariance"] or np.full((len(names), len(names)), np.nan)
     fitted, held_out = _measured(document, model, file.parent)
@@ -445,18 +439,14 @@ def _errors(errors: Sequence[QuantityErrors], method: str) -> Json:
 
 
 def _read_errors(document: Json) -> tuple[QuantityErrors, ...]:
-    result = []
+    found = []
     for name, entry in document.items():
-        unit, training, held_out = entry["unit"], entry["training"], entry["validation"]
-        if unit not in DISPLAY:
-            raise ValueError(f"{repr(unit)} is no unit of '{name}'")
-        fitted = (typed(Accuracy, training[stage]) for stage in STAGES)
-        unseen = (
-            None if held_out[stage] is None else typed(Accuracy, held_out[stage])
-            for stage in STAGES
-        )
-        result.append(QuantityErrors(name, unit, *fitted, *unseen))
-    return tuple(result)
+        if entry["unit"] not in DISPLAY:
+            raise ValueError(f"{repr(entry['unit'])} is no unit of '{name}'")
+        unseen = {f"validation_{k}": entry["validation"][k] for k in STAGES}
+        stated = {"name": name, "unit": entry["unit"], **entry["training"], **unseen}
+        found.append(typed(QuantityErrors, stated))
+    return tuple(found)
 
 
 def _predictions(result: CalibrationResult) -> Json:
@@ -494,23 +484,17 @@ def _accuracies(document: Json, model: CalibratedModel) -> dict[str, ToolAccurac
 
 
 def _accuracy(entry: Json) -> ToolAccuracy:
-    measured, workspace = (
-        typed(ExpectedAccuracy, entry[key]) if key in entry else None
-        for key in ("measured", "workspace")
-    )
-    if "samples" not in entry:
-        return ToolAccuracy(None, measured, workspace)
-    typed(PoseErrors, entry)
-    samples = (np.array(entry["samples"][key], float) for key in SAMPLES)
-    q, points, position, orientation = samples
-    if not len(q) == len(points) == len(position) == len(orientation):
-        raise ValueError("the lists of 'samples' are not of one length")
-    if not np.abs(points).max() <= LARGEST_LENGTH:
-        raise ValueError(f"points are more than {LARGEST_LENGTH:g} m away")
-    counts, errors = (np.array(entry["by_count"][key], float) for key in CURVE)
-    alone, curve = typed(PoseErrors, entry["robot"]), FoundCurve((counts, errors))
-    tip = TipAccuracy(q, points, position, orientation, alone, curve)
-    return ToolAccuracy(tip, measured, workspace)
+    tip = None
+    if "samples" in entry:
+        samples = (np.array(entry["samples"][key], float) for key in SAMPLES)
+        q, points, position, orientation = samples
+        if not len(q) == len(points) == len(position) == len(orientation):
+            raise ValueError("the lists of 'samples' are not of one length")
+        counts, errors = (np.array(entry["by_count"][key], float) for key in CURVE)
+        alone, curve = typed(PoseErrors, entry["robot"]), FoundCurve((counts, errors))
+        tip = TipAccuracy(q, points, position, orientation, alone, curve)
+    stages = (entry.get(key) for key in ("measured", "workspace"))
+    return ToolAccuracy(tip, *(s and typed(ExpectedAccuracy, s) for s in stages))
 
 
 def _rotations(result: CalibrationResult) -> Json:

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.io.setup import wrong_value
-from calib_pin.io.setup_schema import context
+from calib_pin.io.setup import context, wrong_value
 from calib_pin.io.table import Table, read_table
 from calib_pin.setup import JobSetup
 

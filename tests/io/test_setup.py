@@ -18,8 +18,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calib_pin.errors import CalibPinError, InputError
-from calib_pin.io.setup import read_setup, setup_document, setup_of, yaml_text
-from calib_pin.io.setup_schema import SetupFile, json_schema
+from calib_pin.io.setup import (
+    SetupFile,
+    json_schema,
+    read_setup,
+    setup_document,
+    setup_of,
+    yaml_text,
+)
 from calib_pin.io.yaml_tree import read_tree
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.setup import (
@@ -587,7 +593,7 @@ MISTAKES = [
     ("tools: {a: {on: a}}", 1, "'tools.a.on'"),
     ("tools:\n  d: {on: a}\n  a: {on: b}\n  b: {on: a}\n", 3, "'tools.a'"),
     ("joints:\n  a:\n    joint: j\n  b:\n    joint: j\n", 5, "'joints.a.joint'"),
-    (f"{APART}  - {{between: [b, a], value: 1}}\n", 3, "'distances[0]'"),
+    (f"{APART}  - {{between: [b, a], value: 1}}\n", 3, "distances[0]"),
     # Numbers together, or where the schema says less.
     ("planes:\n  w:\n    offset: 0\n    normal: [0, 0, 0]\n", 4, "normal'"),
     ("bounds: {a: [1, 1]}", 1, "'bounds.a'"),

@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 
 from calib_pin.estimation.solve import SOLVERS
-from calib_pin.io import setup_schema
-from calib_pin.io.setup import setup_of
-from calib_pin.io.setup_schema import SetupFile, json_schema, known_keys
+from calib_pin.io import setup as setup_files
+from calib_pin.io.setup import SetupFile, json_schema, known_keys, setup_of
 from calib_pin.measurement_models import MEASUREMENT_MODELS, Quantity
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.setup import Setup
@@ -38,13 +37,13 @@ def test_the_noise_of_a_quantity_of_another_package(
 ) -> None:
     angle = SimpleNamespace(quantities=[Quantity("angle", "rad", slice(0, 2), 1e-5)])
     models = {**MEASUREMENT_MODELS, "theodolite": SimpleNamespace(declaration=angle)}
-    monkeypatch.setattr(setup_schema, "MEASUREMENT_MODELS", models)
-    setup_schema.adapter.cache_clear()
+    monkeypatch.setattr(setup_files, "MEASUREMENT_MODELS", models)
+    setup_files.adapter.cache_clear()
     try:
         assert known_keys(("noise", "x"))[-2:] == ["pixel", "angle"]
         assert setup_of({"noise": {"angle": 1e-5}}).noise == {"angle": 1e-5}
     finally:
-        setup_schema.adapter.cache_clear()
+        setup_files.adapter.cache_clear()
 
 
 def test_every_key_has_a_meaning() -> None:

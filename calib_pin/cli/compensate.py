@@ -162,8 +162,7 @@ def compensate(
     )
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
-    from calib_pin.io.result_folder import written_before
-    from calib_pin.io.results import read_accuracy, read_calibration
+    from calib_pin.io.results import read_accuracy, read_calibration, written_before
     from calib_pin.io.targets import (
         command_columns,
         encode_commands,

@@ -14,7 +14,7 @@ from calib_pin.cli.results import write_results
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError, OptionError, one_line
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.io.result_folder import DOCUMENT, REPORT, read_document
+from calib_pin.io.results import DOCUMENT, REPORT, read_document
 from calib_pin.validation.fleet import Drift, FleetRow, fleet_row, with_drift
 
 if TYPE_CHECKING:

@@ -46,14 +46,13 @@ def result_files(folder: Path, robot: str) -> ResultFiles:
     Raises:
         OptionError: If a file stands in the place of the folder.
     """
-    from calib_pin.io import result_folder as folders
+    from calib_pin.io.calibrated_model import RESIDUAL_MODEL
+    from calib_pin.io.measurement_errors import MEASUREMENTS
+    from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT, urdf_name
 
     if exists(folder) and not folder.is_dir():
         raise OptionError("is a file, not a folder", file=folder)
-    names = (
-        *(folders.urdf_name(robot), folders.NOMINAL, folders.RESIDUAL_MODEL),
-        *(folders.DOCUMENT, folders.MEASUREMENTS, folders.REPORT),
-    )
+    names = (urdf_name(robot), NOMINAL, RESIDUAL_MODEL, DOCUMENT, MEASUREMENTS, REPORT)
     return ResultFiles(*(folder / name for name in names))
 
 
@@ -71,7 +70,7 @@ def check_results(
     Raises:
         OptionError: See `cli.files.check_outputs`.
     """
-    from calib_pin.io.result_folder import written_before
+    from calib_pin.io.results import written_before
     from calib_pin.io.urdf import is_source
 
     # The nominal robot of a folder may be calibrated again: it stays as it is.
@@ -102,8 +101,7 @@ def result_contents(
     from calib_pin.io.files import inside, listed, sha256
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurement_errors import encode_errors
-    from calib_pin.io.result_folder import run_id
-    from calib_pin.io.results import calibration_document, provenance
+    from calib_pin.io.results import calibration_document, provenance, run_id
     from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 
@@ -148,7 +146,7 @@ def write_results(
     one, so they are removed.
     """
     from calib_pin.io.files import listed, write_folder
-    from calib_pin.io.result_folder import written_before
+    from calib_pin.io.results import written_before
 
     folder = files.json.parent
     names = {listed(path, folder) for path in (*contents, files.nominal)}

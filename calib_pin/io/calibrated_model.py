@@ -42,7 +42,6 @@ from calib_pin.io.json_text import (
     require_finite,
     typed,
 )
-from calib_pin.io.result_folder import RESIDUAL_MODEL
 from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.urdf import corrected_urdf
 from calib_pin.kinematics.chain import Chain
@@ -312,8 +311,11 @@ def _placed(part: Part, given: ParameterSet, stated: Places, theta: Floats) -> P
     return replace(part, error=part.error.with_frames(base, tool))
 
 
+RESIDUAL_MODEL = "residual_model.json"
+"""Name of the file of what was learned."""
+
 RESIDUAL = "calib-pin/residual-model"
-"""Format of the file of what was learned."""
+"""Its format."""
 
 
 def encode_residual_model(

@@ -190,7 +190,7 @@ def sha256(data: bytes) -> str:
 
 def reason_of(error: Exception) -> str:
     """Message of a system error without the error number and the file names."""
-    if isinstance(error, FileExistsError):
+    if isinstance(error, FileExistsError | NotADirectoryError):
         return "a file stands in the place of its folder"
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 

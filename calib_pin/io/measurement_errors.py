@@ -19,7 +19,6 @@ import numpy as np
 from calib_pin.estimation.layout import side_by_side
 from calib_pin.io.columns import GrowingColumn
 from calib_pin.io.measurements import LINES
-from calib_pin.io.result_folder import MEASUREMENTS
 from calib_pin.io.text import parsed
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity, declared
@@ -34,6 +33,9 @@ from calib_pin.parameterizations import needed_conditions
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import AXES, MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
+
+MEASUREMENTS = "measurements.csv"
+"""Name of the file."""
 
 SETS = ("train", "validate")
 WORDS = ("set", "file", "line", "target", "payload")

@@ -16,13 +16,13 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.learning import with_learned
 from calib_pin.io.calibrated_model import (
+    RESIDUAL_MODEL,
     encode_residual_model,
     read_residual_model,
     reference,
     write_urdf,
 )
 from calib_pin.io.json_text import encode
-from calib_pin.io.result_folder import RESIDUAL_MODEL
 from calib_pin.io.results import calibration_document, read_calibration
 from calib_pin.observations import BlockKey
 from calib_pin.residual_models import LearnedCorrection, TrainedRegion

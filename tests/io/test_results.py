@@ -650,7 +650,6 @@ DAMAGE: list[tuple[str, tuple[Any, ...], Any]] = [
     (MANY, ("measurements", "blocks", 3, "station"), "day1"),
     (MANY, ("measurements", "blocks", 3, "chain"), "right"),
     (MANY, ("measurements", "blocks", 3, "targets"), ["a"]),
-    (MANY, ("frames", "day1.station", "estimated"), False),
     (MANY, ("robot", "chains"), ...),
     (MANY, ("robot", "chains", "left", "tip"), 7),
     (MANY, ("robot", "joints"), ["waist"]),

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.io.setup import context, wrong_value
+from calib_pin.io.setup import allowed_instead, context, wrong_value
 from calib_pin.io.table import Table, read_table
 from calib_pin.setup import JobSetup
 
@@ -150,8 +150,8 @@ def _cell_error(table: Table, row: int, error: ValidationError) -> InputError:
     if problem["type"] == "missing":
         line = int(table.lines[row])
         return InputError(f"'{name}' is missing", file=table.file, line=line)
-    allowed = str(problem.get("ctx", {}).get("error", problem["msg"]))
-    return table.cell_error("the job cannot have this", name, row, allowed)
+    reason = "the job cannot have this"
+    return table.cell_error(reason, name, row, allowed_instead(problem))
 
 
 def _name(stated: JobSetup, number: int, found: Sequence[tuple[int, JobSetup]]) -> str:

@@ -42,7 +42,7 @@ from calib_pin.setup import (
     StudySetup,
 )
 from calib_pin.setup.constraints import LENIENT, Constraint, Keys, Names, meanings
-from calib_pin.setup.values import Positive
+from calib_pin.setup.values import Number, Positive
 from calib_pin.solvers.differential_evolution import (
     INITS,
     STRATEGIES,
@@ -60,6 +60,12 @@ WIDTH = 60
 
 LARGEST_ERROR = 1e5
 """Largest value of a parameter, whatever its unit: that of a camera's focal length."""
+
+SIZE = f"a number of at most {LARGEST_ERROR:g} [m, rad]"
+TrueErrors = dict[
+    str, Annotated[float, Number(least=-LARGEST_ERROR, most=LARGEST_ERROR, words=SIZE)]
+]
+"""Values of parameters by name."""
 
 BLURRED = 1e3
 """Largest standard deviation of a pixel [px]."""
@@ -93,24 +99,19 @@ def read_true_errors(
         ...     read_true_errors(file, ["elbow.placement.x"])
         {'elbow.placement.x': 0.001}
     """
+    from pydantic import TypeAdapter, ValidationError
+
     from calib_pin.io.yaml_tree import read_tree
 
     tree = read_tree(path)
-    if tree.data is None:
-        raise InputError("the file is empty", file=path)
-    if not isinstance(tree.data, dict):
-        raise tree.error("the file must map parameter names to values [m, rad]", ())
-    for name, value in tree.data.items():
+    try:
+        found = TypeAdapter(TrueErrors).validate_python(tree.data)
+    except ValidationError as error:
+        raise wrong_value(tree, error, lambda path: ()) from None
+    for name in found:
         if known is not None and name not in known:
             raise tree.error(f"no parameter '{name}'{nearest(name, known)}", (name,))
-        if not isinstance(value, float) or not abs(value) <= LARGEST_ERROR:
-            raise tree.error(
-                f"'{name}' cannot have this value",
-                (name,),
-                tree.written((name,)),
-                f"a number of at most {LARGEST_ERROR:g} [m, rad]",
-            )
-    return dict(tree.data)
+    return found
 
 
 def read_setup(path: str | Path) -> Setup:
@@ -142,8 +143,6 @@ def read_setup(path: str | Path) -> Setup:
     tree = read_tree(path)
     if tree.data is None:
         return Setup()
-    if not isinstance(tree.data, dict):
-        raise tree.error("the file must be a mapping of keys to values", ())
     try:
         setup = adapter().validate_python(tree.data, context=context()).setup()
     except ValidationError as error:
@@ -257,25 +256,21 @@ def wrong_value(
     problem = min(problems, key=lambda problem: tree.line(place(problem["loc"])))
     path: Sequence[str | int] = problem["loc"]
     where = place(path)
+    key = f"'{_dotted(path)}'" if path else "the file"
     if problem["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        names, key = known(path), str(path[-1])
-        return tree.error(
-            f"unknown key '{_dotted(path)}'{nearest(key, names)}",
-            where,
-            allowed=", ".join(names),
-        )
+        names = known(path)
+        reason = f"unknown key {key}{nearest(str(path[-1]), names)}"
+        return tree.error(reason, where, allowed=", ".join(names))
     if problem["type"] == "missing":
-        return tree.error(f"'{_dotted(path)}' is missing", where)
-    if problem["type"] == "value_error":
-        allowed = str(problem["ctx"]["error"])
-    else:
-        allowed = ALLOWED.get(problem["type"], problem["msg"])
-    return tree.error(
-        f"'{_dotted(path)}' cannot have this value",
-        where,
-        tree.written(where),
-        allowed,
-    )
+        return tree.error(f"{key} is missing", where)
+    reason, written = f"{key} cannot have this value", tree.written(where)
+    return tree.error(reason, where, written, allowed_instead(problem))
+
+
+def allowed_instead(problem: Mapping[str, Any]) -> str:
+    """The values that are allowed instead of one that pydantic found wrong."""
+    stated = problem.get("ctx", {}).get("error", problem["msg"])
+    return ALLOWED.get(problem["type"], str(stated))
 
 
 POINT = f"a name without {AT}, which in the target column stands between two names"

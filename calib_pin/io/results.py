@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from datetime import UTC, datetime
 from importlib.metadata import version
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from reprlib import repr
 from typing import Any, get_type_hints
 
@@ -94,7 +94,6 @@ MADE = ("command", "created")
 PICTURES = (".png", ".pdf", ".svg")
 """Endings of files from which no program takes a number: these may be edited."""
 
-
 STATED = (
     *("findings", "parameters", "identifiability", "validation"),
     *("statistics", "solver", "distances", *BREAKDOWN),
@@ -130,10 +129,10 @@ def calibration_document(
     Raises:
         InputError: If a measurement file cannot be read again for its hash.
     """
-    model, statistics, dof = result.model, result.statistics, result.statistics.dof
+    model, dof = result.model, result.statistics.dof
     made = provenance or result.provenance
     hashes = made.hashes or tuple(map(_sha256_of, result.files))
-    setup_file, method = model.setup.file, result.validation.method
+    setup, method = model.setup.file, result.validation.method
     covariance, urdf = result.covariance, result.urdf
     begun, described = result.recalibration, model_document(model, result.reference)
     return {
@@ -159,7 +158,7 @@ def calibration_document(
         **_predictions(result),
         **{key: plain(getattr(result, key)) for key in BREAKDOWN},
         "statistics": {
-            **plain(statistics),
+            **plain(result.statistics),
             "chi2_interval": list(chi2_interval(dof)) if dof > 0 else [],
         },
         "covariance": plain(covariance) if np.isfinite(covariance).all() else None,
@@ -170,9 +169,7 @@ def calibration_document(
         "model_ladder": plain(result.model_selection),
         **({} if begun is None else {"recalibration": plain(begun)}),
         "urdf": urdf and _urdf(urdf, method),
-        "setup_file": {"file": setup_file, "sha256": _sha256_of(setup_file)}
-        if setup_file
-        else None,
+        "setup_file": {"file": setup, "sha256": _sha256_of(setup)} if setup else None,
         "provenance": {
             **made.versions,
             "command": list(made.command),
@@ -355,10 +352,10 @@ def _read_model(path: Path) -> tuple[Json, CalibratedModel]:
     document = read_document(path)
     with reading(path):
         verdict, stated = document["verdict"], document["robot"]
-        if typed(str, verdict["status"]) not in VERDICTS:
+        if verdict["status"] not in VERDICTS:
             raise ValueError(f"'{verdict['status']}' is no verdict")
-        typed(str, verdict["reason"])
-        name, content = typed(str, stated["file"]), typed(str, stated["sha256"])
+        texts = verdict["reason"], stated["file"], stated["sha256"]
+        _, name, content = typed(tuple[str, str, str], texts)
     robot = find_robot(name, content, path)
     with reading(path):
         model = model_of(document, _chains(document, robot))
@@ -662,22 +659,17 @@ def require_one_run(document: Json, robot: bytes, path: Path) -> None:
     with reading(path):
         listed = members(document)
     for name, content in listed.items():
-        if PurePosixPath(name).suffix in PICTURES:
+        file = path.parent / name
+        if file.suffix in PICTURES or not file.is_file():
             continue
-        try:
-            data = read_bytes(path.parent / name)
-        except InputError:
-            continue
-        if content is None:
-            fits = run in data
-        else:
-            fits = sha256(data) == content or data == robot
-        if not fits:
+        data = read_bytes(file)
+        known = sha256(data) == content or data == robot
+        if not (run in data if content is None else known):
             raise InputError(
                 f"not the file that '{path.name}' beside it was written with, but of "
                 "another run or edited; keep the files of one run together, or remove "
                 "this one",
-                file=path.parent / name,
+                file=file,
             )
 
 
@@ -696,23 +688,16 @@ def find_robot(name: str, content: str, path: Path) -> Robot:
         RobotError: If there is none.
     """
     copy, other = path.parent / NOMINAL, None
-    missing = RobotError(
-        f"the robot '{name}' that was calibrated is neither there nor beside the "
-        "calibration",
-        file=path,
-    )
     try:
         given = locate_robot(name)
-        places = [given, path.parent / given, path.parent / given.name, copy]
-    except RobotError as error:  # The package it came from is not installed here.
-        missing, given, places = error, copy, [copy]
-    if is_xacro(given):  # It was expanded, and what came of it is in the copy.
-        places = [copy]
-    for place in places:
-        try:
-            data = read_bytes(place)
-        except InputError:
+    except RobotError:  # The package it came from is not installed here.
+        given = copy
+    places = [given, path.parent / given, path.parent / given.name, copy]
+    # A xacro file was expanded, and what came of it is in the copy.
+    for place in places[3:] if is_xacro(given) else places:
+        if not place.is_file():
             continue
+        data = read_bytes(place)
         if sha256(data) != content and place != copy:
             data = straight_source(data)
         if sha256(data) == content:
@@ -721,7 +706,8 @@ def find_robot(name: str, content: str, path: Path) -> Robot:
             return parse_robot(data, name if there else str(place))
         other = other or place
     if other is None:
-        raise missing
+        reason = f"the robot '{name}' that was calibrated is neither there nor beside"
+        raise RobotError(f"{reason} the calibration", file=path)
     raise InputError(
         f"'{other}' is not the robot that was calibrated: its content differs; keep "
         "the files of one run together",

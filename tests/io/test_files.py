@@ -192,21 +192,6 @@ def test_a_kill_at_every_call_leaves_the_old_set_or_the_new(
     assert 10 < sum(found) < len(found) - 10
 
 
-@pytest.mark.slow
-def test_a_writer_completes_what_was_decided_on(
-    system: System, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Another file in the same folder must not clear away what waits there."""
-    monkeypatch.chdir(tmp_path)
-    for folder, run in steps(system, "kill", tmp_path):
-        run()
-        with write_files({folder / "plan.csv": b"q"}, force=False):
-            pass
-        found = read_as_a_reader(folder)
-        assert found.pop("plan.csv") == b"q"
-        assert found in (OLD, NEW)
-
-
 # --- files of their own ------------------------------------------------------------
 
 

@@ -101,8 +101,11 @@ def read_tree(path: str | Path) -> Tree:
         text = content.decode("utf-8-sig")
         _check_events(text, file)
         root = yaml.compose(text, yaml.SafeLoader)
+        if root is None:  # There is nothing, or nothing but comments.
+            begin = yaml.Mark(file, 0, 0, 0, None, 0)
+            root = yaml.ScalarNode("tag:yaml.org,2002:null", "", begin, begin)
         places: Places = {}
-        data = None if root is None else _build(root, file, (), _line(root), places)
+        data = _build(root, file, (), _line(root), places)
         return Tree(file, data, places, text)
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1

@@ -84,7 +84,7 @@ def accept(
     """
     from dataclasses import replace
 
-    from calib_pin.io.documents import acceptance_document
+    from calib_pin.cli.documents import acceptance_document
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import encode_table

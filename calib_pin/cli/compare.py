@@ -49,8 +49,8 @@ def compare(
     differ by more than three standard deviations. Exit status 2: one of the
     calibrations must not be trusted, or they are of different robots.
     """
+    from calib_pin.cli.documents import comparison_document
     from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.documents import comparison_document
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.results import read_result

@@ -152,8 +152,8 @@ def compensate(
     """
     import numpy as np
 
+    from calib_pin.cli.documents import compensation_document
     from calib_pin.control.calibrated import ends_estimated, with_payload
-    from calib_pin.io.documents import compensation_document
     from calib_pin.io.exchange.motions import (
         PROGRAMS,
         moving_times,
@@ -162,8 +162,7 @@ def compensate(
     )
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
-    from calib_pin.io.result_folder import written_before
-    from calib_pin.io.results import read_accuracy, read_calibration
+    from calib_pin.io.results import read_accuracy, read_calibration, written_before
     from calib_pin.io.targets import (
         command_columns,
         encode_commands,

@@ -52,7 +52,7 @@ def evaluate(
     from dataclasses import replace
     from functools import partial
 
-    from calib_pin.io.documents import evaluation_document
+    from calib_pin.cli.documents import evaluation_document
     from calib_pin.io.json_text import encode
     from calib_pin.io.other_robots import other_robots
     from calib_pin.io.results import used_files

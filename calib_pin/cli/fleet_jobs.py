@@ -14,7 +14,7 @@ from calib_pin.cli.results import write_results
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError, OptionError, one_line
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.io.result_folder import DOCUMENT, REPORT, read_document
+from calib_pin.io.results import DOCUMENT, REPORT, read_document
 from calib_pin.validation.fleet import Drift, FleetRow, fleet_row, with_drift
 
 if TYPE_CHECKING:
@@ -191,8 +191,7 @@ def _finished(orders: Orders, job: Job) -> CalibrationResult | None:
 
     It is the same if the command and the content of all files are.
     """
-    from calib_pin.io.files import read_bytes
-    from calib_pin.io.journal import sha256
+    from calib_pin.io.files import read_bytes, sha256
     from calib_pin.io.results import read_result
 
     request, folder = _request(job), orders.folder(job.name)

@@ -37,7 +37,7 @@ class Types:
         """
         from calib_pin.io.json_text import encode
         from calib_pin.io.population_prior import prior_document
-        from calib_pin.io.result_folder import urdf_name
+        from calib_pin.io.results import urdf_name
 
         found: dict[Path, bytes] = {}
         for population in self.populations:

@@ -52,8 +52,8 @@ def identify(
     from functools import partial
 
     from calib_pin.calibration import calibrate as run
+    from calib_pin.cli.documents import identification_document
     from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.documents import identification_document
     from calib_pin.io.json_text import encode
     from calib_pin.io.other_robots import other_robots
     from calib_pin.planning.suggestions import calibrated_setup, suggestions

@@ -83,7 +83,7 @@ def init(
     units, by trying on the nominal robot, and says in comments what it found. Asks what
     cannot be known, on a terminal; elsewhere an error names the option that says it.
     """
-    from calib_pin.io.drafts import Draft
+    from calib_pin.io.drafts import draft
     from calib_pin.io.files import write_files
     from calib_pin.io.foreign_headers import foreign, measured
     from calib_pin.io.setup import setup_document
@@ -109,7 +109,7 @@ def init(
         look = _with_distances(look, distance)
     elif distance is not None:
         raise OptionError("--distance is that of sockets (fixed-point)")
-    text = Draft(loaded, look).text(told_command(context))
+    text = draft(loaded, look, told_command(context))
     for remark in look.remarks:
         notice(remark)
     if not look.fits:

@@ -40,7 +40,7 @@ def simulated(
     bar: Bar | None,
 ) -> int:
     """Simulate the robots of a study; returns the exit status."""
-    from calib_pin.io.documents import outlook_document
+    from calib_pin.cli.documents import outlook_document
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.setup import read_setup
@@ -84,7 +84,7 @@ def simulated(
 
 def _study(file: Path, stated: Setup, seed: int) -> tuple[Study, str]:
     """The study of a setup file, and a hash of everything its numbers depend on."""
-    from calib_pin.io.journal import sha256
+    from calib_pin.io.files import sha256
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import read_configurations
     from calib_pin.io.setup import setup_document

@@ -179,7 +179,7 @@ def plan(
 
     import numpy as np
 
-    from calib_pin.io.documents import plan_document
+    from calib_pin.cli.documents import plan_document
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import (

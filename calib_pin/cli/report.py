@@ -58,8 +58,13 @@ def report(
     """
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.files import write_files
-    from calib_pin.io.result_folder import MEASUREMENTS, REPORT
-    from calib_pin.io.results import document_file, read_suggestions, read_written
+    from calib_pin.io.measurement_errors import MEASUREMENTS
+    from calib_pin.io.results import (
+        REPORT,
+        document_file,
+        read_suggestions,
+        read_written,
+    )
     from calib_pin.report.cover import calibration_cover
     from calib_pin.report.html import html_report, provenance_blocks
     from calib_pin.report.pdf import pdf_report

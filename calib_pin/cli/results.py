@@ -46,14 +46,13 @@ def result_files(folder: Path, robot: str) -> ResultFiles:
     Raises:
         OptionError: If a file stands in the place of the folder.
     """
-    from calib_pin.io import result_folder as folders
+    from calib_pin.io.calibrated_model import RESIDUAL_MODEL
+    from calib_pin.io.measurement_errors import MEASUREMENTS
+    from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT, urdf_name
 
     if exists(folder) and not folder.is_dir():
         raise OptionError("is a file, not a folder", file=folder)
-    names = (
-        *(folders.urdf_name(robot), folders.NOMINAL, folders.RESIDUAL_MODEL),
-        *(folders.DOCUMENT, folders.MEASUREMENTS, folders.REPORT),
-    )
+    names = (urdf_name(robot), NOMINAL, RESIDUAL_MODEL, DOCUMENT, MEASUREMENTS, REPORT)
     return ResultFiles(*(folder / name for name in names))
 
 
@@ -71,7 +70,7 @@ def check_results(
     Raises:
         OptionError: See `cli.files.check_outputs`.
     """
-    from calib_pin.io.result_folder import written_before
+    from calib_pin.io.results import written_before
     from calib_pin.io.urdf import is_source
 
     # The nominal robot of a folder may be calibrated again: it stays as it is.
@@ -99,11 +98,10 @@ def result_contents(
         encode_urdf,
         reference,
     )
-    from calib_pin.io.journal import inside, listed, sha256
+    from calib_pin.io.files import inside, listed, sha256
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurement_errors import encode_errors
-    from calib_pin.io.result_folder import run_id
-    from calib_pin.io.results import calibration_document, provenance
+    from calib_pin.io.results import calibration_document, provenance, run_id
     from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 
@@ -147,14 +145,13 @@ def write_results(
     Files of an earlier run that are not rewritten would pass for a result of this
     one, so they are removed.
     """
-    from calib_pin.io.files import write_folder
-    from calib_pin.io.journal import listed
-    from calib_pin.io.result_folder import written_before
+    from calib_pin.io.files import listed, write_folder
+    from calib_pin.io.results import written_before
 
     folder = files.json.parent
     names = {listed(path, folder) for path in (*contents, files.nominal)}
     old = [p for p in written_before(files.json) if listed(p, folder) not in names]
-    with write_folder(folder, contents, old, force=force, notice=notice):
+    with write_folder(folder, contents, old, force=force):
         yield
     for path in old:
         notice(f"removed {path} of an earlier run")

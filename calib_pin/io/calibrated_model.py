@@ -33,8 +33,7 @@ from calib_pin.errors import OptionError, OutputError
 from calib_pin.estimation.formulation import make_parts
 from calib_pin.estimation.scopes import BASE, TOOL
 from calib_pin.estimation.system import FRAME, Part, System, assembled
-from calib_pin.io.files import write_atomically
-from calib_pin.io.journal import sha256
+from calib_pin.io.files import sha256, write_atomically
 from calib_pin.io.json_text import (
     Json,
     decoded,
@@ -43,7 +42,6 @@ from calib_pin.io.json_text import (
     require_finite,
     typed,
 )
-from calib_pin.io.result_folder import RESIDUAL_MODEL
 from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.urdf import corrected_urdf
 from calib_pin.kinematics.chain import Chain
@@ -52,8 +50,7 @@ from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import BlockKey
-from calib_pin.parameterizations import frame_pose, frame_setup, required_keys
-from calib_pin.parameters import ParameterSet
+from calib_pin.parameterizations import frame_pose, frame_setup
 from calib_pin.residual_models import LearnedCorrection, restore
 from calib_pin.residual_models.documents import numbers
 from calib_pin.setup import (
@@ -156,22 +153,20 @@ def _frames(model: CalibratedModel, reference: CalibratedModel) -> Json:
     stations: Json = {}
     tools: Json = {}
     for key, part in model.parts.items():
-        chain, start = part.error.chain, reference.parts[key]
-        free, inner = model.given.free[part.index], len(part.error.screws) - FRAME
-        name = frame_key(part.scope.station)
-        known = not free[:FRAME].any()
-        frame = _frame(part.error.base, start.error.base, known)
-        stations[name] = frame if name == "base" else {**frame, "link": chain.base}
-        name = frame_key(part.scope.tool)
-        known = not free[inner : inner + FRAME].any()
-        tool = _tip_correction(part, model.theta) * _carrier(part)
-        frame = _frame(tool, _carrier(start), known)
-        tools[name] = frame if name == "tool" else {**frame, "link": chain.tip}
+        error, start = part.error, reference.parts[key]
+        inner, tool = len(error.screws) - FRAME, _carrier(part)
+        tool = _tip_correction(part, model.theta) * tool
+        for found, place, pose, begun, at, link in (
+            (stations, part.scope.station, error.base, start.error.base, 0, "base"),
+            (tools, part.scope.tool, tool, _carrier(start), inner, "tip"),
+        ):
+            known = not model.given.free[part.index][at : at + FRAME].any()
+            stated = frame_setup(pose, known=known), frame_setup(begun, known=True)
+            name, entry = frame_key(place), _entry(*stated)
+            if name not in ("base", "tool"):
+                entry["link"] = getattr(error.chain, link)
+            found[name] = entry
     return stations | tools
-
-
-def _frame(pose: pin.SE3, start: pin.SE3, known: bool) -> Json:
-    return _entry(frame_setup(pose, known=known), frame_setup(start, known=True))
 
 
 def _carrier(part: Part) -> pin.SE3:
@@ -181,19 +176,9 @@ def _carrier(part: Part) -> pin.SE3:
 
 def _entry(found: Any, start: Any) -> Json:
     """A frame or a reference object, what of it was estimated, and where it began."""
-
-    def parts(place: Any, flags: bool) -> Json:
-        return {
-            key.replace("estimate", "estimated"): value
-            for key, value in asdict(place).items()
-            if key.startswith("estimate") == flags
-        }
-
-    return {
-        **parts(found, False),
-        **parts(found, True),
-        "reference": parts(start, False),
-    }
+    stated = {key: v for key, v in asdict(start).items() if "estimate" not in key}
+    entry = {k.replace("estimate", "estimated"): v for k, v in asdict(found).items()}
+    return {**entry, "reference": stated}
 
 
 def model_of(
@@ -211,8 +196,6 @@ def model_of(
             missing or is not what it should be, see `json_text.reading`.
     """
     setup, stated = setup_of(document["setup"]), _stated(document, reference)
-    for key in required_keys(setup.parameters) - document["setup"].keys():
-        raise ValueError(f"'setup.{key}' is missing")
     blocks = _blocks(document["measurements"])
     parts, given = assembled(
         [
@@ -225,7 +208,7 @@ def model_of(
     if tuple(values) not in (given.names, given.names[:count]):
         raise ValueError("the parameters are not those of this chain, in their order")
     theta = given.vector({} if reference else values)
-    parts = {key: _placed(part, given, stated, theta) for key, part in parts.items()}
+    parts = {key: _placed(part, stated, theta) for key, part in parts.items()}
     model = CalibratedModel(chains, parts, given, theta, setup)
     places = {place for place in stated if place[0] != "frames"}
     for section, name in places - model.references.keys():
@@ -253,15 +236,9 @@ def _stated(document: Json, reference: bool) -> Places:
                 part.name: values[part.name.replace("estimate", "estimated")]
                 for part in fields(kind)
             }
-            for key, value in place.items():
-                if (key, value) != ("size", None):  # An image without an edge.
-                    require_finite(value)
+            # An image may have no edge.
+            require_finite([v for key, v in place.items() if key != "size"])
             found[CAMERA if section == CAMERAS else section, name] = typed(kind, place)
-    for (section, name), place in found.items():
-        if section == "planes" and not 0.99 < np.linalg.norm(place.normal) < 1.01:
-            raise ValueError(f"the normal of '{name}' is not of unit length")
-        if section == "spheres" and place.radius <= 0.0:
-            raise ValueError(f"the radius of '{name}' is not positive")
     return found
 
 
@@ -270,8 +247,6 @@ def _blocks(about: Json) -> dict[BlockKey, list[str]]:
     found: dict[BlockKey, list[str]] = {}
     for block in about.get("blocks", [about]):
         key = typed(BlockKey, dict.fromkeys(BlockKey._fields, "") | block)
-        if key in found:
-            raise ValueError("a block of the measurements is here twice")
         # A model that looks at nothing with a name has no targets.
         found[key] = list(typed(tuple[str, ...], block["targets"])) or [""]
     return found
@@ -281,8 +256,6 @@ def _values(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """Value of every parameter by name."""
     values = {typed(str, e["name"]): typed(float, e["value"]) for e in entries}
     require_finite([*values.values()])
-    if len(values) < len(entries):
-        raise ValueError("a parameter is here twice")
     return values
 
 
@@ -298,8 +271,6 @@ def _measured(part: Part, setup: Setup, stated: Places, targets: Sequence[str]) 
     sections: dict[str, dict[str, Any]] = {}
     for reference in part.measurement.references:
         section, name = part.scope.place(reference)
-        if (section, name) not in stated:
-            raise ValueError(f"'{name}' is missing under '{section}'")
         sections.setdefault(section, {})[reference.name] = stated[section, name]
     camera = sections.pop(CAMERA, {}).get(CAMERA)
     fitted: Any = {**sections, "camera": camera}
@@ -309,23 +280,19 @@ def _measured(part: Part, setup: Setup, stated: Places, targets: Sequence[str]) 
     return replace(part, measurement=measurement)
 
 
-def _placed(part: Part, given: ParameterSet, stated: Places, theta: Floats) -> Part:
+def _placed(part: Part, stated: Places, theta: Floats) -> Part:
     """A part about its station and its tool."""
-    free, inner = given.free[part.index], len(part.error.screws) - FRAME
-    poses = []
-    for place, start in ((part.scope.station, 0), (part.scope.tool, inner)):
-        name = frame_key(place)
-        frame = stated["frames", name]
-        if frame.estimate != free[start : start + FRAME].any():
-            raise ValueError(f"whether '{name}' is estimated is not as in the setup")
-        poses.append(frame_pose(frame))
-    base, tool = poses
+    places = frame_key(part.scope.station), frame_key(part.scope.tool)
+    base, tool = (frame_pose(stated["frames", name]) for name in places)
     tool = _tip_correction(part, theta).actInv(tool) * part.scope.offset
     return replace(part, error=part.error.with_frames(base, tool))
 
 
+RESIDUAL_MODEL = "residual_model.json"
+"""Name of the file of what was learned."""
+
 RESIDUAL = "calib-pin/residual-model"
-"""Format of the file of what was learned."""
+"""Its format."""
 
 
 def encode_residual_model(

@@ -1,30 +1,35 @@
-"""Read and write whole files, with errors that name the file and the reason."""
+"""Read and write whole files, with errors that name the file and the reason.
+
+What a run writes is complete in a folder of its own, beside the destinations, before
+any of it is put in place. That folder of a set of files becomes the list of what is
+decided, `COMMIT`, in one step: from then on the new set stands, and whoever comes next,
+a reader or a writer, puts in place what the run that decided did not live to.
+"""
 
 from __future__ import annotations
 
 import difflib
 import errno
+import hashlib
 import json
 import os
 import shutil
 import stat
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from uuid import uuid4
 
 from calib_pin.errors import InputError, OptionError, OutputError
-from calib_pin.io.journal import (
-    JOURNAL,
-    complete,
-    discard,
-    listed,
-    locked,
-    settle,
-    sha256,
-    signals_deferred,
-    sync,
-    temporary,
-)
+
+COMMIT = ".calib-pin-commit"
+"""Name of the folder with what a folder is about to hold."""
+
+REMOVED = ".removed"
+"""Name of the list in it of the files that go."""
+
+STAGED = ".calib-pin-new-"
+"""Begin of the names of folders with what is not decided yet."""
 
 
 @contextmanager
@@ -48,10 +53,15 @@ def write_files(contents: Mapping[Path, bytes], *, force: bool) -> Iterator[None
         ...     early, file.read_bytes()
         (False, b'x,y')
     """
-    with _staged(contents, force):
+    with ExitStack() as stack:
+        staged = dict[Path, Path]()
+        for folder in dict.fromkeys(path.parent for path in contents):
+            own = {p: data for p, data in contents.items() if p.parent == folder}
+            staged[folder] = stack.enter_context(_staged(folder, own, force))
         yield
-        with signals_deferred():
-            _put_in_place(list(contents))
+        for path in contents:
+            with _writing(path):
+                (staged[path.parent] / path.name).replace(path)
 
 
 @contextmanager
@@ -61,85 +71,170 @@ def write_folder(
     removed: Iterable[Path] = (),
     *,
     force: bool,
-    notice: Callable[[str], None],
 ) -> Iterator[None]:
     """As `write_files`, for a folder, and safe if the process is killed meanwhile.
 
     Args:
-        folder: The folder; a journal in it completes the set after a crash.
+        folder: The folder.
         contents: As for `write_files`; some may lie outside the folder.
         removed: Files of the folder to remove.
         force: Replace existing files.
-        notice: Called with one sentence for each file that could not be replaced yet.
 
     Raises:
         OptionError: If one exists and `force` is false.
         OutputError: If one cannot be written.
     """
-    journal = folder / JOURNAL
-    decided = {
-        "files": {
-            listed(path, folder): sha256(data) for path, data in contents.items()
-        },
-        "remove": [listed(path, folder) for path in removed],
-    }
-    staged = {**contents, journal: json.dumps(decided).encode()}
-    with _staged(staged, force) as pending:
+    own = {p: data for p, data in contents.items() if inside(listed(p, folder))}
+    others = {p: data for p, data in contents.items() if p not in own}
+    gone = json.dumps([listed(path, folder) for path in removed])
+    with write_files(others, force=force), _staged(folder, own, force) as staged:
+        with _writing(folder):
+            _write(staged / REMOVED, gone.encode())
         yield
-        with signals_deferred():
-            with _writing(journal):
-                temporary(journal).replace(journal)
-            # The commit point: whatever fails from here on, the new set stands.
-            pending.clear()
-            with suppress(OSError):
-                sync(folder)
-            for path, source in complete(folder).items():
-                notice(f"{path} cannot be replaced; what it shall hold is in {source}")
+        with locked(folder), _writing(folder):
+            complete(folder)
+            try:
+                staged.replace(folder / COMMIT)
+                complete(folder)
+            finally:  # Also where a signal comes in between.
+                complete(folder)
+
+
+@contextmanager
+def settled(folder: Path) -> Iterator[None]:
+    """A folder for reading, with what a killed run decided on in place.
+
+    No run puts files in place while the block lasts.
+
+    Raises:
+        OutputError: If what was decided on cannot be put in place.
+    """
+    if (folder / COMMIT).is_dir():
+        with locked(folder):
+            complete(folder)
+    with locked(folder, shared=True):
+        yield
+
+
+def complete(folder: Path) -> None:
+    """Put in place what a run has decided on; as often as one likes.
+
+    Raises:
+        OutputError: If it cannot be done.
+    """
+    commit = folder / COMMIT
+    if not commit.is_dir():
+        return
+    with _writing(folder):
+        for source in sorted(p for p in commit.rglob("*") if p.is_file()):
+            path = folder / source.relative_to(commit)
+            if source != commit / REMOVED:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                source.replace(path)
+        if (commit / REMOVED).is_file():
+            for name in json.loads((commit / REMOVED).read_bytes()):
+                if inside(name):
+                    (folder / name).unlink(missing_ok=True)
+        shutil.rmtree(commit)
+
+
+@contextmanager
+def locked(folder: Path, *, shared: bool = False, wait: bool = True) -> Iterator[bool]:
+    """Keep other runs out of a folder.
+
+    The lock is one of the system on the folder itself: no file stands for it, and it
+    ends with the process whatever happens to that.
+
+    Args:
+        folder: The folder.
+        shared: Keep out only those that do not share it.
+        wait: Wait for other runs.
+
+    Yields:
+        Whether there is such a lock; some file systems, and Windows, know none.
+    """
+    try:
+        import fcntl
+
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except (ImportError, OSError, ValueError):
+        yield False
+        return
+    kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
+    held = False
+    try:
+        with suppress(OSError):
+            fcntl.flock(descriptor, kind if wait else kind | fcntl.LOCK_NB)
+            held = True
+        yield held
+    finally:
+        os.close(descriptor)
+
+
+def listed(path: Path, folder: Path) -> str:
+    """Name of a file within a folder; the whole path of one that lies elsewhere."""
+    place, home = path.parent.resolve() / path.name, folder.resolve()
+    return str(place.relative_to(home) if place.is_relative_to(home) else place)
+
+
+def inside(name: str) -> bool:
+    """Whether a name of a list is one within the folder of the list."""
+    path = PurePosixPath(name)
+    return not path.is_absolute() and path.name != "" and ".." not in path.parts
+
+
+def sha256(data: bytes) -> str:
+    """Hexadecimal SHA-256 of bytes."""
+    return hashlib.sha256(data).hexdigest()
 
 
 def reason_of(error: Exception) -> str:
     """Message of a system error without the error number and the file names."""
-    if isinstance(error, FileExistsError):
+    if isinstance(error, FileExistsError | NotADirectoryError):
         return "a file stands in the place of its folder"
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
 @contextmanager
-def _staged(contents: Mapping[Path, bytes], force: bool) -> Iterator[set[Path]]:
-    """Write complete files beside their destinations, and lock their folders.
+def _staged(
+    folder: Path, contents: Mapping[Path, bytes], force: bool
+) -> Iterator[Path]:
+    """A new folder in a folder with complete files, which goes at the end.
 
-    Yields:
-        The destinations; the staged files of those still among them at the end are
-        discarded.
+    So do folders that had to be made, if nothing has come into them.
     """
-    pending, made = set[Path](), list[Path]()
-    with ExitStack() as locks:
-        try:
-            folders = set()
-            for path in contents:
-                with _writing(path):
-                    made += _make(path)
-                    folders.add(path.parent.resolve())
-            for folder in sorted(folders):  # One order for all runs: no deadlock.
-                settle(folder, locks.enter_context(locked(folder)))
-            for path, data in contents.items():
-                with _writing(path):
-                    if path.exists() and not force and path.name != JOURNAL:
-                        reason = "exists already; --force replaces it"
-                        raise OptionError(reason, file=path)
-                    pending.add(path)
-                    _write(temporary(path), data)
-            for folder in folders:
-                with _writing(folder):
-                    sync(folder)
-            yield pending
-        finally:
-            with signals_deferred():
-                for path in pending:
-                    discard(temporary(path))
-                for folder in reversed(made):
-                    with suppress(OSError):
-                        folder.rmdir()
+    with ExitStack() as stack:
+        for path in contents:
+            with _writing(path):
+                if path.is_dir():
+                    raise IsADirectoryError(errno.EISDIR, "it is a directory")
+                if path.exists() and not force:
+                    reason = "exists already; --force replaces it"
+                    raise OptionError(reason, file=path)
+                missing = [above for above in path.parents if not above.exists()]
+                for above in reversed(missing):
+                    above.mkdir()
+                    stack.callback(_discard, above)
+        with _writing(next(iter(contents), folder)), locked(folder):
+            for left in folder.glob(f"{STAGED}*"):
+                with locked(left, wait=False) as dead:
+                    if dead:
+                        shutil.rmtree(left, ignore_errors=True)
+            staged = folder / f"{STAGED}{uuid4().hex}"
+            for _ in range(2):  # A signal may come in the midst of the first.
+                stack.callback(shutil.rmtree, staged, ignore_errors=True)
+            staged.mkdir()
+            stack.enter_context(locked(staged))
+        for path, data in contents.items():
+            with _writing(path):
+                _write(staged / listed(path, folder), data)
+        yield staged
+
+
+def _discard(folder: Path) -> None:
+    """Remove a folder that is empty."""
+    with suppress(OSError):
+        folder.rmdir()
 
 
 @contextmanager
@@ -151,58 +246,12 @@ def _writing(path: Path) -> Iterator[None]:
         raise OutputError(f"{path}: cannot be written: {reason_of(error)}") from error
 
 
-def _make(path: Path) -> list[Path]:
-    """Make the folders above a file; returns the new ones, outermost first."""
-    if path.is_dir():
-        raise IsADirectoryError(errno.EISDIR, "it is a directory")
-    missing = [folder for folder in path.parents if not folder.exists()]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return missing[::-1]
-
-
 def _write(path: Path, data: bytes) -> None:
-    path.unlink(missing_ok=True)
-    # Not tempfile: its files are private (0600), and the mode survives a rename.
+    path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("xb") as stream:
         stream.write(data)
         stream.flush()
         os.fsync(stream.fileno())
-
-
-def _put_in_place(paths: Sequence[Path]) -> None:
-    """Rename all staged files; undo everything if one cannot be renamed.
-
-    Raises:
-        OutputError: If one cannot be renamed.
-    """
-    done: list[tuple[Path, Path | None]] = []
-    try:
-        for path in paths:
-            with _writing(path):
-                before = _kept(path) if len(paths) > 1 else None
-                temporary(path).replace(path)
-            done.append((path, before))
-    except OutputError:
-        for path, before in reversed(done):
-            with suppress(OSError):
-                path.unlink() if before is None else before.replace(path)
-        raise
-    finally:
-        for path in paths:
-            discard(temporary(path, "old"))
-
-
-def _kept(path: Path) -> Path | None:
-    """A second link to the existing file, to restore it; None if there is none."""
-    if not (path.exists() or path.is_symlink()):
-        return None
-    second = temporary(path, "old")
-    second.unlink(missing_ok=True)
-    try:
-        second.hardlink_to(path)
-    except OSError:  # Some file systems have no hard links.
-        shutil.copy2(path, second, follow_symlinks=False)
-    return second
 
 
 DATA = 1 << 30

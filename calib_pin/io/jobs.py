@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from itertools import pairwise
@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.io.setup import wrong_value
-from calib_pin.io.setup_schema import context
+from calib_pin.io.setup import allowed_instead, context, wrong_value
 from calib_pin.io.table import Table, read_table
 from calib_pin.setup import JobSetup
 
 if TYPE_CHECKING:
-    from calib_pin.io.yaml_tree import Keys
+    from pydantic import ValidationError
+
 
 KEYS = tuple(field.name for field in fields(JobSetup))
 """Columns and keys of a job."""
@@ -66,9 +66,21 @@ def read_jobs(
         ...     [job.name for job in read_jobs(file)]
         ['A7']
     """
-    folder = Path(path).parent
+    from pydantic import TypeAdapter, ValidationError
+
+    folder, adapter = Path(path).parent, TypeAdapter(JobSetup)
     yaml = Path(path).suffix.lower() in (".yaml", ".yml")
-    found = list(_of_yaml(path) if yaml else _of_csv(path, notice))
+    found = list[tuple[int, JobSetup]]()
+    for line, given, blame in _of_yaml(path) if yaml else _of_csv(path, notice):
+        files = given.get("measurements")
+        if isinstance(files, str):
+            files = [f.strip() for f in files.split(CHAINED) if f.strip()]
+            given["measurements"] = files
+        try:
+            stated = adapter.validate_python(given, context=context())
+        except ValidationError as error:
+            raise blame(error) from None
+        found.append((line, stated))
     jobs: list[Job] = []
     places: dict[str, int] = {}
     for number, (line, stated) in enumerate(found, 1):
@@ -87,9 +99,11 @@ def read_jobs(
     return tuple(replace(job, before=before.get(job.name, "")) for job in jobs)
 
 
-def _of_yaml(path: str | Path) -> Iterator[tuple[int, JobSetup]]:
-    from pydantic import TypeAdapter, ValidationError
+Given = tuple[int, dict[str, Any], Callable[["ValidationError"], InputError]]
+"""Line and keys of a job, and what blames them."""
 
+
+def _of_yaml(path: str | Path) -> Iterator[Given]:
     from calib_pin.io.yaml_tree import read_tree
 
     tree = read_tree(path)
@@ -100,33 +114,23 @@ def _of_yaml(path: str | Path) -> Iterator[tuple[int, JobSetup]]:
             (),
             allowed=f"{JOBS}: [{{robot: arm.urdf, measurements: [a.csv]}}, ...]",
         )
-    adapter = TypeAdapter(JobSetup)
     general = {key: value for key, value in tree.data.items() if key != JOBS}
     for number, own in enumerate(listed):
-        place = (JOBS, number)
         if not isinstance(own, dict):
-            raise tree.error("a job is a mapping of keys to values", place)
-        given = _several({**general, **own})
-        try:
-            stated = adapter.validate_python(given, context=context())
-        except ValidationError as error:
-            where = partial(_place, place, general.keys() - own.keys())
-            raise wrong_value(tree, error, lambda path: KEYS, where) from None
-        yield tree.line(place), stated
+            raise tree.error("a job is a mapping of keys to values", (JOBS, number))
+
+        def place(
+            path: Sequence[str | int], number: int = number, own: Any = own
+        ) -> Any:
+            """Where a key stands: with the job, or with what holds for all."""
+            alone = path and path[0] in general.keys() - own.keys()
+            return path if alone else (JOBS, number, *path)
+
+        blame = partial(wrong_value, tree, known=lambda path: KEYS, place=place)
+        yield tree.line((JOBS, number)), {**general, **own}, blame
 
 
-def _place(
-    job: Keys, general: Collection[str], path: Sequence[str | int]
-) -> Sequence[str | int]:
-    """Where a key of a job stands: with it, or with what holds for all."""
-    return path if path and path[0] in general else (*job, *path)
-
-
-def _of_csv(
-    path: str | Path, notice: Callable[[str], None]
-) -> Iterator[tuple[int, JobSetup]]:
-    from pydantic import TypeAdapter, ValidationError
-
+def _of_csv(path: str | Path, notice: Callable[[str], None]) -> Iterator[Given]:
     table = read_table(path)
     foreign = [name for name in table.columns if name not in KEYS]
     for name in foreign:
@@ -134,37 +138,20 @@ def _of_csv(
             raise table.error(f"no column of a job{hint}", name, ", ".join(KEYS))
     if remark := table.ignored(foreign):
         notice(remark)
-    for name in ("robot", "measurements"):
-        if name not in table:
-            raise table.error(f"the column '{name}' is missing", None, ", ".join(KEYS))
-    adapter = TypeAdapter(JobSetup)
     texts = table.texts([name for name in KEYS if name in table])
     for row, line in enumerate(table.lines.tolist()):
         cells = {name: column[row] for name, column in texts.items() if column[row]}
-        try:
-            stated = adapter.validate_python(_several(cells), context=context())
-        except ValidationError as error:
-            raise _cell_error(table, row, error.errors(include_url=False)[0]) from None
-        yield line, stated
+        yield line, cells, partial(_cell_error, table, row)
 
 
-def _several(given: Mapping[str, Any]) -> dict[str, Any]:
-    """The same with a list of measurement files, also where one is written."""
-    result = dict(given)
-    files = result.get("measurements")
-    if isinstance(files, str):
-        result["measurements"] = [f.strip() for f in files.split(CHAINED) if f.strip()]
-    return result
-
-
-def _cell_error(table: Table, row: int, problem: Mapping[str, Any]) -> InputError:
+def _cell_error(table: Table, row: int, error: ValidationError) -> InputError:
+    problem = error.errors(include_url=False)[0]
     name = str(problem["loc"][0])
-    if problem["type"] == "missing" or name not in table:
-        return InputError(
-            f"'{name}' is missing", file=table.file, line=int(table.lines[row])
-        )
-    allowed = str(problem.get("ctx", {}).get("error", problem["msg"]))
-    return table.cell_error("the job cannot have this", name, row, allowed)
+    if problem["type"] == "missing":
+        line = int(table.lines[row])
+        return InputError(f"'{name}' is missing", file=table.file, line=line)
+    reason = "the job cannot have this"
+    return table.cell_error(reason, name, row, allowed_instead(problem))
 
 
 def _name(stated: JobSetup, number: int, found: Sequence[tuple[int, JobSetup]]) -> str:

@@ -19,7 +19,6 @@ import numpy as np
 from calib_pin.estimation.layout import side_by_side
 from calib_pin.io.columns import GrowingColumn
 from calib_pin.io.measurements import LINES
-from calib_pin.io.result_folder import MEASUREMENTS
 from calib_pin.io.text import parsed
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity, declared
@@ -35,9 +34,15 @@ from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import AXES, MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
 
+MEASUREMENTS = "measurements.csv"
+"""Name of the file."""
+
 SETS = ("train", "validate")
 WORDS = ("set", "file", "line", "target", "payload")
 """The first columns; all others but `KEYS` hold numbers."""
+
+STATED = ("temperature", "time")
+"""Columns of conditions, where they are known."""
 
 KEYS = BlockKey._fields
 """Columns that stand behind these where there are several blocks of measurements."""
@@ -153,58 +158,50 @@ def _part(
     unknown, joints = unknown_errors(model, 0), model.chains.joints
     _, first = side_by_side(_quantities(model))
 
-    starts = [f"start.{joint}" for joint in joints]
+    def numbers(rows: Sequence[int], form: str, names: Sequence[object]) -> Floats:
+        """Cells of columns that are called by a form."""
+        found = [columns[form.format(name)][rows] for name in names]
+        return np.column_stack([np.zeros((len(rows), 0)), *found])
 
-    def numbers(chosen: Sequence[int], *names: str) -> Floats:
-        none = np.zeros((len(chosen), 0))
-        return np.column_stack([none, *(columns[column][chosen] for column in names)])
-
-    def conditions(chosen: Sequence[int], payload: Labels) -> Conditions:
-        known = [name for name in ("temperature", "time") if name in columns]
-        stated: dict[str, Any] = {name: columns[name][chosen] for name in known}
-        held = Conditions(payload, **stated)
-        if f"direction.{joints[0]}" not in columns:
-            return held
-        directions = numbers(chosen, *(f"direction.{joint}" for joint in joints))
-        return replace(held, direction=directions.astype(np.int8), source="columns")
-
-    def block(key: BlockKey, chosen: Sequence[int]) -> Measurements:
+    def block(key: BlockKey, rows: Sequence[int]) -> Measurements:
         about, at = declared(key.model), first[key.model]
         own = unknown.components[at : at + len(about.components)]
-        stated = [f"{component}.stated" for component in own]
-        sigma = numbers(chosen, *stated) if stated[0] in columns else None
+        sigma = None
+        if f"{own[0]}.stated" in columns:
+            sigma = numbers(rows, "{}.stated", own)
         file, line, target, payload = (
-            [words[column][row] for row in chosen] for column in WORDS[1:]
+            [words[column][row] for row in rows] for column in WORDS[1:]
         )
-        measured = (f"measured.{k + 1}" for k in range(len(about.values)))
+        held: Any = {n: columns[n][rows] for n in STATED if n in columns}
+        if f"direction.{joints[0]}" in columns:
+            directions = numbers(rows, "direction.{}", joints)
+            held |= {"direction": directions.astype(np.int8), "source": "columns"}
         return Measurements(
             joints=joints,
-            q=numbers(chosen, *(f"joint.{joint}" for joint in joints)),
-            values=numbers(chosen, *measured),
+            q=numbers(rows, "joint.{}", joints),
+            values=numbers(rows, "measured.{}", range(1, len(about.values) + 1)),
             sigma=None if sigma is None or np.isnan(sigma).all() else sigma,
             target=Labels.of(target),
-            conditions=conditions(chosen, Labels.of(payload)),
-            start=numbers(chosen, *(starts if about.relative else ())),
+            conditions=Conditions(Labels.of(payload), **held),
+            start=numbers(rows, "start.{}", joints if about.relative else ()),
             lines=np.array(line, np.int64),
             files=Labels.of(file),
-            weight=numbers(chosen, "weight")[:, 0],
+            weight=columns["weight"][rows],
             **key._asdict(),
         )
 
     rows = [row for chosen in of_block.values() for row in chosen]
-    before, after, sigma = (
-        numbers(rows, *(f"{component}.{stage}" for component in unknown.components))
-        for stage in ("before", "after", "sigma")
-    )
+    stages = ("before", "after", "sigma")
+    errors: Any = {
+        stage: numbers(rows, f"{{}}.{stage}", unknown.components) for stage in stages
+    }
     return replace(
         unknown,
         rows=Observations(tuple(block(*found) for found in of_block.items())),
-        before=before,
-        after=after,
-        sigma=sigma,
-        points=numbers(rows, *(f"tool.{axis}" for axis in AXES)),
+        points=numbers(rows, "tool.{}", AXES),
         to_base=np.broadcast_to(to_base, (len(of_block), 3, 3)),
-        leverage=numbers(rows, "leverage")[:, 0],
+        leverage=columns["leverage"][rows],
+        **errors,
     )
 
 

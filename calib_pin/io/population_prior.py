@@ -101,21 +101,14 @@ def _require_whole(prior: JointPrior) -> None:
     Raises:
         ValueError: If they are none.
     """
-    count = len(prior.parameters)
-    if not count or (isinstance(prior, PopulationPrior) and prior.robots < 1):
-        raise ValueError("it is of no robots, or of no parameters")
-    joints = [joint.name for joint in prior.robot.joints]
-    if len(set(prior.names)) < count or len(set(joints)) < len(joints):
-        raise ValueError("two parameters, or two joints, have one name")
-    covariance = np.array(prior.covariance)
-    if covariance.shape != (count, count):
+    count, covariance = len(set(prior.names)), np.array(prior.covariance)
+    if not count or covariance.shape != (len(prior.names), count):
         raise ValueError(f"'covariance' does not have {count} rows and columns")
     means = [parameter.mean for parameter in prior.parameters]
     if not np.isfinite([*covariance, means]).all():
         raise ValueError("a number is missing, or infinite")
-    for quantity, sigma in prior.noise.items():
-        if not 0.0 < sigma < np.inf:
-            raise ValueError(f"{sigma!r} is no noise of {quantity}")
+    if not all(0.0 < sigma < np.inf for sigma in prior.noise.values()):
+        raise ValueError("'noise' has a standard deviation that is none")
     variances = np.diag(covariance)
     if not (variances > 0.0).all():
         raise ValueError("'covariance' has a variance that is not positive")

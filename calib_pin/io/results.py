@@ -1,9 +1,18 @@
-"""`calibration.json`, section 8 of the contract: a result as a document, and back."""
+"""`calibration.json`, section 8 of the contract: a result as a document, and back.
+
+It is the document of a folder, of which one run wrote all, and which can be moved. It
+has the id of the run and a manifest, the SHA-256 of every file that was written with
+it. A URDF is known by its hash, so that it stays as it is. The page says when it was
+made: it is known by the id, and has no hash, so that the same run leaves the same
+manifest at any time.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -13,7 +22,7 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError
+from calib_pin.errors import InputError, RobotError
 from calib_pin.estimation.evidence import (
     TRUSTED,
     VERDICTS,
@@ -29,47 +38,67 @@ from calib_pin.io.calibrated_model import (
     model_of,
     read_residual_model,
 )
-from calib_pin.io.documents import identification_parts
-from calib_pin.io.files import read_bytes
-from calib_pin.io.journal import sha256
+from calib_pin.io.files import inside, read_bytes, settled, sha256
 from calib_pin.io.json_text import (
     Json,
+    decoded,
+    encode,
     format_keys,
     plain,
     reading,
-    require_finite,
     typed,
 )
-from calib_pin.io.measurement_errors import SETS, decode_errors, unknown_errors
-from calib_pin.io.result_folder import (
-    BREAKDOWN,
-    DOCUMENT,
-    FORMAT,
-    MADE,
+from calib_pin.io.measurement_errors import (
     MEASUREMENTS,
-    Read,
-    find_robot,
-    members,
-    opened,
-    read_document,
-    require_one_run,
+    SETS,
+    decode_errors,
+    unknown_errors,
 )
 from calib_pin.io.setup import setup_of
+from calib_pin.io.straightening import straight_source
+from calib_pin.io.urdf import is_xacro, locate_robot
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.planning.suggestions import Suggestion
-from calib_pin.setup.values import LARGEST_LENGTH
 from calib_pin.units import DISPLAY
-from calib_pin.validation.accuracy import Accuracy, QuantityErrors
+from calib_pin.validation.accuracy import QuantityErrors
 from calib_pin.validation.assessment import chi2_interval
+from calib_pin.validation.breakdown import Breakdown
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import MeasurementErrors
-from calib_pin.validation.result import CalibrationResult, UrdfResult
+from calib_pin.validation.result import (
+    CalibrationResult,
+    Identification,
+    UrdfResult,
+)
 from calib_pin.validation.summaries import NamedArray, Provenance, ToolAccuracy
 
-STATED = ("findings", "validation", "statistics", "solver", "distances")
-"""Parts of a result that are written as they are declared, as are its `BREAKDOWN`."""
+FORMAT = "calib-pin/calibration"
+
+BREAKDOWN = tuple(f.name for f in fields(Breakdown) if f.name != "accuracies")
+"""Parts of a result that tell of its stations, tools, chains and blocks."""
+
+JSON = 1 << 28
+"""Bytes of the largest document: its objects take many times as much memory."""
+
+DOCUMENT = "calibration.json"
+REPORT = "report.html"
+NOMINAL = "nominal.urdf"
+"""Names in a folder: the result, the page, and the robot as it was."""
+
+MADE = ("command", "created")
+"""Keys of the provenance that are new for every run; all others are versions."""
+
+PICTURES = (".png", ".pdf", ".svg")
+"""Endings of files from which no program takes a number: these may be edited."""
+
+STATED = (
+    *("findings", "parameters", "identifiability", "validation"),
+    *("statistics", "solver", "distances", *BREAKDOWN),
+)
+"""Parts of a result that are written as they are declared, under their own names."""
 
 SAMPLES = ("configurations", "points", "position", "orientation")
 """Keys of the predicted uncertainty of the tool point, arrays over the workspace."""
@@ -100,10 +129,10 @@ def calibration_document(
     Raises:
         InputError: If a measurement file cannot be read again for its hash.
     """
-    model, statistics, dof = result.model, result.statistics, result.statistics.dof
+    model, dof = result.model, result.statistics.dof
     made = provenance or result.provenance
     hashes = made.hashes or tuple(map(_sha256_of, result.files))
-    setup_file, method = model.setup.file, result.validation.method
+    setup, method = model.setup.file, result.validation.method
     covariance, urdf = result.covariance, result.urdf
     begun, described = result.recalibration, model_document(model, result.reference)
     return {
@@ -129,7 +158,7 @@ def calibration_document(
         **_predictions(result),
         **{key: plain(getattr(result, key)) for key in BREAKDOWN},
         "statistics": {
-            **plain(statistics),
+            **plain(result.statistics),
             "chi2_interval": list(chi2_interval(dof)) if dof > 0 else [],
         },
         "covariance": plain(covariance) if np.isfinite(covariance).all() else None,
@@ -140,13 +169,31 @@ def calibration_document(
         "model_ladder": plain(result.model_selection),
         **({} if begun is None else {"recalibration": plain(begun)}),
         "urdf": urdf and _urdf(urdf, method),
-        "setup_file": {"file": setup_file, "sha256": _sha256_of(setup_file)}
-        if setup_file
-        else None,
+        "setup_file": {"file": setup, "sha256": _sha256_of(setup)} if setup else None,
         "provenance": {
             **made.versions,
             "command": list(made.command),
             "created": made.created,
+        },
+    }
+
+
+def identification_parts(
+    found: Identification, suggestions: Sequence[Suggestion] = ()
+) -> Json:
+    """The parts `parameters` and `identifiability` of section 8 of the contract.
+
+    Args:
+        found: The identifiability of a robot.
+        suggestions: Suggested measurements.
+    """
+    return {
+        "parameters": plain(found.parameters),
+        "identifiability": {
+            **plain(found.identifiability),
+            "coupled": plain(found.groups),
+            "robot_errors": plain(found.robot_errors),
+            "remedies": plain(suggestions),
         },
     }
 
@@ -184,7 +231,7 @@ def read_result(path: str | Path) -> CalibrationResult:
     Raises:
         InputError: If the file is not such a document or is of another version, the
             robot has changed, or the files beside it belong to another run.
-        OutputError: If another program keeps the folder locked.
+        OutputError: If what a killed run decided on cannot be put in place.
         RobotError: If the robot cannot be found.
 
     Examples:
@@ -207,10 +254,10 @@ def read_written(path: str | Path) -> tuple[CalibrationResult, Json]:
         InputError, OutputError, RobotError: As `read_result`.
     """
     file = document_file(path)
-    with opened(file) as read:
-        document, model = _read_model(file, read)
+    with settled(file.parent):
+        document, model = _read_model(file)
         with reading(file):
-            result = _result(document, model, file, read)
+            result = _result(document, model, file)
             read_suggestions(document)
     return result, document
 
@@ -232,11 +279,12 @@ def read_calibration(
     Raises:
         InputError: If the file is not such a document or of another version, the
             robot has changed, or the files beside it are of another run.
-        OutputError: If another program does not let go of the folder.
+        OutputError: If what a killed run decided on cannot be put in place.
         RobotError: If the robot cannot be found.
     """
-    with opened(path) as read:
-        document, model = _read_model(Path(path), read)
+    path = Path(path)
+    with settled(path.parent):
+        document, model = _read_model(path)
     verdict = document["verdict"]
     if notice is not None and verdict["status"] not in TRUSTED:
         notice(f"{path} must not be trusted: {verdict['reason']}")
@@ -252,18 +300,17 @@ def read_accuracy(path: str | Path) -> dict[str, dict[str, Any]]:
     Returns:
         Unit, mean, max and method of every quantity; none where nothing was checked.
     """
-    with opened(path) as read:
-        document = read_document(path, read)
     with reading(path):
+        stated = read_document(path)["errors"]
         return {
-            errors.name: {
-                "unit": errors.unit,
-                "mean": errors.validation_after.mean,
-                "max": errors.validation_after.max,
-                "method": document["errors"][errors.name]["validation"]["method"],
+            e.name: {
+                "unit": e.unit,
+                "mean": e.validation_after.mean,
+                "max": e.validation_after.max,
+                "method": stated[e.name]["validation"]["method"],
             }
-            for errors in _read_errors(document["errors"])
-            if errors.validation_after is not None and errors.unit in ("m", "rad")
+            for e in _read_errors(stated)
+            if e.validation_after is not None and e.unit in ("m", "rad")
         }
 
 
@@ -296,22 +343,21 @@ def _sha256_of(file: str) -> str:
 # --- the robot ---------------------------------------------------------------------
 
 
-def _read_model(path: Path, read: Read) -> tuple[Json, CalibratedModel]:
+def _read_model(path: Path) -> tuple[Json, CalibratedModel]:
     """A `calibration.json` and the calibrated robot that it tells of.
 
     Raises:
         InputError, RobotError: As `read_calibration`.
     """
-    document = read_document(path, read)
+    document = read_document(path)
     with reading(path):
         verdict, stated = document["verdict"], document["robot"]
-        if typed(str, verdict["status"]) not in VERDICTS:
+        if verdict["status"] not in VERDICTS:
             raise ValueError(f"'{verdict['status']}' is no verdict")
-        typed(str, verdict["reason"])
-        name, content = typed(str, stated["file"]), typed(str, stated["sha256"])
-    robot = find_robot(name, content, path, read)
+        texts = verdict["reason"], stated["file"], stated["sha256"]
+        _, name, content = typed(tuple[str, str, str], texts)
+    robot = find_robot(name, content, path)
     with reading(path):
-        listed, run = members(document), str(document.get("run", ""))
         model = model_of(document, _chains(document, robot))
         learned = document["residual_model"]
         if (learned is None) != (model.setup.learned is None):
@@ -320,10 +366,10 @@ def _read_model(path: Path, read: Read) -> tuple[Json, CalibratedModel]:
             # Its name alone: a calibration does not reach into other folders.
             file = path.with_name(Path(learned["file"]).name)
             content = typed(str, learned["sha256"])
-    require_one_run(listed, run, robot.source, path, read)
+    require_one_run(document, robot.source, path)
     if learned is None:
         return document, model
-    data = read(file)
+    data = read_bytes(file)
     if sha256(data) != content:
         reason = "not the file that this calibration was written with"
         raise InputError(reason, file=file)
@@ -365,28 +411,19 @@ def _chains(document: Json, robot: Robot) -> Chains:
 # --- the result --------------------------------------------------------------------
 
 
-def _result(
-    document: Json, model: CalibratedModel, file: Path, read: Read
-) -> CalibrationResult:
+def _result(document: Json, model: CalibratedModel, file: Path) -> CalibrationResult:
     verdict, about = document["verdict"], document["measurements"]
-    parts = {key: document[key] for key in (*STATED, *BREAKDOWN)}
-    parts["recalibration"] = document.get("recalibration")
-    parts["model_selection"] = document["model_ladder"]
-    parts["parameters"] = document["parameters"]
-    parts["identifiability"] = found = document["identifiability"]
-    parts |= {"groups": found["coupled"], "robot_errors": found["robot_errors"]}
     kinds = get_type_hints(CalibrationResult)
+    parts = {key: document[key] for key in STATED} | {
+        "recalibration": document.get("recalibration"),
+        "model_selection": document["model_ladder"],
+        "groups": document["identifiability"]["coupled"],
+        "robot_errors": document["identifiability"]["robot_errors"],
+    }
     known = {key: typed(kinds[key], part) for key, part in parts.items()}
-    estimates = [*known["parameters"], *known["groups"]]
-    require_finite([estimate.value for estimate in estimates])
-    terms = (term for group in known["groups"] for term in group.terms)
-    require_finite([term.coefficient for term in terms])
-    for sigma in (estimate.sigma for estimate in estimates):
-        if sigma is not None and not sigma >= 0.0:
-            raise ValueError(f"{sigma!r} is no standard deviation")
     names = [parameter.name for parameter in known["parameters"]]
     covariance = document["covariance"] or np.full((len(names), len(names)), np.nan)
-    fitted, held_out = _measured(document, model, file.parent, read)
+    fitted, held_out = _measured(document, model, file.parent)
     made, urdf = document["provenance"], document["urdf"]
     return CalibrationResult(
         **known,
@@ -429,18 +466,14 @@ def _errors(errors: Sequence[QuantityErrors], method: str) -> Json:
 
 
 def _read_errors(document: Json) -> tuple[QuantityErrors, ...]:
-    result = []
+    found = []
     for name, entry in document.items():
-        unit, training, held_out = entry["unit"], entry["training"], entry["validation"]
-        if unit not in DISPLAY:
-            raise ValueError(f"{repr(unit)} is no unit of '{name}'")
-        fitted = (typed(Accuracy, training[stage]) for stage in STAGES)
-        unseen = (
-            None if held_out[stage] is None else typed(Accuracy, held_out[stage])
-            for stage in STAGES
-        )
-        result.append(QuantityErrors(name, unit, *fitted, *unseen))
-    return tuple(result)
+        if entry["unit"] not in DISPLAY:
+            raise ValueError(f"{repr(entry['unit'])} is no unit of '{name}'")
+        unseen = {f"validation_{k}": entry["validation"][k] for k in STAGES}
+        stated = {"name": name, "unit": entry["unit"], **entry["training"], **unseen}
+        found.append(typed(QuantityErrors, stated))
+    return tuple(found)
 
 
 def _predictions(result: CalibrationResult) -> Json:
@@ -478,23 +511,17 @@ def _accuracies(document: Json, model: CalibratedModel) -> dict[str, ToolAccurac
 
 
 def _accuracy(entry: Json) -> ToolAccuracy:
-    measured, workspace = (
-        typed(ExpectedAccuracy, entry[key]) if key in entry else None
-        for key in ("measured", "workspace")
-    )
-    if "samples" not in entry:
-        return ToolAccuracy(None, measured, workspace)
-    typed(PoseErrors, entry)
-    samples = (np.array(entry["samples"][key], float) for key in SAMPLES)
-    q, points, position, orientation = samples
-    if not len(q) == len(points) == len(position) == len(orientation):
-        raise ValueError("the lists of 'samples' are not of one length")
-    if not np.abs(points).max() <= LARGEST_LENGTH:
-        raise ValueError(f"points are more than {LARGEST_LENGTH:g} m away")
-    counts, errors = (np.array(entry["by_count"][key], float) for key in CURVE)
-    alone, curve = typed(PoseErrors, entry["robot"]), FoundCurve((counts, errors))
-    tip = TipAccuracy(q, points, position, orientation, alone, curve)
-    return ToolAccuracy(tip, measured, workspace)
+    tip = None
+    if "samples" in entry:
+        samples = (np.array(entry["samples"][key], float) for key in SAMPLES)
+        q, points, position, orientation = samples
+        if not len(q) == len(points) == len(position) == len(orientation):
+            raise ValueError("the lists of 'samples' are not of one length")
+        counts, errors = (np.array(entry["by_count"][key], float) for key in CURVE)
+        alone, curve = typed(PoseErrors, entry["robot"]), FoundCurve((counts, errors))
+        tip = TipAccuracy(q, points, position, orientation, alone, curve)
+    stages = (entry.get(key) for key in ("measured", "workspace"))
+    return ToolAccuracy(tip, *(s and typed(ExpectedAccuracy, s) for s in stages))
 
 
 def _rotations(result: CalibrationResult) -> Json:
@@ -514,12 +541,12 @@ def _rotations(result: CalibrationResult) -> Json:
 
 
 def _measured(
-    document: Json, model: CalibratedModel, folder: Path, read: Read
+    document: Json, model: CalibratedModel, folder: Path
 ) -> tuple[MeasurementErrors, MeasurementErrors | None]:
     """The errors of the fitted and of the validation measurements."""
     count = typed(int, document["measurements"]["training"])
     try:
-        data = read(folder / MEASUREMENTS)
+        data = read_bytes(folder / MEASUREMENTS)
     except InputError:
         return unknown_errors(model, count), None
     rotations = dict.fromkeys(SETS, document["rotation_to_base"])
@@ -548,3 +575,160 @@ def _urdf_result(entry: Json, chains: Chains) -> UrdfResult:
         errors=_read_errors(entry["errors"]),
         reason=typed(str, entry["reason"]),
     )
+
+
+# --- the folder -------------------------------------------------------------------
+
+
+def urdf_name(robot: str) -> str:
+    """Name of the corrected URDF of a robot.
+
+    Examples:
+        >>> urdf_name("ur 10"), urdf_name("Nominal"), urdf_name("../arm")
+        ('ur_10.urdf', 'Nominal-corrected.urdf', '_arm.urdf')
+    """
+    # The name comes from the file: it must not lead out of the folder.
+    name = re.sub(r"[^\w.-]", "_", robot).lstrip(".") or "robot"
+    # Some file systems do not tell capitals apart.
+    taken = f"{name}.urdf".casefold() == NOMINAL
+    return f"{name}-corrected.urdf" if taken else f"{name}.urdf"
+
+
+def run_id(document: Json, learned: bytes | None) -> str:
+    """Id of the run that led to a document; the same input and seed lead to the same.
+
+    Args:
+        document: The `calibration.json`, without an id.
+        learned: Its residual model, without an id.
+    """
+    solver, about = document["solver"], document["provenance"]
+    content = {
+        **document,
+        "residual_model": None,
+        "solver": {k: v for k, v in solver.items() if k != "seconds"},
+        "provenance": {k: v for k, v in about.items() if k not in MADE},
+    }
+    return sha256(encode(content) + (learned or b""))[:16]
+
+
+def read_document(path: str | Path) -> Json:
+    """The content of a `calibration.json`.
+
+    Raises:
+        InputError: If the file is not such a document, or of another version.
+    """
+    document = decoded(read_bytes(path, JSON), "calibration", FORMAT, path)
+    # Version 0.1 of the program wrote none of these.
+    if not document.keys() >= set(BREAKDOWN):
+        reason = "of an older version of calib-pin, or edited: calibrate again"
+        raise InputError(f"{reason} from the measurements", file=path)
+    return document
+
+
+def members(document: Json) -> dict[str, str | None]:
+    """SHA-256 of the files that were written with a calibration, by name.
+
+    None for those that are known by the id of the run.
+
+    Raises:
+        ValueError: If these are no such names.
+    """
+    stated = document.get("files", {})
+    if not isinstance(stated, Mapping) or not all(
+        isinstance(name, str) and inside(name) for name in stated
+    ):
+        raise ValueError("'files' are not those of a folder")
+    return dict(stated)
+
+
+def require_one_run(document: Json, robot: bytes, path: Path) -> None:
+    """Refuse a calibration among files that were not written with it.
+
+    Those that are not there are not missed here; pictures may be edited.
+
+    Args:
+        document: The calibration.
+        robot: The robot that was calibrated, which may stand in the place of the
+            corrected one.
+        path: The `calibration.json`.
+
+    Raises:
+        InputError: If one of them is of another run, or was edited.
+    """
+    run = str(document.get("run", "")).encode()
+    with reading(path):
+        listed = members(document)
+    for name, content in listed.items():
+        file = path.parent / name
+        if file.suffix in PICTURES or not file.is_file():
+            continue
+        data = read_bytes(file)
+        known = sha256(data) == content or data == robot
+        if not (run in data if content is None else known):
+            raise InputError(
+                f"not the file that '{path.name}' beside it was written with, but of "
+                "another run or edited; keep the files of one run together, or remove "
+                "this one",
+                file=file,
+            )
+
+
+def find_robot(name: str, content: str, path: Path) -> Robot:
+    """The robot that was calibrated, recognized by its content.
+
+    Where it was calibrated comes before the copy: meshes are beside the former.
+
+    Args:
+        name: Its file as it was given.
+        content: Its SHA-256.
+        path: The `calibration.json`.
+
+    Raises:
+        InputError: If there is only another one.
+        RobotError: If there is none.
+    """
+    copy, other = path.parent / NOMINAL, None
+    try:
+        given = locate_robot(name)
+    except RobotError:  # The package it came from is not installed here.
+        given = copy
+    places = [given, path.parent / given, path.parent / given.name, copy]
+    # A xacro file was expanded, and what came of it is in the copy.
+    for place in places[3:] if is_xacro(given) else places:
+        if not place.is_file():
+            continue
+        data = read_bytes(place)
+        if sha256(data) != content and place != copy:
+            data = straight_source(data)
+        if sha256(data) == content:
+            kept = given if is_xacro(given) and given.is_file() else place
+            there = kept == given and given != copy
+            return parse_robot(data, name if there else str(place))
+        other = other or place
+    if other is None:
+        reason = f"the robot '{name}' that was calibrated is neither there nor beside"
+        raise RobotError(f"{reason} the calibration", file=path)
+    raise InputError(
+        f"'{other}' is not the robot that was calibrated: its content differs; keep "
+        "the files of one run together",
+        file=path,
+    )
+
+
+def written_before(path: Path) -> list[Path]:
+    """Files that were written with a calibration and are still there.
+
+    They are those of its manifest; of anything else, nothing is known.
+
+    Args:
+        path: The `calibration.json`, if there is one.
+
+    Raises:
+        OutputError: If what a killed run decided on cannot be put in place.
+    """
+    try:
+        with settled(path.parent):
+            names = members(read_document(path))
+    except (InputError, ValueError):
+        return []
+    return [path.parent / name for name in names if (path.parent / name).is_file()]

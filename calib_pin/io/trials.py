@@ -13,13 +13,11 @@ from dataclasses import astuple, fields
 from pathlib import Path
 
 from calib_pin.errors import InputError, OutputError
-from calib_pin.io.files import read_bytes, write_atomically
+from calib_pin.io.files import read_bytes, reason_of, write_atomically
 from calib_pin.monte_carlo import Trial
 
 COLUMNS = tuple(field.name for field in fields(Trial))
-"""Columns of the file; all between the first two and the last are errors."""
-
-SIZES = COLUMNS[2:-1]
+"""Columns of the file."""
 
 
 def encode_trials(trials: Iterable[Trial]) -> bytes:
@@ -50,18 +48,18 @@ def read_trials(path: Path, study: str, each: int) -> list[tuple[Trial, ...]]:
     Raises:
         InputError: If they are of another study, or are damaged before the end.
     """
+    from pydantic import TypeAdapter
+
     data, begin = read_bytes(path), head(study)
     if begin.startswith(data):
         return []
     if not data.startswith(begin):
         raise InputError("holds trials of another study; use --force", file=path)
     whole = data[len(begin) : data.rfind(b"\n") + 1].decode("utf-8", "replace")
-    found: list[Trial] = []
+    found, reader = list[Trial](), TypeAdapter(Trial)
     for line, cells in enumerate(csv.reader(io.StringIO(whole, newline="")), 3):
         try:
-            robot, configurations, *numbers, reason = cells
-            sizes = dict(zip(SIZES, map(float, numbers), strict=True))
-            trial = Trial(int(robot), int(configurations), **sizes, reason=reason)
+            trial = reader.validate_python(dict(zip(COLUMNS, cells, strict=True)))
         except ValueError:
             trial = Trial(-1, 0)
         if trial.robot != len(found) // each:
@@ -98,5 +96,5 @@ def kept(
                 stream.flush()
                 yield own
     except OSError as error:
-        reason = error.strerror or str(error)
+        reason = reason_of(error)
         raise OutputError(f"{path}: cannot be written: {reason}") from error

@@ -99,11 +99,13 @@ def read_tree(path: str | Path) -> Tree:
     content = read_bytes(path, _LARGEST)
     try:
         text = content.decode("utf-8-sig")
-        composer = _Composer(text)
-        composer.file = file
-        root = composer.get_single_node()
+        _check_events(text, file)
+        root = yaml.compose(text, yaml.SafeLoader)
+        if root is None:  # There is nothing, or nothing but comments.
+            begin = yaml.Mark(file, 0, 0, 0, None, 0)
+            root = yaml.ScalarNode("tag:yaml.org,2002:null", "", begin, begin)
         places: Places = {}
-        data = None if root is None else _build(root, file, (), _line(root), places)
+        data = _build(root, file, (), _line(root), places)
         return Tree(file, data, places, text)
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
@@ -123,39 +125,31 @@ def read_tree(path: str | Path) -> Tree:
         raise InputError("not a text file", file=file) from None
 
 
-class _Composer(yaml.SafeLoader):
-    """Nodes without anchors, aliases and tags, and not nested too deeply.
+def _check_events(text: str, file: str) -> None:
+    """Refuse anchors, aliases and tags, and what is nested too deeply to compose.
 
-    Each is refused before it is composed: recursion goes to any depth.
+    Raises:
+        InputError: Names the line.
     """
-
-    file = ""
     depth = 0
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        event = self.peek_event()  # type: ignore[no-untyped-call]
-        refused = None
+    for event in yaml.parse(text, yaml.SafeLoader):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        anchor, tag = (getattr(event, name, None) for name in ("anchor", "tag"))
+        refused = ""
         if isinstance(event, yaml.AliasEvent):
-            refused = (
-                f"an alias, '*{event.anchor}', (a glob needs quotes, as in {_GLOB})"
-            )
-        elif event.anchor is not None:
-            refused = f"an anchor, '&{event.anchor}',"
-        elif event.tag is not None:
-            refused = f"a tag, '{event.tag}',"
-        elif self.depth > _DEEPEST:
+            refused = f"an alias, '*{anchor}', (a glob needs quotes, as in {_GLOB})"
+        elif anchor is not None:
+            refused = f"an anchor, '&{anchor}',"
+        elif tag is not None:
+            refused = f"a tag, '{tag}',"
+        elif depth > _DEEPEST:
             refused = "so deep a nesting"
-        elif isinstance(event, yaml.ScalarEvent) and _HALVES.search(event.value):
+        elif _HALVES.search(getattr(event, "value", "")):
             refused = "half of a character, in an escape,"
-        if refused is not None:
-            line = _line(event)
-            raise InputError(
-                f"{refused} is not allowed here", file=self.file, line=line
-            )
-        self.depth += 1
-        node = super().compose_node(parent, index)
-        self.depth -= 1
-        return node
+        if refused:
+            reason = f"{refused} is not allowed here"
+            raise InputError(reason, file=file, line=_line(event))
 
 
 def _build(node: yaml.Node, file: str, path: Keys, line: int, places: Places) -> Any:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from calib_pin.io.setup_schema import json_schema, resolved
+from calib_pin.io.setup import json_schema, resolved
 
 Json = dict[str, Any]
 

@@ -351,7 +351,7 @@ CASES: dict[str, Case] = {
     "no errors in the file": (
         f"{SIMULATE} --errors bad.yaml",
         {"bad.yaml": "# none\n"},
-        dict(file="bad.yaml", line=None),
+        dict(file="bad.yaml", line=1),
     ),
     # calibrations
     "later version": (

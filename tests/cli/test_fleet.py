@@ -182,6 +182,7 @@ TABLES = [
     ("jobs.csv", f"{FIRST},name\na.urdf,a.csv,one\na.urdf,b.csv,One\n", "jobs.csv:3"),
     ("jobs.csv", f"{FIRST},name\narm.urdf,a.csv,fleet.csv\n", "'fleet.csv'"),
     ("jobs.yaml", "jobs: []\n", "'jobs'"),
+    ("jobs.yaml", "# none yet\n", "jobs.yaml:1"),
     ("jobs.yaml", "robto: a\njobs: [{robot: a, measurements: b}]\n", "jobs.yaml:1"),
     ("jobs.yaml", "robot: a\njobs:\n  - {measurements: b}\n  - {}\n", "jobs.yaml:4"),
     (

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from calib_pin.io.journal import JOURNAL
+from calib_pin.io.files import COMMIT
 from tests.cli.files import document
 
 POSITION = "calibrate arm.urdf rows.csv --setup setup.yaml"
@@ -315,7 +315,7 @@ def test_a_signal_before_the_decision(number, status, here, run, listing, monkey
     handlers = [signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)]
 
     def stop(*_: object) -> None:
-        assert list(Path("done").glob(".calib-pin-*.tmp"))
+        assert list(Path("done").glob(".calib-pin-*"))
         signal.raise_signal(number)
 
     monkeypatch.setattr("calib_pin.cli.calibrate.show", stop)
@@ -334,12 +334,13 @@ def test_a_signal_after_the_decision(number, status, here, run, monkeypatch):
 
     def stopped(source: Any, path: Any) -> None:
         names.append(Path(path).name)
-        signal.raise_signal(number)
+        if len(names) == 3:
+            signal.raise_signal(number)
         replace(source, path)
 
     monkeypatch.setattr(os, "replace", stopped)
     words = "calibrate arm.urdf new.csv --setup setup.yaml -o done --force --quiet"
     assert run(words).status == status
-    assert names[0] == JOURNAL and {*names[1:]} == FILES
+    assert names[0] == COMMIT and {*names[1:]} == FILES
     assert_one_run("done")
     assert document("done")["measurements"]["files"][0]["file"] == "new.csv"

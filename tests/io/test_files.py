@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from calib_pin.errors import InputError, OptionError, OutputError
-from calib_pin.io.files import read_blocks, read_bytes, write_files, write_folder
-from calib_pin.io.journal import settled, temporary
+from calib_pin.io.files import (
+    COMMIT,
+    REMOVED,
+    locked,
+    read_blocks,
+    read_bytes,
+    settled,
+    write_files,
+    write_folder,
+)
 
 OLD = {"a.json": b"old a", "b.urdf": b"old b", "gone.json": b"old gone"}
 NEW = {"a.json": b"new a", "b.urdf": b"new b", "figures/c.png": b"new c"}
@@ -26,7 +33,7 @@ class Killed(BaseException):
 class System:
     """The system's calls that write, of which one does not succeed."""
 
-    CALLS = ("fsync", "replace", "unlink", "mkdir", "rmdir", "link", "open")
+    CALLS = ("fsync", "replace", "unlink", "mkdir", "rmdir", "open")
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.failing, self.kind, self.count = -1, "", 0
@@ -100,28 +107,24 @@ def start(folder: Path) -> None:
 
 def content(folder: Path) -> dict[str, bytes]:
     found = {
-        path.relative_to(folder).as_posix(): path.read_bytes()
+        name: path.read_bytes()
         for path in folder.rglob("*")
-        if path.is_file()
+        if path.is_file() and (name := path.relative_to(folder).as_posix())[0] != "."
     }
     assert found.pop("mine.txt", b"mine") == b"mine"
     return found
 
 
-@contextmanager
-def new_set(folder: Path, said: list[str]) -> Iterator[None]:
+def write_new(folder: Path) -> None:
     contents = {folder / name: data for name, data in NEW.items()}
     contents[OUTSIDE] = b"new outside"
-    with write_folder(
-        folder, contents, [folder / "gone.json"], force=True, notice=said.append
-    ):
-        yield
+    with write_folder(folder, contents, [folder / "gone.json"], force=True):
+        assert content(folder) in (OLD, NEW)
 
 
 def read_as_a_reader(folder: Path) -> dict[str, bytes]:
-    with settled(folder) as waiting:
-        assert not waiting
-    return content(folder)
+    with settled(folder):
+        return content(folder)
 
 
 def steps(system: System, kind: str, tmp_path: Path) -> Iterator[tuple[Path, Any]]:
@@ -130,18 +133,16 @@ def steps(system: System, kind: str, tmp_path: Path) -> Iterator[tuple[Path, Any
         folder = tmp_path / f"{kind}-{step}"
         start(folder)
         OUTSIDE.unlink(missing_ok=True)
-        said: list[str] = []
 
-        def run(step: int = step, folder: Path = folder, said: Any = said) -> bool:
+        def run(step: int = step, folder: Path = folder) -> bool:
             system.fail(step, kind)
             try:
-                with new_set(folder, said):
-                    pass
+                write_new(folder)
             except (OutputError, Killed):
                 return False
             finally:
                 run.calls = system.recover()  # type: ignore[attr-defined]
-            return not said
+            return True
 
         yield folder, run
         if run.calls <= step:  # type: ignore[attr-defined]
@@ -165,10 +166,7 @@ def test_a_full_disk_at_every_call_leaves_the_old_set(
             continue
         failed += 1
         if content(folder) == OLD:
-            assert sorted(p.name for p in folder.iterdir()) == [
-                *sorted(OLD),
-                "mine.txt",
-            ]
+            assert {p.name for p in folder.iterdir()} == {*OLD, "mine.txt"}
             assert not OUTSIDE.exists()
             assert not list(tmp_path.glob(".calib-pin-*"))
         else:  # After the decision nothing goes back; the next reader completes it.
@@ -183,84 +181,51 @@ def test_a_kill_at_every_call_leaves_the_old_set_or_the_new(
     found = []
     for folder, run in steps(system, "kill", tmp_path):
         finished = run()
-        read = read_as_a_reader(folder)
-        # What was not decided on may still be there, under names that nobody reads.
-        seen = {k: v for k, v in read.items() if not k.endswith(".tmp")}
+        seen = read_as_a_reader(folder)
         assert seen in (OLD, NEW)
         assert seen == NEW or not finished
         found.append(seen == NEW)
-        if seen == NEW:
-            assert OUTSIDE.read_bytes() == b"new outside"
-        with new_set(folder, []):
-            pass
-        assert content(folder) == NEW
-        assert not list(tmp_path.glob(".calib-pin-*"))
+        write_new(folder)
+        assert content(folder) == NEW and OUTSIDE.read_bytes() == b"new outside"
+        assert not list(tmp_path.rglob(".calib-pin-*"))
     assert found == sorted(found), "once decided, it stays"
     assert 10 < sum(found) < len(found) - 10
-
-
-@pytest.mark.slow
-def test_a_writer_completes_what_was_decided_on(
-    system: System, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Another file in the same folder must not clear away what waits there."""
-    monkeypatch.chdir(tmp_path)
-    for folder, run in steps(system, "kill", tmp_path):
-        run()
-        with write_files({folder / "plan.csv": b"q"}, force=False):
-            pass
-        found = content(folder)
-        assert found.pop("plan.csv") == b"q"
-        # What is below belongs to whoever writes there next.
-        assert {k: v for k, v in found.items() if not k.endswith(".tmp")} in (OLD, NEW)
-        assert not [path for path in folder.iterdir() if path.name[0] == "."]
 
 
 # --- files of their own ------------------------------------------------------------
 
 
-@pytest.mark.parametrize("links", [True, False])
-def test_loose_files_are_all_there_or_none(
-    links: bool, system: System, tmp_path: Path
-) -> None:
-    """A call that fails at the end only clears up later than it should."""
-    paths = [tmp_path / name for name in ("a", "b", "new/c")]
-    done, names = [], {"a", "b"}
+def test_loose_files_are_all_complete_or_none(system: System, tmp_path: Path) -> None:
+    """A full disk is met before the first of them is put in place."""
+    names, done = ("a", "b", "new/c"), []
     for step in range(100):
-        for path in paths[:2]:
-            path.write_bytes(b"old")
-        for path in (tmp_path / "new").glob("c"):
-            path.unlink()
-            path.parent.rmdir()
+        folder = tmp_path / str(step)
+        folder.mkdir()
+        for name in names[:2]:
+            (folder / name).write_bytes(b"old")
         system.fail(step, "full")
-        with pytest.MonkeyPatch.context() as patch:
-            if not links:
-                patch.setattr(Path, "hardlink_to", lambda *_: os.link("/", "/"))
-            try:
-                with write_files(dict.fromkeys(paths, b"new"), force=True):
-                    pass
-                done.append(True)
-            except OutputError:
-                done.append(False)
-        calls = system.recover()
-        if done[-1]:
-            assert [path.read_bytes() for path in paths] == [b"new"] * 3
-        else:
-            assert {
-                p.name: p.read_bytes() for p in tmp_path.iterdir()
-            } == dict.fromkeys(names, b"old")
-        if calls <= step:
-            break
-    assert done[-1] and done.count(False) > 10
+        try:
+            with write_files({folder / n: b"new" for n in names}, force=True):
+                system.failing = -1
+            done.append(True)
+        except OutputError:
+            done.append(False)
+        system.recover()
+        new = {name: b"new" for name in names}
+        assert content(folder) == (new if done[-1] else {"a": b"old", "b": b"old"})
+        assert not list(folder.rglob(".calib-pin-*"))
+        assert done[-1] or not (folder / "new").exists()
+    assert done[-1] and done.count(False) > 5
 
 
 def test_what_fails_leaves_nothing(tmp_path: Path) -> None:
-    name = "x" * 255  # Temporary names are no longer.
+    name = "x" * 255
     with (
         pytest.raises(ZeroDivisionError),
         write_files({tmp_path / "a" / "b" / name: b"1"}, force=False),
     ):
-        assert temporary(tmp_path / "a" / "b" / name).read_bytes() == b"1"
+        (staged,) = (tmp_path / "a" / "b").glob(f"*/{name}")
+        assert staged.read_bytes() == b"1"
         raise ZeroDivisionError
     assert not list(tmp_path.iterdir())
     # Nor is any written where one exists.
@@ -270,6 +235,68 @@ def test_what_fails_leaves_nothing(tmp_path: Path) -> None:
         pass
     assert caught.value.file == str(tmp_path / "b")
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
+
+
+# --- who reads and writes at the same time -----------------------------------------
+
+
+def test_a_hostile_list_removes_nothing_outside_its_folder(tmp_path: Path) -> None:
+    (tmp_path / "mine").write_bytes(b"mine")
+    commit = tmp_path / "out" / COMMIT
+    commit.mkdir(parents=True)
+    (commit / REMOVED).write_text(f'["../mine", "{tmp_path / "mine"}", "..", ""]')
+    assert read_as_a_reader(tmp_path / "out") == {}
+    assert (tmp_path / "mine").exists() and not commit.exists()
+
+
+def test_what_cannot_be_put_in_place_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / COMMIT).mkdir()
+    (tmp_path / COMMIT / "a").write_bytes(b"new")
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    with pytest.raises(OutputError), settled(tmp_path):
+        pass
+
+
+def test_readers_share_a_folder_and_writers_do_not(tmp_path: Path) -> None:
+    with (
+        locked(tmp_path, shared=True) as one,
+        locked(tmp_path, shared=True) as other,
+        locked(tmp_path, wait=False) as writer,
+    ):
+        assert one and other and not writer
+
+
+def test_two_runs_into_one_folder(tmp_path: Path) -> None:
+    """Neither clears away what the other has not put in place yet."""
+    with (
+        write_folder(tmp_path, {tmp_path / "a": b"1"}, force=True),
+        write_folder(tmp_path, {tmp_path / "a": b"2"}, force=True),
+    ):
+        assert len(list(tmp_path.glob(".calib-pin-*"))) == 2
+    assert read_as_a_reader(tmp_path) == {"a": b"1"}
+    assert not list(tmp_path.glob(".calib-pin-*"))
+
+
+def test_where_there_are_no_locks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(9, "Bad file descriptor")
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    with locked(tmp_path) as held, locked(tmp_path / "none") as other:
+        assert not held and not other
+    (tmp_path / "done").mkdir()
+    start(tmp_path / "done")
+    monkeypatch.chdir(tmp_path)
+    write_new(tmp_path / "done")
+    assert read_as_a_reader(tmp_path / "done") == NEW
+
+
+def test_nobody_waits_for_a_pipe(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / COMMIT)
+    with settled(tmp_path), settled(tmp_path / COMMIT):
+        pass
 
 
 def test_only_regular_files_are_read(tmp_path: Path) -> None:

@@ -75,7 +75,6 @@ BAD = [
     changed(covariance=[[1e-7, 1e-7], [1e-7, 4e-8]]),
     changed(covariance=[[1e-7, None], [None, 1.0]]),
     changed(covariance=["a", "b"]),
-    changed(robots=0),
     changed(robots="many"),
     changed(parameters=TWICE),
     changed(noise={"position": -1.0}),

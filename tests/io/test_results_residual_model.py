@@ -16,18 +16,16 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.learning import with_learned
 from calib_pin.io.calibrated_model import (
+    RESIDUAL_MODEL,
     encode_residual_model,
     read_residual_model,
     reference,
     write_urdf,
 )
 from calib_pin.io.json_text import encode
-from calib_pin.io.result_folder import RESIDUAL_MODEL
 from calib_pin.io.results import calibration_document, read_calibration
 from calib_pin.observations import BlockKey
-from calib_pin.residual_models import LearnedCorrection, TrainedRegion
-from calib_pin.residual_models.harmonic_process import HarmonicProcess
-from calib_pin.residual_models.harmonics import Harmonics
+from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult
@@ -83,31 +81,6 @@ def test_it_predicts_as_before(
     with refused(OptionError):
         write_urdf(model, folder / "corrected.urdf")
     write_urdf(model.without_corrections, folder / "corrected.urdf")
-
-
-def test_so_does_one_of_many_measurements(learned: CalibrationResult) -> None:
-    q = learned.model.chains.random_configurations(40, np.random.default_rng(0))
-    modes = np.zeros((2, 6), np.int64)
-    modes[:, 1] = 1, 2
-    process = HarmonicProcess(
-        region=TrainedRegion.of(q, np.ones(6, bool), np.random.default_rng(0)),
-        shift=np.zeros(0),
-        space="joint",
-        unit=np.full(6, 1e-3),
-        harmonics=Harmonics(modes, np.array([2, 4])),
-        amplitudes=np.array([0.5, 0.25]),
-        root=np.ones(2),
-        spread=np.array([0.1, 0.0, 0.2]),
-        held_out=(1.0, 0.5),
-        released=np.zeros((0, 0)),
-    )
-    model = with_learned(learned.model, replace(network_of(learned), model=process))
-    data = encode_residual_model(model)
-    assert data is not None
-    found = read_residual_model(data, learned.model, "other.json")
-    assert isinstance(found.model, HarmonicProcess)
-    np.testing.assert_array_equal(found(q), process(q))
-    np.testing.assert_array_equal(found.model.deviation(q), process.deviation(q))
 
 
 def test_it_belongs_to_all_tools_of_a_chain(learned: CalibrationResult) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -18,10 +19,19 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calib_pin.errors import CalibPinError, InputError
-from calib_pin.io.setup import read_setup, setup_document, setup_of, yaml_text
-from calib_pin.io.setup_schema import SetupFile, json_schema
-from calib_pin.io.yaml_tree import read_tree
-from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.estimation.solve import SOLVERS
+from calib_pin.io import setup as setup_files
+from calib_pin.io.setup import (
+    SetupFile,
+    json_schema,
+    known_keys,
+    read_setup,
+    setup_document,
+    setup_of,
+    yaml_text,
+)
+from calib_pin.measurement_models import MEASUREMENT_MODELS, Quantity
+from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.setup import (
     AnchorSetup,
     DistanceSetup,
@@ -36,6 +46,9 @@ from calib_pin.setup import (
     SphereSetup,
     ToolSetup,
 )
+from calib_pin.setup.constraints import meanings
+from calib_pin.solvers import DifferentialEvolution
+from documentation.setup_reference import schema_text
 
 Keys = tuple[str | int, ...]
 Schema = dict[str, Any]
@@ -304,6 +317,7 @@ def test_every_key_is_read_and_stored(write, key):
         found = json.loads(json.dumps(setup_document(setup)))
         if key != "reading":  # It is applied to the rows and never stored.
             assert setup_of(found) == setup
+            assert read_setup(write(yaml_text(found))) == setup
         for step in path:
             found = found[step]
         assert found == STORED.get(name, value), name
@@ -349,6 +363,7 @@ region: {box: [[0.2, -0.5, 0.1], [1, 0.5, 1.2]], sphere: {center: [0, 0, 1], rad
 limits: {"joint_*": [-2, 2], rail: [0.1, 1.5]}
 ranger: {range: 3, incidence: 1.2}
 report: {serial_number: KR 7, temperature: "20.5", date: 2026-11-23}
+camera: {mount: world, focal: [9, 9], center: [0, 0], distortion: [0.1, 0.2, 3, -4]}
 """
 
 
@@ -376,85 +391,64 @@ def test_what_keys_mean(write):
     assert isinstance(setup.solver.evolution["maxiter"], int)
     scales = [obstacle.scale for obstacle in setup.obstacles]
     assert scales == [None, (0.001,) * 3, (1.0, 2.0, 1.0), (1.0, 1.0, 1.0)]
+    assert setup.camera.distortion == (0.1, 0.2, 3.0, -4.0, 0.0)
     assert setup.ranger == RangerSetup((0.0, 3.0), 1.2)
     assert setup.report == ReportSetup("KR 7", temperature=20.5, date="2026-11-23")
 
 
-@pytest.mark.parametrize(
-    ("written", "value"),
-    [
-        ("[0.1, 0.2]", (0.1, 0.2, 0.0, 0.0, 0.0)),
-        ("[0.1, 0.2, 3, -4]", (0.1, 0.2, 3.0, -4.0, 0.0)),
-        ("[0, 0, 0, 0, -0.5]", (0.0, 0.0, 0.0, 0.0, -0.5)),
-    ],
-)
-def test_distortions(write, written, value):
-    camera = f"mount: world, focal: [9, 9], center: [0, 0], distortion: {written}"
-    assert read_setup(write(f"camera: {{{camera}}}")).camera.distortion == value
+# --- the documents that are made from the schema ---------------------------------
+
+
+def test_the_names_that_there_are_stand_in_the_schema() -> None:
+    keys = json_schema()["properties"]
+    assert keys["model"]["anyOf"][0]["enum"] == list(MEASUREMENT_MODELS)
+    assert keys["parameters"]["items"]["enum"] == list(PARAMETERIZATIONS)
+    assert keys["solver"]["properties"]["name"]["enum"] == list(SOLVERS)
+    assert "registered" not in schema_text()
+
+
+def test_the_solver_has_the_options_of_the_evolution() -> None:
+    options = [option.name for option in fields(DifferentialEvolution)]
+    assert known_keys(("solver", "popsize")) == ["name", *options]
+
+
+def test_the_noise_of_a_quantity_of_another_package(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    angle = SimpleNamespace(quantities=[Quantity("angle", "rad", slice(0, 2), 1e-5)])
+    models = {**MEASUREMENT_MODELS, "theodolite": SimpleNamespace(declaration=angle)}
+    monkeypatch.setattr(setup_files, "MEASUREMENT_MODELS", models)
+    setup_files.adapter.cache_clear()
+    try:
+        assert known_keys(("noise", "x"))[-2:] == ["pixel", "angle"]
+        assert setup_of({"noise": {"angle": 1e-5}}).noise == {"angle": 1e-5}
+    finally:
+        setup_files.adapter.cache_clear()
+
+
+def test_every_key_has_a_meaning() -> None:
+    def described(part: Any, path: str) -> None:
+        for key, value in part.get("properties", {}).items():
+            if not path.endswith(".noise"):  # Its keys are the quantities.
+                assert value.get("description"), f"{path}.{key}"
+            described(value, f"{path}.{key}")
+        for key in ("items", "additionalProperties"):
+            if isinstance(part.get(key), dict):
+                described(part[key], f"{path}.{key}")
+
+    described(schema(), "")
+    for name, part in schema()["$defs"].items():
+        described(part, name)
+
+
+def test_the_keys_of_a_setup_and_of_its_file() -> None:
+    ours = {field.name for field in fields(Setup)} - {"file"}
+    theirs = {field.name for field in fields(SetupFile)}
+    assert ours ^ theirs == {"base_frame", "tool_frame", "frames"}
+    assert set(meanings(Setup)) == ours | {"file"}
 
 
 # --- what is written reads back ----------------------------------------------------
-
-
-@st.composite
-def documents(draw) -> dict[str, Any]:
-    """Any keys together, with values that the schema allows; some contradict others."""
-    found: dict[str, Any] = {}
-    paths = [(path, part) for path, part in parts(schema()) if path]
-    for index in draw(st.sets(st.integers(0, len(paths) - 1), max_size=25)):
-        path, part = paths[index]
-        _merge(found, path, example(part, draw(st.integers(1, 3))))
-    return found
-
-
-def _merge(found: Any, path: Keys, value: Any) -> None:
-    """Put a value in its place, with what the schema requires along the way."""
-    part = schema()
-    for step, after in zip(path, (*path[1:], None), strict=True):
-        part = resolved(part)
-        below = part["items"] if step == 0 else part.get("properties", {}).get(step)
-        part = below or part["additionalProperties"]
-        if step == 0:
-            found.extend([example(part)] * (not found))
-        elif step not in found:
-            found[step] = example(part)
-        if after is None:
-            found[step] = value
-        found = found[step]
-
-
-def mended(document: dict[str, Any], file: Path) -> Setup:
-    """Read what is left without the keys that errors name."""
-    while True:
-        file.write_text(yaml_text(document))
-        try:
-            return read_setup(file)
-        except InputError as error:
-            assert "\n" not in str(error)
-            steps = re.split(r"[.[]", re.search("'(.*?)'", error.reason)[1])
-            above, last = document, None
-            for step in (int(s[:-1]) if s[-1] == "]" else s for s in steps):
-                if not isinstance(above, list) and step not in above:
-                    break
-                outer, last, above = above, step, above[step]
-            del outer[last]
-
-
-@settings(max_examples=40, derandomize=True, suppress_health_check=list(HealthCheck))
-@given(document=documents(), size=st.floats(1e-12, 1e6))
-def test_files_are_read_and_written_and_read_again(tmp_path, document, size):
-    """To the same setup and the same document, number by number."""
-    document["prior"] = {"*": size}
-    document.pop("reading", None)  # It is applied to the rows and never stored.
-    setup = mended(document, tmp_path / "setup.yaml")
-    assert setup.prior == {"*": size}
-    stored = setup_document(setup)
-    assert setup_of(json.loads(json.dumps(stored))) == replace(
-        setup, file=setup_of({}).file
-    )
-    (tmp_path / "setup.yaml").write_text(yaml_text(stored))
-    again = read_setup(tmp_path / "setup.yaml")
-    assert (again, setup_document(again)) == (setup, stored)
 
 
 @settings(max_examples=80, derandomize=True, suppress_health_check=list(HealthCheck))
@@ -587,7 +581,7 @@ MISTAKES = [
     ("tools: {a: {on: a}}", 1, "'tools.a.on'"),
     ("tools:\n  d: {on: a}\n  a: {on: b}\n  b: {on: a}\n", 3, "'tools.a'"),
     ("joints:\n  a:\n    joint: j\n  b:\n    joint: j\n", 5, "'joints.a.joint'"),
-    (f"{APART}  - {{between: [b, a], value: 1}}\n", 3, "'distances[0]'"),
+    (f"{APART}  - {{between: [b, a], value: 1}}\n", 3, "distances[0]"),
     # Numbers together, or where the schema says less.
     ("planes:\n  w:\n    offset: 0\n    normal: [0, 0, 0]\n", 4, "normal'"),
     ("bounds: {a: [1, 1]}", 1, "'bounds.a'"),
@@ -654,15 +648,6 @@ def test_the_path_is_named_as_given(tmp_path, monkeypatch, refused):
     monkeypatch.chdir(tmp_path)
     with refused(InputError, file="s.yaml", line=1):
         read_setup("s.yaml")
-
-
-def test_lines_of_a_tree(write):
-    tree = read_tree(write("a:\n  - 1\n  - b: 2\n    c: 3\nd: x\n"))
-    assert tree.data == {"a": [1.0, {"b": 2.0, "c": 3.0}], "d": "x"}
-    assert tree.line(("a", 0)) == 2
-    assert tree.line(("a", 1, "c")) == 4
-    assert tree.line(("d", "not", "there")) == 5
-    assert tree.written(("d",)) == "x"
 
 
 @pytest.mark.parametrize("module", ["calib_pin.io.setup", "calib_pin.setup"])

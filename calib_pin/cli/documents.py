@@ -11,6 +11,7 @@ from calib_pin.control.compensation import Compensation
 from calib_pin.estimation.evidence import Finding
 from calib_pin.io.calibrated_model import model_name
 from calib_pin.io.json_text import Json, format_keys, plain
+from calib_pin.io.results import identification_parts
 from calib_pin.io.targets import Targets
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -144,26 +145,6 @@ def _difference(found: Difference) -> Json:
         "difference": found.change,
         "sigma": found.sigma,
         "significance": found.significance,
-    }
-
-
-def identification_parts(
-    found: Identification, suggestions: Sequence[Suggestion] = ()
-) -> Json:
-    """The parts `parameters` and `identifiability` of section 8 of the contract.
-
-    Args:
-        found: The identifiability of a robot.
-        suggestions: Suggested measurements.
-    """
-    return {
-        "parameters": plain(found.parameters),
-        "identifiability": {
-            **plain(found.identifiability),
-            "coupled": plain(found.groups),
-            "robot_errors": plain(found.robot_errors),
-            "remedies": plain(suggestions),
-        },
     }
 
 

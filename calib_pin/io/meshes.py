@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,7 +14,8 @@ from calib_pin.io.children import Reader
 from calib_pin.io.files import read_bytes
 from calib_pin.io.packages import locate_mesh
 from calib_pin.io.urdf import locate_robot
-from calib_pin.io.urdf_tree import FARTHEST
+from calib_pin.io.urdf_bytes import Document, Element
+from calib_pin.io.urdf_tree import FARTHEST, NUMBERS
 from calib_pin.kinematics.shapes import Surface
 from calib_pin.kinematics.spatial import Floats
 
@@ -25,6 +27,14 @@ TRIANGLES = 1_000_000
 
 STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
 """A triangle of a binary STL file."""
+
+_Made = TypeVar("_Made")
+
+
+def shape_in(element: Element) -> Element | None:
+    """The shape of a visual or collision element, if it has one."""
+    geometry = element.child("geometry")
+    return geometry.children[0] if geometry and geometry.children else None
 
 
 class MeshReader(Reader):
@@ -67,6 +77,40 @@ class MeshReader(Reader):
         if key not in self._known:
             self._known[key] = _surface(self._corners(path), path, np.array(scale))
         return self._known[key]
+
+    def made(
+        self,
+        document: Document,
+        shape: Element,
+        makers: Mapping[str, Callable[..., _Made]],
+    ) -> _Made:
+        """A solid or a surface of a shape.
+
+        Args:
+            document: The URDF.
+            shape: The shape.
+            makers: Functions by the tag of a shape: of its numbers, or of the surface
+                of a mesh.
+
+        Raises:
+            InputError: If a mesh cannot be used, or there is no such shape.
+        """
+        if shape.tag not in makers:
+            reason = f"<{shape.tag}> of {shape.owner} is no shape"
+            raise document.error(shape, reason, allowed=", ".join(makers))
+        if shape.tag != "mesh":
+            sizes = NUMBERS[shape.tag].items()
+            numbers = [document.numbers(shape, key, count) for key, count in sizes]
+            return makers[shape.tag](*np.concatenate(numbers).tolist())
+        scale = [float(x) for x in shape.attributes.get("scale", "1 1 1").split()]
+        name = shape.attributes.get("filename", "")
+        try:
+            return makers["mesh"](self.read(name, scale))
+        except InputError as error:
+            reason = f"the mesh '{name}' of {shape.owner} {error.reason}"
+            hint = error.allowed or "another mesh"
+            allowed = f"{hint}, or no check of collisions (plan --ignore-collisions)"
+            raise document.error(shape, reason, allowed=allowed) from None
 
     def _corners(self, path: Path) -> Floats:
         """Corners of the triangles in a file, shape (F, 3, 3)."""

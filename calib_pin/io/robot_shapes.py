@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from calib_pin.errors import InputError
-from calib_pin.io.meshes import MeshReader
-from calib_pin.io.urdf_bytes import Document, Element, parse_document, read_origin
+from calib_pin.io.meshes import MeshReader, shape_in
+from calib_pin.io.urdf_bytes import Element, parse_document
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import (
     Color,
@@ -22,6 +24,15 @@ from calib_pin.kinematics.shapes import (
     cylinder,
 )
 from calib_pin.kinematics.stand_ins import stand_ins
+
+SURFACES: Mapping[str, Callable[..., Surface]] = {
+    "box": lambda *size: box(np.array(size)),
+    "sphere": ball,
+    "cylinder": cylinder,
+    "capsule": capsule,
+    "mesh": lambda surface: surface,
+}
+"""Surfaces by the tag of a shape, from its numbers."""
 
 
 def robot_shapes(
@@ -41,82 +52,43 @@ def robot_shapes(
         progress: Told the part that is done, 0 to 1.
     """
     document = parse_document(robot.source)
-    elements = document.root.children
-    links = [element for element in elements if element.tag == "link"]
-    materials = (element for element in elements if element.tag == "material")
-    colors = {m.attributes.get("name", ""): _rgb(m) for m in materials}
+    links = document.named("link")
+    colors = {name: _rgb(m) for name, m in document.named("material").items()}
     parts: list[Shape] = []
-    missing: list[str] = []
+    missing: dict[str, Any] = {}
     with MeshReader(robot.file, package_dirs) as meshes:
-        for k, link in enumerate(links):
+        for k, (name, link) in enumerate(links.items()):
             if progress is not None:
                 progress(k / len(links))
-            found, lost = _of_link(document, link, meshes, colors)
-            missing += lost
-            name = link.attributes.get("name", "")
+            found: list[Shape] = []
+            lost: dict[str, Any] = {}
+            for element in link.all("visual") or link.all("collision"):
+                if (shape := shape_in(element)) is None:
+                    continue
+                try:
+                    surface = meshes.made(document, shape, SURFACES)
+                    place = document.origin(element).homogeneous
+                    found.append(Shape(name, place, surface, _color(element, colors)))
+                except InputError:
+                    lost[shape.attributes.get("filename", shape.tag)] = None
+            missing |= lost
             parts += stand_ins(robot, name) if lost else found
-    if not parts:
-        parts = stand_ins(robot)
-    return Shapes(tuple(parts), tuple(dict.fromkeys(missing)))
+    return Shapes(tuple(parts or stand_ins(robot)), tuple(missing))
 
 
-def _of_link(
-    document: Document,
-    link: Element,
-    meshes: MeshReader,
-    colors: dict[str, Color | None],
-) -> tuple[list[Shape], list[str]]:
-    """The shapes of a link, and its meshes that are missing."""
-    found: list[Shape] = []
-    missing: list[str] = []
-    for element in link.all("visual") or link.all("collision"):
-        geometry = element.child("geometry")
-        if geometry is None or not geometry.children:
-            continue
-        shape, color = geometry.children[0], None
-        if material := element.child("material"):
-            color = _rgb(material) or colors.get(material.attributes.get("name", ""))
-        try:
-            place = read_origin(document, element).homogeneous
-            surface, name = _surface(shape, meshes), link.attributes.get("name", "")
-            found.append(Shape(name, place, surface, color))
-        except (InputError, ValueError):
-            missing.append(shape.attributes.get("filename", shape.tag))
-    return found, missing
-
-
-def _surface(shape: Element, meshes: MeshReader) -> Surface:
-    """The surface of a shape in a geometry.
-
-    Raises:
-        InputError: If its mesh is missing or cannot be read.
-        ValueError: If it is none, or has a wrong number.
-    """
-
-    def numbers(key: str, usual: str) -> list[float]:
-        return [float(word) for word in shape.attributes.get(key, usual).split()]
-
-    if shape.tag == "mesh":
-        name = shape.attributes.get("filename", "")
-        return meshes.read(name, numbers("scale", "1 1 1"))
-    if shape.tag == "box":
-        return box(np.array(numbers("size", "0 0 0")))
-    (radius,), (length,) = numbers("radius", "0"), numbers("length", "0")
-    if shape.tag == "sphere":
-        return ball(radius)
-    if shape.tag == "cylinder":
-        return cylinder(radius, length)
-    if shape.tag == "capsule":
-        return capsule(radius, length)
-    raise ValueError(f"there is no shape '{shape.tag}'")
+def _color(element: Element, colors: Mapping[str, Color | None]) -> Color | None:
+    """The color of a visual element, of its own or by the name of a material."""
+    material = element.child("material")
+    if material is None:
+        return None
+    return _rgb(material) or colors.get(material.attributes.get("name", ""))
 
 
 def _rgb(material: Element) -> Color | None:
     """The color that a material has, if it does."""
-    color = material.child("color")
-    words = [] if color is None else color.attributes.get("rgba", "").split()
-    try:
-        red, green, blue, _ = map(float, words)
-    except ValueError:
-        return None
-    return red, green, blue
+    for color in material.all("color"):
+        with suppress(ValueError):
+            words = color.attributes.get("rgba", "").split()
+            red, green, blue, _ = map(float, words)
+            return red, green, blue
+    return None

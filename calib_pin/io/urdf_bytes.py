@@ -11,7 +11,7 @@ from __future__ import annotations
 import codecs
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NoReturn
 from xml.parsers import expat
 
@@ -49,6 +49,7 @@ class Element:
         attributes: Its attributes, references and escapes resolved.
         line: Line of its start tag, counted from 1.
         start: Offset of its start tag in the document's data.
+        owner: The element below the root in which it is, as messages name it.
         children: Elements directly inside, down to those of a geometry.
     """
 
@@ -56,7 +57,8 @@ class Element:
     attributes: Mapping[str, str]
     line: int
     start: int
-    children: list[Element]
+    owner: str
+    children: list[Element] = field(default_factory=list)
 
     def child(self, tag: str) -> Element | None:
         """The first child of that name, the one that URDF readers take."""
@@ -93,9 +95,9 @@ class Document:
     mark: bytes
     root: Element
 
-    def encode(self, data: bytes) -> bytes:
-        """Bytes of a file with this document's encoding."""
-        return self.mark + data.decode().encode(self.codec)
+    def named(self, tag: str) -> dict[str, Element]:
+        """The links or joints of the robot by name, in the order of the file."""
+        return {e.attributes.get("name", ""): e for e in self.root.all(tag)}
 
     def error(self, element: Element, reason: str, **about: Any) -> RobotError:
         """An error that points at an element, and is about a `value` in it."""
@@ -110,24 +112,50 @@ class Document:
             end = match.end()
         return places, end
 
-    def numbers(
-        self, owner: str, element: Element, attribute: str, count: int
-    ) -> Floats:
+    def numbers(self, element: Element, attribute: str, count: int) -> Floats:
         """Read an attribute that must hold `count` finite numbers, shape (count,)."""
-        text = element.attributes[attribute]
-        place = f"{attribute} in the <{element.tag}> of {owner}"
+        text = element.attributes.get(attribute, "")
         words = text.split() if count > 1 else [text]
         numbers = np.array([as_number(word) for word in words], float)
         if len(words) != count or not np.isfinite(numbers).all():
             allowed = f"{count} finite numbers" if count > 1 else "a finite number"
+            place = f"{attribute} in the <{element.tag}> of {element.owner}"
             reason = f"{place} cannot be read"
             raise self.error(element, reason, value=text, allowed=allowed)
-        start, end = self.values(element)[0][attribute]
-        # To XML a tab or line break here is a space; urdfdom chokes on it.
-        if re.search(rb"[\t\r\n]", self.data[start:end]):
-            reason = f"{place} has a tab or line break between its numbers"
-            raise self.error(element, reason, allowed="spaces")
         return numbers
+
+    def axis(self, joint: Element) -> Floats:
+        """Axis of a joint in its own frame as it is written, shape (3,), not zero."""
+        stated = joint.child("axis")
+        if stated is None:
+            return np.array([1.0, 0.0, 0.0])
+        axis = self.numbers(stated, "xyz", 3)
+        if not axis.any():
+            raise self.error(stated, f"the axis of {joint.owner} is zero")
+        return axis
+
+    def origin(self, element: Element) -> pin.SE3:
+        """Placement of a joint, a shape or a mass, as its `<origin>` states it."""
+        origin = element.child("origin")
+        placement = pin.SE3.Identity()
+        if origin is None:
+            return placement
+        if "xyz" in origin.attributes:
+            placement.translation = self.numbers(origin, "xyz", 3)
+        if self.turn(origin) == "quat_xyzw":
+            quaternion = self.numbers(origin, "quat_xyzw", 4)
+            if not quaternion.any():
+                raise self.error(origin, f"quat_xyzw of {element.owner} is zero")
+            placement.rotation = pin.Quaternion(quaternion).normalized().matrix()
+        elif "rpy" in origin.attributes:
+            placement.rotation = pin.rpy.rpyToMatrix(self.numbers(origin, "rpy", 3))
+        return placement
+
+    def turn(self, origin: Element | None) -> str:
+        """Attribute from which urdfdom takes the rotation; quaternions from 1.1 on."""
+        stated = origin is not None and "quat_xyzw" in origin.attributes
+        later = self.root.attributes.get("version", "1.0") != "1.0"
+        return "quat_xyzw" if stated and later else "rpy"
 
 
 def parse_document(source: bytes, file: str | None = None) -> Document:
@@ -142,11 +170,10 @@ def parse_document(source: bytes, file: str | None = None) -> Document:
         (b"", ""),
     )
     body = source[len(mark) :]
-    if not body.strip(b"\0 \t\r\n"):
-        raise RobotError("the file is empty", file=file)
     if not re.match(rb"[\s\0]*<", body):
-        found, allowed = source[:16], "a URDF, as text"
-        raise RobotError("is not XML", file=file, value=found, allowed=allowed)
+        found = source[:16].strip(b"\0 \t\r\n") or None
+        reason = "the file is empty" if not body.strip(b"\0 \t\r\n") else "is not XML"
+        raise RobotError(reason, file=file, value=found, allowed="a URDF, as text")
     codec = codec or _codec(body)
     data = plain = _decode(body, codec, file).encode()
     if stated := _DECLARATION.match(data):
@@ -166,27 +193,25 @@ def _codec(body: bytes) -> str:
 
 def _decode(body: bytes, codec: str, file: str | None) -> str:
     """Text of the document, if encoding it again gives the same bytes."""
-    reason, line = f"is not written in its encoding, {codec}", None
+    line, about = None, f"is not written in its encoding, {codec}"
     try:
         text = body.decode(codec)
         # UTF-32, read as UTF-16, is full of NUL characters.
         if text.encode(codec) == body and "\0" not in text[:2]:
             return text
-    except UnicodeDecodeError as error:
-        line = body.count(b"\n", 0, error.start) + 1
-        reason = f"the byte 0x{body[error.start]:02x} is not {codec}"
-    except UnicodeError:
-        pass
-    except LookupError:
-        line, reason = 1, f"the encoding '{codec}' is unknown"
+    except (UnicodeError, LookupError) as error:
+        start = getattr(error, "start", 0)
+        line = body.count(b"\n", 0, start) + 1
+        if isinstance(error, UnicodeDecodeError):
+            about = f"the byte 0x{body[start]:02x} is not {codec}"
     allowed = "UTF-8, or the encoding that the first line declares"
-    raise RobotError(reason, file=file, line=line, allowed=allowed)
+    raise RobotError(about, file=file, line=line, allowed=allowed)
 
 
 def _scan(data: bytes, file: str | None) -> Element:
     """Run expat over a document in UTF-8."""
     parser = expat.ParserCreate("utf-8")
-    path = [Element("", {}, 0, 0, [])]
+    path = [Element("", {}, 0, 0, "")]
 
     def refuse(reason: str, **about: Any) -> NoReturn:
         raise RobotError(reason, file=file, line=parser.CurrentLineNumber, **about)
@@ -203,7 +228,10 @@ def _scan(data: bytes, file: str | None) -> Element:
         if tag.startswith("xacro:"):
             reason = "is a xacro file; let its name end in .xacro, or expand it first"
             refuse(reason, value=f"<{tag}>")
-        element = Element(tag, attributes, line, offset, [])
+        owner = path[-1].owner
+        if len(path) == 2:
+            owner = f"{tag} '{attributes.get('name', '')}'"
+        element = Element(tag, attributes, line, offset, owner)
         if len(path) <= 1 + _DEEPEST:
             path[-1].children.append(element)
         path.append(element)
@@ -250,11 +278,7 @@ def edit_origins(
         '<robot><joint name="j"><origin xyz="1.25 0 .5"/></joint></robot>'
     """
     document = parse_document(source, file)
-    joints = {
-        element.attributes.get("name", ""): element
-        for element in document.root.children
-        if element.tag == "joint"
-    }
+    joints = document.named("joint")
     for name in corrections:
         if name not in joints:
             hint = nearest(name, joints)
@@ -277,60 +301,29 @@ def move_origins(document: Document, moves: Iterable[tuple[Element, pin.SE3]]) -
     data = document.data
     for start, end, text in sorted(edits, reverse=True):
         data = data[:start] + text + data[end:]
-    return document.encode(data)
-
-
-def read_origin(document: Document, joint: Element) -> pin.SE3:
-    """Nominal placement in the parent link's frame, as the `<origin>` states it."""
-    owner = f"joint '{joint.attributes.get('name', '')}'"
-    origin = joint.child("origin")
-    placement = pin.SE3.Identity()
-    if origin is None:
-        return placement
-    if "xyz" in origin.attributes:
-        placement.translation = document.numbers(owner, origin, "xyz", 3)
-    if _uses_quaternion(document, origin):
-        quaternion = document.numbers(owner, origin, "quat_xyzw", 4)
-        if not quaternion.any():
-            raise document.error(origin, f"quat_xyzw of {owner} is zero")
-        placement.rotation = pin.Quaternion(quaternion).normalized().matrix()
-    elif "rpy" in origin.attributes:
-        rpy = document.numbers(owner, origin, "rpy", 3)
-        placement.rotation = pin.rpy.rpyToMatrix(rpy)
-    return placement
-
-
-def _uses_quaternion(document: Document, origin: Element | None) -> bool:
-    """Whether urdfdom takes the rotation from `quat_xyzw`: from URDF 1.1 on."""
-    version = document.root.attributes.get("version", "1.0")
-    return origin is not None and "quat_xyzw" in origin.attributes and version != "1.0"
+    return document.mark + data.decode().encode(document.codec)
 
 
 def _edits(
-    document: Document, joint: Element, correction: pin.SE3
+    document: Document, element: Element, move: pin.SE3
 ) -> list[tuple[int, int, bytes]]:
-    """Replacements (from, to, new bytes) that put a correction into a joint."""
-    origin = joint.child("origin")
-    old = read_origin(document, joint)
-    new = old * correction
+    """Replacements (from, to, new bytes) that put a move into an origin."""
+    origin, old = element.child("origin"), document.origin(element)
+    new = old * move
     if not np.isfinite(new.homogeneous).all():
-        name = joint.attributes.get("name", "")
-        raise OutputError(f"the correction of joint '{name}' is not finite")
-    changed: dict[str, Floats] = {}
+        raise OutputError(f"the correction of {element.owner} is not finite")
+    key, changed = document.turn(origin), dict[str, Floats]()
     if not np.array_equal(new.translation, old.translation):
         changed["xyz"] = new.translation
     if not np.array_equal(new.rotation, old.rotation):
-        if _uses_quaternion(document, origin):
-            changed["quat_xyzw"] = pin.Quaternion(new.rotation).coeffs()
-        else:
-            # scipy's conversion loses 2e-7 near pitch = 90 deg, this one 2e-15.
-            changed["rpy"] = pin.rpy.matrixToRpy(new.rotation)
+        # scipy's conversion loses 2e-7 near pitch = 90 deg, this one 2e-15.
+        rpy = pin.rpy.matrixToRpy(new.rotation)
+        changed[key] = rpy if key == "rpy" else pin.Quaternion(new.rotation).coeffs()
     if not changed:
         return []
     places, end = ({}, 0) if origin is None else document.values(origin)
     written = {} if origin is None else origin.attributes
-    edits = []
-    added = b""
+    edits, added = [], b""
     for key, values in changed.items():
         text = _text(values, written.get(key, "")).encode()
         if key in places:
@@ -338,10 +331,8 @@ def _edits(
         else:
             added += b' %s="%s"' % (key.encode(), text)
     if origin is None:  # It goes before the first child, indented like it.
-        if not joint.children:
-            raise document.error(joint, "the joint names no parent link")
-        end = joint.children[0].start
-        indent = _INDENT.search(document.data, joint.start, end)
+        end = element.children[0].start
+        indent = _INDENT.search(document.data, element.start, end)
         added = b"<origin" + added + b"/>" + (indent[0] if indent else b"")
     return [*edits, (end, end, added)]
 

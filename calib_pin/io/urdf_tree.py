@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import enumerated, nearest
-from calib_pin.io.urdf_bytes import Document, Element, parse_document, read_origin
+from calib_pin.io.urdf_bytes import Document, Element, parse_document
 from calib_pin.kinematics.joint_space import Mimic
 from calib_pin.kinematics.robot import Robot
 
@@ -30,7 +30,7 @@ DEEPEST = 1000
 FREEDOM = 200
 """Most degrees of freedom: Pinocchio's memory grows with their cube, to 0.6 GB here."""
 
-_NUMBERS = {
+NUMBERS = {
     "origin": {"xyz": 3, "rpy": 3},
     "mass": {"value": 1},
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
@@ -75,7 +75,7 @@ def parse_robot(source: bytes, file: str) -> Robot:
     if root.tag != "robot":
         reason = f"the outermost element is <{root.tag}>"
         raise document.error(root, reason, allowed="<robot>")
-    name = _attribute(document, root, "name", "the robot")
+    name = _attribute(document, root, "name")
     links, joints = _named(document, "link"), _named(document, "joint")
     if not links:
         raise document.error(root, "the robot has no links")
@@ -87,16 +87,15 @@ def parse_robot(source: bytes, file: str) -> Robot:
         _check_joint(document, joint, links)
     for link in links.values():
         _check_link(document, link)
-    root_link, parents = _tree(document, links, joints)
+    parents = _parents(document, links, joints)
     inner = {joint.link("parent") for joint in joints.values()}
-    model = _build_model(document, links, joints)
-    mimics, refused = _mimics(document, joints)
+    mimics, refused = _mimics(joints)
     return Robot(
         name=name,
         file=file,
         source=source,
-        model=model,
-        root=root_link,
+        model=_build_model(document, links, joints),
+        root=next(link for link in links if link not in parents),
         links=tuple(links),
         leaves=tuple(link for link in links if link not in inner),
         fixed_parents={
@@ -109,123 +108,103 @@ def parse_robot(source: bytes, file: str) -> Robot:
     )
 
 
-def _attribute(document: Document, element: Element, key: str, owner: str) -> str:
+def _attribute(document: Document, element: Element, key: str) -> str:
     value = element.attributes.get(key, "")
     if not value:
-        raise document.error(element, f"{owner} has no {key}")
+        raise document.error(element, f"<{element.tag}> has no {key}")
     return value
 
 
 def _named(document: Document, tag: str) -> dict[str, Element]:
-    """All links or all joints by name, in the order of the file."""
-    result: dict[str, Element] = {}
+    """All links or all joints by name, each with one of its own."""
+    result = document.named(tag)
     for element in document.root.all(tag):
-        name = _attribute(document, element, "name", f"a {tag}")
-        if name in result:
+        name = _attribute(document, element, "name")
+        if result[name] is not element:
             reason = f"{tag} '{name}' is here for the second time"
-            line = result[name].line
-            raise document.error(element, f"{reason}, the first is in line {line}")
-        result[name] = element
+            line = f"the first is in line {element.line}"
+            raise document.error(result[name], f"{reason}, {line}")
     return result
 
 
 def _check_joint(
     document: Document, joint: Element, links: Mapping[str, Element]
 ) -> None:
-    name = joint.attributes["name"]
-    owner = f"joint '{name}'"
-    kind = _attribute(document, joint, "type", owner)
+    name, kind = joint.attributes["name"], _attribute(document, joint, "type")
     if kind not in _TYPES:
-        reason = f"{owner} has the unknown type '{kind}'{nearest(kind, _TYPES)}"
+        reason = f"{joint.owner} has the unknown type '{kind}'{nearest(kind, _TYPES)}"
         raise document.error(joint, reason, allowed=", ".join(_TYPES))
     if name == "universe" and kind != "fixed":
         reason = "a joint cannot be called 'universe', Pinocchio's name for the world"
         raise document.error(joint, reason)
     for role in ("parent", "child"):
-        link = joint.link(role)
-        if not link:
-            raise document.error(joint, f"{owner} names no {role} link")
-        if link not in links:
-            reason = f"the {role} link '{link}' of {owner} does not exist"
+        if (link := joint.link(role)) not in links:
+            reason = f"the {role} link '{link}' of {joint.owner} does not exist"
             raise document.error(joint, reason + nearest(link, links))
-    read_origin(document, joint)
-    axis = joint.child("axis")
-    if axis is not None and kind in _WITH_AXIS:
-        _attribute(document, axis, "xyz", f"the <axis> of {owner}")
-        if not document.numbers(owner, axis, "xyz", 3).any():
-            raise document.error(axis, f"the axis of {owner} is zero")
-    _check_numbers(document, owner, joint)
+    document.origin(joint)
+    if kind in _WITH_AXIS:
+        document.axis(joint)
+    _check_numbers(document, joint)
 
 
 def _check_link(document: Document, link: Element) -> None:
-    owner = f"link '{link.attributes['name']}'"
-    _check_numbers(document, owner, link)
-    inertial = link.child("inertial")
-    if inertial is None:
-        return
-    mass = inertial.child("mass")
-    if mass is None or "value" not in mass.attributes:
-        raise document.error(inertial, f"the <inertial> of {owner} has no mass value")
-    if not 0.0 <= document.numbers(owner, mass, "value", 1)[0] <= HEAVIEST:
-        value, allowed = mass.attributes["value"], f"0 to {HEAVIEST:g} kg"
-        reason = f"no link has the mass of {owner}"
-        raise document.error(mass, reason, value=value, allowed=allowed)
+    _check_numbers(document, link)
+    for inertial in link.all("inertial")[:1]:
+        mass = inertial.child("mass")
+        if mass is None or "value" not in mass.attributes:
+            reason = f"the <inertial> of {link.owner} has no mass value"
+            raise document.error(inertial, reason)
+        if not 0.0 <= document.numbers(mass, "value", 1)[0] <= HEAVIEST:
+            value, allowed = mass.attributes["value"], f"0 to {HEAVIEST:g} kg"
+            reason = f"no link has the mass of {link.owner}"
+            raise document.error(mass, reason, value=value, allowed=allowed)
 
 
-def _check_numbers(document: Document, owner: str, element: Element) -> None:
+def _check_numbers(document: Document, element: Element) -> None:
     """Refuse attributes below a link or joint that do not hold their numbers."""
     for child in element.children:
-        for key, count in _NUMBERS.get(child.tag, {}).items():
+        for key, count in NUMBERS.get(child.tag, {}).items():
             if key in child.attributes:
-                numbers = document.numbers(owner, child, key, count)
+                numbers = document.numbers(child, key, count)
                 if key == "xyz" and np.abs(numbers).max() > FARTHEST:
-                    reason = f"the {child.tag} of {owner} is too far away"
+                    reason = f"the {child.tag} of {child.owner} is too far away"
                     value = child.attributes[key]
                     raise document.error(child, reason, value=value, allowed="xyz in m")
-        _check_numbers(document, owner, child)
+        _check_numbers(document, child)
 
 
-def _tree(
+def _parents(
     document: Document, links: Mapping[str, Element], joints: Mapping[str, Element]
-) -> tuple[str, dict[str, str]]:
-    """Name of the root link, and the joint that carries each other link."""
+) -> dict[str, str]:
+    """Name of the joint that carries each link but the root, if it is one tree."""
     parents: dict[str, str] = {}
+    below: dict[str, list[str]] = {}
     for name, joint in joints.items():
         child = joint.link("child")
         if child in parents:
             reason = f"link '{child}' is the child of two joints"
             raise document.error(joint, f"{reason}, '{parents[child]}' and '{name}'")
         parents[child] = name
-    children: dict[str, list[str]] = {}
-    for child, name in parents.items():
-        children.setdefault(joints[name].link("parent"), []).append(child)
-    roots = [link for link in links if link not in parents]
-    depth = dict.fromkeys(roots, 1)
-    below = [*roots]
-    for link in below:
-        for child in children.get(link, ()):
-            depth[child] = depth[link] + 1
-            below.append(child)
-            if depth[child] > DEEPEST:
-                reason = f"link '{child}' is too far from the root"
-                allowed = f"at most {DEEPEST} links one after the other"
-                raise document.error(links[child], reason, allowed=allowed)
-    if loop := [link for link in links if link not in depth][:1]:
-        while (above := joints[parents[loop[-1]]].link("parent")) not in loop:
-            loop.append(above)
-        loop.append(above)
-        words = " > ".join(reversed(loop[loop.index(above) :]))
-        reason = f"the links {words} form a loop, and a URDF is a tree"
-        raise document.error(joints[parents[above]], reason)
-    if len(roots) > 1:
-        names = enumerated(f"'{link}'" for link in roots)
-        reason = f"the links {names} all have no parent joint, and a URDF has one root"
-        raise document.error(links[roots[1]], reason)
-    return roots[0], parents
+        below.setdefault(joint.link("parent"), []).append(child)
+    level = [link for link in links if link not in parents][:1]
+    carried = set(level)
+    for _ in range(DEEPEST):
+        level = [child for link in level for child in below.get(link, ())]
+        carried.update(level)
+    if level:
+        reason = f"link '{level[0]}' is too far from the root"
+        allowed = f"at most {DEEPEST} links one after the other"
+        raise document.error(links[level[0]], reason, allowed=allowed)
+    if lost := [link for link in links if link not in carried]:
+        names = enumerated(f"'{link}'" for link in lost)
+        reason = f"nothing joins {names} to the root: a URDF is one tree, without loops"
+        first = joints[parents[lost[0]]] if lost[0] in parents else links[lost[0]]
+        raise document.error(first, reason)
+    return parents
 
 
 def _mimics(
-    document: Document, joints: Mapping[str, Element]
+    joints: Mapping[str, Element],
 ) -> tuple[dict[str, Mimic], dict[str, str]]:
     """Joints that follow another, and the reasons why a chain cannot contain others.
 
@@ -234,33 +213,29 @@ def _mimics(
         and phrases for "joint x is ..., which a chain cannot contain".
     """
     stated: dict[str, Mimic] = {}
-    for name, joint in joints.items():
-        element = joint.child("mimic")
-        if element is not None and joint.attributes["type"] in _SINGLE:
-            factor, offset = (
-                float(element.attributes.get(key, usual))
-                for key, usual in (("multiplier", "1"), ("offset", "0"))
-            )
-            stated[name] = Mimic(element.attributes.get("joint", ""), factor, offset)
-    mimics: dict[str, Mimic] = {}
     refused: dict[str, str] = {}
     for name, joint in joints.items():
-        kind = joint.attributes["type"]
+        kind, element = joint.attributes["type"], joint.child("mimic")
         if kind in ("floating", "planar"):
             refused[name] = f"a {kind} joint"
-        elif name in stated:
-            path, mimic = {name}, stated[name]
-            while (leader := mimic.leader) in stated and leader not in path:
-                path.add(leader)
-                above = stated[leader]
-                offset = mimic.factor * above.offset + mimic.offset
-                mimic = Mimic(above.leader, mimic.factor * above.factor, offset)
-            driven = joints.get(leader) if leader not in path else None
-            if driven is not None and driven.attributes["type"] in _SINGLE:
-                mimics[name] = mimic
-            else:
-                leader = stated[name].leader
-                refused[name] = f"a mimic joint without a driven leader ('{leader}')"
+        elif element is not None and kind in _SINGLE:
+            about = {"multiplier": "1", "offset": "0", **element.attributes}
+            factor, offset = float(about["multiplier"]), float(about["offset"])
+            stated[name] = Mimic(about.get("joint", ""), factor, offset)
+    mimics: dict[str, Mimic] = {}
+    for name, mimic in stated.items():
+        path = {name}
+        while mimic.leader in stated and mimic.leader not in path:
+            path.add(mimic.leader)
+            above = stated[mimic.leader]
+            offset = mimic.factor * above.offset + mimic.offset
+            mimic = Mimic(above.leader, mimic.factor * above.factor, offset)
+        driven = None if mimic.leader in path else joints.get(mimic.leader)
+        if driven is not None and driven.attributes["type"] in _SINGLE:
+            mimics[name] = mimic
+        else:
+            leader = stated[name].leader
+            refused[name] = f"a mimic joint without a driven leader ('{leader}')"
     return mimics, refused
 
 
@@ -269,7 +244,9 @@ def _build_model(
 ) -> pin.Model:
     try:
         with captured_stderr() as printed:
-            model = pin.buildModelFromXML(document.plain.decode())
+            # To XML a tab or line break in numbers is a space; urdfdom chokes on it.
+            text = re.sub(r"[\t\r\n]", " ", document.plain.decode())
+            model = pin.buildModelFromXML(text)
     except Exception as failure:  # Whatever C++ throws.
         errors = re.search(r"Error:\s+(.*?)\s+at line", printed[0], re.DOTALL)
         reason = f"Pinocchio cannot read it: {errors[1] if errors else failure}"

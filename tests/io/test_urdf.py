@@ -337,8 +337,6 @@ def test_corrections_that_cannot_be_made(refused: Callable[..., Any]) -> None:
     bad = pin.SE3(np.eye(3), np.array([np.nan, 0.0, 0.0]))
     with pytest.raises(OutputError):
         edit_origins(ARM, {"j": bad})
-    with refused(RobotError, line=1):
-        edit_origins(b'<robot><joint name="j"/></robot>', {"j": SHIFT})
 
 
 # What the loader fills in.
@@ -476,7 +474,6 @@ LOOP = """<link name="d"/><link name="e"/>
                 *("1_0 2 3", "\u0661 2 3", "${x} 2 3", "$(arg x) 2 3"),
             )
         ),
-        ('"1 2 3"', '"1\t2 3"', 7, ...),
         ('"0.1 0.2 0.3"', '"a b c"', 7, "a b c"),
         ('"0 0 1"', '"0 0 0"', 10, ...),
         ('"0 0 1"', '"0 0"', 10, "0 0"),
@@ -654,6 +651,15 @@ def test_numbers_of_links_that_would_be_dropped(old, new, line, value, bad):
     text = INERTIAL.replace(old, new)
     source = f'<robot name="r"><link name="a">{text}</link></robot>'.encode()
     bad(source, line=line, value=value)
+
+
+def test_a_line_break_between_numbers_is_a_space():
+    """To XML, and so to the editor; Pinocchio's reader stumbles over it."""
+    for mark in (b"\t", b"\n", b"\r\n"):
+        source = ARM.replace(b"1 2 3", b"1%s2 3" % mark)
+        found = parse_robot(source, "arm.urdf").model.jointPlacements[1]
+        assert found.translation.tolist() == [1.0, 2.0, 3.0]
+        assert edit_origins(source, {"j": pin.SE3.Identity()}) == source
 
 
 @pytest.mark.parametrize(

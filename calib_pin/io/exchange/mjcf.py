@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from calib_pin.errors import OptionError
 from calib_pin.io.exchange.base import Encoded, Exported, Format
-from calib_pin.io.urdf_bytes import Document, Element, parse_document, read_origin
+from calib_pin.io.urdf_bytes import Document, Element, parse_document
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 
@@ -82,7 +82,7 @@ def _place(
 ) -> bool:
     """Put a body where its joint is; whether it moves."""
     name, kind = joint.attributes["name"], joint.attributes["type"]
-    _write_pose(body, read_origin(document, joint))
+    _write_pose(body, document.origin(joint))
     if kind == "fixed":
         return False
     if kind not in KINDS:
@@ -122,7 +122,7 @@ def _inertial(document: Document, link: Element, body: ElementTree.Element) -> b
     if not (size > 0.0 and np.linalg.eigvalsh(inertia_of).min() > 0.0):
         return False
     # An inertial has an origin like a joint.
-    pose = read_origin(document, stated)
+    pose = document.origin(stated)
     _write_inertial(
         body, size, pose.translation, pose.rotation @ inertia_of @ pose.rotation.T
     )

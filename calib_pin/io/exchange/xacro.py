@@ -23,7 +23,7 @@ from calib_pin.io.exchange.base import (
     origin_of,
     placed,
 )
-from calib_pin.io.urdf_bytes import parse_document, read_origin
+from calib_pin.io.urdf_bytes import parse_document
 
 NAMESPACE = "http://www.ros.org/wiki/xacro"
 
@@ -72,9 +72,7 @@ def corrected_origins(exported: Exported) -> dict[str, pin.SE3]:
     joints = (e for e in document.root.children if e.tag == "joint")
     named = {joint.attributes["name"]: joint for joint in joints}
     return {
-        name: read_origin(document, joint)
-        for name, joint in named.items()
-        if name in wanted
+        name: document.origin(joint) for name, joint in named.items() if name in wanted
     }
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, se3_exp
 
 ACROSS = 0.9
 """Cosine from which a direction is too near an axis to tell a turn about it."""
@@ -55,25 +55,19 @@ def along(point: Floats, axis: Floats, near: pin.SE3) -> pin.SE3:
     return pin.SE3(np.column_stack([x, np.cross(axis, x), axis]), origin)
 
 
-def relative(frames: Sequence[pin.SE3], first: pin.SE3) -> list[pin.SE3]:
-    """Each frame in the one before it, the first in another."""
-    before = [first, *frames[:-1]]
-    return [a.actInv(b) for a, b in zip(before, frames, strict=True)]
-
-
-def revolute_poses(first: pin.SE3, origins: Sequence[pin.SE3], q: Floats) -> Floats:
-    """Poses of the last frame where every joint turns about the z axis of its own.
+def poses_about_z(
+    origins: Sequence[pin.SE3], turns: Sequence[bool], q: Floats
+) -> Floats:
+    """Poses of the tip of joints that turn about, or slide along, their own z axis.
 
     Args:
-        first: Where the first origin is.
-        origins: Of each joint, in the frame of the one before.
-        q: Joint positions, shape (N, n) [rad].
+        origins: Of each of the n joints in the frame of the one before, and of the tip.
+        turns: Whether each joint turns.
+        q: Joint positions, shape (N, n) [rad, m].
     """
-    poses = np.empty((len(q), 4, 4))
-    for pose, positions in zip(poses, q, strict=True):
-        T = first
-        for origin, position in zip(origins, positions, strict=True):
-            turn = pin.SE3(pin.utils.rotate("z", float(position)), np.zeros(3))
-            T = T * origin * turn
-        pose[:] = T.homogeneous
-    return poses
+    T = origins[0].homogeneous
+    for origin, turn, positions in zip(origins[1:], turns, q.T, strict=True):
+        twists = np.zeros((len(q), 6))
+        twists[:, 5 if turn else 2] = positions
+        T = T @ se3_exp(twists) @ origin.homogeneous
+    return np.asarray(T)

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from calib_pin.errors import OutputError, enumerated
-from calib_pin.io.exchange.base import Encoded, Exported, Format, JointErrors
+from calib_pin.errors import enumerated
+from calib_pin.io.exchange.base import (
+    Encoded,
+    Exported,
+    Format,
+    JointErrors,
+    require_read,
+)
 from calib_pin.io.measurements import encode_table
 from calib_pin.units import DISPLAY
-from calib_pin.validation.joint_offsets import encoder_steps
+from calib_pin.validation.joint_offsets import encoder_steps, joint_columns
 from calib_pin.validation.result import ParameterEstimate
 
 ENOUGH = 1e-6
@@ -19,6 +26,11 @@ ENOUGH = 1e-6
 
 ESTIMATED = ".joint-offset.q"
 """End of the names of offsets that were estimated as such."""
+
+KNOWN = ("identifiable", "fixed")
+"""Statuses of offsets that are known by themselves."""
+
+HEADERS = "joint column offset sigma unit steps status offset_si unit_si"
 
 USE = (
     "A joint is where its column reads plus the offset: add each offset to what the "
@@ -29,30 +41,41 @@ USE = (
 """Sentences that say how the table is used."""
 
 
-def column_offsets(exported: Exported) -> dict[str, tuple[str, float]]:
-    """The offset of each measured column, by joint: its name and offset [rad, m].
+class ColumnOffset(NamedTuple):
+    """The offset of a measured column.
 
-    Raises:
-        OptionError: If the calibration has no corrected geometry.
+    Attributes:
+        joint: The joint.
+        column: Name of the column.
+        gear: Size of its gear.
+        offset: What is added to what the column reads [rad, m].
     """
-    found = {}
-    for joint, offset in zip(
-        exported.nominal.joints, exported.offsets.offsets, strict=True
-    ):
-        column, given = exported.columns[joint]
-        found[joint] = column, float(offset) / (given.sign * given.gear)
-    return found
+
+    joint: str
+    column: str
+    gear: float
+    offset: float
+
+
+def column_offsets(exported: Exported, found: JointErrors) -> list[ColumnOffset]:
+    """The offset of each measured column."""
+    joints, setup = exported.nominal.joints, exported.result.model.setup
+    columns, offsets = joint_columns(setup, joints), list[ColumnOffset]()
+    for joint, offset in zip(joints, found.offsets.tolist(), strict=True):
+        column, given = columns[joint]
+        offset /= given.sign * given.gear
+        offsets.append(ColumnOffset(joint, column, abs(given.gear), offset))
+    return offsets
 
 
 def remarks(found: JointErrors, what: str = "offsets") -> tuple[str, ...]:
     """A sentence about errors that those of the joints leave, if there are any."""
-    before, after = found.before, found.after
-    if after < ENOUGH:
+    if found.after < ENOUGH:
         return ()
     unit, factor = DISPLAY["m"]
     return (
-        f"{what} alone leave {factor * after:.3g} of {factor * before:.3g} {unit} of "
-        "what was found (tip, rms over random configurations)",
+        f"{what} alone leave {factor * found.after:.3g} of {factor * found.before:.3g} "
+        f"{unit} of what was found (tip, rms over random configurations)",
     )
 
 
@@ -64,53 +87,36 @@ def estimates(exported: Exported) -> dict[str, ParameterEstimate]:
 
 def doubts(exported: Exported) -> tuple[str, ...]:
     """A sentence about offsets that the measurements do not tell, if there are any."""
-    unknown = [
-        f"{joint} ({p.status})"
-        for joint, p in estimates(exported).items()
-        if p.status not in ("identifiable", "fixed")
-    ]
-    if not unknown:
-        return ()
-    return (
-        f"not known by themselves, only with the other values of the calibration: "
-        f"{enumerated(unknown)}",
-    )
+    estimated = estimates(exported).items()
+    unknown = [f"{j} ({p.status})" for j, p in estimated if p.status not in KNOWN]
+    about = "not known by themselves, only with the other values of the calibration: "
+    return (about + enumerated(unknown),) if unknown else ()
 
 
 def encode(exported: Exported, _: Path | None) -> Encoded:
     """A table, with the sentence that says how it is used."""
-    offsets, known = column_offsets(exported), estimates(exported)
-    left = *remarks(exported.offsets), *doubts(exported)
-    rows = []
+    found, known = exported.joint_errors(), estimates(exported)
+    left, rows = (*remarks(found), *doubts(exported)), []
     stepped = encoder_steps(exported.result.model.setup, exported.nominal.joints)
-    revolute = exported.nominal.revolute
-    for (joint, (column, offset)), turns in zip(offsets.items(), revolute, strict=True):
+    revolute, offsets = exported.nominal.revolute, column_offsets(exported, found)
+    for (joint, column, gear, offset), turns in zip(offsets, revolute, strict=True):
         si = "rad" if turns else "m"
-        unit, factor = DISPLAY[si]
-        given, estimate = exported.columns[joint][1], known.get(joint)
-        status, sigma = "", ""
-        if estimate is not None:
-            status = estimate.status
-        if estimate is not None and estimate.sigma is not None:
-            sigma = f"{factor * estimate.sigma / abs(given.gear):.6f}"
+        (unit, factor), estimate = DISPLAY[si], known.get(joint)
         shown, steps, exact = f"{factor * offset:+z.6f}", "", repr(offset)
+        status, sigma = "", ""
         if turns and joint in stepped:
             steps = f"{offset * stepped[joint] / (2.0 * np.pi):+z.1f}"
-        if status not in ("", "identifiable", "fixed"):
-            # A zero would pass for a result.
-            shown = steps = exact = ""
-        rows.append((joint, column, shown, sigma, unit, steps, status, exact, si))
-    headers = (
-        *("joint", "column", "offset", "sigma", "unit", "steps", "status"),
-        *("offset_si", "unit_si"),
-    )
-    table = dict(zip(headers, zip(*rows, strict=True), strict=True))
+        if estimate is not None:
+            status = estimate.status
+            if estimate.sigma is not None:
+                sigma = f"{factor * estimate.sigma / gear:.6f}"
+            if status not in KNOWN:  # A zero would pass for a result.
+                shown = steps = exact = ""
+        rows.append([joint, column, shown, sigma, unit, steps, status, exact, si])
+    table = dict(zip(HEADERS.split(), zip(*rows, strict=True), strict=True))
     data = encode_table(table, [*USE, *left])
     lines = [line for line in data.decode().splitlines() if line[:1] != "#"]
-    for row in csv.DictReader(lines):
-        exact = row["offset_si"]
-        if exact and float(exact) != offsets[row["joint"]][1]:
-            raise OutputError(f"the offset of '{row['joint']}' does not read back")
+    require_read([*csv.reader(lines)], [HEADERS.split(), *rows], "the offsets")
     return Encoded(data, left)
 
 

@@ -40,12 +40,16 @@ def encode(exported: Exported, template: Path | None) -> Encoded:
     motors = _read(template)
     if not exported.nominal.revolute.all():
         raise OptionError("a motor needs a joint that turns", file=exported.file)
-    rounded = 0.0
-    steps: dict[str, int] = {}
-    for joint, (column, offset) in column_offsets(exported).items():
-        name = _motor(joint, column, motors, template)
-        motor = motors[name]
-        exact = offset * STEPS / (2.0 * np.pi)
+    found, steps, rounded = exported.joint_errors(), dict[str, int](), 0.0
+    for joint, column, _, offset in column_offsets(exported, found):
+        name = next((n for n in (joint, column) if n in motors), None)
+        if name is None:
+            raise InputError(
+                f"has no motor for joint '{joint}'",
+                file=template,
+                allowed=f"one of {', '.join(motors)}, mapped by 'joints' in the setup",
+            )
+        motor, exact = motors[name], offset * STEPS / (2.0 * np.pi)
         steps[name] = moved = round(exact)
         rounded = max(rounded, abs(exact - moved) * 360.0 / STEPS)
         motor["homing_offset"] -= moved
@@ -65,7 +69,7 @@ def encode(exported: Exported, template: Path | None) -> Encoded:
         f"homing offsets changed by motor steps: {told}",
         f"whole steps leave up to {rounded:.3f} deg of a joint",
     )
-    return Encoded(data, (*said, *remarks(exported.offsets), *doubts(exported)))
+    return Encoded(data, (*said, *remarks(found), *doubts(exported)))
 
 
 def _read(template: Path) -> dict[str, dict[str, Any]]:
@@ -78,26 +82,12 @@ def _read(template: Path) -> dict[str, dict[str, Any]]:
         raise InputError("holds no motors", file=template)
     for name, motor in data.items():
         numbers = [motor.get(key) if isinstance(motor, dict) else None for key in KEYS]
-        if any(isinstance(n, bool) or not isinstance(n, int) for n in numbers):
+        if any(type(number) is not int for number in numbers):
             raise InputError(
                 f"motor '{name}' lacks one of {', '.join(KEYS)}, in whole steps",
                 file=template,
             )
     return data
-
-
-def _motor(
-    joint: str, column: str, motors: dict[str, dict[str, Any]], template: Path
-) -> str:
-    """The motor of a joint: of its own name, or of its column's."""
-    for name in (joint, column, joint.removesuffix("_joint")):
-        if name in motors:
-            return name
-    raise InputError(
-        f"has no motor for joint '{joint}'",
-        file=template,
-        allowed=f"one of {', '.join(motors)}, mapped by 'joints' in the setup",
-    )
 
 
 LEROBOT = Format(

@@ -35,11 +35,9 @@ def encode(exported: Exported, _: Path | None) -> Encoded:
     """
     robot = exported.robot
     document = parse_document(robot.source, robot.file)
-    below: dict[str, list[Element]] = {}
-    for element in document.root.children:
-        if element.tag == "joint":
-            below.setdefault(_link(element, "parent"), []).append(element)
-    links = {e.attributes["name"]: e for e in document.root.children if e.tag == "link"}
+    links, below = document.named("link"), dict[str, list[Element]]()
+    for element in document.root.all("joint"):
+        below.setdefault(element.link("parent"), []).append(element)
     root = ElementTree.Element("mujoco", model=robot.name)
     ElementTree.SubElement(
         root, "compiler", angle="radian", autolimits="true", balanceinertia="true"
@@ -59,22 +57,12 @@ def encode(exported: Exported, _: Path | None) -> Encoded:
         if moving and not stated:
             without.append(link)
             _write_inertial(body, LEAST_MASS, np.zeros(3), LEAST_INERTIA * np.eye(3))
-        pending += [(body, _link(j, "child"), j) for j in below.get(link, [])]
+        pending += [(body, j.link("child"), j) for j in below.get(link, [])]
     ElementTree.indent(root)
     data = ElementTree.tostring(root) + b"\n"
     exported.require_same(lambda q: _poses(data, exported.chain, q), "the MJCF")
-    told = ", ".join(without)
-    return Encoded(
-        data,
-        (f"the URDF states no mass of {told}: {LEAST_MASS:g} kg is written",)
-        if without
-        else (),
-    )
-
-
-def _link(joint: Element, end: str) -> str:
-    element = joint.child(end)
-    return "" if element is None else element.attributes["link"]
+    told = f"the URDF states no mass of {', '.join(without)}: {LEAST_MASS:g} kg is"
+    return Encoded(data, (f"{told} written",) if without else ())
 
 
 def _place(
@@ -82,17 +70,16 @@ def _place(
 ) -> bool:
     """Put a body where its joint is; whether it moves."""
     name, kind = joint.attributes["name"], joint.attributes["type"]
-    _write_pose(body, document.origin(joint))
+    pose = document.origin(joint)
+    x, y, z, w = pin.Quaternion(pose.rotation).coeffs()
+    body.set("pos", _words(pose.translation))
+    body.set("quat", _words([w, x, y, z]))
     if kind == "fixed":
         return False
     if kind not in KINDS:
         raise OptionError(f"joint '{name}' is {kind}, which is not exported", file=file)
-    stated = joint.child("axis")
-    axis = np.array([1.0, 0.0, 0.0])
-    if stated is not None and "xyz" in stated.attributes:
-        axis = document.numbers(f"joint '{name}'", stated, "xyz", 3)
     element = ElementTree.SubElement(
-        body, "joint", name=name, type=KINDS[kind], axis=_words(axis)
+        body, "joint", name=name, type=KINDS[kind], axis=_words(document.axis(joint))
     )
     limit = joint.child("limit")
     if kind != "continuous" and limit is not None:
@@ -104,29 +91,20 @@ def _place(
 
 def _inertial(document: Document, link: Element, body: ElementTree.Element) -> bool:
     """Write the inertia of a link, if its URDF states one that is more than zero."""
-    stated = link.child("inertial")
-    mass = None if stated is None else stated.child("mass")
-    inertia = None if stated is None else stated.child("inertia")
-    if stated is None or mass is None or inertia is None:
-        return False
-    owner = f"link '{link.attributes['name']}'"
-    size = float(document.numbers(owner, mass, "value", 1)[0])
-    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    xx, xy, xz, yy, yz, zz = (
-        float(document.numbers(owner, inertia, key, 1)[0])
-        if key in inertia.attributes
-        else 0.0
-        for key in keys
-    )
-    inertia_of = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if not (size > 0.0 and np.linalg.eigvalsh(inertia_of).min() > 0.0):
-        return False
-    # An inertial has an origin like a joint.
-    pose = document.origin(stated)
-    _write_inertial(
-        body, size, pose.translation, pose.rotation @ inertia_of @ pose.rotation.T
-    )
-    return True
+    for stated in link.all("inertial")[:1]:
+        mass, inertia = stated.child("mass"), stated.child("inertia")
+        if mass is None or inertia is None:
+            return False
+        size, full = float(mass.attributes["value"]), np.zeros((3, 3))
+        keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        six = [float(inertia.attributes.get(key, 0.0)) for key in keys]
+        full[np.triu_indices(3)] = full.T[np.triu_indices(3)] = six
+        if size > 0.0 and np.linalg.eigvalsh(full).min() > 0.0:
+            pose = document.origin(stated)
+            turned = pose.rotation @ full @ pose.rotation.T
+            _write_inertial(body, size, pose.translation, turned)
+            return True
+    return False
 
 
 def _write_inertial(
@@ -136,12 +114,6 @@ def _write_inertial(
     ElementTree.SubElement(
         body, "inertial", mass=repr(mass), pos=_words(com), fullinertia=_words(six)
     )
-
-
-def _write_pose(body: ElementTree.Element, pose: pin.SE3) -> None:
-    x, y, z, w = pin.Quaternion(pose.rotation).coeffs()
-    body.set("pos", _words(pose.translation))
-    body.set("quat", _words([w, x, y, z]))
 
 
 def _words(numbers: Sequence[float] | Floats) -> str:
@@ -154,20 +126,19 @@ def _poses(data: bytes, chain: Chain, q: Floats) -> Floats:
         file = Path(folder, "robot.xml")
         file.write_bytes(data)
         model = pin.buildModelFromMJCF(str(file))
-    locked = [j for j in range(1, model.njoints) if model.names[j] not in chain.joints]
-    model = pin.buildReducedModel(model, locked, pin.neutral(model))
     # The world is the first of Pinocchio's frames.
-    frames = [
+    ends = [
         0 if name == WORLD and not model.existFrame(name) else model.getFrameId(name)
         for name in (chain.base, chain.tip)
     ]
-    order = [chain.joints.index(model.names[j]) for j in range(1, model.njoints)]
-    state, poses = model.createData(), np.empty((len(q), 4, 4))
-    for row, positions in zip(poses, q[:, order], strict=True):
-        pin.framesForwardKinematics(model, state, positions)
-        base, tip = (state.oMf[frame] for frame in frames)
-        row[:] = base.actInv(tip).homogeneous
-    return poses
+    state, poses, full = model.createData(), [], pin.neutral(model)
+    for positions in q:
+        for joint, position in zip(chain.joints, positions, strict=True):
+            full[model.joints[model.getJointId(joint)].idx_q] = position
+        pin.framesForwardKinematics(model, state, full)
+        base, tip = (state.oMf[end] for end in ends)
+        poses.append(base.actInv(tip).homogeneous)
+    return np.array(poses)
 
 
 MJCF = Format("mjcf", ".xml", "MuJoCo's description of the robot", encode)

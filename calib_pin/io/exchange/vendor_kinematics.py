@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from itertools import accumulate, pairwise
+from operator import mul
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import yaml
 
 from calib_pin.errors import InputError, OptionError
-from calib_pin.io.exchange.axes import along, axis_frames, relative, revolute_poses
+from calib_pin.io.exchange.axes import along, axis_frames, poses_about_z
 from calib_pin.io.exchange.base import (
     EXACT,
     ORIGIN,
@@ -27,9 +28,11 @@ from calib_pin.io.exchange.base import (
     Format,
     origin_of,
     placed,
+    rms,
 )
 from calib_pin.io.yaml_tree import Tree, read_tree
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.setup.values import number
 from calib_pin.units import DISPLAY
 
 ROOT = "kinematics"
@@ -37,9 +40,6 @@ ROOT = "kinematics"
 ALIKE = 0.05
 """Largest difference of the nominal robot and the user's own file, rms [m]: factories
 correct by millimeters."""
-
-FARTHEST = 1e5
-"""Largest number of an origin [m, rad]; offsets that cancel may be large."""
 
 BASES = (pin.SE3.Identity(), placed([0.0, 0.0, 0.0, 0.0, 0.0, np.pi]))
 """Where the first origin may be in the base link."""
@@ -71,52 +71,40 @@ def encode(
         )
     own = [_origin(tree, name) for name in names]
     base = _base(exported, own, template)
-    near = [base]
-    for origin in own:
-        near.append(near[-1] * origin)
-    # The last frame is that of the flange.
     tip = pin.SE3(chain.poses(np.zeros((1, len(names))))[0])
-    near[-1] = tip
-    frames = []
-    for (point, axis), frame in zip(axis_frames(chain), near[1:], strict=True):
-        frames.append(along(point, axis, frame))
-    origins = relative(frames, base)
-    flange = frames[-1].actInv(tip)
-    data = tree.data if isinstance(tree.data, dict) else {}
-    for name, origin in zip(names, origins, strict=True):
-        data[ROOT][name] = dict(zip(ORIGIN, origin_of(origin), strict=True))
-    text = yaml.safe_dump(data, sort_keys=False)
-
-    def poses(q: Floats) -> Floats:
-        read = _read(yaml.safe_load(text), names)
-        return np.asarray(revolute_poses(base, read, q) @ flange.homogeneous)
-
+    # The last frame is that of the flange.
+    near = [*accumulate([base, *own[:-1]], mul), tip]
+    frames = [
+        along(point, axis, frame)
+        for (point, axis), frame in zip(axis_frames(chain), near[1:], strict=True)
+    ]
+    flange, entries = frames[-1].actInv(tip), tree.data[ROOT]
+    for name, (before, frame) in zip(names, pairwise([base, *frames]), strict=True):
+        numbers = origin_of(before.actInv(frame))
+        entries[name] = dict(zip(ORIGIN, numbers, strict=True))
+    text = yaml.safe_dump(tree.data, sort_keys=False)
+    read = yaml.safe_load(text)[ROOT]
+    origins = [placed([read[name][key] for key in ORIGIN]) for name in names]
+    poses = partial(_poses, base, [*origins, flange])
     exported.require_same(poses, "the file")
-    return Encoded(text.encode(), (*_remarks(flange), *_hash(data, template)))
-
-
-def _remarks(flange: pin.SE3) -> list[str]:
+    remarks = []
     twist = pin.log6(flange).vector
     moved, turned = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
-    if max(moved, turned) < EXACT:
-        return []
-    unit, factor = DISPLAY["m"]
-    return [
-        f"the flange is off by {factor * moved:.3g} {unit} and {1e3 * turned:.3g} mrad "
-        "from where this format has it; put that into the tool of the controller: "
-        + ", ".join(
-            f"{name} {value:.9g}"
-            for name, value in zip(ORIGIN, origin_of(flange), strict=True)
+    if max(moved, turned) >= EXACT:
+        unit, factor = DISPLAY["m"]
+        six = zip(ORIGIN, origin_of(flange), strict=True)
+        remarks.append(
+            f"the flange is off by {factor * moved:.3g} {unit} and {1e3 * turned:.3g} "
+            "mrad from where this format has it; put that into the tool of the "
+            f"controller: {', '.join(f'{name} {value:.9g}' for name, value in six)}"
         )
-    ]
-
-
-def _hash(data: dict[str, Any], template: Path) -> list[str]:
-    kept = data[ROOT].get("hash")
-    return [] if kept is None else [f"the hash of {template} is kept: {kept}"]
+    if (kept := entries.get("hash")) is not None:
+        remarks.append(f"the hash of {template} is kept: {kept}")
+    return Encoded(text.encode(), tuple(remarks))
 
 
 def _origin(tree: Tree, name: str) -> pin.SE3:
+    """The origin of an entry of the user's own file."""
     root = tree.data.get(ROOT) if isinstance(tree.data, dict) else None
     entry = root.get(name) if isinstance(root, dict) else None
     if not isinstance(entry, dict):
@@ -126,24 +114,17 @@ def _origin(tree: Tree, name: str) -> pin.SE3:
         )
     numbers = []
     for key in ORIGIN:
-        number = entry.get(key)
-        if (
-            isinstance(number, bool)
-            or not isinstance(number, int | float)
-            or not abs(number) < FARTHEST
-        ):
-            raise tree.error(
-                f"'{key}' of '{name}' is not a number that can be",
-                (ROOT, name, key),
-                value=number,
-                allowed=f"a number below {FARTHEST:g}",
-            )
-        numbers.append(float(number))
+        try:
+            numbers.append(number(entry.get(key)))
+        except ValueError as error:
+            reason, path = f"'{key}' of '{name}' cannot be used", (ROOT, name, key)
+            raise tree.error(reason, path, entry.get(key), str(error)) from None
     return placed(numbers)
 
 
-def _read(data: Any, names: Sequence[str]) -> list[pin.SE3]:
-    return [placed([data[ROOT][name][key] for key in ORIGIN]) for name in names]
+def _poses(base: pin.SE3, origins: Sequence[pin.SE3], q: Floats) -> Floats:
+    """Poses of the flange by the origins of such a file, and of the flange."""
+    return poses_about_z([base * origins[0], *origins[1:]], [True] * q.shape[1], q)
 
 
 def _base(exported: Exported, own: Sequence[pin.SE3], template: Path) -> pin.SE3:
@@ -152,16 +133,12 @@ def _base(exported: Exported, own: Sequence[pin.SE3], template: Path) -> pin.SE3
     Where the flange is in the last frame is not asked: they share the axis.
     """
     q, nominal = exported.configurations, exported.nominal
-    points = nominal.poses(q)[:, :3, 3]
-    sizes = []
+    points, sizes = nominal.poses(q)[:, :3, 3], []
     for base in BASES:
-        found = revolute_poses(base, own, q)
-        # Only the way along the last axis may differ.
-        away = np.einsum(
-            "nij,nj->ni", found[:, :3, :3].transpose(0, 2, 1), points - found[:, :3, 3]
-        )
-        rest = away - away.mean(axis=0)
-        sizes.append(float(np.sqrt(np.mean(np.sum(rest**2, axis=1)))))
+        found = _poses(base, [*own, pin.SE3.Identity()], q)
+        R, p = found[:, :3, :3], found[:, :3, 3]
+        away = np.einsum("nji,nj->ni", R, points - p)
+        sizes.append(rms(away - away.mean(axis=0)))
     if not min(sizes) < ALIKE:
         unit, factor = DISPLAY["m"]
         raise InputError(

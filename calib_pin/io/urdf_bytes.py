@@ -173,7 +173,7 @@ def parse_document(source: bytes, file: str | None = None) -> Document:
     if not re.match(rb"[\s\0]*<", body):
         found = source[:16].strip(b"\0 \t\r\n") or None
         reason = "the file is empty" if not body.strip(b"\0 \t\r\n") else "is not XML"
-        raise RobotError(reason, file=file, value=found, allowed="a URDF, as text")
+        raise RobotError(reason, file=file, value=found, allowed="XML text")
     codec = codec or _codec(body)
     data = plain = _decode(body, codec, file).encode()
     if stated := _DECLARATION.match(data):

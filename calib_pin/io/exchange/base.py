@@ -141,7 +141,12 @@ class Exported:
                 f"{what} differs from the corrected robot by {difference:.2g}"
             )
 
-    def joint_errors(self, gains: bool = False) -> JointErrors:
+    @cached_property
+    def offsets(self) -> JointErrors:
+        """The joint offsets that come closest to the whole calibration."""
+        return self.joint_errors(gains=False)
+
+    def joint_errors(self, gains: bool) -> JointErrors:
         """The errors of the joints that come closest to the whole calibration.
 
         Least squares at random configurations; exact if nothing else was fitted.

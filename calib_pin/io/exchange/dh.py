@@ -93,8 +93,7 @@ def _step(frame: pin.SE3, point: Floats, axis: Floats) -> list[float]:
         theta = float(np.arctan2(axis[0], -axis[1]))
         x = np.array([np.cos(theta), np.sin(theta), 0.0])
         if x @ point < 0.0:
-            theta = float(np.arctan2(-axis[0], axis[1]))
-            x = -x
+            theta, x = float(np.arctan2(-axis[0], axis[1])), -x
         alpha = float(np.arctan2(axis @ np.cross(x, [0.0, 0.0, 1.0]), axis[2]))
         a, beta = float(x @ point), 0.0
         # Foot of the common normal on this axis.

@@ -57,11 +57,11 @@ class ColumnOffset(NamedTuple):
     offset: float
 
 
-def column_offsets(exported: Exported, found: JointErrors) -> list[ColumnOffset]:
+def column_offsets(exported: Exported) -> list[ColumnOffset]:
     """The offset of each measured column."""
     joints, setup = exported.nominal.joints, exported.result.model.setup
     columns, offsets = joint_columns(setup, joints), list[ColumnOffset]()
-    for joint, offset in zip(joints, found.offsets.tolist(), strict=True):
+    for joint, offset in zip(joints, exported.offsets.offsets.tolist(), strict=True):
         column, given = columns[joint]
         offset /= given.sign * given.gear
         offsets.append(ColumnOffset(joint, column, abs(given.gear), offset))
@@ -95,10 +95,10 @@ def doubts(exported: Exported) -> tuple[str, ...]:
 
 def encode(exported: Exported, _: Path | None) -> Encoded:
     """A table, with the sentence that says how it is used."""
-    found, known = exported.joint_errors(), estimates(exported)
-    left, rows = (*remarks(found), *doubts(exported)), []
+    known, rows = estimates(exported), []
+    left = (*remarks(exported.offsets), *doubts(exported))
     stepped = encoder_steps(exported.result.model.setup, exported.nominal.joints)
-    revolute, offsets = exported.nominal.revolute, column_offsets(exported, found)
+    revolute, offsets = exported.nominal.revolute, column_offsets(exported)
     for (joint, column, gear, offset), turns in zip(offsets, revolute, strict=True):
         si = "rad" if turns else "m"
         (unit, factor), estimate = DISPLAY[si], known.get(joint)

@@ -40,9 +40,10 @@ def encode(exported: Exported, template: Path | None) -> Encoded:
     motors = _read(template)
     if not exported.nominal.revolute.all():
         raise OptionError("a motor needs a joint that turns", file=exported.file)
-    found, steps, rounded = exported.joint_errors(), dict[str, int](), 0.0
-    for joint, column, _, offset in column_offsets(exported, found):
-        name = next((n for n in (joint, column) if n in motors), None)
+    steps, rounded = dict[str, int](), 0.0
+    for joint, column, _, offset in column_offsets(exported):
+        names = (joint, column, joint.removesuffix("_joint"))
+        name = next((name for name in names if name in motors), None)
         if name is None:
             raise InputError(
                 f"has no motor for joint '{joint}'",
@@ -69,7 +70,7 @@ def encode(exported: Exported, template: Path | None) -> Encoded:
         f"homing offsets changed by motor steps: {told}",
         f"whole steps leave up to {rounded:.3f} deg of a joint",
     )
-    return Encoded(data, (*said, *remarks(found), *doubts(exported)))
+    return Encoded(data, (*said, *remarks(exported.offsets), *doubts(exported)))
 
 
 def _read(template: Path) -> dict[str, dict[str, Any]]:

@@ -31,7 +31,11 @@ def encode(exported: Exported, template: Path | None) -> Encoded:
     """
     own = {} if template is None else _stated(template)
     root = ElementTree.Element("robot", name=exported.robot.name)
-    found, joints, wanted = exported.joint_errors(True), exported.nominal.joints, []
+    found, joints, wanted = (
+        exported.joint_errors(gains=True),
+        exported.nominal.joints,
+        [],
+    )
     for joint, gain, offset in zip(joints, found.gains, found.offsets, strict=True):
         name, actuator, reduction, at_zero = own.get(
             joint, (f"{joint}_transmission", f"{joint}_actuator", 1.0, 0.0)

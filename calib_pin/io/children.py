@@ -65,10 +65,6 @@ class Reader:
 
     def __exit__(self, *_: object) -> None:
         """End the process, if there is one."""
-        self.close()
-
-    def close(self) -> None:
-        """End the process, if there is one."""
         if self._child is not None:
             self._child.kill()
             self._child.communicate()
@@ -91,11 +87,8 @@ class Reader:
         extra, *needed = EXTRAS.get(kind, ("",))
         for package in needed:
             if find_spec(package) is None:
-                raise OptionError(
-                    f"{kind} files need the package {package}, which is missing: "
-                    f"pip install '{extra}'",
-                    file=file,
-                )
+                reason = f"{kind} files need the package {package}, which is missing: "
+                raise OptionError(f"{reason}pip install '{extra}'", file=file)
         child = self._child = self._child or started("robot_child.py")
         assert child.stdin is not None and child.stdout is not None
         seconds = SECONDS + file.stat().st_size / 1e6
@@ -111,7 +104,7 @@ class Reader:
             if len(data) < head["size"]:
                 raise EOFError
         except (ValueError, EOFError):
-            self.close()
+            self.__exit__()
             reason = "cannot be read: what reads it crashes, or needs too much memory"
             if monotonic() >= end:
                 reason = f"cannot be read: it takes more than {seconds:.0f} s"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import os
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -67,24 +68,18 @@ def read_image(path: Path) -> Gray:
     cv2 = vision()
     data = read_bytes(path, LARGEST)
     if not data.startswith(FORMATS):
-        raise InputError(
-            "is no image", file=path, allowed="PNG, JPEG, BMP, TIFF, PGM, PPM"
-        )
+        allowed = "PNG, JPEG, BMP, TIFF, PGM, PPM"
+        raise InputError("is no image", file=path, allowed=allowed)
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-    try:
+    image = None
+    with suppress(cv2.error, MemoryError):
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except (cv2.error, MemoryError):
-        image = None
     if image is None:
-        raise InputError(
-            f"cannot be read: it is damaged, or has more than {PIXELS} pixels",
-            file=path,
-        )
+        reason = f"cannot be read: it is damaged, or has more than {PIXELS} pixels"
+        raise InputError(reason, file=path)
     if min(image.shape) < SMALLEST:
-        size = f"{image.shape[1]} x {image.shape[0]}"
-        raise InputError(
-            "is too small", file=path, value=size, allowed=f"{SMALLEST} px or more"
-        )
+        size, allowed = "{1} x {0}".format(*image.shape), f"{SMALLEST} px or more"
+        raise InputError("is too small", file=path, value=size, allowed=allowed)
     if image.dtype != np.uint8:
         # Sensors of 10 to 14 bits leave the upper ones empty.
         levels = np.nan_to_num(image.astype(float), posinf=0.0, neginf=0.0)

@@ -13,8 +13,10 @@ import re
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from importlib import import_module
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 from calib_pin.errors import RobotError
 from calib_pin.io.files import read_bytes
@@ -26,9 +28,6 @@ MEMORY = 3 << 29
 
 SECONDS = 600
 """Time of a processor that it takes in all, should nobody be left to stop it [s]."""
-
-ANSWER = 1 << 27
-"""Bytes of the largest answer."""
 
 
 def read_mesh(file: str) -> Answer:
@@ -48,36 +47,14 @@ def read_mesh(file: str) -> Answer:
     return {}, corners.astype("<f8").tobytes()
 
 
-def read_xacro(file: str, arguments: dict[str, str], folders: list[str]) -> Answer:
-    """The URDF in a xacro file."""
-    from calib_pin.io.xacro_child import expanded
-
-    return {}, expanded(file, arguments, list(map(Path, folders)))
-
-
-def read_mjcf(file: str) -> Answer:
-    """The URDF of a robot in MuJoCo's language, and a remark on what is not in it."""
-    from calib_pin.io.mjcf_child import converted
-
-    urdf, remark = converted(Path(file))
-    return {"remark": remark}, urdf
-
-
-READERS: dict[str, Callable[..., Answer]] = {
-    "mesh": read_mesh,
-    "MJCF": read_mjcf,
-    "xacro": read_xacro,
-}
-"""Readers of a file, by the word for it in a request."""
-
-
-def answer(kind: str, file: str, **more: object) -> Answer:
+def answer(kind: str, file: str, **more: Any) -> Answer:
     """The answer to one request, with the reason if there is no other."""
     try:
-        head, data = READERS[kind](file, **more)
-        if len(data) <= ANSWER:
-            return head, data
-        reason = "cannot be read: there is too much in it"
+        if kind == "mesh":
+            return read_mesh(file)
+        child = import_module(f"calib_pin.io.{kind.lower()}_child")
+        read: Callable[..., Answer] = child.read
+        return read(file, **more)
     except RobotError as error:
         reason, file = error.reason, error.file or file
     except Exception as failure:

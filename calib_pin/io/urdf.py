@@ -6,6 +6,7 @@ import importlib.metadata
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,15 +55,17 @@ def known_robots() -> dict[str, Path]:
         >>> "pa10" in known_robots()
         True
     """
-    files = _examples()
+    robots, files = bundled_robots(), list[Path]()
+    data = "cmeel.prefix/share/example-robot-data"
+    with suppress(importlib.metadata.PackageNotFoundError):
+        package = importlib.metadata.distribution("example-robot-data")
+        files = sorted(Path(str(package.locate_file(data))).rglob("*.urdf"))
     stems = Counter(path.stem for path in files)
-    examples = {
+    for path in files:
         # Of several robots of one name a longer one tells which.
-        _EXAMPLE + "/".join(path.with_suffix("").parts[-1 if unique else -3 :]): path
-        for path in files
-        for unique in [stems[path.stem] == 1]
-    }
-    return {**bundled_robots(), **examples}
+        parts = path.with_suffix("").parts[-3 if stems[path.stem] > 1 else -1 :]
+        robots[_EXAMPLE + "/".join(parts)] = path
+    return robots
 
 
 def robot_file(robot: str, name: str) -> Path:
@@ -297,36 +300,19 @@ def locate_robot(name: str) -> Path:
     return path
 
 
-def _examples() -> Sequence[Path]:
-    """Paths of the URDFs of example-robot-data; none where it is not installed."""
-    data = "cmeel.prefix/share/example-robot-data"
-    try:
-        distribution = importlib.metadata.distribution("example-robot-data")
-    except importlib.metadata.PackageNotFoundError:
-        return ()
-    return sorted(Path(str(distribution.locate_file(data))).rglob("*.urdf"))
-
-
 def _example(name: str) -> Path:
-    """Path of a robot of example-robot-data, by the end of its path."""
-    files, stem = _examples(), name.removeprefix(_EXAMPLE).removesuffix(".urdf")
-    wanted, stems = Path(stem).parts, sorted({path.stem for path in files})
-    matches = [
-        path for path in files if path.with_suffix("").parts[-len(wanted) :] == wanted
-    ]
-    if len(matches) == 1:
-        return matches[0]
-    others = [other for other in stems if stem and stem in other]
+    """Path of a robot of example-robot-data, by its name among all that are known."""
+    known = {key: p for key, p in known_robots().items() if key.startswith(_EXAMPLE)}
+    wanted = name.removesuffix(".urdf")
+    if wanted in known:
+        return known[wanted]
+    stem = wanted.removeprefix(_EXAMPLE)
     reason = f"example-robot-data has no robot '{stem}'"
-    if not files:
+    if not known:
         reason = "example robots need a package: pip install 'example-robot-data>=4.4'"
-    elif matches:
-        reason = f"{len(matches)} example robots have this name"
-        others = ["/".join(path.with_suffix("").parts[-3:]) for path in matches]
-    elif not others:
-        reason += nearest(stem, stems)
-    allowed = ", ".join(_EXAMPLE + other for other in others)
-    raise RobotError(reason, file=name, allowed=allowed or None)
+    others = [key for key in known if stem and stem in key]
+    hint = "" if others else nearest(wanted, known)
+    raise RobotError(reason + hint, file=name, allowed=", ".join(others) or None)
 
 
 def is_source(path: Path, robot: Robot) -> bool:

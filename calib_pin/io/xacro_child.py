@@ -11,7 +11,6 @@ import ast
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
-from xml.parsers import expat
 
 import xacro
 from simpleeval import (
@@ -106,18 +105,16 @@ def evaluate(
         if not callable(value):
             return value
         reason = "it is a function and no value"
+    except (MemoryError, OSError, RecursionError, xacro.XacroException):
+        raise
     except NameNotDefined as error:
         reason = f"'{error.name}' is not defined"
     except FunctionNotDefined as error:
         reason = f"there is no function '{error.func_name}'"
-    except SyntaxError as error:
-        reason = error.msg
     except KeyError as error:
         reason = f"there is no key {error}"
-    except (MemoryError, OSError, RecursionError, xacro.XacroException):
-        raise
     except Exception as error:
-        reason = str(error)
+        reason = str(getattr(error, "msg", error))
     raise Refused(f"cannot evaluate '{text}': {reason}")
 
 
@@ -219,36 +216,34 @@ def _expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> bytes
     return text.encode()
 
 
-def _reason(failure: BaseException) -> str:
+def _reason(failure: Any) -> str:
     """Why a file cannot be expanded, without what xacro adds to it."""
-    cause = failure
-    while isinstance(getattr(cause, "exc", None), BaseException):
-        cause = cause.exc  # type: ignore[attr-defined]
-    if isinstance(cause, RecursionError):
+    while isinstance(getattr(failure, "exc", None), BaseException):
+        failure = failure.exc
+    if isinstance(failure, RecursionError):
         return "a macro or an expression calls itself without end"
-    if isinstance(cause, MemoryError):
+    if isinstance(failure, MemoryError):
         return "it needs too much memory"
-    if isinstance(cause, OSError):
-        return f"cannot read {cause.filename}: {cause.strerror}"
-    if isinstance(cause, expat.ExpatError):
-        kind = expat.ErrorString(cause.code)
-        return f"it is not well-formed XML: {kind}, line {cause.lineno}"
-    return " ".join(str(cause).split()) or type(cause).__name__
+    if isinstance(failure, OSError):
+        return f"cannot read {failure.filename}: {failure.strerror}"
+    return " ".join(str(failure).split()) or type(failure).__name__
 
 
-def expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> bytes:
+def read(
+    file: str, arguments: Mapping[str, str], folders: list[str]
+) -> tuple[dict[str, object], bytes]:
     """The URDF in a xacro file.
 
     Args:
         file: The file.
-        given: Values of its arguments by name.
+        arguments: Values of its arguments by name.
         folders: Folders that are packages or hold some.
 
     Raises:
         RobotError: If it cannot be expanded, with the file and macro that is wrong.
     """
     try:
-        return _expanded(file, given, folders)
+        return {}, _expanded(file, arguments, list(map(Path, folders)))
     except Exception as failure:
         reason = f"xacro cannot expand it: {_reason(failure)}"
     if xacro.macrostack:  # It, or the call of it, is wrong.

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.io.files import TEXT, read_bytes
-from calib_pin.io.meshes import MeshReader, shape_in
-from calib_pin.io.urdf_bytes import parse_document
+from calib_pin.io.robot_shapes import MeshReader, shape_in
+from calib_pin.io.urdf_tree import parse_document
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.collision import Collisions

@@ -21,8 +21,13 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import RobotError, enumerated
-from calib_pin.io.urdf_bytes import Document, Element, move_origins, parse_document
-from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.io.urdf_tree import (
+    Document,
+    Element,
+    move_origins,
+    parse_document,
+    parse_robot,
+)
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 

@@ -17,8 +17,7 @@ from calib_pin.io.children import Reader
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.packages import package_folders
 from calib_pin.io.straightening import straightened
-from calib_pin.io.urdf_bytes import edit_origins, parse_document
-from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.io.urdf_tree import edit_origins, parse_document, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot

@@ -29,8 +29,7 @@ from calib_pin.io.urdf import (
     load_robot,
     locate_robot,
 )
-from calib_pin.io.urdf_bytes import edit_origins
-from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.io.urdf_tree import edit_origins, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import Mimic
 from calib_pin.kinematics.robot import Robot

@@ -17,9 +17,8 @@ from hypothesis import strategies as st
 
 from calib_pin.errors import CalibPinError, OptionError, RobotError
 from calib_pin.io import children
-from calib_pin.io.meshes import STL
 from calib_pin.io.packages import locate_mesh
-from calib_pin.io.robot_shapes import robot_shapes
+from calib_pin.io.robot_shapes import STL, robot_shapes
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.io.xacro_child import FUNCTIONS, Refused, evaluate
 

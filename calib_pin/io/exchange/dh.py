@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.io.exchange.axes import along, axis_frames, poses_about_z
 from calib_pin.io.exchange.base import (
     ORIGIN,
     Encoded,
@@ -28,6 +27,7 @@ from calib_pin.io.exchange.base import (
     origin_of,
     placed,
 )
+from calib_pin.io.exchange.vendor_kinematics import along, axis_frames, poses_about_z
 from calib_pin.io.measurements import encode_table
 from calib_pin.kinematics.spatial import Floats
 

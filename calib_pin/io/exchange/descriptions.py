@@ -1,21 +1,26 @@
-"""MuJoCo's description of the corrected robot: bodies, joints, limits, inertias.
-
-Shapes are not written; MuJoCo compiles them from the corrected URDF itself.
-"""
+"""The corrected robot in other languages: MuJoCo's, and xacro's properties."""
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import OptionError
-from calib_pin.io.exchange.base import Encoded, Exported, Format
-from calib_pin.io.urdf_bytes import Document, Element, parse_document
+from calib_pin.io.exchange.base import (
+    Encoded,
+    Exported,
+    Format,
+    origin_of,
+    require_read,
+)
+from calib_pin.io.urdf_tree import Document, Element, parse_document
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 
@@ -27,7 +32,7 @@ LEAST_MASS, LEAST_INERTIA = 1e-3, 1e-6
 """Of a moving body whose URDF states none: MuJoCo refuses it without [kg, kg m^2]."""
 
 
-def encode(exported: Exported, _: Path | None) -> Encoded:
+def encode_mjcf(exported: Exported, _: Path | None) -> Encoded:
     """The description.
 
     Raises:
@@ -53,10 +58,10 @@ def encode(exported: Exported, _: Path | None) -> Encoded:
         if joint is not None or link != WORLD:  # Which MuJoCo has already.
             body = ElementTree.SubElement(parent, "body", name=link)
             moving = joint is not None and _place(document, body, joint, exported.file)
-        stated = body is not world and _inertial(document, links[link], body)
-        if moving and not stated:
-            without.append(link)
-            _write_inertial(body, LEAST_MASS, np.zeros(3), LEAST_INERTIA * np.eye(3))
+            if not _inertial(document, links[link], body) and moving:
+                without.append(link)
+                least = LEAST_INERTIA * np.eye(3)
+                _write_inertial(body, LEAST_MASS, np.zeros(3), least)
         pending += [(body, j.link("child"), j) for j in below.get(link, [])]
     ElementTree.indent(root)
     data = ElementTree.tostring(root) + b"\n"
@@ -141,4 +146,45 @@ def _poses(data: bytes, chain: Chain, q: Floats) -> Floats:
     return np.array(poses)
 
 
-MJCF = Format("mjcf", ".xml", "MuJoCo's description of the robot", encode)
+NAMESPACE = "http://www.ros.org/wiki/xacro"
+
+
+def encode_xacro(exported: Exported, _: Path | None) -> Encoded:
+    """The overlay."""
+    properties = {}
+    for name, origin in corrected_origins(exported).items():
+        numbers = list(map(repr, origin_of(origin)))
+        own = re.sub(r"\W", "_", name)  # A name that may stand in an expression.
+        properties[f"{own}_xyz"] = " ".join(numbers[:3])
+        properties[f"{own}_rpy"] = " ".join(numbers[3:])
+    lines = [
+        '<?xml version="1.0"?>',
+        f"<!-- joint origins of {escape(exported.robot.name)}, calibrated: "
+        "include it, and take them as "
+        '<origin xyz="${NAME_xyz}" rpy="${NAME_rpy}"/> -->',
+        f'<robot xmlns:xacro="{NAMESPACE}">',
+    ]
+    for name, text in properties.items():
+        lines.append(f'  <xacro:property name={quoteattr(name)} value="{text}"/>')
+    data = "\n".join([*lines, "</robot>", ""]).encode()
+    found = {e.get("name"): e.get("value") for e in ElementTree.fromstring(data)}
+    require_read(found, properties, "the origins")
+    return Encoded(data)
+
+
+def corrected_origins(exported: Exported) -> dict[str, pin.SE3]:
+    """Origins of the joints in the corrected URDF that differ from the nominal one.
+
+    All of the chain stand among them, so that an overlay is complete.
+    """
+    document = parse_document(exported.robot.source, exported.robot.file)
+    changed = {} if exported.geometry is None else exported.geometry.urdf_corrections()
+    wanted = {*exported.nominal.joints, *changed}
+    named = document.named("joint").items()
+    return {name: document.origin(joint) for name, joint in named if name in wanted}
+
+
+MJCF = Format("mjcf", ".xml", "MuJoCo's description of the robot", encode_mjcf)
+XACRO = Format(
+    "xacro", ".xacro", "joint origins as properties, to be included", encode_xacro
+)

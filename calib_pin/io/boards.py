@@ -238,7 +238,7 @@ class Detector:
         return np.asarray(counts * (self.board.square + gap) - gap)
 
     def _tags_search(self) -> Any:
-        """What finds tags, and how the board is drawn."""
+        """The detector of tags; the board as it is drawn is kept."""
         board, aruco = self.board, self._cv2.aruco
         usual = "DICT_APRILTAG_36h11" if board.type == "apriltag" else "DICT_4X4_50"
         name, size = board.dictionary or usual, (board.columns, board.rows)

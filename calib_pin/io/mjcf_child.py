@@ -1,4 +1,4 @@
-"""Turns MuJoCo's description of a robot into a URDF; `robot_child.py` calls it.
+"""Turns MuJoCo's description of a robot into a URDF; `children` calls it.
 
 MuJoCo reads the file. Bodies and sites become links, joints come one by one, with
 their limits and reference positions, and inertias are those of the compiled model.

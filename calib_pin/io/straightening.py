@@ -34,7 +34,7 @@ from calib_pin.kinematics.spatial import Floats
 TURNING = ("revolute", "continuous")
 
 INSIDE = ("visual", "collision", "inertial")
-"""What has an origin in a link."""
+"""Elements of a link that have an origin."""
 
 PARALLEL = 0.05
 """Largest angle between axes that are nearly parallel [rad]; factories are off by 0.002

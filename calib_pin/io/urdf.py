@@ -301,17 +301,21 @@ def locate_robot(name: str) -> Path:
 
 def _example(name: str) -> Path:
     """Path of a robot of example-robot-data, by its name among all that are known."""
-    known = {key: p for key, p in known_robots().items() if key.startswith(_EXAMPLE)}
-    wanted = name.removesuffix(".urdf")
-    if wanted in known:
-        return known[wanted]
-    stem = wanted.removeprefix(_EXAMPLE)
+    known = {
+        key.removeprefix(_EXAMPLE): path
+        for key, path in known_robots().items()
+        if key.startswith(_EXAMPLE)
+    }
+    stem = name.removeprefix(_EXAMPLE).removesuffix(".urdf")
+    if stem in known:
+        return known[stem]
+    others = [_EXAMPLE + key for key in known if stem and stem in key]
     reason = f"example-robot-data has no robot '{stem}'"
     if not known:
         reason = "example robots need a package: pip install 'example-robot-data>=4.4'"
-    others = [key for key in known if stem and stem in key]
-    hint = "" if others else nearest(wanted, known)
-    raise RobotError(reason + hint, file=name, allowed=", ".join(others) or None)
+    elif not others:
+        reason += nearest(stem, known)
+    raise RobotError(reason, file=name, allowed=", ".join(others) or None)
 
 
 def is_source(path: Path, robot: Robot) -> bool:

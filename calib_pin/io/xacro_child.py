@@ -1,4 +1,4 @@
-"""Expands a xacro file; `robot_child.py` calls it, in a process that has limits.
+"""Expands a xacro file; `children` calls it, in a process that has limits.
 
 The package xacro hands the expressions of a file to Python's `eval`, and asks ROS for
 packages: both are replaced here. In an expression a dot leads to the keys of mappings,
@@ -61,16 +61,9 @@ class Expression(EvalWithCompoundTypes):  # type: ignore[misc]
         self, symbols: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]
     ) -> None:
         """Nothing is evaluated yet."""
-        super().__init__(functions=dict(functions), names=self._symbol)
-        self.symbols = symbols
+        super().__init__(functions=dict(functions), names=symbols)
         # The format of a value in a text may lead to its attributes.
         del self.nodes[ast.JoinedStr], self.nodes[ast.FormattedValue]
-
-    def _symbol(self, node: ast.Name) -> Any:
-        try:
-            return self.symbols[node.id]
-        except KeyError:
-            raise NameNotDefined(node.id, self.expr) from None
 
     def _eval_attribute(self, node: ast.Attribute) -> Any:
         owner = self._eval(node.value)

@@ -138,7 +138,7 @@ FARTHEST = 2047
 
 
 class Stored(NamedTuple):
-    """What has to be known of a motor, in whole steps."""
+    """Whole steps that have to be known of a motor."""
 
     homing_offset: int
     range_min: int
@@ -195,8 +195,9 @@ def encode_motors(exported: Exported, template: Path | None) -> Encoded:
 def _read(template: Path) -> dict[str, dict[str, Any]]:
     with reading(template, "file of motors"):
         motors: dict[str, dict[str, Any]] = json.loads(read_bytes(template, TEXT))
-        for motor in motors.values():
-            typed(Stored, motor)
+        for name, motor in motors.items():
+            with reading(template, f"motor '{name}'"):
+                typed(Stored, motor)
         return motors
 
 

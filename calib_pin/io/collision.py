@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.io.files import TEXT, read_bytes
-from calib_pin.io.robot_shapes import MeshReader, shape_in
+from calib_pin.io.robot_shapes import MeshReader
 from calib_pin.io.urdf_tree import parse_document
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -31,6 +31,11 @@ SAMPLES = 200
 BY_DESIGN = 0.95
 """Share of the configurations from which on two links touch, or are close, because they
 are built so."""
+
+
+TOUCH = "touch at nearly every configuration are not checked against each other"
+NEAR = "are always closer than the clearance are only kept from touching"
+"""Ends of sentences about links that are built so."""
 
 
 def load_collisions(
@@ -74,38 +79,30 @@ def load_collisions(
         >>> ("link_7", "obstacle 1 (box)") in collisions.pairs
         True
     """
-    tell = notice or (lambda line: None)
-    chains = Chains.of(chain)
-    robot = chains.robot
-    apart = _adjacent(robot.model) if srdf is None else _disabled(srdf, robot)
-    model, geometry = robot.model, pin.GeometryModel()
+    tell, chains = notice or (lambda line: None), Chains.of(chain)
+    robot, geometry = chains.robot, pin.GeometryModel()
+    model = robot.model
+    apart = _adjacent(model) if srdf is None else _disabled(srdf, robot)
     with MeshReader(robot.file, package_dirs) as meshes:
         own = _of_links(robot, meshes)
         if not own:
             tell("the robot has no collision geometry: no collisions are checked")
             return None
-        around = _of_obstacles(chains, obstacles, file, meshes)
-    for number, name, place, solid in (*own, *around):
+        every = own + _of_obstacles(chains, obstacles, file, meshes)
+    for number, name, place, solid in every:
         frame = model.frames[number]
         joint, placed = frame.parentJoint, frame.placement * place
         geometry.addGeometryObject(
             pin.GeometryObject(name, joint, number, placed, solid)
         )
-    solids = [
-        (solid.parentJoint, model.frames[solid.parentFrame].name)
-        for solid in geometry.geometryObjects
-    ]
-    for first, second in combinations(range(len(solids)), 2):
-        (joint, link), (other_joint, other) = solids[first], solids[second]
-        # Two solids that a joint moves, and of the robot only those that may not touch.
-        if joint != other_joint and (
-            second >= len(own) or frozenset((link, other)) not in apart
-        ):
+    links = [model.frames[number].name for number, *_ in every]
+    for first, second in combinations(range(len(every)), 2):
+        # Obstacles, and of the robot only links that may not touch.
+        if second >= len(own) or frozenset((links[first], links[second])) not in apart:
             geometry.addCollisionPair(pin.CollisionPair(first, second))
     collisions = Collisions(chains, geometry, clearance)
     if not collisions.pairs:
-        still = "no two solids that may not touch move against each other"
-        tell(f"{still}, so no collision is checked")
+        tell("no two solids that may not touch move against each other")
     return _as_built(chains, collisions, srdf is None, tell)
 
 
@@ -131,11 +128,11 @@ def _as_built(
     touching = _by_design(bare.pairs, touches, chains.robot)
     left_out = touching if guess else []
     near = [pair for pair in close if pair not in touching]
-    touch = "touch at nearly every configuration are not checked against each other"
-    keep = "are always closer than the clearance are only kept from touching"
-    for found, words in ((left_out, touch), (near, keep)):
+    for found, words in ((left_out, TOUCH), (near, NEAR)):
         if found:
-            tell(f"links that {words}: {_listed(found)}")
+            named = "; ".join(f"{first} and {second}" for first, second in found[:3])
+            count = f"{len(found)} pair{'s' * (len(found) > 1)}"
+            tell(f"links that {words}: {count} ({named}{'; ...' * (len(found) > 3)})")
     for place, touched in zip(places, touches.T, strict=True):
         if collisions.pairs[place] in near:
             clearances[place], contacts[:, place] = 0.0, touched
@@ -144,28 +141,18 @@ def _as_built(
     return collisions.only(kept, clearances)
 
 
-def _listed(pairs: Sequence[tuple[str, str]]) -> str:
-    named = "; ".join(f"{first} and {second}" for first, second in pairs[:3])
-    count = "1 pair" if len(pairs) == 1 else f"{len(pairs)} pairs"
-    return f"{count} ({named}{'; ...' if len(pairs) > 3 else ''})"
-
-
 def _of_links(robot: Robot, meshes: MeshReader) -> list[_Solid]:
     """The collision geometry of a URDF."""
-    document = parse_document(robot.source, robot.file)
+    document, found = parse_document(robot.source, robot.file), list[_Solid]()
     links = document.named("link")
-    return [
-        (
-            number,
-            f"{frame.name}_{k}",
-            document.origin(element),
-            meshes.made(document, shape, SOLIDS),
-        )
-        for number, frame in enumerate(robot.model.frames)
-        if frame.type == pin.FrameType.BODY
-        for k, element in enumerate(links[frame.name].all("collision"))
-        if (shape := shape_in(element)) is not None
-    ]
+    for number, frame in enumerate(robot.model.frames):
+        if frame.type == pin.FrameType.BODY:
+            for k, element in enumerate(links[frame.name].all("collision")):
+                if (shape := meshes.shape(document, element)) is not None:
+                    kind, values = shape
+                    name, place = f"{frame.name}_{k}", document.origin(element)
+                    found.append((number, name, place, SOLIDS[kind](*values)))
+    return found
 
 
 def _mesh(surface: Surface) -> pin.coal.CollisionGeometry:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -15,17 +15,9 @@ from calib_pin.io.files import read_bytes
 from calib_pin.io.packages import locate_mesh
 from calib_pin.io.urdf import locate_robot
 from calib_pin.io.urdf_tree import FARTHEST, NUMBERS, Document, Element, parse_document
+from calib_pin.kinematics import shapes
 from calib_pin.kinematics.robot import Robot
-from calib_pin.kinematics.shapes import (
-    Color,
-    Shape,
-    Shapes,
-    Surface,
-    ball,
-    box,
-    capsule,
-    cylinder,
-)
+from calib_pin.kinematics.shapes import Color, Shape, Shapes, Surface
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.stand_ins import stand_ins
 
@@ -38,13 +30,13 @@ TRIANGLES = 1_000_000
 STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
 """A triangle of a binary STL file."""
 
-_Made = TypeVar("_Made")
-
-
-def shape_in(element: Element) -> Element | None:
-    """The shape of a visual or collision element, if it has one."""
-    geometry = element.child("geometry")
-    return geometry.children[0] if geometry and geometry.children else None
+SIMPLE: Mapping[str, Callable[..., Surface]] = {
+    "box": lambda *size: shapes.box(np.array(size)),
+    "sphere": shapes.ball,
+    "cylinder": shapes.cylinder,
+    "capsule": shapes.capsule,
+}
+"""Surfaces by the tag of a shape, from its numbers."""
 
 
 class MeshReader(Reader):
@@ -88,39 +80,41 @@ class MeshReader(Reader):
             self._known[key] = _surface(self._corners(path), path, np.array(scale))
         return self._known[key]
 
-    def made(
-        self,
-        document: Document,
-        shape: Element,
-        makers: Mapping[str, Callable[..., _Made]],
-    ) -> _Made:
-        """A solid or a surface of a shape.
+    def shape(
+        self, document: Document, element: Element
+    ) -> tuple[str, list[Any]] | None:
+        """The shape of a visual or collision element, if it has one.
 
         Args:
             document: The URDF.
-            shape: The shape.
-            makers: Functions by the tag of a shape: of its numbers, or of the surface
-                of a mesh.
+            element: The element.
+
+        Returns:
+            Its kind, and its numbers or the surface of its mesh.
 
         Raises:
-            InputError: If a mesh cannot be used, or there is no such shape.
+            InputError: If a mesh cannot be used, or there is no such shape; its value
+                is the name of the mesh.
         """
-        if shape.tag not in makers:
-            reason = f"<{shape.tag}> of {shape.owner} is no shape"
-            raise document.error(shape, reason, allowed=", ".join(makers))
-        if shape.tag != "mesh":
+        geometry = element.child("geometry")
+        if geometry is None or not geometry.children:
+            return None
+        shape = geometry.children[0]
+        name = shape.attributes.get("filename", shape.tag)
+        if shape.tag in SIMPLE:
             sizes = NUMBERS[shape.tag].items()
             numbers = [document.numbers(shape, key, count) for key, count in sizes]
-            return makers[shape.tag](*np.concatenate(numbers).tolist())
-        scale = [float(x) for x in shape.attributes.get("scale", "1 1 1").split()]
-        name = shape.attributes.get("filename", "")
+            return shape.tag, np.concatenate(numbers).tolist()
         try:
-            return makers["mesh"](self.read(name, scale))
+            if shape.tag != "mesh":
+                raise InputError("is no shape", allowed=", ".join(SIMPLE))
+            scale = [float(x) for x in shape.attributes.get("scale", "1 1 1").split()]
+            return shape.tag, [self.read(name, scale)]
         except InputError as error:
-            reason = f"the mesh '{name}' of {shape.owner} {error.reason}"
+            reason = f"the collision mesh '{name}' of {shape.owner} {error.reason}"
             hint = error.allowed or "another mesh"
             allowed = f"{hint}, or no check of collisions (plan --ignore-collisions)"
-            raise document.error(shape, reason, allowed=allowed) from None
+            raise document.error(shape, reason, value=name, allowed=allowed) from None
 
     def _corners(self, path: Path) -> Floats:
         """Corners of the triangles in a file, shape (F, 3, 3)."""
@@ -155,16 +149,6 @@ def _surface(corners: Floats, path: Path, scale: Floats) -> Surface:
     return Surface(vertices, np.argsort(order)[place.ravel()].reshape(-1, 3))
 
 
-SURFACES: Mapping[str, Callable[..., Surface]] = {
-    "box": lambda *size: box(np.array(size)),
-    "sphere": ball,
-    "cylinder": cylinder,
-    "capsule": capsule,
-    "mesh": lambda surface: surface,
-}
-"""Surfaces by the tag of a shape, from its numbers."""
-
-
 def robot_shapes(
     robot: Robot,
     package_dirs: Sequence[str | Path] = (),
@@ -184,23 +168,22 @@ def robot_shapes(
     document = parse_document(robot.source)
     links = document.named("link")
     colors = {name: _rgb(m) for name, m in document.named("material").items()}
-    parts: list[Shape] = []
-    missing: dict[str, Any] = {}
+    parts, missing = list[Shape](), dict[str, None]()
     with MeshReader(robot.file, package_dirs) as meshes:
         for k, (name, link) in enumerate(links.items()):
             if progress is not None:
                 progress(k / len(links))
-            found: list[Shape] = []
-            lost: dict[str, Any] = {}
+            found, lost = list[Shape](), dict[str, None]()
             for element in link.all("visual") or link.all("collision"):
-                if (shape := shape_in(element)) is None:
-                    continue
                 try:
-                    surface = meshes.made(document, shape, SURFACES)
-                    place = document.origin(element).homogeneous
-                    found.append(Shape(name, place, surface, _color(element, colors)))
-                except InputError:
-                    lost[shape.attributes.get("filename", shape.tag)] = None
+                    if (shape := meshes.shape(document, element)) is not None:
+                        kind, values = shape
+                        simple = SIMPLE[kind](*values) if kind in SIMPLE else None
+                        place = document.origin(element).homogeneous
+                        surface, color = simple or values[0], _color(element, colors)
+                        found.append(Shape(name, place, surface, color))
+                except InputError as error:
+                    lost[str(error.value)] = None
             missing |= lost
             parts += stand_ins(robot, name) if lost else found
     return Shapes(tuple(parts or stand_ins(robot)), tuple(missing))

@@ -65,23 +65,20 @@ def straightened(robot: Robot) -> Robot:
     if max(map(np.linalg.norm, offsets)) < LEAST:
         return robot
     document = parse_document(robot.source, robot.file)
-    slides = _slides(document)
+    joints, slides = document.named("joint"), _slides(document)
     if not slides:
         return robot
-    joints = document.named("joint")
     origins = (document.origin(joints[name]).translation for name in slides)
     names = enumerated(f"'{name}'" for name in slides)
     source = move_origins(document, _moved(document, slides))
-    return replace(
-        parse_robot(source, robot.file),
-        remarks=(
-            *robot.remarks,
-            f"offsets of up to {max(map(np.linalg.norm, origins)):.3g} m along "
-            "parallel axes cancel: straightened, by moving the frames of joints "
-            f"{names} along their axes; the forward kinematics are the same, and the "
-            "corrected URDF has these frames",
-        ),
+    remark = (
+        f"offsets of up to {max(map(np.linalg.norm, origins)):.3g} m along parallel "
+        "axes cancel: straightened, by moving the frames of joints "
+        f"{names} along their axes; the forward kinematics are the same, and the "
+        "corrected URDF has these frames"
     )
+    found = parse_robot(source, robot.file)
+    return replace(found, remarks=(*robot.remarks, remark))
 
 
 def straight_source(source: bytes) -> bytes:

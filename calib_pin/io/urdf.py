@@ -189,8 +189,7 @@ def load_robot(
         names = f" ({', '.join(bundled)})" if bundled else ""
         allowed = f"a URDF or xacro file, a bundled robot{names}, or {_EXAMPLE}NAME"
         raise RobotError(reason, file=name or ".", allowed=allowed) from error
-    urdf = source
-    remarks: tuple[str, ...] = ()
+    urdf, remarks = source, tuple[str, ...]()
     with Reader() as reader:
         if is_xacro(path):
             folders = list(map(str, package_folders(path.absolute(), package_dirs)))
@@ -212,7 +211,7 @@ def corrected_urdf(
     path: str | Path,
     robot: Robot,
     corrections: Mapping[str, pin.SE3],
-    check: Callable[[Robot], None] | None,
+    check: Callable[[Robot], None],
 ) -> bytes:
     """A robot's URDF with corrected joint origins.
 
@@ -236,8 +235,7 @@ def corrected_urdf(
         reread = parse_robot(corrected, str(path))
     except RobotError as error:
         raise OutputError(f"the corrected URDF does not read back: {error}") from error
-    if check is not None:
-        check(reread)
+    check(reread)
     return corrected
 
 

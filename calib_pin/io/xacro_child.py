@@ -16,8 +16,6 @@ import xacro
 from simpleeval import (
     BASIC_ALLOWED_ATTRS,
     EvalWithCompoundTypes,
-    FunctionNotDefined,
-    NameNotDefined,
 )
 from xacro import substitution_args
 
@@ -50,20 +48,7 @@ class Refused(Exception):
 
 
 class Expression(EvalWithCompoundTypes):  # type: ignore[misc]
-    """An evaluation.
-
-    Args:
-        symbols: Values by name.
-        functions: Functions by name.
-    """
-
-    def __init__(
-        self, symbols: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]
-    ) -> None:
-        """Nothing is evaluated yet."""
-        super().__init__(functions=dict(functions), names=symbols)
-        # The format of a value in a text may lead to its attributes.
-        del self.nodes[ast.JoinedStr], self.nodes[ast.FormattedValue]
+    """An evaluation in which a dot leads to few things."""
 
     def _eval_attribute(self, node: ast.Attribute) -> Any:
         owner = self._eval(node.value)
@@ -94,18 +79,15 @@ def evaluate(
     """
     try:
         tree = ast.parse(text.strip(), mode="eval").body
-        value = Expression(symbols, functions).eval(text, tree)
+        expression = Expression(functions=dict(functions), names=symbols)
+        # The format of a value in a text may lead to its attributes.
+        del expression.nodes[ast.JoinedStr], expression.nodes[ast.FormattedValue]
+        value = expression.eval(text, tree)
         if not callable(value):
             return value
         reason = "it is a function and no value"
     except (MemoryError, OSError, RecursionError, xacro.XacroException):
         raise
-    except NameNotDefined as error:
-        reason = f"'{error.name}' is not defined"
-    except FunctionNotDefined as error:
-        reason = f"there is no function '{error.func_name}'"
-    except KeyError as error:
-        reason = f"there is no key {error}"
     except Exception as error:
         reason = str(getattr(error, "msg", error))
     raise Refused(f"cannot evaluate '{text}': {reason}")

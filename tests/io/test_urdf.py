@@ -545,7 +545,7 @@ def test_limits(bad: Callable[..., None]) -> None:
 
 
 def write_corrected_urdf(
-    path: Path, *about: Any, check: Callable[[Robot], None] | None, force: bool = False
+    path: Path, *about: Any, check: Callable[[Robot], None] = id, force: bool = False
 ) -> None:
     write_atomically(path, corrected_urdf(path, *about, check), force=force)
 
@@ -561,8 +561,8 @@ def test_write_and_read_back(tmp_path: Path, refused: Callable[..., Any]) -> Non
     os.umask(umask)
     assert path.stat().st_mode & 0o777 == 0o666 & ~umask
     with refused(OptionError, file=str(path)):
-        write_corrected_urdf(path, robot, {}, check=None)
-    write_corrected_urdf(path, robot, {}, check=None, force=True)
+        write_corrected_urdf(path, robot, {})
+    write_corrected_urdf(path, robot, {}, force=True)
     assert path.read_bytes() == ARM
     assert listing(path.parent) == ["out.urdf"]
 
@@ -578,11 +578,11 @@ def test_never_over_the_source(
     robot = load_robot("arm.urdf")
     for path in (source, link, tmp_path / ".." / tmp_path.name / "arm.urdf"):
         with refused(OptionError, file=str(path)):
-            write_corrected_urdf(path, robot, {"j": SHIFT}, check=None, force=True)
+            write_corrected_urdf(path, robot, {"j": SHIFT}, force=True)
     panda = load_robot("example:panda")
     path = locate_robot("example:panda")
     with refused(OptionError, file=str(path)):
-        write_corrected_urdf(path, panda, {}, check=None, force=True)
+        write_corrected_urdf(path, panda, {}, force=True)
     assert source.read_bytes() == ARM
 
 
@@ -598,10 +598,10 @@ def test_nothing_is_left_behind(
     with pytest.raises(OutputError):
         write_corrected_urdf(path, robot, {"j": SHIFT}, check=refuse)
     with refused(RobotError, file="arm.urdf"):
-        write_corrected_urdf(path, robot, {"jj": SHIFT}, check=None)
+        write_corrected_urdf(path, robot, {"jj": SHIFT})
     monkeypatch.setattr(urdf, "edit_origins", lambda *_: b"<robot/>")
     with pytest.raises(OutputError):
-        write_corrected_urdf(path, robot, {"j": SHIFT}, check=None)
+        write_corrected_urdf(path, robot, {"j": SHIFT})
 
     assert listing(tmp_path) == []
 

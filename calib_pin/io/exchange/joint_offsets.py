@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -51,31 +51,19 @@ USE = (
 """Sentences that say how the table is used."""
 
 
-class ColumnOffset(NamedTuple):
-    """The offset of a measured column.
+def column_offsets(exported: Exported) -> list[tuple[str, str, float, float]]:
+    """The offset of each measured column [rad, m].
 
-    Attributes:
-        joint: The joint.
-        column: Name of the column.
-        gear: Size of its gear.
-        offset: What is added to what the column reads [rad, m].
+    Returns:
+        Joint, column, size of its gear, and what is added to what the column reads.
     """
-
-    joint: str
-    column: str
-    gear: float
-    offset: float
-
-
-def column_offsets(exported: Exported) -> list[ColumnOffset]:
-    """The offset of each measured column."""
     joints, setup = exported.nominal.joints, exported.result.model.setup
-    columns, offsets = joint_columns(setup, joints), list[ColumnOffset]()
-    for joint, offset in zip(joints, exported.offsets.offsets.tolist(), strict=True):
-        column, given = columns[joint]
-        offset /= given.sign * given.gear
-        offsets.append(ColumnOffset(joint, column, abs(given.gear), offset))
-    return offsets
+    found, columns = exported.offsets.offsets.tolist(), joint_columns(setup, joints)
+    return [
+        (joint, column, abs(given.gear), offset / (given.sign * given.gear))
+        for joint, offset in zip(joints, found, strict=True)
+        for column, given in [columns[joint]]
+    ]
 
 
 def remarks(found: JointErrors, what: str = "offsets") -> tuple[str, ...]:
@@ -137,12 +125,8 @@ FARTHEST = 2047
 """Largest homing offset that a motor stores."""
 
 
-class Stored(NamedTuple):
-    """Whole steps that have to be known of a motor."""
-
-    homing_offset: int
-    range_min: int
-    range_max: int
+STORED = ("homing_offset", "range_min", "range_max")
+"""Keys of whole steps that have to be known of a motor."""
 
 
 def encode_motors(exported: Exported, template: Path | None) -> Encoded:
@@ -197,7 +181,7 @@ def _read(template: Path) -> dict[str, dict[str, Any]]:
         motors: dict[str, dict[str, Any]] = json.loads(read_bytes(template, TEXT))
         for name, motor in motors.items():
             with reading(template, f"motor '{name}'"):
-                typed(Stored, motor)
+                typed(dict[str, int], {key: motor[key] for key in STORED})
         return motors
 
 

@@ -176,10 +176,8 @@ def read_calibration_data(
 def _opened(path: str | Path) -> Iterator[Any]:
     """A reader of a bag; whatever is wrong with the bag is told in a line."""
     if find_spec("rosbags") is None:
-        raise OptionError(
-            "bags need rosbags, which is missing: pip install 'calib-pin[ros]'",
-            file=path,
-        )
+        reason = "bags need rosbags, which is missing: pip install 'calib-pin[ros]'"
+        raise OptionError(reason, file=path)
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -242,13 +240,13 @@ def _time(message: Any, stamp: int) -> float:
 
 
 def _numbers(message: Any) -> list[float]:
+    """Position and, of a pose, quaternion."""
     if message.__msgtype__ == POINT:
         p = message.point
         return [p.x, p.y, p.z]
-    if message.__msgtype__ == POSES[0]:
-        p, r = message.pose.position, message.pose.orientation
-    else:
-        p, r = message.transform.translation, message.transform.rotation
+    pose = getattr(message, "pose", None) or message.transform
+    p = getattr(pose, "position", None) or pose.translation
+    r = getattr(pose, "orientation", None) or pose.rotation
     return [p.x, p.y, p.z, r.x, r.y, r.z, r.w]
 
 

@@ -30,9 +30,6 @@ PIXELS = 1 << 27
 LARGEST = 1 << 30
 """Most bytes of an image file."""
 
-SMALLEST = 16
-"""Least width and height of an image."""
-
 FORMATS = (
     *(b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"II*\0", b"MM\0*"),
     *(b"P2", b"P3", b"P5", b"P6"),
@@ -82,9 +79,6 @@ def read_image(path: Path) -> Gray:
     if image is None:
         reason = f"cannot be read: it is damaged, or has more than {PIXELS} pixels"
         raise InputError(reason, file=path)
-    if min(image.shape) < SMALLEST:
-        size, allowed = "{1} x {0}".format(*image.shape), f"{SMALLEST} px or more"
-        raise InputError("is too small", file=path, value=size, allowed=allowed)
     if image.dtype != np.uint8:
         # Sensors of 10 to 14 bits leave the upper ones empty.
         levels = np.nan_to_num(image.astype(float), posinf=0.0, neginf=0.0)

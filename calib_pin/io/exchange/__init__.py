@@ -11,7 +11,8 @@ from calib_pin.io.exchange.vendor_kinematics import UR, XARM
 
 __all__ = ["FORMATS", "Encoded", "Exported", "Format"]
 
-_EVERY = (UR, XARM, XACRO, MJCF, ROS2_CONTROL, LEROBOT, JOINT_OFFSETS, CAMERA_INFO)
+_ROBOTS = (UR, XARM, XACRO, MJCF)
+_JOINTS = (ROS2_CONTROL, LEROBOT, JOINT_OFFSETS)
 
-FORMATS = {form.name: form for form in (*_EVERY, DH, TF)}
+FORMATS = {form.name: form for form in (*_ROBOTS, *_JOINTS, CAMERA_INFO, DH, TF)}
 """Formats that a calibration is exported to, by name."""

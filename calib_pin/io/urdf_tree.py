@@ -174,9 +174,9 @@ def parse_document(source: bytes, file: str | None = None) -> Document:
     )
     body = source[len(mark) :]
     if not re.match(rb"[\s\0]*<", body):
-        found = body[:16].strip(b"\0 \t\r\n") or None
+        found = body[:16] if body.strip(b"\0 \t\r\n") else None
         reason = "the file is empty" if found is None else "is not XML"
-        raise RobotError(reason, file=file, value=found, allowed="XML text")
+        raise RobotError(reason, file=file, value=found, allowed="a URDF, as text")
     codec = codec or _codec(body)
     data = plain = _decode(body, codec, file).encode()
     if stated := _DECLARATION.match(data):

@@ -170,7 +170,9 @@ class Text:
         except UnicodeDecodeError:
             raise self._changed() from None
 
-    def _quoted(self, numbers: Sequence[int], lines: Sequence[str]) -> list[list[str]]:
+    def _quoted(
+        self, numbers: Sequence[int], lines: Sequence[str]
+    ) -> list[list[str]]:
         """Cells of lines by row; lines without quotes are cut much faster."""
         reader = csv.reader(
             lines, delimiter=self.separator, strict=True, skipinitialspace=True

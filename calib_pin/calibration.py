@@ -27,7 +27,7 @@ from calib_pin.validation.assessment import estimates, fitted_ranks, leverages
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.candidate_scores import USES
 from calib_pin.validation.findings import explained
-from calib_pin.validation.findings.case import NONE, Others
+from calib_pin.validation.findings.case import Others
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.joint_offsets import encoder_steps
 from calib_pin.validation.judgement import Judgement, judge, quantity_errors
@@ -64,7 +64,7 @@ def calibrate(
     use: str = USES[0],
     seed: int = 0,
     progress: Stages | None = None,
-    others: Others = NONE,
+    others: Others = tuple,
     workers: Workers = SERIAL,
     start: CalibrationResult | None = None,
     process_noise: float | None = None,
@@ -87,7 +87,7 @@ def calibrate(
             `away` from them, or `both`.
         seed: Seed of random configurations, searches and splits.
         progress: Told the stage and the part that is done, 0 to 1.
-        others: Other readings of the files of the measurements.
+        others: Other robots that may have been measured.
         workers: Who fits folds and candidates; the result is the same.
         start: An older calibration of the robot to go on from, with the same
             parameters; see `validation.recalibration`.

@@ -13,7 +13,6 @@ from calib_pin.cli.files import (
     open_chains,
     open_measurements,
     open_setup,
-    other_readings,
     require_distinct,
     require_file,
 )
@@ -51,9 +50,11 @@ def evaluate(
     status 2: the measurements are too few, or the calibration must not be trusted.
     """
     from dataclasses import replace
+    from functools import partial
 
     from calib_pin.io.documents import evaluation_document
     from calib_pin.io.json_text import encode
+    from calib_pin.io.other_robots import other_robots
     from calib_pin.io.results import used_files
     from calib_pin.kinematics.chains import Chains
     from calib_pin.report.accuracy import evaluated
@@ -88,9 +89,7 @@ def evaluate(
         if not robot.endswith(".json"):
             subject = measured
         stage(bar, "evaluate")
-        others = other_readings(
-            measurements, chains, stated, chain=chain, station_per_file=station_per_file
-        )
+        others = partial(other_robots, chains, stated)
         evaluation = run(subject, rows, stated, registration=register, others=others)
     if doubts:
         evaluation = replace(evaluation, verdict="untrusted", reason=doubts[0])

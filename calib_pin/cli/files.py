@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,9 +19,8 @@ if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
     from calib_pin.kinematics.robot import Robot
     from calib_pin.observations import BlockKey, Observations
-    from calib_pin.setup import JointMap, Setup
+    from calib_pin.setup import Setup
     from calib_pin.validation.calibrated_model import CalibratedModel
-    from calib_pin.validation.findings.case import Others
 
 
 def open_setup(
@@ -282,45 +280,6 @@ def open_measurements(
         blocks = (block for block in rows.blocks if block.chain == chain)
         rows = Observations(tuple(blocks))
     return chains.named(names), rows
-
-
-def other_readings(
-    files: Sequence[Path],
-    chains: Chains,
-    setup: Setup,
-    *,
-    chain: str | None = None,
-    station_per_file: bool = False,
-) -> Others:
-    """Other readings of the files, which are read so only if that is asked for.
-
-    Args:
-        files: The measurement files.
-        chains: The chains that were taken to be measured.
-        setup: The setup.
-        chain: As for `open_measurements`.
-        station_per_file: As for `open_measurements`.
-    """
-    from calib_pin.io.joint_sets import joint_sets
-    from calib_pin.io.other_chains import other_chains
-    from calib_pin.validation.findings.case import Others
-
-    def read(other: Chains, joints: Mapping[str, JointMap]) -> Observations:
-        return open_measurements(
-            files,
-            other,
-            replace(setup, joints=joints),
-            chain=chain,
-            station_per_file=station_per_file,
-            quiet=True,
-        )[1]
-
-    return Others(
-        lambda: other_chains(
-            files, chains, setup, lambda other: read(other, setup.joints)
-        ),
-        lambda: joint_sets(files, chains, setup, lambda joints: read(chains, joints)),
-    )
 
 
 def require_folders(folders: Sequence[Path]) -> None:

@@ -13,7 +13,6 @@ from calib_pin.cli.files import (
     open_chains,
     open_measurements,
     open_setup,
-    other_readings,
     require_distinct,
     stated_blocks,
     tell_limits,
@@ -50,11 +49,13 @@ def identify(
     model alone. With measurements: practical identifiability. No file is written.
     """
     from dataclasses import replace
+    from functools import partial
 
     from calib_pin.calibration import calibrate as run
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.documents import identification_document
     from calib_pin.io.json_text import encode
+    from calib_pin.io.other_robots import other_robots
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.report.accuracy import judged
     from calib_pin.report.identification import identified
@@ -84,9 +85,7 @@ def identify(
                 validate=False,
                 seed=seed,
                 progress=bar,
-                others=other_readings(
-                    measurements, chains, stated, station_per_file=station_per_file
-                ),
+                others=partial(other_robots, chains, stated),
             )
         stated, keys = calibrated_setup(result.model), rows.keys
         found, verdict, reason = result, result.verdict, result.reason

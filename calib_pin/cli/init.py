@@ -110,6 +110,8 @@ def init(
     elif distance is not None:
         raise OptionError("--distance is that of sockets (fixed-point)")
     text = Draft(loaded, look).text(told_command(context))
+    for remark in look.remarks:
+        notice(remark)
     if not look.fits:
         notice("no reading of the columns fits the robot; see the draft")
     files = {} if output is None else {output: text.encode()}
@@ -156,8 +158,9 @@ def _ends(
     if not joints:
         every = [name for name in robot.model.names if name != "universe"]
         raise InputError(
-            "no columns are found for the joints of the robot; map them with 'columns' "
-            f"in a setup file (joints: {enumerated(every)})",
+            "joint positions are needed (a pose of the controller hides the branch and "
+            "the errors of the robot), and no columns are found for them; map them "
+            f"with 'columns' in a setup file (joints: {enumerated(every)})",
             file=table.file,
         )
     return setup, joints
@@ -198,19 +201,31 @@ def _best(
     Raises:
         CalibPinError: If the files cannot be read in any way.
     """
-    from calib_pin.io.first_look import CLEAR, best, looked, readings
+    from calib_pin.io.first_look import (
+        CLEAR,
+        best,
+        looked,
+        readings,
+        unlikely_joints,
+    )
     from calib_pin.io.foreign_headers import measured
 
-    def tried(model: str | None) -> Look:
-        stated = replace(setup, model=model)
-        looks = [
+    def looks_of(stated: Setup, own: Joints) -> list[Look]:
+        return [
             looked(way, robot, files, station_per_file=station_per_file)
-            for own in joints
             for camera in _mounts(stated)
             for way in readings(camera, robot, own, columns)
         ]
+
+    def tried(model: str | None) -> Look:
+        stated = replace(setup, model=model)
+        looks = [look for own in joints for look in looks_of(stated, own)]
         with stated_in(str(files[0])):
             found = best(looks)
+        others = unlikely_joints(robot, setup.base, joints)
+        while not found.fits and (own := next(others, None)) is not None:
+            looks = looks_of(stated, own)
+            found = min(best(looks), found, key=lambda look: look.share)
         if CLEAR * found.next_share <= found.share < inf:
             raise InputError(
                 "the robot fits about as well with other units; state the units in the "

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -98,7 +100,8 @@ def join(
     Readings count where the joints stood still; those in motion are dropped and
     counted. The offset of both clocks is estimated from the motions between, if the
     instrument measured during some. The standard deviation of a mean is the scatter of
-    single readings. A bag with CalibrationData (robot_calibration) is given twice.
+    single readings. Files without times are joined by the names of points that both
+    have. A bag with CalibrationData (robot_calibration) is given twice.
     """
     from calib_pin.errors import InputError, stated_in
     from calib_pin.io.exchange.rosbag import (
@@ -109,83 +112,102 @@ def join(
         read_reading_bag,
     )
     from calib_pin.io.files import write_files
-    from calib_pin.io.logs import encode_joined, read_joint_log, read_reading_log
+    from calib_pin.io.logs import (
+        encode_joined,
+        in_one_unit,
+        joined_by_name,
+        named_alike,
+        read_joint_log,
+        read_reading_log,
+    )
+    from calib_pin.io.table import read_table
     from calib_pin.observations.joining import join as joined_logs
 
-    stated = open_setup(setup)
+    names = open_setup(setup).columns
     for path in (joints, measurements):
         require_file(path)
     check_outputs([output], [joints, measurements, setup], force)
-    if joints == measurements and is_bag(joints) and holds_calibration_data(joints):
-        positions, readings, found = read_calibration_data(
-            joints, topic, None if quiet else notice
-        )
-        data = encode_joined(found, positions, readings, keep=True)
-        with write_files({output: data}, force=force):
-            pass
-        if json:
-            say_json({"standstills": len(found.standstills)}, [output])
-        elif not quiet:
-            say_written([f"{len(found.standstills)} samples", f"wrote {output}"])
-        return 0
+    samples = (
+        joints == measurements and is_bag(joints) and holds_calibration_data(joints)
+    )
+    tell = None if quiet else notice
     with progress_bar(quiet=quiet) as bar:
-        tell = None if quiet else notice
-        positions = (
-            read_joint_bag(joints, joint_topic)
-            if is_bag(joints)
-            else read_joint_log(joints, stated.columns, tell, stage(bar, "joints"))
-        )
-        readings = (
-            read_reading_bag(measurements, topic)
-            if is_bag(measurements)
-            else read_reading_log(
-                measurements, stated.columns, tell, stage(bar, "readings")
+        if samples:
+            positions, readings, found = read_calibration_data(joints, topic, tell)
+        else:
+            tables = [
+                None
+                if is_bag(path)
+                else read_table(path, stage(bar, what), columns=names)
+                for path, what in ((joints, "joints"), (measurements, "readings"))
+            ]
+            ours, theirs = tables
+            if ours is not None and theirs is not None:
+                ours, theirs = named_alike(ours, theirs) or tables
+            positions = (
+                read_joint_bag(joints, joint_topic)
+                if ours is None
+                else read_joint_log(ours, names, tell)
             )
-        )
-        with stated_in(f"{joints}, {measurements}"):
-            found = joined_logs(positions.log, readings.log, settle, tolerance)
-            if not found.standstills:
-                raise InputError("no reading falls into a standstill of the joints")
-        data = encode_joined(found, positions, readings, keep=keep)
-    clock, empty, scattered = found.clock, "", ""
-    if found.empty:
-        empty = f", {found.empty} without"
-    if found.scattered:
-        scattered = f", {found.scattered} far from their standstill's others"
-    lines = [
-        f"{len(found.standstills)} standstills with {found.used} readings{empty}",
-        f"dropped: {found.moving} readings in motion or beside a standstill{scattered}",
-    ]
-    sigma = f"{1e3 * clock.sigma:.1f} ms"
-    if clock.motions:
-        lines.append(
-            f"the clock of {measurements} is {clock.ahead:+.4f} s ahead, known to "
-            f"{sigma} from {clock.motions} motions"
-        )
-    else:
-        lines.append(
-            f"the clock of {measurements} is taken to be {clock.ahead:+.2f} s ahead: "
-            f"nothing was measured in motion, and the standstills tell it to {sigma}"
-        )
+            readings = (
+                read_reading_bag(measurements, topic)
+                if theirs is None
+                else read_reading_log(theirs, tell)
+            )
+            with stated_in(f"{joints}, {measurements}"):
+                if positions.poses:
+                    found = joined_by_name(positions, readings, tell)
+                else:
+                    positions, readings = in_one_unit(positions, readings, tell)
+                    found = joined_logs(positions.log, readings.log, settle, tolerance)
+                    if not found.standstills:
+                        reason = "no reading falls into a standstill of the joints"
+                        raise InputError(reason)
+    data = encode_joined(found, positions, readings, keep=keep or samples)
     with write_files({output: data}, force=force):
         if json:
             say_json(_document(found), [output])
         elif not quiet:
-            say("".join(f"{line}\n" for line in lines))
+            say("".join(f"{line}\n" for line in _lines(found, measurements)))
     if not quiet and not json:
         say_written([f"wrote {output}"])
     return 0
 
 
+def _lines(found: Joined, measurements: Path) -> Iterator[str]:
+    """The counts of a join, and how well the clock is known."""
+    clock, empty, scattered = found.clock, "", ""
+    if clock is None:
+        yield f"{len(found.standstills)} samples with {found.used} readings"
+        return
+    if found.empty:
+        empty = f", {found.empty} without"
+    if found.scattered:
+        scattered = f", {found.scattered} far from their standstill's others"
+    yield f"{len(found.standstills)} standstills with {found.used} readings{empty}"
+    yield (
+        f"dropped: {found.moving} readings in motion or beside a standstill{scattered}"
+    )
+    sigma = f"{1e3 * clock.sigma:.1f} ms"
+    if clock.motions:
+        yield (
+            f"the clock of {measurements} is {clock.ahead:+.4f} s ahead, known to "
+            f"{sigma} from {clock.motions} motions"
+        )
+    else:
+        yield (
+            f"the clock of {measurements} is taken to be {clock.ahead:+.2f} s ahead: "
+            f"nothing was measured in motion, and the standstills tell it to {sigma}"
+        )
+
+
 def _document(found: Joined) -> dict[str, object]:
     """The counts of a join, and the clock of the instrument [s]."""
+    if found.clock is None:
+        return {"standstills": len(found.standstills)}
     counts = ("used", "empty", "moving", "scattered")
     return {
         "standstills": len(found.standstills),
         "readings": {name: getattr(found, name) for name in counts},
-        "clock": {
-            "ahead": found.clock.ahead,
-            "sigma": found.clock.sigma,
-            "motions": found.clock.motions,
-        },
+        "clock": asdict(found.clock),
     }

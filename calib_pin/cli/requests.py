@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,6 @@ from calib_pin.cli.files import (
     open_chains,
     open_measurements,
     open_setup,
-    other_readings,
     require_distinct,
 )
 from calib_pin.cli.older import as_before, older_files, open_older
@@ -217,6 +217,7 @@ def calibrated(
         workers: Who fits the folds and candidates.
     """
     from calib_pin.calibration import calibrate
+    from calib_pin.io.other_robots import other_robots
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.validation.candidate_scores import USES
 
@@ -235,12 +236,7 @@ def calibrated(
         use=request.use or USES[0],
         seed=request.seed,
         progress=bar,
-        others=other_readings(
-            request.measurements,
-            opened.chains,
-            opened.setup,
-            station_per_file=request.station_per_file,
-        ),
+        others=partial(other_robots, opened.chains, opened.setup),
         workers=workers,
         start=opened.older,
         process_noise=request.process_noise,

@@ -17,7 +17,7 @@ import numpy as np
 
 from calib_pin.estimation.system import FRAME, System
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.spatial import Floats, invert
+from calib_pin.kinematics.spatial import Floats, invert, skew
 from calib_pin.parameterizations.base import Screw
 from calib_pin.parameters import ParameterSet
 
@@ -92,7 +92,7 @@ class _Place:
         point, other = self.line
         # From the axis before to the own one, which passes through the origin.
         apart = -point if self.axis is not None else point
-        normal = np.cross(other, self.axis if self.axis is not None else axis)
+        normal = skew(other) @ (self.axis if self.axis is not None else axis)
         if np.linalg.norm(normal) < PARALLEL:
             normal = apart - (apart @ axis) * axis
             if np.linalg.norm(normal) < NEAR:
@@ -102,7 +102,7 @@ class _Place:
             normal = -normal
         normal = normal - (normal @ axis) * axis
         normal = normal / np.linalg.norm(normal)
-        return normal, np.cross(axis, normal), axis
+        return normal, skew(axis) @ normal, axis
 
 
 def geometric_columns(system: System, parameters: ParameterSet) -> Columns:
@@ -227,7 +227,7 @@ def _named(twist: Floats, place: _Place) -> Label:
     turning = bool(np.linalg.norm(turn) > 1e-9)
     direction = turn if turning else shift
     direction = direction / np.linalg.norm(direction)
-    point = np.cross(turn, shift) / (turn @ turn) if turning else np.zeros(3)
+    point = skew(turn) @ shift / (turn @ turn) if turning else np.zeros(3)
     origin, other = place.line
     own = place.axis is not None and _along(direction, place.axis)
     if own and (not turning or _distance(point, direction) < NEAR):

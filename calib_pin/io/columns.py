@@ -100,6 +100,9 @@ def what_is_wrong(cell: str, value: float) -> str:
     return "not a number"
 
 
+HUGE = 1e9
+"""Numbers from here on are none of a length or an angle, in any unit."""
+
 NO_READING = "the reading is missing"
 
 MISSING = frozenset(
@@ -189,6 +192,17 @@ class Column:
         return self._holds(lambda word: word.strip().lower() in MISSING)
 
     @property
+    def sentinel(self) -> float | None:
+        """A number that stands for no reading: nines, or huge, in several rows."""
+        values, counts = np.unique(np.abs(self.numbers), return_counts=True)
+        values, counts = values[np.isfinite(values)], counts[np.isfinite(values)]
+        if len(values) < 2 or counts[-1] < 2 or values[-1] < 2.0 * values[-2]:
+            return None
+        nines = {*f"{values[-1]:.6f}".rstrip("0").replace(".", "")} == {"9"}
+        far = self.numbers[np.argmax(np.abs(self.numbers) == values[-1])]
+        return float(far) if nines or values[-1] >= HUGE else None
+
+    @property
     def numeric(self) -> bool:
         """Whether it is one of numbers: most of its cells that are not missing."""
         found = np.count_nonzero(np.isfinite(self.numbers))
@@ -271,6 +285,10 @@ class Numbering:
     def of(self, cells: Sequence[str]) -> NDArray[np.int64]:
         """The number of each of some texts, shape (N,)."""
         return np.fromiter(map(self.known.__getitem__, cells), np.int64, len(cells))
+
+
+ELSEWHERE = "; 'calib-pin init' finds columns with other names"
+"""The advice where a file says it in its own way."""
 
 
 def closest(name: str, candidates: Collection[str]) -> str:

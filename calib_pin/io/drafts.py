@@ -53,6 +53,11 @@ class Draft:
         model = "+".join(data.models)
         yield f"# Setup file of calib-pin, drafted by: {command}"
         yield f"# {len(data)} measurements of {self.robot.name}. {self._fit()}"
+        if look.computed:
+            yield (
+                f"# The controller computed {_few(look.computed)} from the joints: no "
+                "measurement, other columns are taken."
+            )
         if look.ignored:
             yield f"# Columns without a meaning: {_few(look.ignored)}."
         if "base" in document:
@@ -74,6 +79,8 @@ class Draft:
         if "columns" in document:
             yield ""
             yield "# Our names of columns, and those of the file with their units."
+            if look.joints.order:
+                yield f"# Joints are known by the order alone, {look.joints.order}."
             yield "columns:"
             for ours, theirs in document["columns"].items():
                 told = " (unit by its numbers)" if ours in look.units else ""

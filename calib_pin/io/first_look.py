@@ -8,9 +8,9 @@ the one. A wrong unit or another link leaves errors a hundred times as large.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import combinations, product
 from math import inf
 from pathlib import Path
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from calib_pin.errors import CalibPinError, InputError
 from calib_pin.estimation.problem import Problem, distinct_values, error_table
+from calib_pin.io.columns import ANGLE, LENGTH
 from calib_pin.io.foreign_headers import (
     VECTORS,
     Foreign,
@@ -74,10 +75,12 @@ class Joints:
         columns: Column by joint.
         tips: Links that these joints move, and no others, likeliest first; empty where
             the measurements name their chains.
+        order: How columns stand that are known to be theirs by their order alone.
     """
 
-    columns: Mapping[str, Foreign]
+    columns: dict[str, Foreign]
     tips: Sequence[str] = ()
+    order: str = ""
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,8 @@ class Look:
         ignored: Names of columns without a meaning.
         next_share: The share in other units; infinite where there are none.
         position: Name of the column that is taken for x.
+        remarks: Sentences about how the files were read.
+        computed: Names of columns of x that the controller computed.
     """
 
     setup: Setup
@@ -110,6 +115,8 @@ class Look:
     ignored: Sequence[str] = ()
     next_share: float = inf
     position: str = ""
+    remarks: Sequence[str] = ()
+    computed: Sequence[str] = ()
 
     @property
     def fits(self) -> bool:
@@ -181,8 +188,45 @@ def joint_columns(
         for one in chains:
             if len(one) == most >= FEWEST:
                 own = dict(zip(one, family, strict=False))
-                found.append(Joints(own, chains[one]))
+                if all(_may_be(robot, *item) for item in own.items()):
+                    found.append(Joints(own, chains[one], "as on the robot"))
     return found
+
+
+def unlikely_joints(
+    robot: Robot, base: str | None, likely: Sequence[Joints]
+) -> Iterator[Joints]:
+    """Other columns of joints, the likelier first, for files that fit in no usual way.
+
+    Joints at the end of a chain that stand still may be in units of their own, such as
+    a gripper in percent. Columns without names may be those of other joints: ROS writes
+    joints by the alphabet.
+
+    Args:
+        robot: The robot.
+        base: Link at which chains start; None for the root.
+        likely: What fits in no way.
+    """
+    chains = chains_of(robot, base)
+    for own in likely:
+        moving = {joint for joint, one in own.columns.items() if one.moves}
+        for one, links in chains.items():
+            if own.tips and moving <= {*one} < own.columns.keys():
+                yield Joints({joint: own.columns[joint] for joint in one}, links)
+    for own in (own for own in likely if own.order):
+        joints, columns = [*own.columns], own.columns.values()
+        swapped = [
+            own.columns | {a: own.columns[b], b: own.columns[a]}
+            for a, b in combinations(joints, 2)
+        ]
+        for other in [dict(zip(sorted(joints), columns, strict=True)), *swapped]:
+            yield replace(own, columns=other, order="other than on the robot")
+
+
+def _may_be(robot: Robot, joint: str, one: Foreign) -> bool:
+    """Whether a column's unit is one of a joint."""
+    kind = ANGLE if turns(robot.model, joint) else LENGTH
+    return one.unit is None or one.unit in kind.units
 
 
 def named_chains(
@@ -236,16 +280,16 @@ def readings(
         for position, orientation in poses
         for turned in ((orientation, {}) if orientation else ({},))
     ] or [names]
-    free = [one for one in joints.values() if one.unit is None]
-    turning = [
-        one
-        for joint, one in joints.items()
-        if one.unit is None and turns(robot.model, joint)
-    ]
+    free = {joint: one for joint, one in joints.items() if one.unit is None}
+    turning = {joint for joint in free if turns(robot.model, joint)}
     # A joint that stands still, as a gripper in percent, tells no unit.
-    degrees = max((one.largest for one in turning if one.moves), default=0.0) > TURNED
-    angles = ["deg"] if degrees else ["rad", "deg"]
-    for way, angle, length in product(ways, angles if free else [""], ["m", "mm"]):
+    far = {j for j in turning if free[j].moves and free[j].largest > TURNED}
+    angles = [turning, far] if far else [far, turning]
+    none = set[str]()
+    slides = [none, free.keys() - turning]
+    for way, degrees, millimeters, length in product(
+        ways, _distinct(angles), _distinct(slides), ["m", "mm"]
+    ):
         lengths = [one for n, one in way.items() if n in ("x", "y", "z", "distance")]
         unstated = [one for one in lengths if one.unit is None]
         if length == "mm" and not unstated:
@@ -253,9 +297,9 @@ def readings(
         stated, units = dict[str, str](), dict[str, str]()
         for ours, one in [*joints.items(), *way.items()]:
             unit = one.unit
-            if unit is None and one in turning and angle == "deg":
+            if ours in degrees:
                 unit = units.setdefault(ours, "deg")
-            if unit is None and one in unstated and length == "mm":
+            if ours in millimeters or (one in unstated and length == "mm"):
                 unit = units.setdefault(ours, "mm")
             foreign = one.name != ours or (unit is not None and one.column.unit is None)
             if foreign or unit not in (None, one.column.unit):
@@ -270,11 +314,15 @@ def readings(
         yield Look(read, joints=found_joints, units=units, ignored=ignored, position=x)
 
 
+def _distinct(sets: Sequence[Set[str]]) -> list[Set[str]]:
+    return [one for k, one in enumerate(sets) if one not in sets[:k]]
+
+
 def looked(
     look: Look, robot: Robot, files: Sequence[Path], *, station_per_file: bool = False
 ) -> Look:
     """A reading with the errors that it leaves the nominal robot."""
-    setup = look.setup
+    setup, remarks = look.setup, list[str]()
     names = () if setup.tip is None else ("",)
     try:
         chains = Chains(robot, setup.base, setup.tip, setup.chains, names)
@@ -285,6 +333,7 @@ def looked(
             columns=setup.columns,
             joints=setup.joints,
             station_per_file=station_per_file,
+            notice=remarks.append,
         )
         chains = chains.named(tuple(key.chain for key in data.keys))
         ready = prepared(chains, some_of(data)[0], setup)
@@ -307,17 +356,21 @@ def looked(
         if len(sizes):
             errors[quantity.name] = float(np.sqrt(np.mean(sizes**2)))
     first = next(iter(errors), "")
-    moved = _scatter(ready.problem, pixels=first == "pixel")
+    moved = _moved(ready.problem)
     share = errors[first] / moved if first and moved > 0.0 else inf
-    return replace(look, data=data, errors=errors, share=share)
+    return replace(look, data=data, errors=errors, share=share, remarks=remarks)
 
 
-def _scatter(problem: Problem, *, pixels: bool) -> float:
-    """How far the tips of all chains moved about their means [m], or points [px]."""
+def _moved(problem: Problem) -> float:
+    """How far measured points moved about their means, or else the tips [m, px].
+
+    Where both tell no length, as on a positioner whose tool may sit anywhere, errors in
+    another unit are the same part of what was measured in it.
+    """
     squares = []
     for block in problem.blocks:
-        points = block.data.values
-        if not pixels:
+        points = block.data.values[:, :3]
+        if block.data.model not in ("position", "pose", "camera"):
             points = block.part.error.chain.poses(block.data.q)[:, :3, 3]
         squares.append(np.sum((points - points.mean(0)) ** 2, axis=1))
     return float(np.sqrt(np.concatenate(squares).mean()))
@@ -354,4 +407,6 @@ def best(looks: Sequence[Look]) -> Look:
         for look in whole
         if look.joints is chosen.joints and look.units != chosen.units
     )
-    return replace(chosen, next_share=min(others, default=inf))
+    return replace(
+        chosen, next_share=min(others, default=inf), computed=sorted(computed)
+    )

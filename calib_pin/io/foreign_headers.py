@@ -8,7 +8,7 @@ several columns of the same meaning are told apart by words such as *measured*.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -75,7 +75,8 @@ UNITS_OF: Mapping[str, Collection[str | None]] = {
 
 OTHER = re.compile(
     r"(?:^|[ _.\-])(?:sigma|std|dev|var|err|abw|diff|delta|vel|speed|acc|force|torque|"
-    r"moment|effort|(?:cov|d|qd|dq|dot|tau|temp|lim|min|max)(?![a-z]))"
+    r"moment|effort|current|volt|load|pwm|direction|temperature|"
+    r"(?:cov|d|qd|dq|dot|tau|temp|lim|min|max)(?![a-z]))"
 )
 """Words of uncertainties, differences, speeds, forces and the like."""
 
@@ -88,8 +89,14 @@ LABEL = re.compile(r"(?:id|no|nr|num|number|nummer|name|label|index)?")
 MEASURED = re.compile(
     r"meas|mess|track|laser|actual|observ|(?:\b|_)ist|real|reflector|smr"
 )
+COMPUTED = re.compile(r"tcp|\bee\b|flange|robot|ctrl|controller|\bfk\b|computed")
+"""Words of what a controller computes from the joints, more often than not."""
+
+PLACES = re.compile(r"\b(?:pos|position|p|t)\b")
+"""Words with which an x is one of a position, and that say no more."""
+
 COMMANDED = re.compile(
-    r"goal|soll|nominal|cmd|command|desired|(?:\b|_)set|ref|target|diff?\b"
+    r"goal|soll|nominal|cmd|command|desired|action|(?:\b|_)set|ref|target|diff?\b"
 )
 
 NUMBERED = re.compile(r"^(.*?)[ _.\-#]*(\d+)(\D*)$")
@@ -137,16 +144,20 @@ def foreign(columns: Mapping[str, Column]) -> tuple[Foreign, ...]:
 
 
 def _split(name: str, column: Column) -> Foreign:
-    bare, unit = split_header(column.header)
-    words, stated = bare, _unit(unit or "")
+    words, _ = split_header(column.header)
+    stated = _unit(column.unit or "")
     endings = (r"\(([^()]*)\)$", r"[ _/](?:in )?([^\W\d_]+|°)$")
     for ending in endings if stated is None else ():
         found = re.search(ending, words.strip())
         if found and (stated := _unit(found[1])) is not None:
             words = words.strip()[: found.start()]
             break
-    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", words)
-    return Foreign(name, spaced.strip(" _-/").lower(), stated, column)
+    return Foreign(name, _spaced(words).strip(" _-/"), stated, column)
+
+
+def _spaced(text: str) -> str:
+    """Words that capitals tell apart with spaces between them, in lower case."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower()
 
 
 def _unit(text: str) -> str | None:
@@ -209,7 +220,9 @@ def _stem(one: Foreign, ours: str) -> str | None:
     single = any(ours in vector for vector in VECTORS)
     ways = [(parts[:-2], "".join(parts[-2:])), (parts[:-1], "".join(parts[-1:]))]
     for rest, word in [*ways, (parts[1:], "".join(parts[:1]))]:
-        stem = " ".join(rest)
+        # Two points may be called pos_x and tcp_x.
+        before = [word[:-1]] if ours in VECTORS[0] and word[:-1] else []
+        stem = " ".join([*rest, *before])
         alike = re.fullmatch(MEANINGS[ours], word) and not OTHER.search(stem)
         turned = ours in ("x", "y", "z") and TURNED.search(stem)
         first = rest == parts[1:] and len(parts) > 1
@@ -229,6 +242,7 @@ def vectors(
     found = measured(columns)
     turned = [names for names in VECTORS[1:4] if names[0] in found]
     stems = [_stem(one, "x") for one in found.get("x", ())]
+    stems = [stem and PLACES.sub("", stem).strip() for stem in stems]
     result = []
     for k, stem in enumerate(stems):
         position = {axis: found[axis][k] for axis in VECTORS[0]}
@@ -253,21 +267,48 @@ def _names(one: Foreign, ours: str) -> bool:
 
 def _likelihood(one: Foreign) -> int:
     """Order in which columns of the same meaning are tried."""
-    return bool(COMMANDED.search(one.words)) - bool(MEASURED.search(one.words))
+    wrong = COMMANDED.search(one.words) or COMPUTED.search(one.words)
+    return bool(wrong) - bool(MEASURED.search(one.words))
 
 
 def joints_by_name(
     columns: Sequence[Foreign], joints: Collection[str]
 ) -> dict[str, Foreign]:
-    """Columns that are called like joints of the robot, but for case and signs."""
+    """Columns that are called like joints of the robot, but for case and signs.
+
+    Other words may stand around the name of a joint, as in
+    `observation.state.elbow.pos`; of several such columns the likeliest is meant, which
+    is a measured one.
+    """
     by_name = {one.name: one for one in columns}
-    plain = {_plain(one.words): one for one in columns}
-    found = {joint: by_name.get(joint, plain.get(_plain(joint))) for joint in joints}
-    return {joint: one for joint, one in found.items() if one is not None}
+    words = {joint: _parts(_spaced(joint)) for joint in joints}
+    found = dict[str, list[Foreign]]()
+    for one in _numeric(columns):
+        own = _parts(one.words)
+        named = [joint for joint, parts in words.items() if _holds(own, parts)]
+        # The longest: the elbow of the left arm is no other elbow.
+        for joint in sorted(named, key=lambda name: len(words[name]))[-1:]:
+            found.setdefault(joint, []).append(one)
+
+    def order(joint: str) -> Callable[[Foreign], tuple[int, int]]:
+        return lambda one: (_likelihood(one), len(_parts(one.words)))
+
+    return {
+        joint: by_name.get(joint) or min(found[joint], key=order(joint))
+        for joint in joints
+        if joint in by_name or joint in found
+    }
 
 
-def _plain(text: str) -> str:
-    return re.sub(r"[^a-z0-9]", "", text.lower())
+def _parts(text: str) -> list[str]:
+    return re.findall(r"[^\W\d_]+|\d+", text)
+
+
+def _holds(words: Sequence[str], name: Sequence[str]) -> bool:
+    """Whether a name is the words, or some of them and longer than a letter."""
+    starts = range(len(words) - len(name) + 1)
+    among = any(words[k : k + len(name)] == name for k in starts)
+    return "".join(words) == "".join(name) or (among and any(len(w) > 1 for w in name))
 
 
 def families(columns: Sequence[Foreign]) -> list[list[Foreign]]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib_pin.errors import OptionError
+from calib_pin.io.columns import ELSEWHERE
 from calib_pin.io.measured_columns import ORIENTED, needed
 from calib_pin.io.table import Table
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
@@ -84,7 +85,7 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
     ]
     raise table.error(
         f"no measured columns; {'; '.join(told)}; "
-        f"{', '.join(contacts)} need only a target and --model"
+        f"{', '.join(contacts)} need only a target and --model{ELSEWHERE}"
     )
 
 

@@ -7,20 +7,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.errors import InputError, nearest
-from calib_pin.io.columns import ANGLE, LENGTH, Floats, Kind, closest
+from calib_pin.errors import CalibPinError, InputError, nearest
+from calib_pin.io.columns import ANGLE, ELSEWHERE, LENGTH, Floats, Kind, closest
 from calib_pin.io.measured_columns import reserved
 from calib_pin.io.table import Table
 from calib_pin.io.written_columns import column_name
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.joint_space import FREE_TRAVEL
+from calib_pin.kinematics.tree import turns
 from calib_pin.observations import Labels
 from calib_pin.setup import JointMap
 
 MIMICRY = 1e-3
 """Largest distance of a joint from where the one that it mimics takes it [rad, m]:
 encoders of both, and limits that are rounded, differ by less."""
+
+NEAR = 0.05
+"""Distance of a column from that of a joint, rms in standard deviations of it, below
+which it is one of that joint, too."""
+
+SOME = 1000
+"""Rows that tell how near it is."""
 
 LONGEST_TRAVEL = 20.0
 """Largest position of a prismatic joint that can be meant [m]: a long rail."""
@@ -246,6 +254,73 @@ def spare_columns(
     return [name for name in table.columns if name not in taken | own]
 
 
+def spare_positions(
+    table: Table,
+    chains: Chains,
+    sources: Sequence[JointSource],
+    q: Floats,
+    spare: Sequence[str],
+) -> dict[tuple[str, str], Floats]:
+    """Positions that a file states beside those of the joints, by joint and column.
+
+    Those of joints that are no part of the chains, and columns that follow that of a
+    joint closely: a recording has commanded and measured positions, or two encoders.
+
+    Args:
+        table: The file.
+        chains: The chains that are measured.
+        sources: The columns of their joints.
+        q: Positions of these, shape (N, n) [rad, m].
+        spare: Columns that hold no joint.
+
+    Returns:
+        Positions, each of shape (N,) [rad, m].
+    """
+    model, found = chains.robot.model, dict[tuple[str, str], Floats]()
+    for joint in [*model.names][1:]:
+        if joint not in chains.joints and joint in table:
+            kind = ANGLE if turns(model, joint) else LENGTH
+            positions = _all_numbers(table, joint, kind)
+            found |= {} if positions is None else {(joint, joint): positions}
+    some = table.rows(slice(SOME), table.columns)
+    here = {c: _all_numbers(some, c, k) for s in sources for c, k in s.kinds.items()}
+    for name in (name for name in spare if name not in reserved()):
+        far = {}
+        for i, source in enumerate(sources):
+            own = here.get(source.column)
+            there = _all_numbers(some, name, source.kinds[source.column])
+            if own is not None and there is not None:
+                with np.errstate(over="ignore"):  # What means something else.
+                    rms = float(np.sqrt(np.mean((there - own) ** 2)))
+                far[i] = rms / max(float(own.std()), 1e-300)
+        closest = min(far, key=lambda i: far[i], default=-1)
+        if closest >= 0 and 0.0 < far[closest] < NEAR:
+            found |= _followed(table, sources[closest], name, q[:, closest])
+    return found
+
+
+def _followed(
+    table: Table, source: JointSource, name: str, q: Floats
+) -> dict[tuple[str, str], Floats]:
+    """Positions of a joint by another column; none where it is not one throughout."""
+    kind = source.kinds[source.column]
+    here, there = (_all_numbers(table, c, kind) for c in (source.column, name))
+    if here is None or there is None:
+        return {}
+    factor = 1.0 if source.map is None else source.map.sign * source.map.gear
+    return {(source.joint, name): q + factor * (there - here)}
+
+
+def _all_numbers(table: Table, name: str, kind: Kind) -> Floats | None:
+    """The numbers of a column [SI unit of the kind]; None where it has others."""
+    if name not in table:
+        return None
+    try:
+        return table.numbers(name, kind)
+    except CalibPinError:
+        return None
+
+
 def _columns_of_joints(
     chain: Chain | Chains, joints: Mapping[str, JointMap]
 ) -> dict[str, str]:
@@ -292,10 +367,10 @@ def _check_present(
     what = f"joint '{joint_of[first]}' of the chain" + f" '{chain}'" * bool(chain)
     if first != joint_of[first]:
         what = f"column '{first}' for {what}"
+    also = f"; missing as well: {', '.join(rest)}" if rest else ""
+    hint = closest(first, free)
     raise table.error(
-        f"{what} is missing{closest(first, free)}"
-        + (f"; missing as well: {', '.join(rest)}" if rest else ""),
-        first,
+        f"{what} is missing{hint}{also}{'' if hint else ELSEWHERE}", first
     )
 
 

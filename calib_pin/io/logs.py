@@ -1,4 +1,4 @@
-"""Logs that are joined by time: CSV files in, a measurement file out."""
+"""Logs that are joined by time or by names: CSV files in, a measurement file out."""
 
 from __future__ import annotations
 
@@ -6,14 +6,13 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, enumerated
 from calib_pin.io.columns import ANGLE, LENGTH, PURE, Floats, Kind, closest
-from calib_pin.io.foreign_headers import OTHER, Foreign, foreign, understood
+from calib_pin.io.foreign_headers import OTHER, Foreign, foreign, understood, vectors
 from calib_pin.io.measured_columns import (
     NAMES,
     ORIENTED,
@@ -23,17 +22,25 @@ from calib_pin.io.measured_columns import (
     reserved,
 )
 from calib_pin.io.measurements import encode_table
-from calib_pin.io.table import Table, read_table, require_columns, with_readings
+from calib_pin.io.table import Table, require_columns, with_readings
 from calib_pin.kinematics.spatial import from_quaternion, so3_log
 from calib_pin.measurement_models.declaration import ROTATION_VECTOR
 from calib_pin.observations.joining import Joined, Log, Standstill, scatter
-from calib_pin.progress import Progress
 from calib_pin.setup import STATED
 
 TIME = Kind("s", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, {}, np.inf)
 
 TIMES = ("time", "timestamp", "stamp", "zeit", "t")
 """Names of a column of times, in any case, where none is called `time`."""
+
+SECONDS = 1e8
+"""Times from here on are counted from 1970, and their digits tell the unit."""
+
+ALIKE = 0.1
+"""Difference in thousands of the spans of two logs, as a power, that is theirs."""
+
+UNITS = ("s", "ms", "us", "ns")
+"""Units of times, each a thousandth of the one before."""
 
 STAMPS = re.compile(
     r"(?:^|[ _.\-/])(?:seq|frame|count|counter|index|sec|secs|nsec|nsecs|nanosec|"
@@ -49,6 +56,9 @@ LEAST = 1e-11
 
 QUATERNION = ("qx", "qy", "qz", "qw")
 
+POSE = "pose"
+"""Column of the names by which two files are joined, in the result."""
+
 
 @dataclass(frozen=True)
 class JointLog:
@@ -58,11 +68,15 @@ class JointLog:
         log: Time and positions [s; rad, m].
         headers: Headers of the columns, with their units.
         factors: Factors that bring their numbers to SI units, shape (n,).
+        poses: Names of the rows, of logs without times.
+        loose: Whether nothing says in which unit the times are.
     """
 
     log: Log
     headers: tuple[str, ...]
     factors: Floats
+    poses: Sequence[str] = ()
+    loose: bool = False
 
 
 @dataclass(frozen=True)
@@ -72,42 +86,96 @@ class ReadingLog:
     Attributes:
         log: Time and values in SI units; an orientation as a quaternion.
         columns: Their names.
-        texts: Further columns by name, N strings each.
+        texts: Further columns by name, N strings each; `POSE` of logs without times.
+        loose: Whether nothing says in which unit the times are.
     """
 
     log: Log
     columns: tuple[str, ...]
     texts: Mapping[str, Sequence[str]]
+    loose: bool = False
+
+
+def named_alike(joints: Table, readings: Table) -> tuple[Table, Table] | None:
+    """Two files without times, their columns of the same names called `POSE`.
+
+    Args:
+        joints: The file of the joints; each name stands there once.
+        readings: The file of the readings.
+
+    Returns:
+        Both; None if both have times.
+
+    Raises:
+        InputError: If one has none, and there are no such columns.
+    """
+    if all(map(_times_of, (joints, readings))):
+        return None
+    theirs = {name: _alike(readings, name) for name in readings.columns}
+    most, found = 1, None
+    for ours in joints.columns:
+        names = _alike(joints, ours)
+        for name, others in theirs.items() if len({*names}) == len(names) else ():
+            both = len({*names} & {*others} - {""})
+            if both > most:
+                most, found = both, (ours, name)
+    if found is None:
+        without = readings if _times_of(joints) else joints
+        raise without.error(
+            f"there is no column 'time', and no column of names that {joints.file} and "
+            f"{readings.file} share",
+            allowed=f"one of {', '.join(TIMES)}, 'columns: {{time: NAME}}' in the "
+            "setup, or the names of points in both",
+        )
+    pairs = zip((joints, readings), found, strict=True)
+    first, second = (table.renamed({POSE: name}) for table, name in pairs)
+    return first, second
+
+
+def _alike(table: Table, name: str) -> list[str]:
+    """Trimmed cells of a column in lower case; none of one of numbers with decimals."""
+    numbers = table.columns[name].numbers
+    decimals = np.any(numbers[np.isfinite(numbers)] % 1.0)
+    return [] if decimals else [cell.lower() for cell in _cells(table, name)]
+
+
+def _cells(table: Table, name: str) -> list[str]:
+    return [cell.strip() for cell in table.cells([name])[name]]
 
 
 def read_joint_log(
-    path: str | Path,
+    table: Table,
     columns: Mapping[str, str] = {},
     notice: Callable[[str], None] | None = None,
-    progress: Progress | None = None,
 ) -> JointLog:
     """The joints of a log: those that the setup names, or its columns of positions.
 
     Args:
-        path: CSV or Parquet file.
+        table: The file, read with `columns`.
         columns: Columns with foreign names, ours to theirs.
         notice: Called with sentences about the file and what was left out.
-        progress: Told the part that is done, 0 to 1.
 
     Raises:
         InputError: If it has no time or nothing else, or the time goes back.
     """
-    table = read_table(path, progress, columns=columns)
-    stamp = _time_column(table)
+    stamp = POSE if POSE in table else _time_column(table)
     given = [name for name in columns if name in table and name not in reserved()]
+    columns_of = foreign(table.columns)
+    # The pose that a controller computes, or an instrument's in the same log.
+    points = {
+        one.name for pair in vectors(columns_of) for way in pair for one in way.values()
+    }
     names = [name for name in given if name != stamp] or [
         one.name
-        for one in foreign(table.columns)
-        if one.name not in {stamp, *NAMES} and _is_position(one)
+        for one in columns_of
+        if one.name not in {stamp, *NAMES}
+        and one.name not in points
+        and _is_position(one)
     ]
     if not names:
         raise table.error("there are no columns of joints beside the time")
-    table = _whole(table, [stamp, *names], notice)
+    timed = [] if stamp == POSE else [stamp]
+    table = _whole(table, [*timed, *names], notice)
     kinds = [_kind(table.columns[name].unit) for name in names]
     factors = [
         kind.units.get(table.columns[name].unit or "", 1.0)
@@ -117,36 +185,38 @@ def read_joint_log(
     headers = (
         f"{n} [{table.columns[n].unit}]" if table.columns[n].unit else n for n in names
     )
-    log = Log(_times(table, stamp), np.column_stack(values))
-    return JointLog(log, tuple(headers), np.array(factors))
+    time = _times(table, stamp) if timed else np.arange(float(len(table.lines)))
+    return JointLog(
+        Log(time, np.column_stack(values)),
+        tuple(headers),
+        np.array(factors),
+        () if timed else _cells(table, POSE),
+        _is_loose(table, stamp),
+    )
 
 
 def read_reading_log(
-    path: str | Path,
-    columns: Mapping[str, str] = {},
+    table: Table,
     notice: Callable[[str], None] | None = None,
-    progress: Progress | None = None,
 ) -> ReadingLog:
     """The measured values of a log.
 
     Readings of several targets, tools or stations may alternate, or share a time.
 
     Args:
-        path: CSV or Parquet file.
-        columns: Columns with foreign names, ours to theirs.
+        table: The file, read with the columns that a setup names.
         notice: Called with sentences about the file and what was left out.
-        progress: Told the part that is done, 0 to 1.
 
     Raises:
         InputError: If it has no time or no measured values, or the time of a target
             goes back.
     """
-    table = read_table(path, progress, columns=columns)
     # Other columns that the setup names may be those of the joints.
     lacking = {ours: table.missing[ours] for ours in table.missing.keys() & measured()}
     require_columns([replace(table, missing=lacking)])
     table = understood(table)
-    stamp = _time_column(table)
+    stamp = POSE if POSE in table else _time_column(table)
+    timed = [] if stamp == POSE else [stamp]
     own = [n for n in table.columns if n in measured() and n not in ORIENTED]
     way = ""
     if any(name in table for name in ORIENTED):
@@ -158,12 +228,12 @@ def read_reading_log(
             allowed="x, y, z, distance, u, v or an orientation; 'columns' in the setup "
             "says which they are",
         )
-    table = _whole(table, [stamp, *own, *(STATED[way] if way else ())], notice)
+    table = _whole(table, [*timed, *own, *(STATED[way] if way else ())], notice)
     texts = table.texts([name for name in NAMES if name in table])
     kind = np.zeros(len(table.lines), np.int64)
     for labels in texts.values():
         kind = kind * len(labels.names) + labels.codes
-    time = _times(table, stamp, kind)
+    time = _times(table, stamp, kind) if timed else np.arange(float(len(kind)))
     values = [table.numbers(name, _measured_kind(table, name)) for name in own]
     if way:
         values += [*read_quaternions(table, way).T]
@@ -174,11 +244,70 @@ def read_reading_log(
         notice(ignored)
     order = np.argsort(time, kind="stable")
     log = Log(time[order], np.column_stack(values)[order], kind[order])
-    return ReadingLog(
-        continuous(log) if way else log,
-        tuple(own),
-        {name: [*labels[order]] for name, labels in texts.items()},
+    cells = {name: [*labels[order]] for name, labels in texts.items()}
+    if not timed:
+        cells[POSE] = _cells(table, POSE)
+    log = continuous(log) if way else log
+    return ReadingLog(log, tuple(own), cells, _is_loose(table, stamp))
+
+
+def _is_loose(table: Table, stamp: str) -> bool:
+    """Whether times state no unit, and are so small that their digits tell none."""
+    column = table.columns[stamp]
+    return column.unit is None and bool(np.all(column.numbers < SECONDS))
+
+
+def in_one_unit(
+    joints: JointLog, readings: ReadingLog, notice: Callable[[str], None] | None
+) -> tuple[JointLog, ReadingLog]:
+    """Logs of the same recording, of which one may count milliseconds or less.
+
+    Args:
+        joints: The joints.
+        readings: The readings.
+        notice: Called with a sentence about times that are in another unit.
+    """
+    spans = [float(np.ptp(log.log.time)) for log in (joints, readings)]
+    far = np.log10(spans[0] / spans[1]) / 3.0 if min(spans) > 0.0 else 0.0
+    steps = round(far)
+    loose = joints.loose and readings.loose and abs(far - steps) < ALIKE
+    if not (loose and 0 < abs(steps) < len(UNITS)):
+        return joints, readings
+    longer, unit = "joints" if steps > 0 else "readings", UNITS[abs(steps)]
+    if notice is not None:
+        notice(f"the times of the {longer} are read as {unit}: so both last as long")
+    factor = TIME.units[unit]
+    if steps > 0:
+        log = replace(joints.log, time=joints.log.time * factor)
+        return replace(joints, log=log), readings
+    log = replace(readings.log, time=readings.log.time * factor)
+    return joints, replace(readings, log=log)
+
+
+def joined_by_name(
+    joints: JointLog, readings: ReadingLog, notice: Callable[[str], None] | None
+) -> Joined:
+    """Readings with the joints of the row of the same name.
+
+    Args:
+        joints: The joints.
+        readings: The readings.
+        notice: Called with a sentence about names that only one of them has.
+    """
+    ours, theirs = (
+        np.array([name.lower() for name in names])
+        for names in (joints.poses, readings.texts[POSE])
     )
+    found = [
+        Standstill(float(k), float(k), joints.log.values[k], rows)
+        for k, name in enumerate(ours)
+        for kind in readings.log.kinds
+        if len(rows := kind[theirs[kind] == name])
+    ]
+    alone = sorted({*ours} ^ {*theirs})
+    if alone and notice is not None:
+        notice(f"in one of both files only, and left out: {enumerated(alone)}")
+    return Joined(None, tuple(found), 0, 0, 0)
 
 
 def continuous(log: Log) -> Log:
@@ -206,6 +335,14 @@ def _whole(
         for remark in table.remarks:
             notice(f"{table.file}: {remark}")
     missing = np.any([table.columns[name].missing() for name in names], axis=0)
+    for name in (name for name in names if name not in _times_of(table)):
+        sign = table.columns[name].sentinel
+        if sign is not None:
+            rows = table.columns[name].numbers == sign
+            missing |= rows
+            if notice is not None:
+                told = f"{sign:g} in {np.count_nonzero(rows)} rows of '{name}'"
+                notice(f"{table.file}: {told} is taken for a reading that is missing")
     if missing.all():
         raise table.error(f"no row has all of {enumerated(names)}")
     return with_readings(table, ~missing, "rows", notice)
@@ -215,6 +352,8 @@ def _is_position(one: Foreign) -> bool:
     """Whether a column of a log may be one of joint positions: no counter, no stamp."""
     numbers = one.column.numbers[np.isfinite(one.column.numbers)]
     if not one.column.numeric or OTHER.search(one.words) or STAMPS.search(one.words):
+        return False
+    if one.column.unit not in (None, *ANGLE.units, *LENGTH.units):
         return False
     steps = np.unique(np.diff(numbers))
     return not (len(steps) == 1 and steps[0] > 0.0 and len(numbers) > COUNTED)
@@ -244,16 +383,15 @@ def encode_joined(
         table |= _sigmas(joined.standstills, readings)
     for name, cells in readings.texts.items():
         table[name] = [cells[used[0]] for used in picked]
-    time = [
-        float(readings.log.time[used].mean()) - joined.clock.ahead for used in picked
-    ]
-    table["time"] = np.array(time)
+    if POSE not in readings.texts:
+        time = np.array([readings.log.time[used].mean() for used in picked])
+        table["time"] = time - (joined.clock.ahead if joined.clock else 0.0)
     return encode_table(table, _comments(joined))
 
 
 def _comments(joined: Joined) -> list[str]:
-    count = len(joined.standstills)
-    return [f"joined by time: {count} standstills, {joined.used} readings"]
+    count, way = len(joined.standstills), "time" if joined.clock else "name"
+    return [f"joined by {way}: {count} standstills, {joined.used} readings"]
 
 
 def _rows(
@@ -308,13 +446,19 @@ def _sigmas(
     return {f"sigma_{n}": np.full(len(standstills), size) for n, size in found.items()}
 
 
-def _time_column(table: Table) -> str:
-    if "time" in table:
-        return "time"
+def _times_of(table: Table) -> list[str]:
+    """Columns that may be that of the times, the likeliest first."""
     known = {name.lower(): name for name in reversed([*table.columns])}
-    for name in TIMES:
-        if name in known:
-            return known[name]
+    known |= {"time": "time"} if "time" in table else {}
+    found = [known[name] for name in ("time", *TIMES) if name in known]
+    last = {name: re.findall(r"[a-z]+", name.lower())[-1:] for name in table.columns}
+    # Loggers put words of their own before all names.
+    return found or [name for name, word in last.items() if {*word} & {*TIMES[:3]}]
+
+
+def _time_column(table: Table) -> str:
+    for name in _times_of(table):
+        return name
     raise table.error(
         "there is no column 'time'",
         allowed=f"one of {', '.join(TIMES)}, or 'columns: {{time: NAME}}' in the setup",

@@ -16,6 +16,7 @@ from calib_pin.io.joint_columns import (
     joint_sources,
     read_positions,
     spare_columns,
+    spare_positions,
     stated_joints,
 )
 from calib_pin.io.measured_columns import (
@@ -120,7 +121,8 @@ def read_blocks(
     anybody = frozenset[str]().union(*read.values())
     spare, used = spare_columns(table, chains, joints), set(NAMES)
     conditions, stating = read_conditions(table, chains.joints)
-    conditions = replace(conditions, payload=names["payload"])
+    further = spare_positions(table, chains, sources, q, spare)
+    conditions = replace(conditions, payload=names["payload"], spare=further)
     parts = []
     for key, rows in blocks.items():
         own, texts, held = table, names, conditions

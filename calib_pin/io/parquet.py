@@ -36,6 +36,7 @@ class Parquet:
     separator: ClassVar[str] = ","
     header_line: ClassVar[None] = None
     remarks: ClassVar[tuple[str, ...]] = ()
+    foreign: ClassVar[None] = None
 
     @property
     def header(self) -> tuple[str, ...]:
@@ -114,6 +115,8 @@ def _texts(cells: Any) -> list[str]:
     if pa.types.is_dictionary(kind):
         cells = cells.cast(kind.value_type)
     try:
+        if pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind):
+            return ["" if x is None else repr(x) for x in cells.to_pylist()]
         if pa.types.is_floating(kind):
             return ["" if x is None else repr(x) for x in cells.to_pylist()]
         return ["" if x is None else x for x in cells.cast(pa.string()).to_pylist()]

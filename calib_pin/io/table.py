@@ -31,7 +31,7 @@ from calib_pin.io.columns import (
     what_is_wrong,
     with_points,
 )
-from calib_pin.io.dialects import DIALECTS
+from calib_pin.io.dialects import reading, side_by_side
 from calib_pin.io.parquet import Parquet, is_parquet, read_parquet
 from calib_pin.io.text import Text, read_text
 from calib_pin.observations import Labels
@@ -117,6 +117,8 @@ class Table:
         column = self.columns[name]
         if column.words and column.codes[row] >= 0:
             return column.words[int(column.codes[row])].strip()
+        if column.place < 0:
+            return repr(float(column.numbers[row]))
         return self.text.cells(int(self.lines[row]))[column.place].strip()
 
     def cells(self, names: Collection[str]) -> dict[str, Labels]:
@@ -126,6 +128,11 @@ class Table:
             column = self.columns[name]
             if column.words and (column.codes >= 0).all():
                 found[name] = Labels(column.words, column.codes)
+            elif column.place < 0:
+                cells = [self.cell(name, row) for row in range(len(self.lines))]
+                known = Numbering()
+                codes = known.of(cells)
+                found[name] = Labels(tuple(known.known), codes)
         again = [name for name in names if name not in found]
         return found | self._cells_of_text(again) if again else found
 
@@ -213,6 +220,11 @@ class Table:
         reason += f", {why}" if why else ""
         if unit in kind.smaller:
             theirs, smaller = self._theirs(name), kind.smaller[unit]
+            number = abs(value) / kind.units[unit]
+            while kind.units[smaller] * number > kind.largest and (
+                smaller in kind.smaller
+            ):
+                smaller = kind.smaller[smaller]
             reason += (
                 f"; write the header as '{name} [{smaller}]'"
                 if theirs == name
@@ -265,7 +277,11 @@ class Table:
     def _theirs(self, name: str) -> str:
         """The name of a column in the file, which the setup may say means ours."""
         column = self.columns.get(name)
-        return name if column is None else split_header(column.header)[0]
+        if column is None:
+            return name
+        there = 0 <= column.place < len(self.text.header)
+        header = self.text.header[column.place] if there else ""
+        return split_header(header or column.header)[0]
 
     def _told(self, name: str) -> str:
         theirs = self._theirs(name)
@@ -326,20 +342,18 @@ def read_table(
     if not lines:
         raise InputError("the file has a header but no rows", file=text.file)
     _check_marks(text, grown, lines)
-    named, missing = _renamed(_named(text, grown), columns, text)
+    named, number = _named(text, grown), np.frombuffer(lines, np.int64)
+    if text.foreign:
+        named, row = side_by_side(named)
+        named, number = text.foreign.read(named), number[row]
+    named, missing = _renamed(named, columns, text)
     remarks = text.remarks
-    found = next(filter(None, (dialect.read(named) for dialect in DIALECTS)), None)
-    if found is not None:
-        named, remarks = dict(found.columns), (*remarks, f"read as {found.remark}")
-    return Table(
-        text.file,
-        text.header_line,
-        named,
-        np.frombuffer(lines, np.int64),
-        text,
-        missing,
-        remarks,
-    )
+    if not text.foreign and (found := reading(named, Path(text.file))):
+        # The setup names columns as the file does, or as they are called then.
+        named, missing = _renamed(found.columns, missing, text)
+        remarks += (f"read as {found.remark}",)
+    line = text.header_line or None
+    return Table(text.file, line, named, number, text, missing, remarks)
 
 
 def _check_marks(

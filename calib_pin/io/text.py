@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import BinaryIO, TextIO
 
 from calib_pin.errors import InputError
+from calib_pin.io.dialects import Heading, heading
+from calib_pin.io.dialects.base import cells_of
 from calib_pin.io.files import read_blocks
 from calib_pin.progress import Progress
 
@@ -77,10 +79,11 @@ class Text:
     Attributes:
         file: Path as the caller gave it.
         data: Its bytes, in UTF-8; None where the file can be read again.
-        separator: Separator of two cells.
+        separator: Separator of two cells; a space stands for any blanks.
         header: Trimmed cells of the header.
-        header_line: Its line, counted from 1.
+        header_line: Its line, counted from 1; 0 where there is none.
         remarks: Sentences about how the file had to be read.
+        foreign: The header of a foreign layout, where it is no line of names.
     """
 
     file: str
@@ -89,6 +92,7 @@ class Text:
     header: tuple[str, ...]
     header_line: int
     remarks: tuple[str, ...] = ()
+    foreign: Heading | None = None
 
     def rows(self) -> Iterator[tuple[list[int], list[tuple[str, ...]]]]:
         """Lines of some rows and their cells by column, and so on.
@@ -139,7 +143,8 @@ class Text:
         if any('"' in line for line in lines):
             rows = self._quoted(numbers, lines)
         else:
-            rows = [line.rstrip("\n").split(self.separator) for line in lines]
+            mark = None if self.separator == " " else self.separator
+            rows = [line.rstrip("\n").split(mark) for line in lines]
         if {*map(len, rows)} != {len(self.header)}:
             rows = list(map(self._whole, numbers, rows))
         return [*zip(*rows, strict=True)]
@@ -170,9 +175,7 @@ class Text:
         except UnicodeDecodeError:
             raise self._changed() from None
 
-    def _quoted(
-        self, numbers: Sequence[int], lines: Sequence[str]
-    ) -> list[list[str]]:
+    def _quoted(self, numbers: Sequence[int], lines: Sequence[str]) -> list[list[str]]:
         """Cells of lines by row; lines without quotes are cut much faster."""
         reader = csv.reader(
             lines, delimiter=self.separator, strict=True, skipinitialspace=True
@@ -272,6 +275,11 @@ def _laid_out(head: bytes, data: bytes | None, file: str) -> Text:
     stream = io.TextIOWrapper(io.BytesIO(head), "utf-8-sig", errors="ignore")
     first = islice(enumerate(stream, 1), HEAD)
     lines = [(n, line.strip("\n")) for n, line in first if line.strip()]
+    # Excel writes blank lines as separators.
+    if found := heading([one for one in lines if one[1].strip(" ,;\t")]):
+        remark = f"read as {found.remark}"
+        names = tuple(found.names)
+        return Text(file, data, found.separator, names, found.line, (remark,), found)
     separator, remarks = "", tuple[str, ...]()
     # Excel writes it, and takes it for no row either.
     if lines and (stated := re.fullmatch(r'"?sep=(.)"?', lines[0][1].strip())):
@@ -280,7 +288,7 @@ def _laid_out(head: bytes, data: bytes | None, file: str) -> Text:
     if not plain:
         reason = "the file is empty, it needs a header and rows"
         raise InputError(reason, file=file)
-    separator = separator or _separator(plain, file)
+    separator = separator or _separator(plain)
     line, header = _header(lines, plain, separator, file)
     if above := sum(n < line for n, _ in plain):
         remarks = (f"{above} lines above the header in line {line} are left out",)
@@ -291,26 +299,19 @@ def _comment(line: str) -> bool:
     return line.lstrip().startswith(COMMENTS)
 
 
-def _separator(plain: Sequence[tuple[int, str]], file: str) -> str:
+def _separator(plain: Sequence[tuple[int, str]]) -> str:
     """The separator that stands as often in most lines."""
     for mark in SEPARATORS:
         counts = Counter(line.count(mark) for _, line in plain)
         ((count, lines),) = counts.most_common(1)
         if count and 2 * lines >= len(plain):
             return mark
-    number, header = plain[0]
+    header = plain[0][1]
     found = max(SEPARATORS, key=header.count)
     names = re.sub(r"\[[^\[\]]*\]", "", header).split()
     # A single column may have a space in its name, but not in its numbers.
     alone = found not in header and len(names) > 1
-    if alone and len(plain[-1][1].split()) == len(names):
-        raise InputError(
-            "the columns are separated by spaces, the separator must be a comma, a "
-            "semicolon or a tab",
-            file=file,
-            line=number,
-        )
-    return found
+    return " " if alone and len(plain[-1][1].split()) == len(names) else found
 
 
 def _header(
@@ -327,21 +328,24 @@ def _header(
         separator: Separator of two cells.
         file: The file, for messages.
     """
-    cut = [(number, _cut(line, separator)) for number, line in plain]
+    cut = [(number, cells_of(line, separator)) for number, line in plain]
     rows = [(number, cells) for number, cells in cut if _is_row(cells, separator)]
     if not rows:
         return cut[0]
     ((width, _),) = Counter(len(cells) for _, cells in rows).most_common(1)
     first = next(number for number, cells in rows if len(cells) == width)
-    for number, cells in cut:
-        if number < first and len(cells) == width:
+    above = [(number, cells) for number, cells in cut if number < first]
+    commented = [
+        (number, cells_of(line.lstrip(" \t#%/"), separator))
+        for number, line in lines
+        if number < first
+    ]
+    for number, cells in [*above, *commented]:
+        if len(cells) == width and not _is_row(cells, separator):
             return number, cells
-    if cut[0][0] < first:
-        return cut[0]
-    for number, line in lines:
-        cells = _cut(line.lstrip(" \t#%/"), separator)
-        if number < first and len(cells) == width and not _is_row(cells, separator):
-            return number, cells
+    number, cells = max(above, key=lambda each: len(each[1]), default=(0, []))
+    if 2 * len(cells) >= width:
+        return number, cells
     raise InputError(
         "the first row holds numbers, a header with the names of the columns is "
         "missing",
@@ -349,15 +353,6 @@ def _header(
         line=first,
         allowed=f"{width} names above it, such as {separator.join(_names(width))}",
     )
-
-
-def _cut(line: str, separator: str) -> list[str]:
-    try:
-        return next(
-            csv.reader([line], delimiter=separator, strict=True, skipinitialspace=True)
-        )
-    except csv.Error:
-        return line.split(separator)
 
 
 def _is_row(cells: Sequence[str], separator: str) -> bool:

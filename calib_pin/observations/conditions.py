@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -32,6 +32,9 @@ class Conditions:
             where it is not known.
         temperature: Of the robot, shape (N,) [degC].
         time: When the row was measured, shape (N,) [s].
+        spare: Further positions by joint and column of the file, each of shape (N,)
+            [rad, m]: of joints that are no part of the chains, and of joints whose
+            positions another column states as well.
         source: How directions are known: by the `order` of rows, by their `time`, or
             from `columns`; empty where they are not.
 
@@ -45,6 +48,7 @@ class Conditions:
     direction: Signs = field(default_factory=lambda: np.zeros((0, 0), np.int8))
     temperature: Floats = field(default_factory=lambda: np.zeros(0))
     time: Floats = field(default_factory=lambda: np.zeros(0))
+    spare: Mapping[tuple[str, str], Floats] = field(default_factory=dict)
     source: Source = ""
 
     def __post_init__(self) -> None:
@@ -84,7 +88,8 @@ class Conditions:
             for name in ("payload", "direction", "temperature", "time")
             if len(getattr(self, name))
         }
-        return replace(self, **stated)
+        spare = {name: column[index] for name, column in self.spare.items()}
+        return replace(self, **stated, spare=spare)
 
     def of_joints(self, columns: NDArray[np.int64] | Sequence[int]) -> Conditions:
         """Those of some of the joints."""
@@ -127,11 +132,17 @@ class Conditions:
             for name in ("temperature", "time")
             if all(len(getattr(part, name)) for part in parts)
         }
+        spare = {
+            name: np.concatenate([part.spare[name] for part in parts])
+            for name in parts[0].spare
+            if all(name in part.spare for part in parts)
+        }
         sources = [part.source for part in parts if part.source]
         return Conditions(
             payload,
             np.concatenate(directions) if width else np.zeros((0, 0), np.int8),
             **stated,
+            spare=spare,
             source=min(sources, key=SOURCES.index, default=""),
         )
 

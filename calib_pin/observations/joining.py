@@ -115,14 +115,14 @@ class Joined:
     """Both logs together.
 
     Attributes:
-        clock: The clock of the readings.
+        clock: The clock of the readings; None where no time joins them.
         standstills: Those with a reading, in order, one for each point that was read.
         empty: Number of standstills without one.
         moving: Number of readings during a motion, or too close to one.
         scattered: Number of readings in a standstill that are far from its others.
     """
 
-    clock: Clock
+    clock: Clock | None
     standstills: tuple[Standstill, ...]
     empty: int
     moving: int

@@ -26,7 +26,7 @@ from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings import explained, find
-from calib_pin.validation.findings.case import NONE, Case, Others, some_of
+from calib_pin.validation.findings.case import Case, Others, some_of
 from calib_pin.validation.model_errors import located_names, registered
 from calib_pin.validation.result import Evaluation
 from calib_pin.validation.verdict import CHECK, told, too_large
@@ -45,7 +45,7 @@ def evaluate(
     setup: Setup | None = None,
     *,
     registration: bool = False,
-    others: Others = NONE,
+    others: Others = tuple,
 ) -> Evaluation:
     """Accuracy of a robot on measurements, all of them counted.
 
@@ -57,7 +57,7 @@ def evaluate(
         measurements: The measurements.
         setup: Known quantities of frames and instrument, for a chain.
         registration: Register a calibrated model on these measurements.
-        others: Other readings of the files of the measurements.
+        others: Other robots that may have been measured.
 
     Raises:
         InputError: If the measurements do not fit the model.

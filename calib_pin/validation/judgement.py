@@ -23,7 +23,7 @@ from calib_pin.observations import Observations
 from calib_pin.progress import Progress
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.findings import find
-from calib_pin.validation.findings.case import NONE, Case, Others
+from calib_pin.validation.findings.case import Case, Others
 from calib_pin.validation.held_out import HeldOut
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.summaries import ToolAccuracy
@@ -54,7 +54,7 @@ def judge(
     held_out: HeldOut,
     seed: int,
     progress: Progress | None = None,
-    others: Others = NONE,
+    others: Others = tuple,
     seek: bool = True,
 ) -> Judgement:
     """Judge a fitted model.
@@ -66,7 +66,7 @@ def judge(
         held_out: Its check on held-out measurements.
         seed: Seed of configurations.
         progress: Told how far the search for explanations is.
-        others: Other readings of the files.
+        others: Other robots that may have been measured.
         seek: Whether to seek faults of the measurements that no robot explains; they
             have been sought with another model otherwise.
     """

@@ -257,6 +257,62 @@ def test_measured_joints_and_not_commanded_ones(measured):
     assert read_setup("setup.yaml").columns["joint_3"] == "q3_actual"
 
 
+def test_joints_in_another_order(measured, run):
+    """Numbers say nothing where the columns are those of a file sorted otherwise."""
+    order = [0, 4, 2, 3, 1, 5, 6, 7, 8]
+    foreign([*(f"q{k}" for k in range(6)), *"xyz"], measured[:, order])
+    assert run(INIT).status == 0
+    columns = read_setup("setup.yaml").columns
+    assert (columns["joint_2"], columns["joint_5"]) == ("q4", "q1")
+    assert (
+        "by the order alone, other than on the robot" in Path("setup.yaml").read_text()
+    )
+
+
+def test_units_are_those_of_each_column(measured):
+    rows = measured.copy()
+    rows[:, 5] = np.degrees(rows[:, 5])
+    foreign([*JOINTS, *"xyz"], rows)
+    assert main(INIT.split()) == 0
+    assert read_setup("setup.yaml").columns == {"joint_6": "joint_6 [deg]"}
+
+
+def test_a_gripper_in_percent(run):
+    """It stands still, and names of its columns have words around those of joints."""
+    chain = calib_pin.load_chain("example:so101", tip="gripper_frame_link")
+    q = chain.random_configurations(40, np.random.default_rng(0))
+    rows = np.hstack([q + 0.001, q, np.full((40, 1), 37.5), chain.poses(q)[:, :3, 3]])
+    rows[:, -3:] += np.random.default_rng(1).normal(0.0, 1e-3, (40, 3))
+    names = [f"goal/{joint}/angle" for joint in chain.joints]
+    names += [f"state/{joint}/angle" for joint in [*chain.joints, "gripper"]]
+    foreign([*names, *"xyz"], rows)
+    assert run("init example:so101 foreign.csv -o setup.yaml").status == 0
+    setup = read_setup("setup.yaml")
+    assert setup.tip == "gripper_frame_link" and len(setup.columns) == 5
+    assert setup.columns["elbow_flex"] == "state/elbow_flex/angle"
+
+
+POSITIONER = """<robot name="table">
+<link name="base"/><link name="tilt"/><link name="top"/>
+<joint name="a" type="revolute"><parent link="base"/><child link="tilt"/>
+<axis xyz="1 0 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+<joint name="b" type="revolute"><parent link="tilt"/><child link="top"/>
+<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+</robot>"""
+
+
+def test_axes_that_meet_tell_no_unit_of_lengths(fails):
+    """A positioner of meters fits as well in millimeters, which nothing refuses."""
+    Path("table.urdf").write_text(POSITIONER)
+    chain = calib_pin.load_chain("table.urdf")
+    q = chain.random_configurations(40, np.random.default_rng(0))
+    T = chain.poses(q)
+    points = T[:, :3, :3] @ [0.4, 0.1, 0.2]
+    points += np.random.default_rng(1).normal(0.0, 1e-4, (40, 3))
+    foreign(["a", "b", *"xyz"], np.hstack([q, points]))
+    fails("init table.urdf foreign.csv -o setup.yaml", "units")
+
+
 def test_what_fits_no_robot_is_said(measured, run, fails):
     """Where not even units are stated, they are asked for."""
     drawn = np.random.default_rng(0).uniform(-1.0, 1.0, (30, 9))

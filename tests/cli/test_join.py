@@ -125,6 +125,82 @@ def test_points_that_are_read_by_turns_stay_apart(logs, run):
     assert np.allclose(data.sigma, NOISE, rtol=0.2)
 
 
+def test_points_with_names_need_no_time(tmp_path, monkeypatch, run):
+    """Two targets of each point; what only one file has is left out and told."""
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(3)
+    q = CHAIN.random_configurations(8, rng)
+    joints = [",".join(["name", *CHAIN.joints])]
+    joints += [",".join([f"P{k}", *map(repr, row.tolist())]) for k, row in enumerate(q)]
+    points = ["Punkt-Nr;Kugel;X [mm];Y [mm];Z [mm];RMS"]
+    T = CHAIN.poses(q)
+    for k in rng.permutation(7):
+        for name, ball in BALLS.items():
+            p = 1e3 * (T[k, :3, :3] @ ball + T[k, :3, 3])
+            points.append(";".join([f"p{k}", name, *map(comma, p), "0,01"]))
+    points.append("P99;A;1;2;3;0,01")
+    Path("joints.csv").write_text("\n".join(joints))
+    Path("points.txt").write_text("\n".join(points))
+    result = run("join joints.csv points.txt -o m.csv")
+    assert result.status == 0
+    assert "in one of both files only, and left out: p7, p99" in result.err
+    data = read_measurements("m.csv", CHAIN).only
+    assert len(data.q) == 14
+    at = [np.flatnonzero((q == row).all(axis=1))[0] for row in data.q]
+    balls = np.array([BALLS[name] for name in data.target])
+    expected = (T[at, :3, :3] @ balls[:, :, None])[:, :, 0] + T[at, :3, 3]
+    assert np.allclose(data.values, expected, atol=1e-7)
+    Path("points.txt").write_text("\n".join(points).replace("p", "q"))
+    wrong = run("join joints.csv points.txt -o n.csv")
+    assert wrong.status == 1 and "no column of names" in wrong.err
+    assert not Path("n.csv").exists()
+
+
+def test_times_of_one_log_may_be_milliseconds(logs, run):
+    header, *lines = Path("joints.csv").read_text().splitlines()
+    cut = [line.partition(",") for line in lines]
+    late = [f"{1e3 * float(time):.1f},{rest}" for time, _, rest in cut]
+    Path("joints.csv").write_text("\n".join([header, *late]))
+    result = run(JOIN)
+    assert "the times of the joints are read as ms" in result.err
+    assert result.out.startswith("12 standstills")
+    Path("joints.csv").write_text("\n".join([header.replace("p", "p [s]", 1), *late]))
+    assert run(f"{JOIN} --force").status == 1
+
+
+def test_columns_of_one_point_stay_together(logs, run):
+    """Of two points the one is taken that no controller computes, whole."""
+    time = np.arange(0.0, logs.joints.time[-1], 0.05)
+    q = [np.interp(time, logs.joints.time, c) for c in logs.joints.values.T]
+    p = CHAIN.poses(np.column_stack(q))[:, :3, 3]
+    cells = np.column_stack([time, p[:, :2] + 1.0, p - 9.0, p[:, 2] + 1.0])
+    lines = [",".join(f"{number:.6f}" for number in row) for row in cells]
+    header = "time,pos_x,pos_y,tcp_x,tcp_y,tcp_z,pos_z"
+    Path("two.csv").write_text("\n".join([header, *lines]))
+    assert run("join joints.csv two.csv -o m.csv").status == 0
+    data = read_measurements("m.csv", CHAIN).only
+    expected = CHAIN.poses(data.q)[:, :3, 3] + 1.0
+    assert np.abs(data.values - expected).max() < 1e-5
+
+
+def test_words_of_a_logger_and_signs_of_lost_readings(logs, run):
+    """-9999 in some rows is told and left out; a voltage is no joint."""
+    header, *lines = Path("joints.csv").read_text().splitlines()
+    names = [f"rec.{name}" for name in header.split(",")]
+    rows = [[*line.split(","), "24.1"] for line in lines]
+    for k in (30, 200, 201):
+        rows[k][3] = "-9999"
+    text = "\n".join(",".join(row) for row in [[*names, "Battery [V]"], *rows])
+    Path("joints.csv").write_text(text)
+    result = run(JOIN)
+    assert result.status == 0 and "-9999 in 3 rows" in result.err
+    assert result.out.startswith("12 standstills")
+    columns = {joint: f"rec.{joint} [deg]" for joint in CHAIN.joints}
+    data = read_measurements("m.csv", CHAIN, columns=columns).only
+    expected = CHAIN.poses(data.q)[:, :3, 3] + [0.3, -1.0, 2.0]
+    assert np.abs(data.values - expected).max() < 3.0 * NOISE
+
+
 def test_a_log_of_the_robot_as_it_is(logs, run):
     """Counters, stamps of nanoseconds, speeds and gaps are no joints and hide none."""
     names = CHAIN.joints

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+import re
+from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calib_pin.io.columns import LENGTH, Column
-from calib_pin.io.dialects import DIALECTS, Reading
+from benchmarks.layouts import WRITERS, Job, job
+from calib_pin.errors import InputError
+from calib_pin.io.columns import ANGLE, LENGTH
+from calib_pin.io.dialects import DIALECTS
+from calib_pin.io.foreign_headers import foreign, measured, understood
 from calib_pin.io.logs import TIME
 from calib_pin.io.measured_columns import read_quaternions
 from calib_pin.io.table import Table, read_table
-from calib_pin.kinematics.spatial import so3_exp, to_quaternion
+from calib_pin.kinematics.spatial import from_quaternion, so3_exp, to_quaternion
+from calib_pin.plugins import extensions
 
 
 @pytest.fixture
@@ -65,13 +72,289 @@ def test_columns_that_the_setup_names_are_as_it_says(table):
     assert found.numbers("x", LENGTH).tolist() == [1.0] and not found.remarks
 
 
-def test_a_dialect_is_one_file_and_one_line(table, monkeypatch):
-    class Shout:
-        def read(self, columns: Mapping[str, Column]) -> Reading | None:
-            if not all(name.isupper() for name in columns):
-                return None
-            return Reading({k.lower(): c for k, c in columns.items()}, "shouting")
+ROBOTS = {
+    "franka": ("example:panda", "panda_link8"),
+    "lerobot": ("example:so101", "gripper_frame_link"),
+    "lerobot_normalized": ("example:so101", "gripper_frame_link"),
+}
+"""Robots of layouts that are not those of any; elsewhere a UR5."""
 
-    monkeypatch.setattr("calib_pin.io.table.DIALECTS", (*DIALECTS, Shout()))
-    assert list(table("X,Y\n1,2\n").columns) == ["x", "y"]
+READINGS = {
+    "points": ("points.txt", ["Ball"], "", False),
+    "motive": ("motive.csv", ["Ball"], "tool", True),
+    "motive_euler": ("motive.csv", ["Ball"], "tool", True),
+    "motive_bodies": ("motive.csv", ["Ball", "Nest"], "tool", True),
+    "motive_markers": ("motive.csv", ["Ball", "Nest"], "target", False),
+    "vicon": ("vicon.csv", ["Ball", "Nest"], "target", False),
+    "vicon_objects": ("vicon.csv", ["Ball"], "tool", True),
+    "ndi": ("ndi.csv", ["Ball", "Nest"], "tool", True),
+    "ndi_tools": ("ndi.csv", ["Ball", "Nest"], "tool", True),
+}
+"""Layouts of instruments: file, points, the column of their names, and whether they
+state orientations."""
+
+
+@cache
+def job_of(layout: str) -> Job:
+    return job(*ROBOTS.get(layout, ("example:ur5_robot", "tool0")), count=8)
+
+
+@pytest.fixture
+def written(tmp_path: Path):
+    def written(layout: str, seed: int = 1) -> Path:
+        rng = np.random.default_rng(seed)
+        for name, text in WRITERS[layout](job_of(layout), rng).items():
+            (tmp_path / name).write_text(text)
+        return tmp_path
+
+    return written
+
+
+@pytest.mark.parametrize("layout", READINGS)
+def test_readings_are_those_written(written, layout):
+    file, points, kind, turned = READINGS[layout]
+    found, job = read_table(written(layout) / file), job_of(layout)
+    at = job.measured if layout == "points" else np.arange(len(job.q))
+    seen = ~found.columns["x"].missing()
+    kept = found.rows(np.flatnonzero(seen), found.columns)
+    assert seen.mean() > 0.9 and (layout == "points" or not seen.all())
+    place = np.stack([job.point(name)[at] for name in points], axis=1).reshape(-1, 3)
+    xyz = np.stack([kept.numbers(axis, LENGTH) for axis in "xyz"], axis=1)
+    assert np.allclose(xyz, place[seen], rtol=0, atol=1e-6)
+    if turned:
+        q = np.repeat(job.quaternions, len(points), axis=0)[seen]
+        right = from_quaternion(read_quaternions(kept, "quaternion"))
+        assert np.allclose(right, from_quaternion(q), rtol=0, atol=5e-6)
+    if layout != "points":
+        time = np.repeat(job.time, len(points))[seen]
+        ahead = kept.numbers("time", TIME) - time
+        assert np.allclose(ahead, ahead[0], rtol=0, atol=2e-6)
+        assert list(dict.fromkeys(kept.columns)).count(kind) == 1
+        assert len({*kept.texts([kind])[kind]}) == len(points)
+    # Each row knows its line, and shows its number.
+    lines = (written(layout) / file).read_text().splitlines()
+    row = int(np.flatnonzero(seen)[-1])
+    size = {"motive_euler": 1e2, "motive_bodies": 1.0}.get(layout, 1e3)
+    assert f"{size * place[row, 0]:.6f}" in lines[found.lines[row] - 1]
+    assert found.cell("x", row) == found.cells(["x"])["x"][row].strip()
+    scale = {"m": 1.0, "mm": 1e-3}[str(found.columns["x"].unit)]
+    assert np.isclose(float(found.cell("x", row)) * scale, place[row, 0], atol=1e-6)
+
+
+@pytest.mark.parametrize("layout", ["motive", "vicon", "ndi_tools"])
+@pytest.mark.parametrize(
+    "how",
+    [
+        lambda text: "# by hand\n" + text,
+        lambda text: "\ufeff\n\n" + text.replace("\n", ",\n"),
+        lambda text: re.sub(r"(?<=\d)\.(?=\d)", ",", text.replace(",", ";")),
+        lambda text: text.replace(",", "\t").replace("\n", "\r\n"),
+        lambda text: "# " * (text[0] in "FT") + text,
+    ],
+)
+def test_headings_however_they_were_saved(written, layout, how):
+    file = written(layout) / READINGS[layout][0]
+    first = read_table(file)
+    file.write_text(how(file.read_text()), encoding="utf-8")
+    again = read_table(file)
+    assert [*first.columns] == [name for name in again.columns if "column" not in name]
+    for name in "xyz":
+        same = again.columns[name].numbers, first.columns[name].numbers
+        assert np.array_equal(*same, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    "layout", ["rostopic", "rtde", "franka", "lerobot", "lerobot_normalized"]
+)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_joints_are_those_written(written, layout, seed):
+    folder, job = written(layout, seed), job_of(layout)
+    found = read_table(folder / "joints.csv")
+    named = [name for name in job.joints if name in found]
+    names = named or [f"q_{k}" for k in range(len(job.joints))]
+    q = np.stack([found.numbers(name, ANGLE) for name in names], axis=1)
+    assert np.allclose(q, job.q, rtol=0, atol=1e-6)
+    time = found.numbers("time", TIME)
+    assert np.allclose(time, job.time, rtol=0, atol=1e-6)
+    # The controller's pose and what was commanded are nobody's.
+    assert {*measured(foreign(found.columns))} <= {"time"}
+    assert not any("command" in name or "target" in name for name in found.columns)
+
+
+@pytest.mark.parametrize("layout", ["plotjuggler", "pandas"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_joints_and_positions_are_those_written(written, layout, seed):
+    found = understood(read_table(written(layout, seed) / "measurements.csv"))
+    job = job_of(layout)
+    named = [name for name in job.joints if name in found]
+    names = named or [f"q_{k}" for k in range(len(job.joints))]
+    q = np.stack([found.numbers(name, ANGLE) for name in names], axis=1)
+    xyz = np.stack([found.numbers(axis, LENGTH) for axis in "xyz"], axis=1)
+    assert np.allclose(q, job.q[job.measured], rtol=0, atol=1e-6)
+    assert np.allclose(xyz, job.point("Ball")[job.measured], rtol=0, atol=1e-6)
+    assert "column 1" not in found
+
+
+def test_each_layout_is_tested():
+    joints = {"rostopic", "rtde", "franka", "plotjuggler", "pandas"}
+    assert WRITERS.keys() == {*READINGS, *joints, "lerobot", "lerobot_normalized"}
+
+
+def test_angles_of_a_segment_are_named_by_the_setup(table):
+    text = (
+        "Segments\n100\n,,Arm:Tool,,,,,,Arm:Hand\n"
+        "Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ,RX,RY,RZ,TX,TY,TZ\n"
+        ",,deg,deg,deg,mm,mm,mm,deg,deg,deg,mm,mm,mm\n"
+        "3,0,10,20,30,1,2,3,40,50,60,4,5,6\n4,0,10,20,30,1,2,3,,,,,,\n"
+    )
+    found = table(text)
+    assert not {"rx", "roll"} & {*measured(foreign(found.columns))}
+    assert "columns: {rx: angle_x, " in found.remarks[0]
+    found = table(text, {"rx": "angle_x", "ry": "angle_y", "rz": "angle_z"})
+    assert found.columns["rz"].numbers[:3].tolist() == [30, 60, 30]
+    assert list(found.texts(["tool"])["tool"]) == ["Arm:Tool", "Arm:Hand"] * 2
+    assert found.lines.tolist() == [6, 6, 7, 7]
+    assert found.columns["x"].missing().tolist() == [False] * 3 + [True]
+    assert (found.cell("x", 2), found.cell("x", 3)) == ("1.0", "")
+
+
+def test_a_number_of_several_objects_is_blamed_on_its_line(table, refused):
+    found = table(
+        "Trajectories\n100\n,,A,,,B\nFrame,Sub Frame,X,Y,Z,X,Y,Z\n"
+        ",,mm,mm,mm,mm,mm,mm\n1,0,1,2,3,4,5,6\n2,0,1,2,3,9999999,5,6\n"
+    )
+    with refused(InputError, "wrong unit", line=7, column="x", value="9999999.0"):
+        found.check_size("x", found.numbers("x", LENGTH), LENGTH, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "unit"),
+    [
+        ("p1 1.0 2.0 3.0\np2 1.5 2.0 3.0\n", ["point"], None),
+        ("// units: in\nG,1,1.0,2.0,3.0\n", ["group", "point"], "in"),
+        ("// in inches\nA B p 1.0 2.0 3.0\n", ["collection", "group", "point"], "in"),
+        ("// m\nB,p,0,0,3\nB,q,1,2,3.5\n", ["group", "point"], None),
+        ("// [mm]\nA;B;1;1,0;2,5;3,0\n", ["collection", "group", "point"], "mm"),
+    ],
+)
+def test_points_have_up_to_three_names(table, text, names, unit):
+    found = table(text)
+    assert list(found.columns) == [*names, "x", "y", "z"]
+    assert found.columns["z"].unit == unit and found.columns["z"].numbers[0] == 3.0
+
+
+@pytest.mark.parametrize(
+    "row",
+    ["P1,0.1,0.2,0.3,0.4,0.5", "1,0.5,0.5,0.5", "2026-01-31T12:00:00,0.1,0.2,0.3"],
+)
+def test_other_rows_without_a_header_are_no_points(table, row, refused):
+    with refused(InputError, "the first row holds numbers", line=1):
+        table(f"{row}\n{row}\n")
+
+
+def test_a_motor_is_in_degrees_or_in_parts_of_its_range(table, tmp_path, refused):
+    head = "timestamp,shoulder_pan.pos,elbow_flex.pos,gripper.pos\n"
+    found = table(head + "0,50,20,40\n1,-30,-90,40\n")
+    assert np.allclose(found.numbers("elbow_flex", ANGLE), np.radians([20, -90]))
+    assert "calibration file" in found.remarks[0] and "gripper.pos" in found
+    with refused(InputError, "put the calibration file of the robot"):
+        table(head + "0,50,20,40\n1,-30,-100,40\n")
+    # A position is none of motors; and in rad, whoever wrote that.
+    assert "x.pos" in table(head.replace("\n", ",x.pos\n") + "0,50,20,40,1\n")
+    assert table(head + "0,0.5,0.2,40\n1,-3,1,40\n").columns["elbow_flex"].unit is None
+    motor = {"homing_offset": 5, "range_min": 1000, "range_max": 3000}
+    motors = {name: motor for name in ("shoulder_pan", "gripper")}
+    motors["elbow_flex"] = {**motor, "drive_mode": 1}
+    (tmp_path / "arm.json").write_text(json.dumps(motors))
+    found = table(head + "0,50,20,40\n1,-30,-100,40\n")
+    half = 1000 * 2.0 * np.pi / 4095
+    assert np.allclose(found.numbers("shoulder_pan", ANGLE), [0.5 * half, -0.3 * half])
+    assert np.allclose(found.numbers("elbow_flex", ANGLE), [-0.2 * half, half])
+    assert np.allclose(found.numbers("gripper", ANGLE), -0.2 * half)
+    # Beyond the range they are degrees after all.
+    found = table(head + "0,50,20,40\n1,-30,-101,40\n")
+    assert np.allclose(found.numbers("elbow_flex", ANGLE), np.radians([20, -101]))
+    (tmp_path / "leader.json").write_text(json.dumps(motors))
+    with refused(InputError, ["several", "arm.json, leader.json"]):
+        table(head + "0,50,20,40\n1,-30,-90,40\n")
+
+
+def test_lists_of_a_data_set(table, tmp_path):
+    text = (
+        'timestamp,observation.state,action\n0,"[10.5, -20]",[1 2]\n1,[30 40.5],[1 2]\n'
+    )
+    found = table(text)
+    assert list(found.columns) == ["time", "q_0", "q_1"]
+    assert np.allclose(found.numbers("q_1", ANGLE), np.radians([-20, 40.5]))
+    (tmp_path / "meta").mkdir()
+    names = {"motors": ["shoulder_pan.pos", "elbow_flex.pos"]}
+    info = {"features": {"observation.state": {"names": names}}}
+    (tmp_path / "meta" / "info.json").write_text(json.dumps(info))
+    found = table(text)
+    assert np.allclose(found.numbers("shoulder_pan", ANGLE), np.radians([10.5, 30]))
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    state = pa.array([[10.5, -20.0], [30.0, 40.5]], pa.list_(pa.float32(), 2))
+    columns = {"timestamp": pa.array([0.0, 0.1]), "observation.state": state}
+    parquet.write_table(pa.table(columns), tmp_path / "a.parquet")
+    found = read_table(tmp_path / "a.parquet")
+    assert np.allclose(found.numbers("elbow_flex", ANGLE), np.radians([-20, 40.5]))
+
+
+def test_names_and_index_of_a_data_frame(table):
+    found = table("\"\",\"('q', 0)\",\"('tip', 'x')\"\n0,1.5,2.5\n1,3.5,4.5\n")
+    assert list(found.columns) == ["q_0", "tip_x"]
+    # An index with a name has a line of its own; one that counts nothing stays.
+    found = table(",q,q\n,a,b\nt,,\n0.5,1,2\n1.5,3,4\n")
+    assert list(found.columns) == ["q_a", "q_b"]
+    assert list(table(",a\n5,1\n7,1\n").columns) == ["column 1", "a"]
+    assert not table(",a\n5,1\n7,1\n").remarks
+
+
+def test_a_joint_of_two_topics_is_that_of_the_first(table):
+    found = table(
+        "__time,/joint_states/elbow/position,/other/joint_states/elbow/position\n"
+        "0.5,1.5,2.5\n"
+    )
+    assert found.columns["elbow"].numbers.tolist() == [1.5]
+    assert "/other/joint_states/elbow/position" in found
+
+
+def test_the_pose_of_a_controller_is_left_out_whatever_stands_beside(table):
+    names = [f"state.O_T_EE[{k}]" for k in range(16)]
+    head = ",".join(["time", *(f"state.q[{k}]" for k in range(7)), *names, "x [mm]"])
+    found = table(head + "\n" + ",".join(["0.5"] * 25))
+    assert list(found.columns) == ["time", *(f"q_{k}" for k in range(7)), "x"]
+    # It is there for whoever names it.
+    found = table(head + "\n" + ",".join(["0.5"] * 25), {"y": "state.O_T_EE[13] [m]"})
+    assert found.numbers("y", LENGTH).tolist() == [0.5]
+
+
+@pytest.fixture
+def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The dialect of another package, as pip leaves it."""
+    info = tmp_path / "site" / "shouting-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Name: shouting\nVersion: 1.0\n")
+    entry = "[calib_pin.dialects]\nshouting = shouting:Shouting\n"
+    (info / "entry_points.txt").write_text(entry)
+    (tmp_path / "site" / "shouting.py").write_text(
+        "from calib_pin.io.dialects import Dialect, Reading\n\n\n"
+        "class Shouting(Dialect):\n"
+        "    def read(self, columns, file):\n"
+        "        if not all(name.isupper() for name in columns):\n"
+        "            return None\n"
+        "        return Reading({k.lower(): c for k, c in columns.items()}, 'loud')\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    extensions.cache_clear()
+    yield
+    extensions.cache_clear()
+
+
+def test_a_dialect_of_another_package(table, outside):
+    found = table("X,Y\n1,2\n")
+    assert list(found.columns) == ["x", "y"] and found.remarks == ("read as loud",)
     assert list(table("X,y\n1,2\n").columns) == ["X", "y"]
+    assert list(DIALECTS)[-1] == "shouting"

@@ -591,7 +591,7 @@ REFUSED = [
     (b"lift\x00,elbow\n0,0\n", None, None, None),
     ("# c\nlift;elbow;wrist;distance\n0,1;2;3;4,5\n0;2;3;1.5\n", 4, "distance", None),
     ("lift;elbow;wrist;x\n0,1;2;3,4\n", 2, "x", None),
-    ("lift elbow [deg] wrist\n0 0 0\n", 1, None, None, "comma"),
+    ("lift elbow [deg] wrist\n0 0 0\n", 1, None, None, "no measured columns"),
     ("0.1,0.2,0.3,1\n0,0,0,1\n", 1, None, None, "header"),
     # Rows that do not fit.
     (f"{R}\n0,0,0\n", 4, "distance", None),

@@ -112,7 +112,7 @@ def cells_of_types() -> dict[str, tuple[Any, list[str]]]:
         "coded": (coded, ["a", "a", "b", "a"]),
         "bool": (pa.array([True, False, None, True]), ["true", "false", "", "true"]),
         "decimal": (pa.array([Decimal("1.25")] * 4), ["1.25"] * 4),
-        "list": (pa.array([[1.0], [], None, [2.0]]), ["(list<element: double>)"] * 4),
+        "list": (pa.array([[1.0], [], None, [2.0]]), ["[1.0]", "[]", "", "[2.0]"]),
         "null": (pa.nulls(4), [""] * 4),
     }
 

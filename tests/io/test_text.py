@@ -70,6 +70,16 @@ def test_headers(text, header, line, rows, remarks):
     assert rows is None or [cells for _, cells in read(found)] == rows
 
 
+@pytest.mark.parametrize("sign", ["", "# "])
+def test_blanks_separate_where_nothing_else_does(sign):
+    found = parsed(f"{sign}a b [mm]  c\n1.5 2  3\n4.5 x 6\n".encode(), "a.csv")
+    assert found.header == ("a", "b [mm]", "c")
+    assert [cells for _, cells in read(found)] == [
+        ("1.5", "2", "3"),
+        ("4.5", "x", "6"),
+    ]
+
+
 @pytest.mark.parametrize(
     ("count", "names"),
     [(9, "j1,j2,j3,j4,j5,j6,x,y,z"), (10, "j7,x,y,z"), (12, "rx,ry,rz"), (2, "column")],

@@ -1,14 +1,63 @@
-"""Foreign layouts that are recognized by their columns, a file for each."""
+"""Foreign layouts that are recognized by their first lines, a file for each."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
-from calib_pin.io.dialects.base import Dialect, Reading
+from calib_pin.io.columns import Column
+from calib_pin.io.dialects.base import Dialect, Heading, Reading, side_by_side
+from calib_pin.io.dialects.franka import Franka
+from calib_pin.io.dialects.lerobot import LeRobot
+from calib_pin.io.dialects.motive import Motive
 from calib_pin.io.dialects.ndi import Ndi
+from calib_pin.io.dialects.pandas import Pandas
+from calib_pin.io.dialects.plotjuggler import PlotJuggler
+from calib_pin.io.dialects.points import Points
 from calib_pin.io.dialects.rostopic import Rostopic
+from calib_pin.io.dialects.rtde import Rtde
+from calib_pin.io.dialects.vicon import Vicon
+from calib_pin.plugins import Members
 
-__all__ = ["DIALECTS", "Dialect", "Reading"]
+__all__ = ["DIALECTS", "Dialect", "Heading", "Reading", "side_by_side"]
 
-DIALECTS: Sequence[Dialect] = (Rostopic(), Ndi())
-"""Tried in this order."""
+
+def _fault(name: str, dialect: object) -> str:
+    """Why an object of another package cannot be a member; empty where it can."""
+    fits = isinstance(dialect, type) and issubclass(dialect, Dialect)
+    return "" if fits else "it is no Dialect"
+
+
+DIALECTS: Mapping[str, type[Dialect]] = Members(
+    "calib_pin.dialects",
+    {
+        "motive": Motive,
+        "vicon": Vicon,
+        "ndi": Ndi,
+        "points": Points,
+        "rostopic": Rostopic,
+        "plotjuggler": PlotJuggler,
+        "rtde": Rtde,
+        "franka": Franka,
+        "lerobot": LeRobot,
+        "pandas": Pandas,
+    },
+    _fault,
+)
+"""Tried in this order: those that come with calib-pin, then others."""
+
+
+def heading(lines: Sequence[tuple[int, str]]) -> Heading | None:
+    """The header of a file in a dialect in which it is not one line of names.
+
+    Args:
+        lines: The first lines that are not blank, with their numbers.
+    """
+    ways = (kind().heading(lines) for kind in DIALECTS.values() if lines)
+    return next(filter(None, ways), None)
+
+
+def reading(columns: Mapping[str, Column], file: Path) -> Reading | None:
+    """The columns of a file in one of the dialects; None for any other file."""
+    ways = (kind().read(columns, file) for kind in DIALECTS.values())
+    return next(filter(None, ways), None)

@@ -2,11 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Protocol
+import csv
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
 
-from calib_pin.io.columns import Column
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.io.columns import Column, Floats
+
+QUATERNION = ("qx", "qy", "qz", "qw")
+
+NONE = np.zeros(0, np.int64)
+"""Codes of a column without words."""
+
+OBJECT = re.compile(r"(.+) of (tool|target|other) (.+)")
+"""Columns of several objects side by side, as `of` names them."""
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A header that is more than a line of names, or none.
+
+    Attributes:
+        separator: Separator of two cells; a space stands for any blanks.
+        names: The name of each column, with its unit in square brackets; those of
+            several objects side by side as `of` names them.
+        line: Last line above the rows, counted from 1; 0 if there is none.
+        remark: What was recognized.
+        read: The columns as ours, of those of all objects one below the other.
+    """
+
+    separator: str
+    names: Sequence[str]
+    line: int
+    remark: str
+    read: Callable[[dict[str, Column]], dict[str, Column]] = dict
 
 
 @dataclass(frozen=True)
@@ -14,20 +48,180 @@ class Reading:
     """The columns of a foreign layout as ours.
 
     Attributes:
-        columns: All columns of the file by name.
-        remark: A sentence about what was recognized.
+        columns: All columns that may mean something, by name.
+        remark: What was recognized.
     """
 
     columns: Mapping[str, Column]
     remark: str
 
 
-class Dialect(Protocol):
+class Dialect:
     """A foreign layout."""
 
-    def read(self, columns: Mapping[str, Column]) -> Reading | None:
+    def heading(self, lines: Sequence[tuple[int, str]]) -> Heading | None:
+        """The header of a file; None where it is one line of names, or another layout.
+
+        Args:
+            lines: The first lines that are not blank, with their numbers; at least one.
+        """
+        return None
+
+    def read(self, columns: Mapping[str, Column], file: Path) -> Reading | None:
         """The columns of a file as ours; None for a file of another layout.
 
         Args:
             columns: Columns by name, those first renamed that the setup file names.
+            file: The file, for others beside it.
         """
+        return None
+
+
+class Renaming(Dialect):
+    """A layout of which some columns have other names with us, and others go.
+
+    Attributes:
+        sign: Columns of which one must be there, as a pattern.
+        ours: Patterns of columns, our names for them, and their units.
+        other: Columns that are neither joints nor measured, as a pattern.
+        remark: What was recognized.
+    """
+
+    sign: ClassVar[str]
+    ours: ClassVar[Sequence[tuple[str, str, str | None]]]
+    other: ClassVar[str]
+    remark: ClassVar[str]
+
+    def read(self, columns: Mapping[str, Column], file: Path) -> Reading | None:
+        """The columns of a file as ours; None for a file of another layout."""
+        if not any(re.fullmatch(self.sign, name) for name in columns):
+            return None
+        read = dict[str, Column]()
+        for theirs, column in columns.items():
+            name, unit = theirs, None
+            for way, ours, stated in self.ours:
+                if found := re.fullmatch(way, theirs):
+                    name, unit = found.expand(ours), stated
+            # A joint of the same name in a second topic keeps theirs.
+            name, unit = (theirs, None) if name in read else (name, unit)
+            if name != theirs or not re.fullmatch(self.other, theirs):
+                read[name] = named(column, name, unit)
+        return Reading(read, self.remark)
+
+
+def cells_of(line: str, separator: str) -> list[str]:
+    """Trimmed cells of a line; a space stands for any blanks, of which a unit has some.
+
+    Examples:
+        >>> cells_of("x [mm]  y", " "), cells_of('a, "b,c"', ",")
+        (['x [mm]', 'y'], ['a', 'b,c'])
+    """
+    if separator == " ":
+        return re.split(r"\s+(?!\[)", line.strip())
+    try:
+        row = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    except csv.Error:
+        row = line.split(separator)
+    return [cell.strip() for cell in row]
+
+
+def starting(lines: Sequence[tuple[int, str]], word: str) -> list[tuple[int, str]]:
+    """The lines from that on which begins with a word, maybe behind a sign."""
+    for k, (number, line) in enumerate(lines):
+        bare = line.lstrip("#%/ \t")
+        if bare.lstrip('"').startswith(word):
+            return [(number, bare), *lines[k + 1 :]]
+    return []
+
+
+def cut(lines: Sequence[tuple[int, str]]) -> tuple[list[list[str]], str]:
+    """Cells of some lines, and the separator that is in the first of them."""
+    separator = max(",;\t", key=lines[0][1].count)
+    return [cells_of(line, separator) for _, line in lines], separator
+
+
+def of(column: str, kind: str, name: str, unit: str | None = None) -> str:
+    """The name of a column of one of several objects that are side by side.
+
+    Args:
+        column: Its name among those of the object.
+        kind: `tool` or `target`, or `other` for one that is left out.
+        name: Name of the object.
+        unit: Its unit.
+    """
+    # Square brackets state units.
+    plain = " ".join(name.translate(str.maketrans("[]", "()")).split())
+    return f"{column} of {kind} {plain}" + (f" [{unit}]" if unit else "")
+
+
+def named(column: Column, name: str, unit: str | None = None) -> Column:
+    """A column with another name, and a unit where it states none."""
+    unit = column.unit or unit
+    return replace(column, header=f"{name} [{unit}]" if unit else name, unit=unit)
+
+
+def computed(name: str, numbers: Floats, unit: str | None = None) -> Column:
+    """A column of numbers that the file does not hold; where none is, it is blank."""
+    missing = ~np.isfinite(numbers)
+    words, codes = (("",), np.where(missing, 0, -1)) if missing.any() else ((), NONE)
+    return named(Column(name, unit, -1, numbers, words, codes), name)
+
+
+def stacked(columns: Iterable[Column]) -> Floats:
+    """Numbers side by side, shape (N, k)."""
+    return np.stack([column.numbers for column in columns], axis=1)
+
+
+def oriented(
+    numbers: Floats, quaternions: Callable[[Floats], Floats]
+) -> dict[str, Column]:
+    """The columns of quaternions, blank where a number is missing.
+
+    Args:
+        numbers: Numbers of orientations, shape (N, k).
+        quaternions: The quaternions that they mean, (M, k) -> (M, 4).
+    """
+    seen = np.flatnonzero(np.isfinite(numbers).all(axis=1))
+    found = np.full((len(numbers), 4), np.nan)
+    found[seen] = quaternions(numbers[seen])
+    return {name: computed(name, found[:, k]) for k, name in enumerate(QUATERNION)}
+
+
+def side_by_side(
+    columns: Mapping[str, Column],
+) -> tuple[dict[str, Column], NDArray[np.int64]]:
+    """Objects that are side by side in a file one below the other, row by row.
+
+    Args:
+        columns: Columns, those of an object as `of` names them.
+
+    Returns:
+        The columns that all objects have, those of no object, and one with the name of
+        the object; and the row of the file of each row.
+    """
+    shared, found = dict[str, Column](), dict[str, dict[str, Column]]()
+    kind, count = "", 0
+    for name, column in columns.items():
+        match, count = OBJECT.fullmatch(name), len(column.numbers)
+        if match is None:
+            shared[name] = column
+        elif match[2] != "other":
+            kind = match[2]
+            found.setdefault(match[3], {})[match[1]] = column
+    if not found:
+        return shared, np.arange(count)
+    rows, objects = np.repeat(np.arange(count), len(found)), [*found.values()]
+    result = {name: column.rows(rows) for name, column in shared.items()}
+    for name in objects[0]:
+        if all(name in other for other in objects):
+            result[name] = _alternating(name, [other[name] for other in objects])
+    codes = np.tile(np.arange(len(found)), count)
+    result[kind] = Column(kind, None, -1, np.full(len(rows), np.nan), (*found,), codes)
+    return result, rows
+
+
+def _alternating(name: str, columns: Sequence[Column]) -> Column:
+    """Columns one below the other, row by row."""
+    if len(columns) == 1:
+        return named(columns[0], name)
+    return computed(name, stacked(columns).ravel(), columns[0].unit)

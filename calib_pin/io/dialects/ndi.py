@@ -1,49 +1,78 @@
-"""Logs of NDI Polaris trackers: a row for each tool and frame, lengths in mm.
+"""Logs of NDI Polaris trackers: lengths in mm, tools below each other or side by side.
 
-Source: the header of NDI_DataLogger (`Tool ID, Timestamp, Frame #`, then Tx Ty Tz and
-a rotation as a matrix R00 to R22 or a quaternion Q0 Qx Qy Qz, `Tracking Quality`). Lost
-tools are rows with `MISSING`.
+Sources: the header that NDI_DataLogger writes (`Tool ID, Timestamp, Frame #`, then Tx
+Ty Tz and a rotation as a matrix R00 to R22 or a quaternion Q0 Qx Qy Qz, `Tracking
+Quality`), of which lost tools are rows with `MISSING`; and the exports of NDI's own
+tool tracker (`Tools,Port 1,Frame,Face,State,Q0,...,Error,Port 2,...`; in newer ones
+`Time [sec]`, and the positions of the markers behind), of which lost tools have numbers
+beyond 1e28, as public readers of such files (`vicra_plot`) quote them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from calib_pin.io.columns import Column
-from calib_pin.io.dialects.base import Reading
+import calib_pin.io.dialects.base as base
+from calib_pin.io.columns import Column, Floats, split_header
 from calib_pin.kinematics.spatial import nearest_rotation, to_quaternion
 
 AXES = {"Tx": "x", "Ty": "y", "Tz": "z"}
-NAMES = {"Tool ID": "tool", "Timestamp": "time"}
+NAMES = {"Tool ID": "tool", "Timestamp": "time", "Time": "time"}
 QUATERNION = {"Q0": "qw", "Qx": "qx", "Qy": "qy", "Qz": "qz"}
 MATRIX = [f"R{row}{column}" for row in range(3) for column in range(3)]
 
+REMARK = "a log of an NDI tracker"
 
-class Ndi:
+LOST = 1e20
+"""Numbers from here on say that there is no reading."""
+
+
+class Ndi(base.Dialect):
     """A tracker's log of tools."""
 
-    def read(self, columns: Mapping[str, Column]) -> Reading | None:
-        """The columns of a file as ours; None for a file of another layout."""
-        turned = {*MATRIX} <= columns.keys()
-        if not (
-            {*AXES} <= columns.keys() and (turned or {*QUATERNION} <= columns.keys())
-        ):
+    def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
+        """One line of names, which are the same for each tool."""
+        if not (lines := base.starting(lines, "Tools")):
             return None
-        ours = {**NAMES, **AXES, **QUATERNION}
-        read = {
-            ours.get(name, name): replace(column, unit=column.unit or "mm")
-            if name in AXES
-            else column
-            for name, column in columns.items()
-        }
-        if turned:
-            R = np.stack([columns[name].numbers for name in MATRIX], axis=1)
-            numbers = np.full((len(R), 4), np.nan)
-            seen = np.isfinite(R).all(axis=1)
-            numbers[seen] = to_quaternion(nearest_rotation(R[seen].reshape(-1, 3, 3)))
-            for k, name in enumerate(("qx", "qy", "qz", "qw")):
-                read[name] = replace(columns["R00"], numbers=numbers[:, k])
-        return Reading(read, "a log of an NDI tracker, a row for each tool")
+        (cells, *_), mark = base.cut(lines[:1])
+        tool, there, names = "", set[str](), list[str]()
+        for k, cell in enumerate(cells):
+            name, unit = split_header(cell)
+            if cell.startswith("Port"):
+                tool, there = cell, {cell}
+            if not tool or name in there or "Markers" in there:
+                names.append(base.of(str(k), "other", "column"))
+            else:
+                names.append(
+                    base.of(name, "tool", tool, "s" if unit == "sec" else unit)
+                )
+            there.add(name)
+        return base.Heading(mark, names, lines[0][0], REMARK, _ours) if tool else None
+
+    def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:
+        """The columns of a file as ours; None for a file of another layout."""
+        turned = any({*names} <= columns.keys() for names in (MATRIX, QUATERNION))
+        fits = {*AXES} <= columns.keys() and turned
+        return base.Reading(_ours(columns), REMARK) if fits else None
+
+
+def _ours(columns: Mapping[str, Column]) -> dict[str, Column]:
+    names, read = {**NAMES, **AXES, **QUATERNION}, dict[str, Column]()
+    for theirs, column in columns.items():
+        name, unit = names.get(theirs, theirs), "mm" if theirs in AXES else None
+        read[name] = base.named(column, name, unit)
+        lost = np.abs(column.numbers) > LOST
+        if lost.any():
+            numbers = np.where(lost, np.nan, column.numbers)
+            read[name] = base.computed(name, numbers, unit)
+    if {*MATRIX} <= read.keys():
+        R = base.stacked(read.pop(name) for name in MATRIX)
+        read |= base.oriented(R, _from_rows)
+    return read
+
+
+def _from_rows(R: Floats) -> Floats:
+    return to_quaternion(nearest_rotation(R.reshape(-1, 3, 3)))

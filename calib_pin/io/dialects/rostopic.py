@@ -6,32 +6,30 @@ rostopic, "echo -p": `%time` is when a message came, all stamps are nanoseconds.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
-from dataclasses import replace
+from pathlib import Path
 
+import calib_pin.io.dialects.base as base
 from calib_pin.io.columns import Column
-from calib_pin.io.dialects.base import Reading
 
 STAMP = "field.header.stamp"
 
 
-class Rostopic:
+class Rostopic(base.Dialect):
     """Messages of ROS 1 as `rostopic echo -p` writes them."""
 
-    def read(self, columns: Mapping[str, Column]) -> Reading | None:
+    def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:
         """The columns of a file as ours; None for a file of another layout."""
         if not any(name.startswith("field.") for name in columns):
             return None
-        ours = dict[str, str]()
+        read = dict[str, Column]()
         for name, column in columns.items():
-            found = re.fullmatch(r"field\.name(\d+)", name)
-            position = f"field.position{found[1]}" if found else ""
-            if position in columns and len(column.words) == 1:
-                ours[position] = column.words[0].strip()
-        read = {ours.get(name, name): column for name, column in columns.items()}
-        if STAMP in read:
-            read["time"] = replace(read.pop(STAMP), unit="ns")
-        elif "time" in read:
-            read["time"] = replace(read["time"], unit="ns")
-        return Reading(read, "a topic of ROS 1 (rostopic echo -p)")
+            number = name.removeprefix("field.position")
+            joint = columns.get(f"field.name{number}")
+            if number != name and joint is not None and len(joint.words) == 1:
+                name = joint.words[0].strip()
+            read[name] = base.named(column, name)
+        time = next((name for name in (STAMP, "time") if name in read), "")
+        if time:
+            read["time"] = base.named(read.pop(time), "time", "ns")
+        return base.Reading(read, "a topic of ROS 1 (rostopic echo -p)")

@@ -10,12 +10,12 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
 from calib_pin.errors import InputError, OptionError, enumerated
+from calib_pin.io.dialects.lerobot import STEPS, read_motors
 from calib_pin.io.exchange.base import (
     Encoded,
     Exported,
@@ -24,7 +24,6 @@ from calib_pin.io.exchange.base import (
     require_read,
 )
 from calib_pin.io.files import TEXT, read_bytes
-from calib_pin.io.json_text import reading, typed
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.urdf_tree import parse_document
 from calib_pin.units import DISPLAY, as_number
@@ -118,15 +117,8 @@ def encode_offsets(exported: Exported, _: Path | None) -> Encoded:
     return Encoded(data, left)
 
 
-STEPS = 4095
-"""Steps of a turn, as LeRobot counts them (resolution 4096)."""
-
 FARTHEST = 2047
 """Largest homing offset that a motor stores."""
-
-
-STORED = ("homing_offset", "range_min", "range_max")
-"""Keys of whole steps that have to be known of a motor."""
 
 
 def encode_motors(exported: Exported, template: Path | None) -> Encoded:
@@ -140,7 +132,7 @@ def encode_motors(exported: Exported, template: Path | None) -> Encoded:
         OptionError: If a joint does not turn, or a motor stores no such offset.
     """
     assert template is not None
-    motors = _read(template)
+    motors = read_motors(template)
     if not exported.nominal.revolute.all():
         raise OptionError("a motor needs a joint that turns", file=exported.file)
     steps, rounded = dict[str, int](), 0.0
@@ -174,15 +166,6 @@ def encode_motors(exported: Exported, template: Path | None) -> Encoded:
         f"whole steps leave up to {rounded:.3f} deg of a joint",
     )
     return Encoded(data, (*said, *remarks(exported.offsets), *doubts(exported)))
-
-
-def _read(template: Path) -> dict[str, dict[str, Any]]:
-    with reading(template, "file of motors"):
-        motors: dict[str, dict[str, Any]] = json.loads(read_bytes(template, TEXT))
-        for name, motor in motors.items():
-            with reading(template, f"motor '{name}'"):
-                typed(dict[str, int], {key: motor[key] for key in STORED})
-        return motors
 
 
 PLUGIN = "transmission_interface/SimpleTransmission"

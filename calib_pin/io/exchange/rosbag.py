@@ -17,7 +17,7 @@ import numpy as np
 
 from calib_pin.errors import InputError, OptionError, enumerated
 from calib_pin.io.logs import QUATERNION, JointLog, ReadingLog, continuous
-from calib_pin.observations.joining import Clock, Joined, Log, Standstill
+from calib_pin.observations.joining import Joined, Log, Standstill
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 
@@ -168,7 +168,7 @@ def read_calibration_data(
     return (
         JointLog(Log(stamps, q), tuple(names), np.ones(len(names))),
         ReadingLog(log, POSITION, texts),
-        Joined(Clock(0.0, 0.0, 0), tuple(stands), 0, 0, 0),
+        Joined(None, tuple(stands), 0, 0, 0),
     )
 
 

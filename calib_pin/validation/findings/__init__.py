@@ -25,7 +25,7 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
 from calib_pin.validation.findings.approach import approach, approach_order
 from calib_pin.validation.findings.axes import axes
-from calib_pin.validation.findings.case import DOUBTFUL, NONE, Case, Others
+from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
 from calib_pin.validation.findings.coarse_values import coarse_values
 from calib_pin.validation.findings.computed_values import computed_values
 from calib_pin.validation.findings.design import design
@@ -138,7 +138,7 @@ def find(case: Case, seek: bool = True) -> Found:
 
 @contextmanager
 def explained(
-    chains: Chains, data: Observations, setup: Setup, others: Others = NONE
+    chains: Chains, data: Observations, setup: Setup, others: Others = tuple
 ) -> Iterator[None]:
     """Let an explanation of measurements precede why no robot can be fitted to them.
 
@@ -146,7 +146,7 @@ def explained(
         chains: The nominal chains.
         data: The measurements.
         setup: The setup.
-        others: Other readings of the files.
+        others: Other robots that may have been measured.
 
     Raises:
         InputError: If one is raised within.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -54,62 +53,13 @@ ROUNDS = 3
 """Most rounds in which they are found."""
 
 
-@dataclass(frozen=True)
-class Other:
-    """Other chains that may have been measured.
-
-    Attributes:
-        code: Code of the finding that says so.
-        words: What was measured, the beginning of a sentence.
-        chains: The chains.
-        data: The measurements as they are read for them.
-        stated: Lines of a setup file that state them.
-        advice: What to do instead of stating something; empty where the setup helps.
-    """
-
-    code: str
-    words: str
-    chains: Chains
-    data: Observations
-    stated: Mapping[str, Any] = field(default_factory=dict)
-    advice: str = ""
-
-
 LINKS = {"base": "base-link", "tip": "tip-link"}
 """Codes of findings that say which link is measured, by the end of the chain."""
 
 
-@dataclass(frozen=True)
-class JointSet:
-    """Other columns of the files that hold positions of the joints as well.
-
-    Attributes:
-        columns: Their names, of some joints.
-        data: The measurements as they are read with these.
-        stated: Lines of a setup file that state them.
-    """
-
-    columns: tuple[str, ...]
-    data: Observations
-    stated: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Others:
-    """Other readings of the files, of which only these know.
-
-    Attributes:
-        chains: Other chains worth a trial, asked only where no robot explains the
-            errors.
-        joint_sets: Other columns of the joints, asked in every fit.
-    """
-
-    chains: Callable[[], Iterable[Other]] = tuple
-    joint_sets: Callable[[], Iterable[JointSet]] = tuple
-
-
-NONE = Others()
-"""Nothing else: there are no files."""
+Others = Callable[[], Iterable[Chains]]
+"""Chains with the same joints of other robots that may have been measured; asked only
+where no robot explains the errors."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +75,7 @@ class Case:
         fitted: The whole fit; None where measurements are only compared with a robot.
         held_out: Validation measurements; None without.
         progress: Told how far the search for explanations is.
-        others: Other readings of the files.
+        others: Other robots that may have been measured.
         accuracies: Accuracy to expect of each chain; empty where nothing is known.
     """
 
@@ -137,7 +87,7 @@ class Case:
     fitted: Fit | None = None
     held_out: Observations | None = None
     progress: Progress | None = None
-    others: Others = NONE
+    others: Others = tuple
     accuracies: Mapping[str, ToolAccuracy] = field(default_factory=dict)
 
     @staticmethod
@@ -146,7 +96,7 @@ class Case:
         chains: Chains,
         held_out: Observations | None = None,
         progress: Progress | None = None,
-        others: Others = NONE,
+        others: Others = tuple,
         accuracies: Mapping[str, ToolAccuracy] = {},
     ) -> Case:
         """The case of a whole fit."""
@@ -168,7 +118,7 @@ class Case:
 
     @staticmethod
     def of_robot(
-        chains: Chains, data: Observations, setup: Setup, others: Others = NONE
+        chains: Chains, data: Observations, setup: Setup, others: Others = tuple
     ) -> Case:
         """The case of measurements that are only compared with a robot.
 
@@ -185,7 +135,7 @@ class Case:
 
     @staticmethod
     def of_none(
-        chains: Chains, data: Observations, setup: Setup, others: Others = NONE
+        chains: Chains, data: Observations, setup: Setup, others: Others = tuple
     ) -> Case:
         """The case of measurements on which no robot can be registered.
 

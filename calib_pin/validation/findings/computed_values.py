@@ -40,5 +40,5 @@ def computed_values(case: Case) -> Iterator[Finding]:
             f"the positions fit to the nominal robot to {factor * rms:.2g} {unit}, "
             "which no instrument does: they were computed from the joints",
             {"rms": rms, "moved": moved},
-            "take the columns that an instrument measured",
+            "take the columns that an instrument measured; 'calib-pin init' finds them",
         )

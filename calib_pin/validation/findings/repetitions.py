@@ -25,6 +25,9 @@ REPEATED = 3.0
 SHARE = 0.5
 """Part of the measurements at one configuration from which it is told."""
 
+ROUNDED = 1e-13
+"""Scatter that is the rounding of a mean [m, rad, px]."""
+
 
 def repetitions(case: Case) -> Iterator[Finding]:
     """Copies, few configurations, and most measurements at one configuration."""
@@ -113,6 +116,8 @@ def _by_chance(case: Case, pairs: int) -> bool:
     `step / (2 sqrt(pi) sigma)` where the step is small.
     """
     sigma = case.fit.rms * float(np.median(case.fit.problem.given_sigma))
+    # A robot that is not as its model leaves more in a fit than an instrument scatters.
+    sigma = min(sigma, _scatter(case.data) or sigma)
     if not np.isfinite(sigma) or case.fit.rms < EXACT:
         return True  # Exact measurements repeat themselves.
     chances = [
@@ -122,6 +127,21 @@ def _by_chance(case: Case, pairs: int) -> bool:
     ]
     repeated = len(case.data) - case.data.configurations + pairs
     return float(max(chances)) * repeated > CHANCE
+
+
+def _scatter(data: Observations) -> float:
+    """Scatter of what was measured several times; zero where nothing scatters."""
+    squares, left = 0.0, 0
+    same = data.groups() * (data.things().max() + 1) + data.things()
+    for block, rows in zip(data.blocks, data.slices, strict=True):
+        own = np.unique(same[rows], return_inverse=True)[1]
+        there = np.bincount(own)
+        for column in block.values.T[:3]:
+            mean = np.bincount(own, column) / there
+            squares += float(np.sum((column - mean[own]) ** 2))
+            left += len(own) - len(there)
+    scatter = float(np.sqrt(squares / max(left, 1)))
+    return scatter if scatter > ROUNDED else 0.0
 
 
 def _steps(values: Floats) -> Floats:

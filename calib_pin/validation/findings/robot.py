@@ -28,15 +28,13 @@ def robots(case: Case) -> Iterator[Hypothesis]:
     touching = any(declared(model).contact for model in case.data.models)
     if case.chains.names == ("",) and not touching:
         yield from _ends(case.chains[""], case)
-    for other in case.others.chains():
+    for other in case.others():
         yield Hypothesis(
-            other.code,
-            other.words,
+            "robot",
+            f"the robot is '{other.robot.file}', not '{case.chains.robot.name}'",
             OF,
-            change=lambda _, data=other.data: data,  # type: ignore[misc]
-            chains=other.chains,
-            stated=other.stated,
-            advice=other.advice,
+            chains=other,
+            advice=f"use '{other.robot.file}' in place of '{case.chains.robot.file}'",
         )
 
 
@@ -67,6 +65,7 @@ def _ends(chain: Chain, case: Case) -> Iterator[Hypothesis]:
     """Other links of the chain as its tip or its base."""
     names = case.fit.problem.parameters.names
     links = {"base": chain.base, "tip": chain.tip}
+    spare = {joint for joint, _ in case.data.conditions.spare}
     for k, (end, code) in enumerate(LINKS.items()):
         # A frame that is estimated absorbs where on its body a link is.
         frame = "base.frame.x" if end == "base" else "tool.frame.x"
@@ -79,7 +78,7 @@ def _ends(chain: Chain, case: Case) -> Iterator[Hypothesis]:
                 continue
             if not other.joints or body(other) in seen:
                 continue
-            if not {*other.joints} <= {*case.data.joints}:
+            if not {*other.joints} <= {*case.data.joints, *spare}:
                 continue
             seen.append(body(other))
             yield Hypothesis(

@@ -97,14 +97,6 @@ class JointReading:
         return result
 
 
-def restated(
-    joints: Mapping[str, JointMap], again: Mapping[str, JointMap]
-) -> dict[str, JointMap]:
-    """Joint maps by file column, some of whose joints are stated anew."""
-    anew = {given.joint for given in again.values()}
-    return {c: m for c, m in joints.items() if m.joint not in anew} | dict(again)
-
-
 def merged(readings: Iterable[ReadingSetup]) -> ReadingSetup:
     """Everything that several readings change."""
     result, plain = ReadingSetup(), ReadingSetup()

@@ -17,14 +17,15 @@ from benchmarks.findings.defect import MEASURED, NOISE, Defect, Input, given, jo
 from benchmarks.verdict.jobs import Job, stream
 from benchmarks.verdict.truth import Outcome as Judged
 from benchmarks.verdict.truth import judged
-from calib_pin.cli.files import open_chains, open_measurements, other_readings
+from calib_pin.cli.files import open_chains, open_measurements
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import TRUSTED, Finding
+from calib_pin.io.other_robots import other_robots
 from calib_pin.io.setup import read_setup
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import Setup
-from calib_pin.validation.findings.setup_lines import merged, restated
+from calib_pin.validation.findings.setup_lines import merged
 from calib_pin.validation.result import CalibrationResult
 
 SEEDS = 20
@@ -98,7 +99,7 @@ def calibrated(of: Input) -> CalibrationResult:
             rows,
             of.setup,
             validation=validation,
-            others=other_readings(files, chains, of.setup),
+            others=partial(other_robots, chains, of.setup),
         )
 
 
@@ -225,7 +226,9 @@ def stated(setup: Setup, finding: Finding) -> Setup:
     if "reading" in changed:
         changed["reading"] = merged((setup.reading, lines.reading))
     if "joints" in changed:
-        changed["joints"] = restated(setup.joints, lines.joints)
+        anew = {given.joint for given in lines.joints.values()}
+        kept = {c: m for c, m in setup.joints.items() if m.joint not in anew}
+        changed["joints"] = kept | dict(lines.joints)
     return replace(setup, **changed)
 
 

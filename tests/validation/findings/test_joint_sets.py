@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import csv
-import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.cli.files import open_chains, open_measurements, other_readings
+from calib_pin.cli.files import open_chains, open_measurements
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.joint_sets import joint_sets
 from calib_pin.setup import FrameSetup, JointMap, Setup
 
 SETUP = Setup(base="base_link", tip="tool0")
@@ -45,8 +43,7 @@ def told(measured, tmp_path):
             csv.writer(file).writerows(lines)
         chains = open_chains("example:ur10_robot", setup)
         chains, rows = open_measurements([path], chains, setup, quiet=True)
-        others = other_readings([path], chains, setup)
-        result = calib_pin.calibrate(chains, rows, setup, validate=False, others=others)
+        result = calib_pin.calibrate(chains, rows, setup, validate=False)
         return {f.code: f for f in result.findings}
 
     return of
@@ -105,9 +102,3 @@ def test_maps_of_joints_are_kept(told, measured) -> None:
         "shoulder_measured": {"joint": first, "sign": -1, "gear": 2.0, "offset": 0.1},
         second: {"joint": second, "coupled": {"shoulder_measured": 0.5}},
     }
-
-
-def test_a_pipe_is_not_read_again(tmp_path) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    chains = open_chains("example:ur10_robot", SETUP)
-    assert list(joint_sets([tmp_path / "pipe"], chains, SETUP, pytest.fail)) == []

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.other_chains import other_chains
+from calib_pin.io.other_robots import other_robots
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.findings.case import Case, Others
+from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.explanations import explain
 from calib_pin.validation.findings.hypotheses import finding
 from calib_pin.validation.findings.robot import robots
@@ -32,7 +33,7 @@ def measured(tip="tool0"):
 
 
 def told(chains, rows, setup=None, known=tuple):
-    case = Case.of_robot(Chains.of(chains), rows, setup or Setup(), Others(known))
+    case = Case.of_robot(Chains.of(chains), rows, setup or Setup(), known)
     assert case.doubtful
     found = explain(case, (robots,))
     return [] if found is None else list(finding(case, found))
@@ -52,11 +53,7 @@ def read(file):
 def test_wrong_robot(file) -> None:
     chains = calib_pin.load_chains(UR5, base="base_link", tip="tool0")
     setup, rows = Setup(base="base_link", tip="tool0"), read(file)(chains)
-
-    def known():
-        return other_chains([file], chains, setup, read(file))
-
-    (found,) = told(chains, rows, setup, known)
+    (found,) = told(chains, rows, setup, partial(other_robots, chains, setup))
     assert (found.code, found.severity, found.setup) == ("robot", "error", {})
     assert UR10 in found.message and UR10 in found.remedy and UR5 in found.remedy
     assert told(chains, rows, setup) == []
@@ -71,11 +68,7 @@ def test_wrong_robot(file) -> None:
 )
 def test_wrong_link_of_which_the_file_has_the_joints(file, code, ends) -> None:
     chains = calib_pin.load_chains(UR10, **ends)
-
-    def known():
-        return other_chains([file], chains, Setup(), read(file))
-
-    (found,) = told(chains, read(file)(chains), known=known)
+    (found,) = told(chains, read(file)(chains))
     assert found.code == code
     lines = {"tip-link": {"tip": "wrist_3_link"}, "base-link": {"base": "base_link"}}
     assert found.setup == lines[code]

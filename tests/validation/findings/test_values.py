@@ -126,3 +126,23 @@ def test_noise_that_is_stated_too_small(moved_job, repeats, sure) -> None:
     assert (finding.code, finding.severity) == ("noise", "warning")
     assert finding.evidence["factor"] == pytest.approx(5.5, rel=0.15)
     assert ("repeat" in finding.remedy) == (not sure)
+
+
+def test_fine_steps_of_a_robot_that_bends_are_no_copies() -> None:
+    """Readings repeat on a grid of 1 um, beside 0.3 mm that no fit explains."""
+    chain = calib_pin.load_chain("space6")
+    rng = np.random.default_rng(4)
+    q = np.repeat(chain.random_configurations(25, rng), 4, axis=0)
+    bent = np.repeat(rng.normal(0.0, 3e-4, (25, 3)), 4, axis=0)
+    points = chain.poses(q)[:, :3, 3] + bent + rng.normal(0.0, 3e-7, (100, 3))
+    values = np.round(points, 6)
+
+    def codes(values):
+        rows = calib_pin.Measurements(chain.joints, q, "position", values)
+        result = calib_pin.calibrate(chain, rows, validate=False)
+        return {finding.code for finding in result.findings}
+
+    assert "copied-measurements" not in codes(values)
+    values = points + rng.normal(0.0, 3e-5, (100, 3))
+    values[[1, 42]] = values[[0, 41]]
+    assert "copied-measurements" in codes(values)

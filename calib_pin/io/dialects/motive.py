@@ -1,0 +1,85 @@
+"""CSV exports of OptiTrack Motive: bodies and markers side by side, a row each frame.
+
+Source: https://docs.optitrack.com/motive/data-export/data-export-csv: the first line
+has the settings in pairs (`Format Version`, ..., `Rotation Type`, `Length Units`); rows
+with the type, name, ID (and parent) of what each column is of, `Rotation` or
+`Position`, and X, Y, Z, W follow; a marker out of sight leaves blank cells. Markers of
+a rigid body are where its pose has them, and no measurements of their own. Euler angles
+are about turned axes ("X(Pitch), Y(Yaw), Z(Roll), Relative, RHS" in the NatNet SDK).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise, zip_longest
+
+import numpy as np
+
+import calib_pin.io.dialects.base as base
+from calib_pin.io.columns import Column
+from calib_pin.measurement_models.orientations import quaternions
+from calib_pin.setup import OrientationSetup
+
+KINDS = {
+    "Rigid Body": "tool",
+    "Rigid Body Bone": "tool",
+    "Bone": "tool",
+    "Marker": "target",
+    "Rigid Body Marker": "target",
+}
+"""Types of columns, of which the first that is there is read."""
+
+AXES = ("X", "Y", "Z", "W")
+
+UNITS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "in"}
+
+
+class Motive(base.Dialect):
+    """An export of a take."""
+
+    def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
+        """The settings, and the lines down to that of the axes."""
+        if not (lines := base.starting(lines, "Format Version")):
+            return None
+        rows, mark = base.cut(lines)
+        at = next((k for k, row in enumerate(rows) if row[:1] == ["Frame"]), 0)
+        kind = next((kind for kind in KINDS if kind in rows[1]), "")
+        if at < 4 or not kind:
+            return None
+        settings = dict(pairwise(rows[0]))
+        unit = UNITS.get(settings.get("Length Units", ""))
+        order = settings.get("Rotation Type", "Quaternion").lower()
+        above = (rows[1], rows[2], rows[at - 1], rows[at])
+        columns = [*zip_longest(*above, fillvalue="")][: len(rows[at])]
+        labels = {name for of, name, *_ in columns if of == kind}
+        labeled = {name for name in labels if not name.startswith("Unlabeled")}
+        names = []
+        for k, (of, name, group, axis) in enumerate(columns):
+            if k < 2 or not of:
+                names.append("time [s]" if axis.startswith("Time (") else axis)
+            elif name not in (labeled or labels) or of != kind or axis not in AXES:
+                names.append(base.of(str(k), "other", "column"))
+            elif group == "Position":
+                names.append(base.of(axis.lower(), KINDS[kind], name, unit))
+            elif order == "quaternion":
+                names.append(base.of(f"q{axis.lower()}", KINDS[kind], name))
+            else:
+                names.append(base.of(f"turn {axis.lower()}", KINDS[kind], name, "deg"))
+        remark = f"an export of OptiTrack Motive (lengths in {unit or 'no unit'})"
+        read = partial(_converted, order)
+        return base.Heading(mark, names, lines[at][0], remark, read)
+
+
+def _converted(order: str, columns: dict[str, Column]) -> dict[str, Column]:
+    """Centimeters as millimeters, Euler angles as quaternions."""
+    for axis in {*"xyz"} & columns.keys():
+        if columns[axis].unit == "cm":
+            columns[axis] = base.computed(axis, 10.0 * columns[axis].numbers, "mm")
+    if "turn x" in columns and sorted(order) == [*"xyz"]:
+        angles = base.stacked(columns.pop(f"turn {axis}") for axis in order)
+        way = OrientationSetup("rotation-vector", f"intrinsic-{order}")
+        columns |= base.oriented(
+            np.radians(angles), lambda q: quaternions(q, "rotation-vector", way)
+        )
+    return columns

@@ -1,0 +1,64 @@
+"""CSV files of pandas: an index without a name, and names of two parts.
+
+Source: https://pandas.pydata.org/docs/user_guide/io.html: `DataFrame.to_csv` writes the
+index first, under a blank name; columns of a `MultiIndex` have a line of names for each
+part, or a name such as `('q', 0)` if their tuples became names.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+import calib_pin.io.dialects.base as base
+from calib_pin.io.columns import Column
+
+PAIR = re.compile(r"\('?([^',]+)'?, *'?([^',]*)'?\)")
+
+INDEX = "column 1"
+"""An unnamed first column, as it is called then."""
+
+
+REMARK = "a data frame of pandas"
+
+
+class Pandas(base.Dialect):
+    """A data frame."""
+
+    def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
+        """Two lines of names below a blank index, of which the upper ones repeat."""
+        lines = [one for one in lines if not one[1].startswith("#")]
+        (upper, *rows), mark = base.cut(lines[:3] or [(1, "")])
+        if len(rows) < 2 or upper[0] or len({*map(len, (upper, *rows))}) > 1:
+            return None
+        names = [
+            "_".join(filter(None, pair)) for pair in zip(upper, rows[0], strict=True)
+        ]
+        numbered = rows[0][0][:1].isdigit()  # It is a row, with its index.
+        if len({*upper}) == len(upper) or len({*names}) < len(names) or numbered:
+            return None
+        # A name of the index stands alone in a line.
+        last = lines[1 if any(rows[1][1:]) else 2][0]
+        return base.Heading(mark, names, last, REMARK, _without_index)
+
+    def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:
+        """The columns without the index, names of two parts with `_` between."""
+        read = _without_index(columns)
+        for name in columns:
+            if pair := PAIR.fullmatch(name):
+                ours = "_".join(filter(None, pair.groups()))
+                read[ours] = base.named(read.pop(name), ours)
+        changed = read.keys() != columns.keys()
+        return base.Reading(read, REMARK) if changed else None
+
+
+def _without_index(columns: Mapping[str, Column]) -> dict[str, Column]:
+    """The columns but for an unnamed first one that counts the rows."""
+    read = dict(columns)
+    steps = np.diff(read[INDEX].numbers) if INDEX in read else np.zeros(0)
+    if len(steps) and (steps == 1.0).all():
+        del read[INDEX]
+    return read

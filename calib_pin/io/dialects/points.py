@@ -1,0 +1,60 @@
+"""Points of SpatialAnalyzer and other metrology software: names, then x, y, z.
+
+Source: the SpatialAnalyzer user's manual, "Exporting ASCII Formatted Points"
+(kinematics.com): `Collection Group Target x y z`, `Group Target x y z` or `Target x y
+z` and more numbers behind, separated by spaces or commas, with comments behind `//` in
+which the unit may stand, and no header.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import calib_pin.io.dialects.base as base
+
+FRACTION = re.compile(r"[+-]?\d*[.,]\d+(?:[eE][+-]?\d+)?")
+NUMBER = re.compile(rf"[+-]?\d+|{FRACTION.pattern}")
+
+UNITS = {
+    "mm": r"\bmm\b|millimet",
+    "in": r"\binch|units?\W+in\b",
+    "m": r"\bmet(?:er|re)s?\b|units?\W+m\b",
+}
+
+NAMES = ("collection", "group", "point")
+"""Columns before the coordinates, of which the last are there."""
+
+
+class Points(base.Dialect):
+    """Points with their names."""
+
+    def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
+        """No header: every line begins with names, and three numbers follow."""
+        plain = [one for one in lines if not one[1].lstrip().startswith("//")]
+        for mark in "\t;, " if plain else "":
+            rows = [base.cells_of(line, mark) for _, line in plain]
+            width = len(rows[0])
+            lead = min(width - 3, len(NAMES))
+            if lead < 1 or not all(_is_point(row, lead, width) for row in rows):
+                continue
+            if not any(FRACTION.fullmatch(cell) for row in rows for cell in row):
+                continue
+            comments = " ".join(line for _, line in lines if line.startswith("//"))
+            found = (u for u, way in UNITS.items() if re.search(way, comments, re.I))
+            unit = next(found, "")
+            axes = [f"{axis} [{unit}]" if unit else axis for axis in "xyz"]
+            more = [f"column {k + 1}" for k in range(lead + 3, width)]
+            remark = f"points with their names ({unit or 'no unit is stated'})"
+            return base.Heading(mark, [*NAMES[-lead:], *axes, *more], 0, remark)
+        return None
+
+
+def _is_point(row: Sequence[str], lead: int, width: int) -> bool:
+    """Whether a row begins with names, the first with a letter, and then numbers."""
+    return (
+        len(row) == width
+        and re.match(r"[^\W\d]", row[0]) is not None
+        and not any(map(FRACTION.fullmatch, row[:lead]))
+        and all(map(NUMBER.fullmatch, row[lead : lead + 3]))
+    )

@@ -1,0 +1,59 @@
+"""CSV exports of Vicon Nexus and Tracker: objects side by side, a row each frame.
+
+Layout: a line `Trajectories`, `Segments`, `Objects` or `Model Outputs`; the frame rate;
+the name of each object above its first column; `Frame,Sub Frame` and X, Y, Z of markers
+or RX, RY, RZ, TX, TY, TZ of segments; their units. Sources: the readers of such files
+in github.com/PaulT95/Import_Vicon_Data (Nexus 2.6 to 2.12) and
+github.com/AG6GR/Vicon_CSV (Tracker). With RW a rotation is a quaternion; without, the
+settings of the export decide between a rotation vector and Euler angles, and the file
+does not say which, so these columns keep a name of their own.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from itertools import zip_longest
+
+import calib_pin.io.dialects.base as base
+from calib_pin.io.columns import Column
+
+
+class Vicon(base.Dialect):
+    """A section of an export."""
+
+    def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
+        """The lines from the title of the section to that of the units."""
+        at = len(lines) - len(base.starting(lines, "Frame"))
+        if not 3 <= at < len(lines) - 1:
+            return None
+        (axes, units, objects, rate), mark = base.cut(
+            [lines[k] for k in (at, at + 1, at - 1, at - 2)]
+        )
+        if axes[:2] != ["Frame", "Sub Frame"] or not re.fullmatch(r"[\d.]+", rate[0]):
+            return None
+        kind, of = "tool" if "TX" in axes else "target", ""
+        names = axes[:2]
+        columns = [*zip_longest(axes, units, objects, fillvalue="")][: len(axes)]
+        for k, (axis, unit, name) in enumerate(columns[2:]):
+            of, last = name.removeprefix("Global Angle ") or of, axis[-1:].lower()
+            if axis.removeprefix("T") in ("X", "Y", "Z") and unit in ("mm", "m"):
+                names.append(base.of(last, kind, of, unit))
+            elif axis.startswith("R") and "RW" in axes:
+                names.append(base.of(f"q{last}", kind, of))
+            elif axis.startswith("R"):
+                names.append(base.of(f"angle_{last}", kind, of, unit))
+            else:
+                names.append(base.of(str(k), "other", "column"))
+        remark = "an export of Vicon"
+        if any(name.startswith("angle_") for name in names):
+            remark += (
+                "; if angle_x, angle_y, angle_z are a rotation vector, and not Euler "
+                "angles, state 'columns: {rx: angle_x, ry: angle_y, rz: angle_z}'"
+            )
+
+        def with_time(columns: dict[str, Column]) -> dict[str, Column]:
+            time = columns["Frame"].numbers / float(rate[0])
+            return {"time": base.computed("time", time, "s"), **columns}
+
+        return base.Heading(mark, names, lines[at + 1][0], remark, with_time)

@@ -1,0 +1,17 @@
+"""Relatives of layouts: damaged files are read rightly, or refused by what was done."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.relatives import run
+
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    "seed", [0, 1, 2, *(pytest.param(k, marks=SLOW) for k in range(300, 330))]
+)
+def test_no_file_is_silently_wrong(seed: int) -> None:
+    found = run(seed)
+    assert found.kind in ("right", "told"), (found.damages, found.line)

@@ -1,0 +1,217 @@
+"""Files as people have them: read rightly as they are, or one line says what to change.
+
+A UR5 with true errors is measured; what controllers, trackers and spreadsheets make of
+its numbers is written, and `init` and `calibrate` have nothing else.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.cli import main
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.kinematics.spatial import Floats, so3_log
+from calib_pin.setup import FrameSetup, Setup
+
+ROBOT = "example:ur5_robot"
+NOISE = 3e-5
+JOINTS = calib_pin.load_chain(ROBOT, tip="tool0").joints
+
+
+@dataclass(frozen=True)
+class Job:
+    """Joint positions, what the controller takes the flange for, and measured points.
+
+    Attributes:
+        q: Joint positions, shape (N, 6) [rad].
+        T: Poses of the nominal robot, shape (N, 4, 4).
+        points: Measured points, shape (N, 3) [m].
+    """
+
+    q: Floats
+    T: Floats
+    points: Floats
+
+
+@pytest.fixture(scope="module")
+def job() -> Job:
+    chain = calib_pin.load_chain(ROBOT, tip="tool0")
+    frames = {
+        "tool_frame": FrameSetup((0.03, 0.02, 0.11)),
+        "base_frame": FrameSetup((1.9, -0.6, 0.35), (0.1, -0.2, 0.9)),
+    }
+    problem = nominal_problem(chain, "position", Setup(**frames))
+    rng = np.random.default_rng(7)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, theta, rng, count=40, noise=NOISE).only
+    return Job(rows.q, chain.poses(rows.q), rows.values)
+
+
+def text(
+    columns: Mapping[str, Floats], separator: str = ",", digits: int = 6, head: str = ""
+) -> str:
+    """A file of columns; those with several numbers have them side by side."""
+    names = [name for many in columns for name in many.split()]
+    rows = np.column_stack(list(columns.values()))
+    lines = [separator.join(f"{v:.{digits}f}" for v in row) for row in rows]
+    return "\n".join([head + separator.join(names), *lines]) + "\n"
+
+
+def named(pattern: str, count: int = 6) -> str:
+    return " ".join(pattern.format(k) for k in range(count))
+
+
+XYZ = "x y z"
+OWN = " ".join(JOINTS)
+
+
+def with_lines(lines: str, change: Callable[[int, list[str]], None]) -> str:
+    """A file with a change of the cells of each line below the header."""
+    header, *rows = [line.split(",") for line in lines.splitlines()]
+    for k, row in enumerate(rows):
+        change(k, row)
+    return "\n".join(",".join(row) for row in [header, *rows]) + "\n"
+
+
+def lost(cells: str, column: int) -> Callable[[Job], str]:
+    """A file that has no reading in every seventh row."""
+
+    def of(job: Job) -> str:
+        def change(k: int, row: list[str]) -> None:
+            if k % 7 == 2:
+                row[column] = cells
+
+        return with_lines(text({named("j{}"): job.q, XYZ: job.points}), change)
+
+    return of
+
+
+def decimal_commas(job: Job) -> str:
+    return text({OWN: job.q, "x_mm y_mm z_mm": 1e3 * job.points}, ";").replace(".", ",")
+
+
+def computed(job: Job) -> Mapping[str, Floats]:
+    """Columns that a controller writes beside its joints."""
+    poses = np.hstack([job.T[:, :3, 3], so3_log(job.T[:, :3, :3])])
+    return {OWN: job.q, "tcp_x tcp_y tcp_z tcp_rx tcp_ry tcp_rz": poses}
+
+
+READ: Mapping[str, Callable[[Job], str | bytes]] = {
+    "elements of a list": lambda job: text(
+        {
+            named("q[{}]"): job.q,
+            named("q_d[{}]"): job.q + 1e-3 * np.sin(9.0 * job.q),
+            XYZ: job.points,
+        }
+    ),
+    "units behind elements": lambda job: text(
+        {"q[0]/deg q[1]/deg q[2]/deg q[3]/deg q[4]/deg q[5]/deg": np.degrees(job.q)}
+        | {"X[mm] Y[mm] Z[mm]": 1e3 * job.points}
+    ),
+    "header behind a sign": lambda job: text({OWN: job.q, XYZ: job.points}, head="# "),
+    "computed by the controller, tcp": lambda job: text(
+        {**computed(job), "laser_x[mm] laser_y[mm] laser_z[mm]": 1e3 * job.points}
+    ),
+    "computed by the controller, xyz": lambda job: text(
+        {OWN: job.q, XYZ: job.T[:, :3, 3], "X[mm] Y[mm] Z[mm]": 1e3 * job.points}
+    ),
+    "zeros for an orientation": lambda job: text(
+        {OWN: job.q, XYZ: job.points, "rx ry rz": np.zeros((40, 3))}
+    ),
+    "one quaternion for all": lambda job: text(
+        {OWN: job.q, XYZ: job.points, "qx qy qz qw": np.tile([0.0, 0, 0, 1], (40, 1))}
+    ),
+    "a word of Excel": lambda job: "sep=;\n" + decimal_commas(job),
+    "an old code page": lambda job: (
+        decimal_commas(job)
+        .replace("x_mm;y_mm;z_mm", "Maß x_mm;Maß y_mm;Maß z_mm")
+        .encode("cp1252")
+    ),
+    "nan": lost("nan", 7),
+    "empty": lost("", 6),
+    "star": lost("*", 8),
+    "a joint that is missing": lost("nan", 2),
+    "sorted by name": lambda job: text(
+        {named("position_{}"): job.q[:, np.argsort(JOINTS)], XYZ: job.points}
+    ),
+}
+
+
+def calibrated(folder: Path) -> tuple[str, float, float]:
+    """The verdict, and errors of nominal and calibrated robot that are held out."""
+    found = json.loads((folder / "calibration.json").read_text())
+    errors = found["errors"]["position"]["validation"]
+    return found["verdict"]["status"], errors["before"]["rms"], errors["after"]["rms"]
+
+
+def written(content: str | bytes) -> None:
+    data = content if isinstance(content, bytes) else content.encode()
+    Path("rows.csv").write_bytes(data)
+
+
+@pytest.mark.parametrize("name", READ)
+def test_a_file_is_read_as_it_is(name, job, tmp_path, monkeypatch):
+    """Held-out errors are the noise: every number is where it belongs."""
+    monkeypatch.chdir(tmp_path)
+    written(READ[name](job))
+    assert main(["init", ROBOT, "rows.csv", "-o", "s.yaml"]) == 0
+    words = ["calibrate", ROBOT, "rows.csv", "--setup", "s.yaml", "-o", "out"]
+    assert main([*words, "--quiet"]) == 0
+    verdict, before, after = calibrated(Path("out"))
+    assert verdict == "good" and before > 1e-3
+    # The noise of a point, and that of 24 parameters of 32 folds' measurements.
+    assert after < 4.0 * np.sqrt(3.0) * NOISE
+
+
+REFUSED: Mapping[str, tuple[Callable[[Job], str], Sequence[str]]] = {
+    "no joints": (
+        lambda job: text({XYZ: job.T[:, :3, 3], "X[mm] Y[mm] Z[mm]": 1e3 * job.points}),
+        ("joint positions are needed", "controller"),
+    ),
+    "computed alone": (
+        lambda job: text({OWN: job.q, XYZ: job.T[:, :3, 3]}),
+        ("computed from the joints by the controller",),
+    ),
+    "no header": (
+        lambda job: text({OWN: job.q, XYZ: job.points}).partition("\n")[2],
+        ("rows.csv:1", "j1,j2,j3,j4,j5,j6,x,y,z"),
+    ),
+    "thousands": (
+        lambda job: with_lines(
+            text({OWN: job.q, XYZ: 1e3 * job.points}),
+            lambda k, row: row.__setitem__(6, '"' + "2,168.00" + '"'),
+        ),
+        ("rows.csv:2", "thousands", "'2,168.00'"),
+    ),
+    "a sign for no reading": (
+        lost("-9999", 6),
+        ("stands in 6 rows", "without: [4, 11,", "'-9999'"),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_line_says_what_to_change(name, job, tmp_path, monkeypatch, fails):
+    monkeypatch.chdir(tmp_path)
+    write, words = REFUSED[name]
+    written(write(job))
+    fails(f"init {ROBOT} rows.csv -o s.yaml", *words)
+
+
+def test_a_sign_for_no_reading_is_left_out_when_stated(job, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    written(lost("-9999", 6)(job))
+    lines = [k + 2 for k in range(40) if k % 7 == 2]
+    columns = ", ".join(f"{joint}: j{k}" for k, joint in enumerate(JOINTS))
+    setup = f"tip: tool0\ncolumns: {{{columns}}}\nreading: {{without: {lines}}}\n"
+    Path("s.yaml").write_text(setup)
+    words = ["calibrate", ROBOT, "rows.csv", "--setup", "s.yaml", "-o", "out"]
+    assert main([*words, "--quiet"]) == 0
+    assert calibrated(Path("out"))[0] == "good"

@@ -108,9 +108,15 @@ def detect(
     """
     import numpy as np
 
-    from calib_pin.io.boards import Detector, ambiguous, board_of, start_camera
+    from calib_pin.io.boards import (
+        Detector,
+        ambiguous,
+        board_of,
+        encode_png,
+        read_image,
+        start_camera,
+    )
     from calib_pin.io.files import write_files
-    from calib_pin.io.images import encode_png, read_image
     from calib_pin.io.measurements import encode_table
     from calib_pin.io.setup import setup_document, yaml_text
     from calib_pin.setup import Setup

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.errors import InputError, RobotError
+from calib_pin.errors import InputError
 from calib_pin.io.files import TEXT, read_bytes
-from calib_pin.io.meshes import MeshReader
-from calib_pin.io.urdf_bytes import parse_document
-from calib_pin.io.urdf_tree import captured_stderr
+from calib_pin.io.robot_shapes import MeshReader
+from calib_pin.io.urdf_tree import parse_document
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.collision import Collisions
@@ -33,6 +31,11 @@ SAMPLES = 200
 BY_DESIGN = 0.95
 """Share of the configurations from which on two links touch, or are close, because they
 are built so."""
+
+
+TOUCH = "touch at nearly every configuration are not checked against each other"
+NEAR = "are always closer than the clearance are only kept from touching"
+"""Ends of sentences about links that are built so."""
 
 
 def load_collisions(
@@ -76,35 +79,30 @@ def load_collisions(
         >>> ("link_7", "obstacle 1 (box)") in collisions.pairs
         True
     """
-    tell = notice or (lambda line: None)
-    chains = Chains.of(chain)
-    robot = chains.robot
-    apart = _adjacent(robot.model) if srdf is None else _disabled(srdf, robot)
+    tell, chains = notice or (lambda line: None), Chains.of(chain)
+    robot, geometry = chains.robot, pin.GeometryModel()
+    model = robot.model
+    apart = _adjacent(model) if srdf is None else _disabled(srdf, robot)
     with MeshReader(robot.file, package_dirs) as meshes:
-        geometry = _solids(robot, meshes)
-        links = geometry.ngeoms
-        for k, obstacle in enumerate(obstacles if links else (), 1):
-            solid = _obstacle(chains, obstacle, k, file, meshes)
-            geometry.addGeometryObject(solid)
-    if links == 0:
-        nor = ", and neither are collisions with the obstacles" if obstacles else ""
-        tell("the robot has no collision geometry: self-collision is not checked" + nor)
-        return None
-    solids = [
-        (solid.parentJoint, robot.model.frames[solid.parentFrame].name)
-        for solid in geometry.geometryObjects
-    ]
-    for first, second in combinations(range(geometry.ngeoms), 2):
-        (joint, link), (other_joint, other) = solids[first], solids[second]
-        # Two solids that a joint moves, and of the robot only those that may not touch.
-        if joint != other_joint and (
-            second >= links or frozenset((link, other)) not in apart
-        ):
+        own = _of_links(robot, meshes)
+        if not own:
+            tell("the robot has no collision geometry: no collisions are checked")
+            return None
+        every = own + _of_obstacles(chains, obstacles, file, meshes)
+    for number, name, place, solid in every:
+        frame = model.frames[number]
+        joint, placed = frame.parentJoint, frame.placement * place
+        geometry.addGeometryObject(
+            pin.GeometryObject(name, joint, number, placed, solid)
+        )
+    links = [model.frames[number].name for number, *_ in every]
+    for first, second in combinations(range(len(every)), 2):
+        # Obstacles, and of the robot only links that may not touch.
+        if second >= len(own) or frozenset((links[first], links[second])) not in apart:
             geometry.addCollisionPair(pin.CollisionPair(first, second))
     collisions = Collisions(chains, geometry, clearance)
     if not collisions.pairs:
-        still = "no two solids that may not touch move against each other"
-        tell(f"{still}, so no collision is checked")
+        tell("no two solids that may not touch move against each other")
     return _as_built(chains, collisions, srdf is None, tell)
 
 
@@ -130,11 +128,11 @@ def _as_built(
     touching = _by_design(bare.pairs, touches, chains.robot)
     left_out = touching if guess else []
     near = [pair for pair in close if pair not in touching]
-    touch = "touch at nearly every configuration are not checked against each other"
-    keep = "are always closer than the clearance are only kept from touching"
-    for found, words in ((left_out, touch), (near, keep)):
+    for found, words in ((left_out, TOUCH), (near, NEAR)):
         if found:
-            tell(f"links that {words}: {_listed(found)}")
+            named = "; ".join(f"{first} and {second}" for first, second in found[:3])
+            count = f"{len(found)} pair{'s' * (len(found) > 1)}"
+            tell(f"links that {words}: {count} ({named}{'; ...' * (len(found) > 3)})")
     for place, touched in zip(places, touches.T, strict=True):
         if collisions.pairs[place] in near:
             clearances[place], contacts[:, place] = 0.0, touched
@@ -143,53 +141,21 @@ def _as_built(
     return collisions.only(kept, clearances)
 
 
-def _listed(pairs: Sequence[tuple[str, str]]) -> str:
-    named = "; ".join(f"{first} and {second}" for first, second in pairs[:3])
-    count = "1 pair" if len(pairs) == 1 else f"{len(pairs)} pairs"
-    return f"{count} ({named}{'; ...' if len(pairs) > 3 else ''})"
+def _of_links(robot: Robot, meshes: MeshReader) -> list[_Solid]:
+    """The collision geometry of a URDF."""
+    document, found = parse_document(robot.source, robot.file), list[_Solid]()
+    links = document.named("link")
+    for number, frame in enumerate(robot.model.frames):
+        if frame.type == pin.FrameType.BODY:
+            for k, element in enumerate(links[frame.name].all("collision")):
+                if (shape := meshes.shape(document, element)) is not None:
+                    kind, values = shape
+                    name, place = f"{frame.name}_{k}", document.origin(element)
+                    found.append((number, name, place, SOLIDS[kind](*values)))
+    return found
 
 
-def _solids(robot: Robot, meshes: MeshReader) -> pin.GeometryModel:
-    """The collision geometry of a URDF, without pairs."""
-    surfaces: dict[str, pin.coal.CollisionGeometry] = {}
-    try:
-        root = ElementTree.fromstring(parse_document(robot.source).plain)
-        # Pinocchio would read meshes in this process: it gets spheres in their place.
-        for link in root.iterfind("link"):
-            owner = link.get("name", "")
-            for k, solid in enumerate(link.iterfind("collision")):
-                shape = solid.find("geometry/*")
-                if shape is not None and shape.tag == "mesh":
-                    surfaces[f"{owner}_{k}"] = _mesh(robot, owner, shape, meshes)
-                    shape.tag, shape.attrib = "sphere", {"radius": "1"}
-        text = ElementTree.tostring(root, encoding="unicode")
-        with captured_stderr():
-            model = pin.buildGeomFromUrdfString(robot.model, text, pin.COLLISION)
-    except RobotError:
-        raise
-    except Exception as failure:  # Whatever C++ throws, and what is no XML.
-        reason = f"its collision geometry cannot be read: {failure}"
-        raise _link_error(robot, "", reason) from None
-    for solid in model.geometryObjects:
-        solid.geometry = surfaces.get(solid.name, solid.geometry)
-    return model
-
-
-def _mesh(
-    robot: Robot, link: str, mesh: ElementTree.Element, meshes: MeshReader
-) -> pin.coal.CollisionGeometry:
-    """The solid of a `<mesh>`."""
-    written = mesh.get("filename", "")
-    scale = [float(factor) for factor in mesh.get("scale", "1 1 1").split()]
-    try:
-        return _solid(meshes.read(written, scale))
-    except InputError as error:
-        reason = f"the collision mesh '{written}' {error.reason}"
-        hint = error.allowed or "another mesh"
-        raise _link_error(robot, link, reason, hint) from None
-
-
-def _solid(surface: Surface) -> pin.coal.CollisionGeometry:
+def _mesh(surface: Surface) -> pin.coal.CollisionGeometry:
     """A surface that may collide."""
     solid = pin.coal.BVHModelOBBRSS()
     solid.beginModel(len(surface.triangles), len(surface.vertices))
@@ -199,44 +165,38 @@ def _solid(surface: Surface) -> pin.coal.CollisionGeometry:
     return solid
 
 
-def _link_error(
-    robot: Robot, link: str, reason: str, hint: str = "another mesh"
-) -> RobotError:
-    """An error about a link, in one line with what helps."""
-    document = parse_document(robot.source, robot.file)
-    links = {e.attributes.get("name"): e for e in document.root.all("link")}
-    element = links.get(link, document.root)
-    owner = f"link '{link}'" if link else "the robot"
-    allowed = f"{hint}, or no check of collisions (plan --ignore-collisions)"
-    return document.error(element, f"{owner}: {reason}", allowed=allowed)
+SOLIDS: Mapping[str, Callable[..., pin.coal.CollisionGeometry]] = {
+    "box": pin.coal.Box,
+    "sphere": pin.coal.Sphere,
+    "cylinder": pin.coal.Cylinder,
+    "capsule": pin.coal.Capsule,
+    "mesh": _mesh,
+}
+"""Solids by the kind of a shape, from its numbers."""
+
+_Solid = tuple[int, str, pin.SE3, pin.coal.CollisionGeometry]
+"""Number of a link's frame, name, and place of a solid in the link."""
 
 
-def _obstacle(
-    chains: Chains, obstacle: Obstacle, number: int, file: str, meshes: MeshReader
-) -> pin.GeometryObject:
-    """An obstacle as a solid of the base link."""
-    if obstacle.box is not None:
-        shape = pin.coal.Box(*obstacle.box)
-    elif obstacle.sphere is not None:
-        shape = pin.coal.Sphere(obstacle.sphere)
-    elif obstacle.cylinder is not None:
-        shape = pin.coal.Cylinder(*obstacle.cylinder)
-    else:
-        assert obstacle.mesh is not None
-        path, scale = Path(obstacle.mesh).absolute(), obstacle.scale or (1.0, 1.0, 1.0)
-        try:
-            shape = _solid(meshes.read(path, scale))
-        except InputError as error:
-            reason = f"the mesh '{obstacle.mesh}' of obstacle {number} {error.reason}"
-            raise InputError(reason, file=file or None) from None
-    model = chains.robot.model
-    base = model.getFrameId(chains.base, pin.FrameType.BODY)
-    frame = model.frames[base]
-    place = pin.SE3(pin.rpy.rpyToMatrix(*obstacle.rpy), np.array(obstacle.xyz))
-    name = f"obstacle {number} ({obstacle.kind})"
-    return pin.GeometryObject(
-        name, frame.parentJoint, base, frame.placement * place, shape
-    )
+def _of_obstacles(
+    chains: Chains, obstacles: Sequence[Obstacle], file: str, meshes: MeshReader
+) -> list[_Solid]:
+    """Solids that stand still in the base link."""
+    base = chains.robot.model.getFrameId(chains.base, pin.FrameType.BODY)
+    found = []
+    for k, obstacle in enumerate(obstacles, 1):
+        numbers = getattr(obstacle, obstacle.kind)
+        if obstacle.mesh is not None:
+            path, scale = Path(obstacle.mesh).absolute(), obstacle.scale
+            try:
+                numbers = [meshes.read(path, scale or (1.0, 1.0, 1.0))]
+            except InputError as error:
+                reason = f"the mesh '{path}' of obstacle {k} {error.reason}"
+                raise InputError(reason, file=file or None) from None
+        solid = SOLIDS[obstacle.kind](*np.atleast_1d(numbers))
+        place = pin.SE3(pin.rpy.rpyToMatrix(*obstacle.rpy), np.array(obstacle.xyz))
+        found.append((base, f"obstacle {k} ({obstacle.kind})", place, solid))
+    return found
 
 
 def _adjacent(model: pin.Model) -> set[frozenset[str]]:
@@ -251,31 +211,27 @@ def _adjacent(model: pin.Model) -> set[frozenset[str]]:
 
 def _disabled(srdf: str | Path, robot: Robot) -> set[frozenset[str]]:
     """Links that an SRDF allows to touch."""
-    try:
-        root = ElementTree.fromstring(read_bytes(srdf, TEXT))
-    except ElementTree.ParseError as error:
-        reason = f"not an SRDF: {error.msg.split(':')[0]}"
-        raise InputError(reason, file=srdf, line=error.position[0]) from None
-    if root.tag != "robot" or root.find("link") is not None:
+    document = parse_document(read_bytes(srdf, TEXT), str(srdf))
+    root = document.root
+    if root.tag != "robot" or root.all("link"):
         found = "a URDF" if root.tag == "robot" else f"<{root.tag}>"
         raise InputError(f"not an SRDF but {found}", file=srdf)
-    if (name := root.get("name", "")) != robot.name:
+    if (name := root.attributes.get("name", "")) != robot.name:
         reason = "the SRDF is of another robot"
         raise InputError(reason, file=srdf, value=name, allowed=robot.name)
 
-    def named(tag: str) -> set[frozenset[str]]:
+    def pairs(tag: str) -> set[frozenset[str]]:
         return {
-            frozenset((element.get("link1", ""), element.get("link2", "")))
-            for element in root.iterfind(tag)
+            frozenset(element.attributes.get(key, "") for key in ("link1", "link2"))
+            for element in root.all(tag)
         }
 
     # MoveIt 2 can also disable all pairs of a link, and enable some of them again.
-    disabled = {
-        element.get("link", "")
-        for element in root.iterfind("disable_default_collisions")
-    }
-    pairs = {frozenset((link, other)) for link in disabled for other in robot.links}
-    return named("disable_collisions") | pairs - named("enable_collisions")
+    links = (
+        e.attributes.get("link", "") for e in root.all("disable_default_collisions")
+    )
+    every = {frozenset((link, other)) for link in links for other in robot.links}
+    return pairs("disable_collisions") | every - pairs("enable_collisions")
 
 
 def _by_design(

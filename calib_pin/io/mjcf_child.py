@@ -1,4 +1,4 @@
-"""Turns MuJoCo's description of a robot into a URDF; `robot_child.py` calls it.
+"""Turns MuJoCo's description of a robot into a URDF; `children` calls it.
 
 MuJoCo reads the file. Bodies and sites become links, joints come one by one, with
 their limits and reference positions, and inertias are those of the compiled model.
@@ -7,7 +7,6 @@ their limits and reference positions, and inertias are those of the compiled mod
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
@@ -47,7 +46,7 @@ class Writer:
         self.bodies = [model.body(b).name or f"body{b}" for b in bodies]
         self.joints = [model.joint(j).name for j in joints]
         self.taken = {*self.bodies, *self.joints}
-        self._link(self.bodies[0])
+        _add(self.root, "link", name=self.bodies[0])
 
     def write(self) -> bytes:
         """The bytes of the URDF."""
@@ -65,14 +64,15 @@ class Writer:
                 place = pin.SE3.Identity()
             if parent != name:
                 place = place * pin.SE3(np.eye(3), -shift)
-                self._fixed(parent, name, place)
-            self._inertia(self._link(name), b)
+                self._joint(self._free(f"{name}_fixed"), "fixed", parent, name, place)
+            self._inertia(_add(self.root, "link", name=name), b)
         for k in range(model.nsite):
             if name := model.site(k).name:
                 place = _place(model.site_pos[k], model.site_quat[k])
                 site = name if name not in self.bodies else self._free(name)
-                self._fixed(self.bodies[model.site_bodyid[k]], site, place)
-                self._link(site)
+                body, joint = self.bodies[model.site_bodyid[k]], f"{site}_fixed"
+                self._joint(self._free(joint), "fixed", body, site, place)
+                _add(self.root, "link", name=site)
         ElementTree.indent(self.root)
         return ElementTree.tostring(self.root) + b"\n"
 
@@ -83,47 +83,37 @@ class Writer:
         self.taken.add(name)
         return name
 
-    def _link(self, name: str) -> ElementTree.Element:
-        return ElementTree.SubElement(self.root, "link", name=name)
-
     def _inertia(self, link: ElementTree.Element, body: int) -> None:
         model = self.model
         if (mass := float(model.body_mass[body])) <= LIGHTEST:
             return
         turn = _place(np.zeros(3), model.body_iquat[body]).rotation
         inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
-        six = inertia[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+        six = [repr(float(number)) for number in inertia[np.triu_indices(3)]]
         keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        words = map(repr, map(float, six))
-        element = ElementTree.SubElement(link, "inertial")
-        ElementTree.SubElement(element, "mass", value=repr(mass))
-        ElementTree.SubElement(element, "origin", xyz=_words(model.body_ipos[body]))
-        ElementTree.SubElement(element, "inertia", dict(zip(keys, words, strict=True)))
-
-    def _fixed(self, parent: str, child: str, place: pin.SE3) -> None:
-        self._joint(self._free(f"{child}_fixed"), "fixed", parent, child, place)
+        element = _add(link, "inertial")
+        _add(element, "mass", value=repr(mass))
+        _add(element, "origin", xyz=_words(model.body_ipos[body]))
+        _add(element, "inertia", dict(zip(keys, six, strict=True)))
 
     def _joint(
         self, name: str, kind: str, parent: str, child: str, place: pin.SE3
     ) -> ElementTree.Element:
-        joint = ElementTree.SubElement(self.root, "joint", name=name, type=kind)
-        ElementTree.SubElement(joint, "parent", link=parent)
-        ElementTree.SubElement(joint, "child", link=child)
+        joint = _add(self.root, "joint", name=name, type=kind)
+        _add(joint, "parent", link=parent)
+        _add(joint, "child", link=child)
         rpy = pin.rpy.matrixToRpy(place.rotation)
-        ElementTree.SubElement(
-            joint, "origin", xyz=_words(place.translation), rpy=_words(rpy)
-        )
+        _add(joint, "origin", xyz=_words(place.translation), rpy=_words(rpy))
         return joint
 
     def _moving(self, j: int, parent: str, child: str, place: pin.SE3) -> str:
         """Write one joint, of a link of its own without another; the link's name."""
-        model = self.model
-        body = self.bodies[model.jnt_bodyid[j]]
-        count = j - model.body_jntadr[model.jnt_bodyid[j]]
-        name = self.joints[j] or self._free(f"{body}_joint{count}")
+        model, body = self.model, self.model.jnt_bodyid[j]
+        count = j - model.body_jntadr[body]
+        name = self.joints[j] or self._free(f"{self.bodies[body]}_joint{count}")
         if not child:
             child = self._free(f"{name}_link")
-            self._link(child)
+            _add(self.root, "link", name=child)
         if model.jnt_type[j] == FREE:
             self._joint(name, "floating", parent, child, place)
             return child
@@ -136,11 +126,14 @@ class Writer:
         limited = bool(model.jnt_limited[j])
         kind = ("revolute" if limited else "continuous") if hinge else "prismatic"
         joint = self._joint(name, kind, parent, child, place)
-        ElementTree.SubElement(joint, "axis", xyz=_words(axis))
+        _add(joint, "axis", xyz=_words(axis))
         ends = map(repr, map(float, model.jnt_range[j])) if limited else ()
         limits = dict(zip(("lower", "upper"), ends, strict=False))
-        ElementTree.SubElement(joint, "limit", limits, effort="0", velocity="0")
+        _add(joint, "limit", limits, effort="0", velocity="0")
         return child
+
+
+_add = ElementTree.SubElement
 
 
 def _place(position: Floats, quaternion: Floats) -> pin.SE3:
@@ -153,10 +146,10 @@ def _words(numbers: Iterable[float]) -> str:
     return " ".join(repr(float(number) + 0.0) for number in numbers)
 
 
-def _compiled(path: Path) -> tuple[mujoco.MjModel, str]:
+def _compiled(path: str) -> tuple[mujoco.MjModel, str]:
     """The model, and what is to be said of it."""
     mujoco.set_mju_user_warning(lambda _: None)  # It would write them into a file.
-    spec = mujoco.MjSpec.from_file(str(path))
+    spec = mujoco.MjSpec.from_file(path)
     spec.compiler.fusestatic = False  # Every body is a link.
     for bound in ("boundmass", "boundinertia"):
         setattr(spec.compiler, bound, max(getattr(spec.compiler, bound), LIGHTEST))
@@ -174,18 +167,18 @@ def _compiled(path: Path) -> tuple[mujoco.MjModel, str]:
     return spec.compile(), f"{REMARK}, nor are the masses of meshes"
 
 
-def converted(path: Path) -> tuple[bytes, str]:
-    """The URDF of a robot, and a sentence about what is not in it.
+def read(file: str) -> tuple[dict[str, object], bytes]:
+    """A sentence about what is not in the URDF of a robot, and the URDF.
 
     Args:
-        path: A file in MuJoCo's language.
+        file: A file in MuJoCo's language.
 
     Raises:
         RobotError: If MuJoCo cannot read it, or no URDF can hold it.
     """
     try:
-        model, remark = _compiled(path)
-        return Writer(model).write(), remark
+        model, remark = _compiled(file)
+        return {"remark": remark}, Writer(model).write()
     except Exception as failure:
         words = " ".join(str(failure).split()) or type(failure).__name__
         raise RobotError(f"this MJCF cannot be used: {words}") from None

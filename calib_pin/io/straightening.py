@@ -21,18 +21,20 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import RobotError, enumerated
-from calib_pin.io.urdf_bytes import (
+from calib_pin.io.urdf_tree import (
     Document,
     Element,
     move_origins,
     parse_document,
-    read_origin,
+    parse_robot,
 )
-from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 
 TURNING = ("revolute", "continuous")
+
+INSIDE = ("visual", "collision", "inertial")
+"""Elements of a link that have an origin."""
 
 PARALLEL = 0.05
 """Largest angle between axes that are nearly parallel [rad]; factories are off by 0.002
@@ -63,23 +65,20 @@ def straightened(robot: Robot) -> Robot:
     if max(map(np.linalg.norm, offsets)) < LEAST:
         return robot
     document = parse_document(robot.source, robot.file)
-    joints = {e.attributes["name"]: e for e in document.root.all("joint")}
-    slides = _slides(document, joints)
+    joints, slides = document.named("joint"), _slides(document)
     if not slides:
         return robot
-    origins = (read_origin(document, joints[name]).translation for name in slides)
+    origins = (document.origin(joints[name]).translation for name in slides)
     names = enumerated(f"'{name}'" for name in slides)
     source = move_origins(document, _moved(document, slides))
-    return replace(
-        parse_robot(source, robot.file),
-        remarks=(
-            *robot.remarks,
-            f"offsets of up to {max(map(np.linalg.norm, origins)):.3g} m along "
-            "parallel axes cancel: straightened, by moving the frames of joints "
-            f"{names} along their axes; the forward kinematics are the same, and the "
-            "corrected URDF has these frames",
-        ),
+    remark = (
+        f"offsets of up to {max(map(np.linalg.norm, origins)):.3g} m along parallel "
+        "axes cancel: straightened, by moving the frames of joints "
+        f"{names} along their axes; the forward kinematics are the same, and the "
+        "corrected URDF has these frames"
     )
+    found = parse_robot(source, robot.file)
+    return replace(found, remarks=(*robot.remarks, remark))
 
 
 def straight_source(source: bytes) -> bytes:
@@ -90,51 +89,47 @@ def straight_source(source: bytes) -> bytes:
         return source
 
 
-def _slides(document: Document, joints: Mapping[str, Element]) -> dict[str, Floats]:
+def _slides(document: Document) -> dict[str, Floats]:
     """The slide of each joint that is to be moved, in its own frame, shape (3,) [m]."""
-    axes: dict[str, Floats] = {}
+    joints, axes = document.named("joint"), dict[str, Floats]()
     for name, joint in joints.items():
         if joint.attributes["type"] in TURNING:
-            stated, axis = joint.child("axis"), np.array([1.0, 0.0, 0.0])
-            if stated is not None and "xyz" in stated.attributes:
-                axis = document.numbers("", stated, "xyz", 3)
+            axis = document.axis(joint)
             axes[name] = np.asarray(axis / np.linalg.norm(axis))
-    places = {name: read_origin(document, joint) for name, joint in joints.items()}
+    places = {name: document.origin(joints[name]) for name in axes}
     above = {joint.link("child"): name for name, joint in joints.items()}
-    before: dict[str, str] = {}
+    behind: dict[str, list[str]] = {}
     for name, axis in axes.items():
         parent = above.get(joints[name].link("parent"), "")
         if parent in axes:
             sine = np.cross(places[name].rotation @ axis, axes[parent])
             if np.linalg.norm(sine) < PARALLEL:
-                before[name] = parent
+                behind.setdefault(parent, []).append(name)
     found: dict[str, Floats] = {}
-    for first in dict.fromkeys(before.values()):
-        if first not in before:
-            found |= _group(first, before, axes, places)
-    return found
+    for first in behind.keys() - {name for names in behind.values() for name in names}:
+        found |= _group(first, behind, axes, places)
+    return {name: found[name] for name in joints if name in found}
 
 
 def _group(
     first: str,
-    before: Mapping[str, str],
+    behind: Mapping[str, list[str]],
     axes: Mapping[str, Floats],
     places: Mapping[str, pin.SE3],
 ) -> dict[str, Floats]:
     """Slides of joints on parallel axes, from the first on; none if all is well."""
     slides: dict[str, Floats] = {}
-    pending, worst, way = [first], 0.0, 0.0
+    pending, worst, way = [(first, np.zeros(3))], 0.0, 0.0
     while pending:
-        name = pending.pop()
+        name, carried = pending.pop()
         axis, place = axes[name], places[name]
         worst = max(worst, abs(place.rotation.T @ place.translation @ axis))
-        offset = place.translation - slides.get(before.get(name, ""), np.zeros(3))
-        behind = [other for other, parent in before.items() if parent == name]
-        if behind:
+        offset = place.translation - carried
+        if name in behind:
             slides[name] = -(place.rotation.T @ offset @ axis) * axis
             offset = offset + place.rotation @ slides[name]
+            pending += [(other, slides[name]) for other in behind[name]]
         way += float(np.linalg.norm(offset))
-        pending += behind
     return slides if worst > max(LEAST, TIMES * way) else {}
 
 
@@ -142,28 +137,17 @@ def _moved(
     document: Document, slides: Mapping[str, Floats]
 ) -> list[tuple[Element, pin.SE3]]:
     """Corrections of origins, each multiplied from the right."""
-    moved: list[tuple[Element, pin.SE3]] = []
-    joints, still = document.root.all("joint"), np.zeros(3)
-    links = {
-        joint.link("child"): slides[joint.attributes["name"]]
-        for joint in joints
-        if joint.attributes["name"] in slides
-    }
-    for joint in joints:
-        old = read_origin(document, joint)
-        own = slides.get(joint.attributes["name"], still)
-        carried = links.get(joint.link("parent"), still)
-        if own.any() or carried.any():
-            shift = own - old.rotation.T @ carried
-            moved.append((joint, pin.SE3(np.eye(3), shift)))
-    for link in document.root.all("link"):
-        slide = links.get(link.attributes["name"], still)
-        for part in link.children:
-            if part.tag not in ("visual", "collision", "inertial"):
-                continue
-            old = read_origin(document, part)
+    moved: list[tuple[Element, Floats]] = []
+    joints, still = document.named("joint"), np.zeros(3)
+    links = {joints[name].link("child"): slide for name, slide in slides.items()}
+    for name, joint in joints.items():
+        own, carried = slides.get(name, still), links.get(joint.link("parent"), still)
+        moved.append((joint, own - document.origin(joint).rotation.T @ carried))
+    for name, link in document.named("link").items():
+        slide = links.get(name, still)
+        for part in (p for kind in INSIDE for p in link.all(kind)):
+            old = document.origin(part)
             stays = np.linalg.norm(old.translation - slide)
             if stays < np.linalg.norm(old.translation):
-                shift = -old.rotation.T @ slide
-                moved.append((part, pin.SE3(np.eye(3), shift)))
-    return moved
+                moved.append((part, -old.rotation.T @ slide))
+    return [(element, pin.SE3(np.eye(3), shift)) for element, shift in moved]

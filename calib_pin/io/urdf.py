@@ -6,6 +6,7 @@ import importlib.metadata
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +17,7 @@ from calib_pin.io.children import Reader
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.packages import package_folders
 from calib_pin.io.straightening import straightened
-from calib_pin.io.urdf_bytes import edit_origins, parse_document
-from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.io.urdf_tree import edit_origins, parse_document, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
@@ -54,15 +54,17 @@ def known_robots() -> dict[str, Path]:
         >>> "pa10" in known_robots()
         True
     """
-    files = _examples()
+    robots, files = bundled_robots(), list[Path]()
+    data = "cmeel.prefix/share/example-robot-data"
+    with suppress(importlib.metadata.PackageNotFoundError):
+        package = importlib.metadata.distribution("example-robot-data")
+        files = sorted(Path(str(package.locate_file(data))).rglob("*.urdf"))
     stems = Counter(path.stem for path in files)
-    examples = {
+    for path in files:
         # Of several robots of one name a longer one tells which.
-        _EXAMPLE + "/".join(path.with_suffix("").parts[-1 if unique else -3 :]): path
-        for path in files
-        for unique in [stems[path.stem] == 1]
-    }
-    return {**bundled_robots(), **examples}
+        parts = path.with_suffix("").parts[-3 if stems[path.stem] > 1 else -1 :]
+        robots[_EXAMPLE + "/".join(parts)] = path
+    return robots
 
 
 def robot_file(robot: str, name: str) -> Path:
@@ -187,8 +189,7 @@ def load_robot(
         names = f" ({', '.join(bundled)})" if bundled else ""
         allowed = f"a URDF or xacro file, a bundled robot{names}, or {_EXAMPLE}NAME"
         raise RobotError(reason, file=name or ".", allowed=allowed) from error
-    urdf = source
-    remarks: tuple[str, ...] = ()
+    urdf, remarks = source, tuple[str, ...]()
     with Reader() as reader:
         if is_xacro(path):
             folders = list(map(str, package_folders(path.absolute(), package_dirs)))
@@ -210,7 +211,7 @@ def corrected_urdf(
     path: str | Path,
     robot: Robot,
     corrections: Mapping[str, pin.SE3],
-    check: Callable[[Robot], None] | None,
+    check: Callable[[Robot], None],
 ) -> bytes:
     """A robot's URDF with corrected joint origins.
 
@@ -234,8 +235,7 @@ def corrected_urdf(
         reread = parse_robot(corrected, str(path))
     except RobotError as error:
         raise OutputError(f"the corrected URDF does not read back: {error}") from error
-    if check is not None:
-        check(reread)
+    check(reread)
     return corrected
 
 
@@ -297,36 +297,23 @@ def locate_robot(name: str) -> Path:
     return path
 
 
-def _examples() -> Sequence[Path]:
-    """Paths of the URDFs of example-robot-data; none where it is not installed."""
-    data = "cmeel.prefix/share/example-robot-data"
-    try:
-        distribution = importlib.metadata.distribution("example-robot-data")
-    except importlib.metadata.PackageNotFoundError:
-        return ()
-    return sorted(Path(str(distribution.locate_file(data))).rglob("*.urdf"))
-
-
 def _example(name: str) -> Path:
-    """Path of a robot of example-robot-data, by the end of its path."""
-    files, stem = _examples(), name.removeprefix(_EXAMPLE).removesuffix(".urdf")
-    wanted, stems = Path(stem).parts, sorted({path.stem for path in files})
-    matches = [
-        path for path in files if path.with_suffix("").parts[-len(wanted) :] == wanted
-    ]
-    if len(matches) == 1:
-        return matches[0]
-    others = [other for other in stems if stem and stem in other]
+    """Path of a robot of example-robot-data, by its name among all that are known."""
+    known = {
+        key.removeprefix(_EXAMPLE): path
+        for key, path in known_robots().items()
+        if key.startswith(_EXAMPLE)
+    }
+    stem = name.removeprefix(_EXAMPLE).removesuffix(".urdf")
+    if stem in known:
+        return known[stem]
+    others = [_EXAMPLE + key for key in known if stem and stem in key]
     reason = f"example-robot-data has no robot '{stem}'"
-    if not files:
+    if not known:
         reason = "example robots need a package: pip install 'example-robot-data>=4.4'"
-    elif matches:
-        reason = f"{len(matches)} example robots have this name"
-        others = ["/".join(path.with_suffix("").parts[-3:]) for path in matches]
     elif not others:
-        reason += nearest(stem, stems)
-    allowed = ", ".join(_EXAMPLE + other for other in others)
-    raise RobotError(reason, file=name, allowed=allowed or None)
+        reason += nearest(stem, known)
+    raise RobotError(reason, file=name, allowed=", ".join(others) or None)
 
 
 def is_source(path: Path, robot: Robot) -> bool:

@@ -1,4 +1,4 @@
-"""Expands a xacro file; `robot_child.py` calls it, in a process that has limits.
+"""Expands a xacro file; `children` calls it, in a process that has limits.
 
 The package xacro hands the expressions of a file to Python's `eval`, and asks ROS for
 packages: both are replaced here. In an expression a dot leads to the keys of mappings,
@@ -11,14 +11,11 @@ import ast
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
-from xml.parsers import expat
 
 import xacro
 from simpleeval import (
     BASIC_ALLOWED_ATTRS,
     EvalWithCompoundTypes,
-    FunctionNotDefined,
-    NameNotDefined,
 )
 from xacro import substitution_args
 
@@ -51,27 +48,7 @@ class Refused(Exception):
 
 
 class Expression(EvalWithCompoundTypes):  # type: ignore[misc]
-    """An evaluation.
-
-    Args:
-        symbols: Values by name.
-        functions: Functions by name.
-    """
-
-    def __init__(
-        self, symbols: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]
-    ) -> None:
-        """Nothing is evaluated yet."""
-        super().__init__(functions=dict(functions), names=self._symbol)
-        self.symbols = symbols
-        # The format of a value in a text may lead to its attributes.
-        del self.nodes[ast.JoinedStr], self.nodes[ast.FormattedValue]
-
-    def _symbol(self, node: ast.Name) -> Any:
-        try:
-            return self.symbols[node.id]
-        except KeyError:
-            raise NameNotDefined(node.id, self.expr) from None
+    """An evaluation in which a dot leads to few things."""
 
     def _eval_attribute(self, node: ast.Attribute) -> Any:
         owner = self._eval(node.value)
@@ -102,22 +79,17 @@ def evaluate(
     """
     try:
         tree = ast.parse(text.strip(), mode="eval").body
-        value = Expression(symbols, functions).eval(text, tree)
+        expression = Expression(functions=dict(functions), names=symbols)
+        # The format of a value in a text may lead to its attributes.
+        del expression.nodes[ast.JoinedStr], expression.nodes[ast.FormattedValue]
+        value = expression.eval(text, tree)
         if not callable(value):
             return value
         reason = "it is a function and no value"
-    except NameNotDefined as error:
-        reason = f"'{error.name}' is not defined"
-    except FunctionNotDefined as error:
-        reason = f"there is no function '{error.func_name}'"
-    except SyntaxError as error:
-        reason = error.msg
-    except KeyError as error:
-        reason = f"there is no key {error}"
     except (MemoryError, OSError, RecursionError, xacro.XacroException):
         raise
     except Exception as error:
-        reason = str(error)
+        reason = str(getattr(error, "msg", error))
     raise Refused(f"cannot evaluate '{text}': {reason}")
 
 
@@ -219,36 +191,34 @@ def _expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> bytes
     return text.encode()
 
 
-def _reason(failure: BaseException) -> str:
+def _reason(failure: Any) -> str:
     """Why a file cannot be expanded, without what xacro adds to it."""
-    cause = failure
-    while isinstance(getattr(cause, "exc", None), BaseException):
-        cause = cause.exc  # type: ignore[attr-defined]
-    if isinstance(cause, RecursionError):
+    while isinstance(getattr(failure, "exc", None), BaseException):
+        failure = failure.exc
+    if isinstance(failure, RecursionError):
         return "a macro or an expression calls itself without end"
-    if isinstance(cause, MemoryError):
+    if isinstance(failure, MemoryError):
         return "it needs too much memory"
-    if isinstance(cause, OSError):
-        return f"cannot read {cause.filename}: {cause.strerror}"
-    if isinstance(cause, expat.ExpatError):
-        kind = expat.ErrorString(cause.code)
-        return f"it is not well-formed XML: {kind}, line {cause.lineno}"
-    return " ".join(str(cause).split()) or type(cause).__name__
+    if isinstance(failure, OSError):
+        return f"cannot read {failure.filename}: {failure.strerror}"
+    return " ".join(str(failure).split()) or type(failure).__name__
 
 
-def expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> bytes:
+def read(
+    file: str, arguments: Mapping[str, str], folders: list[str]
+) -> tuple[dict[str, object], bytes]:
     """The URDF in a xacro file.
 
     Args:
         file: The file.
-        given: Values of its arguments by name.
+        arguments: Values of its arguments by name.
         folders: Folders that are packages or hold some.
 
     Raises:
         RobotError: If it cannot be expanded, with the file and macro that is wrong.
     """
     try:
-        return _expanded(file, given, folders)
+        return {}, _expanded(file, arguments, list(map(Path, folders)))
     except Exception as failure:
         reason = f"xacro cannot expand it: {_reason(failure)}"
     if xacro.macrostack:  # It, or the call of it, is wrong.

@@ -17,8 +17,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.io.urdf_bytes import edit_origins
-from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.io.urdf_tree import edit_origins, parse_robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import Shape

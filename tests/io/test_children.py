@@ -37,7 +37,7 @@ def test_no_answer(
     program: str,
     said: str,
 ) -> None:
-    def started(_: str) -> subprocess.Popen[bytes]:
+    def started() -> subprocess.Popen[bytes]:
         command = [sys.executable, "-S", "-c", ASKED + program]
         return subprocess.Popen(command, stdin=-1, stdout=-1, stderr=-3)
 

@@ -13,7 +13,7 @@ import pytest
 
 from calib_pin.errors import InputError
 from calib_pin.io import children
-from calib_pin.io.meshes import MeshReader
+from calib_pin.io.robot_shapes import MeshReader
 from calib_pin.io.urdf import locate_robot
 
 ENDS = ("little", "big")

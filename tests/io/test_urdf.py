@@ -22,15 +22,14 @@ from calib_pin.errors import (
     OutputError,
     RobotError,
 )
-from calib_pin.io import urdf, urdf_tree
+from calib_pin.io import urdf
 from calib_pin.io.files import write_atomically
 from calib_pin.io.urdf import (
     corrected_urdf,
     load_robot,
     locate_robot,
 )
-from calib_pin.io.urdf_bytes import edit_origins
-from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.io.urdf_tree import edit_origins, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import Mimic
 from calib_pin.kinematics.robot import Robot
@@ -337,8 +336,6 @@ def test_corrections_that_cannot_be_made(refused: Callable[..., Any]) -> None:
     bad = pin.SE3(np.eye(3), np.array([np.nan, 0.0, 0.0]))
     with pytest.raises(OutputError):
         edit_origins(ARM, {"j": bad})
-    with refused(RobotError, line=1):
-        edit_origins(b'<robot><joint name="j"/></robot>', {"j": SHIFT})
 
 
 # What the loader fills in.
@@ -476,7 +473,6 @@ LOOP = """<link name="d"/><link name="e"/>
                 *("1_0 2 3", "\u0661 2 3", "${x} 2 3", "$(arg x) 2 3"),
             )
         ),
-        ('"1 2 3"', '"1\t2 3"', 7, ...),
         ('"0.1 0.2 0.3"', '"a b c"', 7, "a b c"),
         ('"0 0 1"', '"0 0 0"', 10, ...),
         ('"0 0 1"', '"0 0"', 10, "0 0"),
@@ -537,25 +533,19 @@ def chain(count: int, kind: str = "fixed", closing: str = "") -> bytes:
     return "\n".join(lines).encode()
 
 
-def test_limits(bad: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_limits(bad: Callable[..., None]) -> None:
     assert parse_robot(chain(999), "arm.urdf").leaves == ("l999",)
-    bad(chain(1000), line=2)
-    bad(chain(1100, "continuous"))
+    for kind in ("fixed", "continuous"):
+        bad(chain(1000, kind), line=1, value=1001)
     for kind, count in (("continuous", 201), ("floating", 34)):
         bad(chain(count, kind), line=1)
-    many = "".join(f' a{k}=""' for k in range(1000))
-    parse_robot(chain(1, closing=f"<gazebo{many}/>"), "arm.urdf")
-    bad(chain(1, closing=f'<gazebo b=""{many}/>'), line=5, value=1001)
-    monkeypatch.setattr(urdf_tree, "JOINTS", 3)
-    parse_robot(chain(3), "arm.urdf")
-    bad(chain(4), line=1, value=4)
 
 
 # Writing.
 
 
 def write_corrected_urdf(
-    path: Path, *about: Any, check: Callable[[Robot], None] | None, force: bool = False
+    path: Path, *about: Any, check: Callable[[Robot], None] = id, force: bool = False
 ) -> None:
     write_atomically(path, corrected_urdf(path, *about, check), force=force)
 
@@ -571,8 +561,8 @@ def test_write_and_read_back(tmp_path: Path, refused: Callable[..., Any]) -> Non
     os.umask(umask)
     assert path.stat().st_mode & 0o777 == 0o666 & ~umask
     with refused(OptionError, file=str(path)):
-        write_corrected_urdf(path, robot, {}, check=None)
-    write_corrected_urdf(path, robot, {}, check=None, force=True)
+        write_corrected_urdf(path, robot, {})
+    write_corrected_urdf(path, robot, {}, force=True)
     assert path.read_bytes() == ARM
     assert listing(path.parent) == ["out.urdf"]
 
@@ -588,11 +578,11 @@ def test_never_over_the_source(
     robot = load_robot("arm.urdf")
     for path in (source, link, tmp_path / ".." / tmp_path.name / "arm.urdf"):
         with refused(OptionError, file=str(path)):
-            write_corrected_urdf(path, robot, {"j": SHIFT}, check=None, force=True)
+            write_corrected_urdf(path, robot, {"j": SHIFT}, force=True)
     panda = load_robot("example:panda")
     path = locate_robot("example:panda")
     with refused(OptionError, file=str(path)):
-        write_corrected_urdf(path, panda, {}, check=None, force=True)
+        write_corrected_urdf(path, panda, {}, force=True)
     assert source.read_bytes() == ARM
 
 
@@ -608,10 +598,10 @@ def test_nothing_is_left_behind(
     with pytest.raises(OutputError):
         write_corrected_urdf(path, robot, {"j": SHIFT}, check=refuse)
     with refused(RobotError, file="arm.urdf"):
-        write_corrected_urdf(path, robot, {"jj": SHIFT}, check=None)
+        write_corrected_urdf(path, robot, {"jj": SHIFT})
     monkeypatch.setattr(urdf, "edit_origins", lambda *_: b"<robot/>")
     with pytest.raises(OutputError):
-        write_corrected_urdf(path, robot, {"j": SHIFT}, check=None)
+        write_corrected_urdf(path, robot, {"j": SHIFT})
 
     assert listing(tmp_path) == []
 
@@ -654,6 +644,15 @@ def test_numbers_of_links_that_would_be_dropped(old, new, line, value, bad):
     text = INERTIAL.replace(old, new)
     source = f'<robot name="r"><link name="a">{text}</link></robot>'.encode()
     bad(source, line=line, value=value)
+
+
+def test_a_line_break_between_numbers_is_a_space():
+    """To XML, and so to the editor; Pinocchio's reader stumbles over it."""
+    for mark in (b"\t", b"\n", b"\r\n"):
+        source = ARM.replace(b"1 2 3", b"1%s2 3" % mark)
+        found = parse_robot(source, "arm.urdf").model.jointPlacements[1]
+        assert found.translation.tolist() == [1.0, 2.0, 3.0]
+        assert edit_origins(source, {"j": pin.SE3.Identity()}) == source
 
 
 @pytest.mark.parametrize(

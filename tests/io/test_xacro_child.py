@@ -12,14 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 import xacro
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from calib_pin.errors import CalibPinError, OptionError, RobotError
-from calib_pin.io import children
-from calib_pin.io.meshes import STL
+from calib_pin.errors import OptionError, RobotError
 from calib_pin.io.packages import locate_mesh
-from calib_pin.io.robot_shapes import robot_shapes
+from calib_pin.io.robot_shapes import STL, robot_shapes
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.io.xacro_child import FUNCTIONS, Refused, evaluate
 
@@ -177,23 +173,6 @@ def test_wrong_files(tmp_path: Path, refused: Callable[..., Any], text: str) -> 
         load_robot(str(file))
 
 
-# Each is read in a process of its own; tests/fuzz does more of it.
-@settings(
-    max_examples=2,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
-@given(where=st.floats(0, 1, exclude_max=True), byte=st.integers(0, 255))
-def test_a_damaged_byte_costs_one_line(package: Path, where: float, byte: int) -> None:
-    content = bytearray(MACRO.encode())
-    content[int(where * len(content))] = byte
-    (package / "urdf" / "macro.xacro").write_bytes(content)
-    try:
-        load_robot(str(package / "urdf" / "arm.urdf.xacro"))
-    except CalibPinError as error:
-        assert "\n" not in str(error)
-
-
 def test_the_place_that_is_wrong_is_named(
     package: Path, refused: Callable[..., Any]
 ) -> None:
@@ -236,22 +215,6 @@ def test_what_grows_without_end(
         load_robot(str(file))
 
 
-@pytest.mark.slow
-def test_what_takes_without_end(
-    tmp_path: Path, refused: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    twice = (
-        '<xacro:macro name="m" params="d"><xacro:if value="${d}"><link name="a"/>'
-        '<xacro:m d="${d - 1}"/><xacro:m d="${d - 1}"/></xacro:if></xacro:macro>'
-        '<xacro:m d="60"/>'
-    )
-    monkeypatch.setattr(children, "SECONDS", 1.0)
-    file = tmp_path / "arm.xacro"
-    file.write_text(f"{HEAD}{twice}</robot>")
-    with refused(RobotError, "1 s"):
-        load_robot(str(file))
-
-
 def test_nothing_is_executed(tmp_path: Path, refused: Callable[..., Any]) -> None:
     file, proof = tmp_path / "arm.xacro", tmp_path / "proof"
     escape = (
@@ -267,17 +230,6 @@ def test_nothing_is_executed(tmp_path: Path, refused: Callable[..., Any]) -> Non
         with refused(RobotError, file=str(file)):
             load_robot(str(file))
     assert not proof.exists()
-
-
-def test_without_the_extra(
-    tmp_path: Path, refused: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "arm.xacro"
-    file.write_text(f"{HEAD}{LINK}</robot>")
-    assert load_robot(str(file)).links == ("a",)
-    monkeypatch.setattr(children, "find_spec", lambda _: None)
-    with refused(OptionError, "calib-pin[ros]"):
-        load_robot(str(file))
 
 
 # Expressions.

@@ -17,9 +17,7 @@ from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.setup import JointMap
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
-from calib_pin.validation.joint_offsets import joint_columns
 from calib_pin.validation.result import CalibrationResult
 
 EXACT = 1e-9
@@ -146,53 +144,37 @@ class Exported:
     @cached_property
     def offsets(self) -> JointErrors:
         """The joint offsets that come closest to the whole calibration."""
-        return self._joint_errors(gains=False)
+        return self.joint_errors(gains=False)
 
-    @cached_property
-    def transmissions(self) -> JointErrors:
-        """Offsets and gains that come closest to the whole calibration.
+    def joint_errors(self, gains: bool) -> JointErrors:
+        """The errors of the joints that come closest to the whole calibration.
 
-        A gain is sought of the joints of which transmissions were fitted.
+        Least squares at random configurations; exact if nothing else was fitted.
+
+        Args:
+            gains: Whether gains are sought, of joints whose transmissions were fitted.
         """
-        return self._joint_errors(gains=True)
-
-    def _joint_errors(self, gains: bool) -> JointErrors:
-        """Least squares at random configurations; exact if nothing else was fitted."""
         q, nominal, fitted = self.configurations, self.nominal, self.calibrated
         base, tool = fitted.error.base.inverse(), fitted.tool.inverse()
         target = base.homogeneous @ fitted.poses(q) @ tool.homogeneous
-        count, weights = len(nominal.joints), np.repeat([1.0, self._reach], 3)
-        known = self.result.model.given.names
-        with_gain = [
-            f"{j}.transmission.gain" in known and gains for j in nominal.joints
-        ]
-        x = np.zeros(2 * count)
-        free = np.append(np.ones(count, bool), with_gain)
-        sizes = []
+        # A turn counts as the move that it is at the usual distance from the base.
+        reach = np.linalg.norm(nominal.poses(q)[:, :3, 3], axis=1).mean()
+        weights = np.repeat([1.0, max(float(reach), 0.1)], 3)
+        known, count = self.result.model.given.names, len(nominal.joints)
+        gained = [gains and f"{j}.transmission.gain" in known for j in nominal.joints]
+        x, free, sizes = np.zeros(2 * count), np.append([True] * count, gained), []
         for _ in range(STEPS):
             T, J = nominal.jacobian((1.0 + x[count:]) * q + x[:count])
-            sizes.append(_distance(T, target))
+            sizes.append(rms(T[:, :3, 3] - target[:, :3, 3]))
             pairs = zip(T, target, strict=True)
             twists = [pin.log6(pin.SE3(a).actInv(pin.SE3(b))).vector for a, b in pairs]
             rhs = (weights * np.array(twists)).reshape(-1)
-            by_gain = J * q[:, None]
-            A = weights[:, None] * np.concatenate([J, by_gain], axis=2)
+            A = weights[:, None] * np.concatenate([J, J * q[:, None]], axis=2)
             step = np.linalg.lstsq(A.reshape(len(rhs), -1)[:, free], rhs, rcond=None)[0]
             x[free] += step
             if np.abs(step).max(initial=0.0) < EXACT:
                 break
         return JointErrors(x[:count], x[count:], sizes[0], sizes[-1])
-
-    @property
-    def _reach(self) -> float:
-        """Length at which a turn counts as much as a move [m]."""
-        points = self.nominal.poses(self.configurations)[:, :3, 3]
-        return max(float(np.linalg.norm(points, axis=1).mean()), 0.1)
-
-    @property
-    def columns(self) -> dict[str, tuple[str, JointMap]]:
-        """The measured column of each joint, and how it becomes its position."""
-        return joint_columns(self.result.model.setup, self.nominal.joints)
 
 
 @dataclass(frozen=True)
@@ -228,10 +210,19 @@ class Format:
     template: str = ""
 
 
-def _distance(T: Floats, target: Floats) -> float:
-    """Distance of positions, rms [m]."""
-    away = T[:, :3, 3] - target[:, :3, 3]
-    return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+def rms(vectors: Floats) -> float:
+    """Length of vectors, shape (N, 3), root mean square."""
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
+
+
+def require_read(found: object, wanted: object, what: str) -> None:
+    """Compare what a file holds as it is read again.
+
+    Raises:
+        OutputError: If it is not what was to be written.
+    """
+    if found != wanted:
+        raise OutputError(f"{what} do not read back")
 
 
 def origin_of(pose: pin.SE3) -> list[float]:

@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.io.exchange.axes import along, axis_frames
 from calib_pin.io.exchange.base import (
     ORIGIN,
     Encoded,
@@ -28,6 +27,7 @@ from calib_pin.io.exchange.base import (
     origin_of,
     placed,
 )
+from calib_pin.io.exchange.vendor_kinematics import along, axis_frames, poses_about_z
 from calib_pin.io.measurements import encode_table
 from calib_pin.kinematics.spatial import Floats
 
@@ -93,8 +93,7 @@ def _step(frame: pin.SE3, point: Floats, axis: Floats) -> list[float]:
         theta = float(np.arctan2(axis[0], -axis[1]))
         x = np.array([np.cos(theta), np.sin(theta), 0.0])
         if x @ point < 0.0:
-            theta = float(np.arctan2(-axis[0], axis[1]))
-            x = -x
+            theta, x = float(np.arctan2(-axis[0], axis[1])), -x
         alpha = float(np.arctan2(axis @ np.cross(x, [0.0, 0.0, 1.0]), axis[2]))
         a, beta = float(x @ point), 0.0
         # Foot of the common normal on this axis.
@@ -135,20 +134,17 @@ def _poses(data: bytes, convention: str, q: Floats) -> Floats:
     """Forward kinematics of one of the tables as it reads back."""
     lines = [line for line in data.decode().splitlines() if line[:1] != "#"]
     rows = [row for row in csv.DictReader(lines) if row["convention"] == convention]
-    ends = {
-        row["joint"]: placed([float(row[key]) for key in ORIGIN])
-        for row in (rows[0], rows[-1])
-    }
-    matrix = _standard if convention == "standard" else _modified
-    poses = np.empty((len(q), 4, 4))
-    for pose, positions in zip(poses, q, strict=True):
-        T = ends["base"]
-        for row, position in zip(rows[1:-1], positions, strict=True):
-            numbers = [float(row[key]) for key in NUMBERS]
-            numbers[row["type"] == "prismatic"] += position
-            T = T * matrix(numbers)
-        pose[:] = (T * ends["tip"]).homogeneous
-    return poses
+    base, tip = (
+        placed([float(row[key]) for key in ORIGIN]) for row in rows[:: len(rows) - 1]
+    )
+    steps = [[float(row[key]) for key in NUMBERS] for row in rows[1:-1]]
+    if convention == "standard":  # What moves is in front of every step.
+        origins = [base, *map(_standard, steps)]
+        origins[-1] = origins[-1] * tip
+    else:
+        origins = [*map(_modified, steps), tip]
+        origins[0] = base * origins[0]
+    return poses_about_z(origins, [row["type"] == "revolute" for row in rows[1:-1]], q)
 
 
 DH = Format("dh", ".csv", "Denavit-Hartenberg tables, standard and modified", encode)

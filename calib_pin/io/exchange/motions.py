@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TypeAlias
 
 import numpy as np
 import yaml
@@ -34,11 +33,8 @@ def speed_limits(chain: Chain, part: float) -> Floats:
     limits = np.array(
         [model.velocityLimit[model.idx_vs[model.getJointId(j)]] for j in chain.joints]
     )
-    without = [
-        joint
-        for joint, limit in zip(chain.joints, limits, strict=True)
-        if not 0.0 < limit < FASTEST
-    ]
+    pairs = zip(chain.joints, limits, strict=True)
+    without = [joint for joint, limit in pairs if not 0.0 < limit < FASTEST]
     if without:
         raise OptionError(
             f"the URDF states no speed of {', '.join(without)}, which a program needs",
@@ -55,8 +51,12 @@ def moving_times(q: Floats, limits: Floats) -> Floats:
         >>> moving_times(np.array([[0.0, 0.0], [1.0, 3.0]]), np.array([1.0, 2.0]))
         array([0. , 1.5])
     """
-    steps = np.max(np.abs(np.diff(q, axis=0)) / limits, axis=1, initial=0.0)
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    return np.concatenate([[0.0], np.cumsum(_steps(q, limits))])
+
+
+def _steps(q: Floats, limits: Floats) -> Floats:
+    """Least times from command to command at these speeds, shape (N - 1,) [s]."""
+    return np.asarray(np.max(np.abs(np.diff(q, axis=0)) / limits, axis=1, initial=0.0))
 
 
 def paced(
@@ -83,8 +83,7 @@ def paced(
     way = moving_times(q, np.where(np.isinf(limits), 1.0, limits))
     times = np.interp(way, way[known], time[row[known]])
     times[known] = time[row[known]]
-    least = np.max(np.abs(np.diff(q, axis=0)) / limits, axis=1, initial=0.0)
-    (late,) = np.nonzero(least > np.diff(times) * (1.0 + ROUNDING))
+    (late,) = np.nonzero(_steps(q, limits) > np.diff(times) * (1.0 + ROUNDING))
     ahead = [row[k + 1 :][known[k + 1 :]][0] for k in late]
     return times, np.unique(np.array(ahead, np.int64))
 
@@ -110,9 +109,8 @@ def urscript(
             no speeds.
     """
     if len(chain.joints) != 6 or not chain.revolute.all():
-        raise OptionError(
-            "URScript is for six revolute joints", value=len(chain.joints)
-        )
+        reason = "URScript is for six revolute joints"
+        raise OptionError(reason, value=len(chain.joints))
     v = float(speed_limits(chain, part).min())
     lines = [f"# {line}" for line in comments] + ["def commands():"]
     for k, row in enumerate(q):
@@ -146,23 +144,17 @@ def joint_trajectory(
     if times is None:
         times = moving_times(q, speed_limits(chain, part))
     times = times - times[:1]
+    stamps = [{"sec": int(t), "nanosec": int(1e9 * (t % 1.0))} for t in times]
     points = [
-        {
-            "positions": row.tolist(),
-            "time_from_start": {"sec": int(time), "nanosec": int(1e9 * (time % 1.0))},
-        }
-        for row, time in zip(q, times, strict=True)
+        {"positions": row.tolist(), "time_from_start": stamp}
+        for row, stamp in zip(q, stamps, strict=True)
     ]
     document = {"joint_names": [*chain.joints], "points": points}
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
     return "\n".join([*(f"# {line}" for line in comments), text]).encode()
 
 
-Program: TypeAlias = Callable[
-    [Chain, Floats, float, Sequence[str], Floats | None], bytes
-]
-
-PROGRAMS: Mapping[str, Program] = {
+PROGRAMS: Mapping[str, Callable[..., bytes]] = {
     "urscript": urscript,
     "joint-trajectory": joint_trajectory,
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from calib_pin.errors import OptionError, OutputError
+from calib_pin.errors import OptionError
 from calib_pin.io.calibrated_model import frame_key
-from calib_pin.io.exchange.base import EXACT, Encoded, Exported, Format
+from calib_pin.io.exchange.base import Encoded, Exported, Format, require_read
 from calib_pin.setup import CameraSetup
 
 
@@ -59,40 +60,35 @@ def places(exported: Exported) -> list[Place]:
 
 def encode_transforms(exported: Exported, _: Path | None) -> Encoded:
     """Static transforms as ROS prints them, and the commands that publish them."""
-    documents, commands, found = [], [], places(exported)
-    for place in found:
-        (x, y, z), (qx, qy, qz, qw) = _numbers(place.pose)
+    documents, commands = [], []
+    for place in places(exported):
+        position, turn = _numbers(place.pose)
         documents.append(
             {
                 "header": {"frame_id": place.parent},
                 "child_frame_id": place.child,
                 "transform": {
-                    "translation": {"x": x, "y": y, "z": z},
-                    "rotation": {"x": qx, "y": qy, "z": qz, "w": qw},
+                    "translation": position,
+                    "rotation": {key[1:]: number for key, number in turn.items()},
                 },
             }
         )
+        options = (f"--{key} {x!r}" for key, x in (position | turn).items())
         commands.append(
-            "# ros2 run tf2_ros static_transform_publisher "
-            f"--x {x!r} --y {y!r} --z {z!r} --qx {qx!r} --qy {qy!r} --qz {qz!r} "
-            f"--qw {qw!r} --frame-id {place.parent} --child-frame-id {place.child}"
+            f"# ros2 run tf2_ros static_transform_publisher {' '.join(options)} "
+            f"--frame-id {place.parent} --child-frame-id {place.child}"
         )
-    text = "\n".join(
-        [*commands, yaml.safe_dump({"transforms": documents}, sort_keys=False)]
-    )
-    for place, read in zip(found, yaml.safe_load(text)["transforms"], strict=True):
-        numbers = [*read["transform"]["rotation"].values()]
-        pose = pin.SE3(
-            pin.Quaternion(np.array(numbers)).matrix(),
-            np.array([*read["transform"]["translation"].values()]),
-        )
-        if not np.abs(pose.homogeneous - place.pose.homogeneous).max() < EXACT:
-            raise OutputError(f"the frame '{place.child}' does not read back")
-    return Encoded(text.encode())
+    document = {"transforms": documents}
+    text = yaml.safe_dump(document, sort_keys=False)
+    require_read(yaml.safe_load(text), document, "the frames")
+    return Encoded("\n".join([*commands, text]).encode())
 
 
-def _numbers(pose: pin.SE3) -> tuple[list[float], list[float]]:
-    return pose.translation.tolist(), pin.Quaternion(pose.rotation).coeffs().tolist()
+def _numbers(pose: pin.SE3) -> tuple[dict[str, float], dict[str, float]]:
+    """Position and quaternion, each number by its name."""
+    quaternion = pin.Quaternion(pose.rotation).coeffs()
+    turn = zip(("qx", "qy", "qz", "qw"), quaternion.tolist(), strict=True)
+    return dict(zip("xyz", pose.translation.tolist(), strict=True)), dict(turn)
 
 
 def encode_camera(exported: Exported, _: Path | None) -> Encoded:
@@ -116,35 +112,39 @@ def encode_camera(exported: Exported, _: Path | None) -> Encoded:
         )
     else:
         width, height = (int(edge) for edge in camera.size)
-    distortion = [*camera.distortion, *[0.0] * (5 - len(camera.distortion))]
-    K = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-    P = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    K = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
     document = {
         "image_width": width,
         "image_height": height,
         "camera_name": name,
-        "camera_matrix": _matrix(3, 3, K),
+        "camera_matrix": _matrix(K),
         "distortion_model": "plumb_bob",
-        "distortion_coefficients": _matrix(1, 5, distortion),
-        "rectification_matrix": _matrix(3, 3, np.eye(3).reshape(-1).tolist()),
-        "projection_matrix": _matrix(3, 4, P),
+        "distortion_coefficients": _matrix([camera.distortion]),
+        "rectification_matrix": _matrix(np.eye(3).tolist()),
+        "projection_matrix": _matrix([[*row, 0.0] for row in K]),
     }
     comments = []
     for place in places(exported):
         if place.child == "camera":
-            (x, y, z), (qx, qy, qz, qw) = _numbers(place.pose)
-            comments.append(
-                f"# optical frame in {place.parent}: xyz {x:.9g} {y:.9g} {z:.9g}, "
-                f"quaternion x y z w {qx:.9g} {qy:.9g} {qz:.9g} {qw:.9g}"
+            x, turn = (
+                " ".join(f"{number:.9g}" for number in part.values())
+                for part in _numbers(place.pose)
             )
+            about = f"xyz {x}, quaternion x y z w {turn}"
+            comments.append(f"# optical frame in {place.parent}: {about}")
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
-    if yaml.safe_load(text) != document:
-        raise OutputError("the camera does not read back")
+    require_read(yaml.safe_load(text), document, "the numbers of the camera")
     return Encoded("\n".join([*comments, text]).encode(), tuple(remarks))
 
 
-def _matrix(rows: int, columns: int, data: list[float]) -> dict[str, object]:
-    return {"rows": rows, "cols": columns, "data": [float(number) for number in data]}
+def _matrix(rows: Sequence[Sequence[float]]) -> dict[str, object]:
+    data = [float(number) for row in rows for number in row]
+    return {"rows": len(rows), "cols": len(rows[0]), "data": data}
+
+
+CAMERA_INFO = Format(
+    "camera-info", ".yaml", "the camera, as ROS loads it", encode_camera
+)
 
 
 TF = Format(

@@ -129,35 +129,28 @@ def read_calibration_data(
         OptionError: If the extra is missing.
     """
     samples = list[tuple[float, list[float]]]()
-    points = dict[str, list[tuple[int, list[float]]]]()
+    rows = list[tuple[int, str, tuple[float, ...]]]()
     names: list[str] | None = None
     for time, message in _messages(path, topic, (DATA,)):
         state = message.joint_states
-        names = names or [*state.name]
         stated = dict(zip(state.name, state.position, strict=False))
+        names = names or [*stated]
         if not set(names) <= stated.keys():
             raise InputError("its samples are of different joints", file=path)
-        for seen in message.observations:
-            for k, feature in enumerate(seen.features):
-                p = feature.point
-                point = f"{seen.sensor_name}-{k}"
-                points.setdefault(point, []).append((len(samples), [p.x, p.y, p.z]))
+        for sensor in message.observations:
+            for k, feature in enumerate(sensor.features):
+                p, point = feature.point, f"{sensor.sensor_name}-{k}"
+                rows.append((len(samples), point, (p.x, p.y, p.z)))
         samples.append((time, [stated[name] for name in names]))
-    still = {
-        point: seen[0][1]
-        for point, seen in points.items()
-        if len(seen) > 2 and all(xyz == seen[0][1] for _, xyz in seen)
-    }
-    rows = sorted(
-        (sample, point, xyz)
-        for point, seen in points.items()
-        if point not in still
-        for sample, xyz in seen
-    )
+    seen = dict[str, list[tuple[float, ...]]]()
+    for _, point, xyz in rows:
+        seen.setdefault(point, []).append(xyz)
+    still = {p: s[0] for p, s in seen.items() if len(s) > 2 and len({*s}) == 1}
+    rows = sorted(row for row in rows if row[1] not in still)
     if names is None or not rows:
         raise InputError("its calibration data hold no features", file=path)
     if still and notice is not None:
-        known = ", ".join(f"{name}: {xyz}" for name, xyz in still.items())
+        known = ", ".join(f"{name}: {[*xyz]}" for name, xyz in still.items())
         notice(
             f"{path}: features that never move are known points of the tool: {known}"
         )
@@ -167,12 +160,10 @@ def read_calibration_data(
         Standstill(stamps[k], stamps[k], q[k], np.flatnonzero(which == k))
         for k in np.unique(which)
     ]
-    texts = dict[str, list[str]]()
-    if len({point for _, point, _ in rows}) > 1:
-        texts["target"] = [point for _, point, _ in rows]
-    sensors = [point.rpartition("-")[0] for _, point, _ in rows]
-    if len({*sensors}) > 1:
-        texts["station"] = sensors
+    points = [point for _, point, _ in rows]
+    stations = [point.rpartition("-")[0] for point in points]
+    columns = {"target": points, "station": stations}
+    texts = {key: cells for key, cells in columns.items() if len({*cells}) > 1}
     log = Log(stamps[which], np.array([xyz for _, _, xyz in rows]))
     return (
         JointLog(Log(stamps, q), tuple(names), np.ones(len(names))),
@@ -185,10 +176,8 @@ def read_calibration_data(
 def _opened(path: str | Path) -> Iterator[Any]:
     """A reader of a bag; whatever is wrong with the bag is told in a line."""
     if find_spec("rosbags") is None:
-        raise OptionError(
-            "bags need rosbags, which is missing: pip install 'calib-pin[ros]'",
-            file=path,
-        )
+        reason = "bags need rosbags, which is missing: pip install 'calib-pin[ros]'"
+        raise OptionError(reason, file=path)
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -213,21 +202,14 @@ def _messages(
 ) -> Iterator[tuple[float, Any]]:
     """Time [s] and content of the messages of a topic, or of a child frame."""
     with _opened(path) as reader:
-        found = [c for c in reader.connections if c.msgtype in kinds]
-        moving = [c for c in found if c.msgtype == TRANSFORMS]
-        frames = {
-            stamped.child_frame_id: None
-            for connection, _, raw in (reader.messages(moving) if moving else ())
-            for stamped in reader.deserialize(raw, connection.msgtype).transforms
-        }
-        topics = {c.topic: None for c in found if c.msgtype != TRANSFORMS} | frames
+        chosen = [c for c in reader.connections if c.msgtype in kinds]
+        moving = [c for c in chosen if c.msgtype == TRANSFORMS]
+        topics = dict.fromkeys(c.topic for c in chosen if c not in moving)
+        topics |= dict.fromkeys(frame for frame, _, _ in _each(reader, moving))
         words = " or ".join(sorted({kind.split("/")[-1] for kind in kinds}))
         if topic is not None and topic not in topics:
-            raise InputError(
-                f"has no topic '{topic}' of {words}",
-                file=path,
-                allowed=", ".join(topics) or None,
-            )
+            reason, allowed = f"has no topic '{topic}' of {words}", ", ".join(topics)
+            raise InputError(reason, file=path, allowed=allowed or None)
         if topic is None and len(topics) != 1:
             told = enumerated([*topics]) if topics else "none"
             raise InputError(
@@ -235,20 +217,19 @@ def _messages(
                 file=path,
                 allowed="one, named by --topic or --joint-topic",
             )
-        name = topic if topic is not None else next(iter(topics))
-        chosen = [
-            c
-            for c in found
-            if (c.msgtype == TRANSFORMS if name in frames else c.topic == name)
-        ]
-        for connection, stamp, raw in reader.messages(chosen):
-            message = reader.deserialize(raw, connection.msgtype)
-            if connection.msgtype == TRANSFORMS:
-                for stamped in message.transforms:
-                    if stamped.child_frame_id == name:
-                        yield _time(stamped, stamp), stamped
-            else:
+        for name, stamp, message in _each(reader, chosen):
+            if name == topic or topic is None:
                 yield _time(message, stamp), message
+
+
+def _each(reader: Any, connections: Sequence[Any]) -> Iterator[tuple[str, int, Any]]:
+    """Topic, time of recording and content of messages; of transforms the frame."""
+    for connection, stamp, raw in reader.messages(connections) if connections else ():
+        message = reader.deserialize(raw, connection.msgtype)
+        if connection.msgtype == TRANSFORMS:
+            yield from ((one.child_frame_id, stamp, one) for one in message.transforms)
+        else:
+            yield connection.topic, stamp, message
 
 
 def _time(message: Any, stamp: int) -> float:
@@ -259,13 +240,13 @@ def _time(message: Any, stamp: int) -> float:
 
 
 def _numbers(message: Any) -> list[float]:
+    """Position and, of a pose, quaternion."""
     if message.__msgtype__ == POINT:
         p = message.point
         return [p.x, p.y, p.z]
-    if message.__msgtype__ == POSES[0]:
-        p, r = message.pose.position, message.pose.orientation
-    else:
-        p, r = message.transform.translation, message.transform.rotation
+    pose = getattr(message, "pose", None) or message.transform
+    p = getattr(pose, "position", None) or pose.translation
+    r = getattr(pose, "orientation", None) or pose.rotation
     return [p.x, p.y, p.z, r.x, r.y, r.z, r.w]
 
 

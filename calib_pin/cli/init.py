@@ -96,7 +96,8 @@ def init(
     check_outputs([output], [robot, *measurements], force)
     loaded = load_robot(robot, package_dir or ())
     table = read_table(measurements[0])
-    columns = foreign(table.columns)
+    with stated_in(str(measurements[0])):
+        columns = foreign(table.columns)
     start = Setup(base=base, tip=tip, model=model)
     start, joints = _ends(start, loaded, columns, table)
     corners = {"u", "v"} <= measured(columns).keys() and model in (None, "camera")
@@ -219,8 +220,8 @@ def _best(
 
     def tried(model: str | None) -> Look:
         stated = replace(setup, model=model)
-        looks = [look for own in joints for look in looks_of(stated, own)]
         with stated_in(str(files[0])):
+            looks = [look for own in joints for look in looks_of(stated, own)]
             found = best(looks)
         others = unlikely_joints(robot, setup.base, joints)
         while not found.fits and (own := next(others, None)) is not None:

@@ -25,6 +25,7 @@ from calib_pin.io.foreign_headers import (
     families,
     joints_by_name,
     measured,
+    require_units,
     vectors,
     without_meaning,
 )
@@ -263,6 +264,7 @@ def readings(
 ) -> Iterator[Look]:
     """Readings of a file that its names and numbers allow, likeliest first."""
     joints = found_joints.columns
+    require_units(joints.values())
     if setup.tip is None and found_joints.tips:
         setup = replace(setup, tip=found_joints.tips[0])
     used = {one.name for one in joints.values()}

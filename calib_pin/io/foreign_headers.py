@@ -8,11 +8,13 @@ several columns of the same meaning are told apart by words such as *measured*.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib_pin.errors import InputError
 from calib_pin.io.columns import ANGLE, LENGTH, Column, split_header
 from calib_pin.io.measured_columns import reserved
 from calib_pin.io.table import Table
@@ -34,7 +36,7 @@ UNITS = {
 MEANINGS: Mapping[str, str] = {
     **{axis: rf"(?:pos|p|t|position|tcp)?{axis}" for axis in "xyz"},
     **{f"q{axis}": rf"(?:quat(?:ernion)?|orientation|q){axis}" for axis in "xyzw"},
-    **{f"r{axis}": rf"(?:rot|rv|r){axis}" for axis in "xyz"},
+    **{f"r{axis}": rf"(?:rot|rvec|rotvec|rv|r){axis}" for axis in "xyz"},
     **{name: name for name in ("roll", "pitch", "yaw")},
     "distance": "distance|dist|abstand|entfernung|range|length",
     **{axis: rf"(?:pixel|px|p)?{axis}" for axis in "uv"},
@@ -80,7 +82,7 @@ OTHER = re.compile(
 )
 """Words of uncertainties, differences, speeds, forces and the like."""
 
-TURNED = re.compile(r"quat|orient|rot|angle|normal|euler|^[qr]$")
+TURNED = re.compile(r"rvec|rotvec|quat|orient|rot|angle|normal|euler|^[qr]$")
 """Words with which an x is none of a position."""
 
 LABEL = re.compile(r"(?:id|no|nr|num|number|nummer|name|label|index)?")
@@ -98,6 +100,12 @@ PLACES = re.compile(r"\b(?:pos|position|p|t)\b")
 COMMANDED = re.compile(
     r"goal|soll|nominal|cmd|command|desired|action|(?:\b|_)set|ref|target|diff?\b"
 )
+
+ELEMENT = re.compile(
+    r"((?:.*[\W_])?(?:pos|position|p|xyz|point|t|tvec|translation|rvec|rotvec))"
+    r"[ _.\-]*\[?([0-3])\]?"
+)
+"""Elements of positions and of rotation vectors, by their number."""
 
 NUMBERED = re.compile(r"^(.*?)[ _.\-#]*(\d+)(\D*)$")
 JOINTED = re.compile(r"j|a|q|theta|axis|axe|achse|gelenk|joint|phi|motor|servo")
@@ -139,8 +147,53 @@ class Foreign:
 
 
 def foreign(columns: Mapping[str, Column]) -> tuple[Foreign, ...]:
-    """The columns of a file with their units, however these are written."""
-    return tuple(_split(name, column) for name, column in columns.items())
+    """The columns of a file with their units, however these are written.
+
+    Where none is an x, elements of vectors are: `p_1`, `p_2`, `p_3` or `tvec[0]`.
+
+    Raises:
+        InputError: If a column that means something has a unit that is none of ours.
+    """
+    found = [_split(name, column) for name, column in columns.items()]
+    if "x" not in measured(found):
+        found = _with_axes(found)
+    known = measured(found)
+    require_units(one for ours in UNITS_OF for one in known.get(ours, ()))
+    return tuple(found)
+
+
+def require_units(columns: Iterable[Foreign]) -> None:
+    """Refuse columns that mean something, in a unit that is none of ours.
+
+    Raises:
+        InputError: If there is one.
+    """
+    for one in columns:
+        if one.column.unit is not None and one.unit is None:
+            raise InputError(
+                f"the unit '{one.column.unit}' is not known",
+                column=one.name,
+                allowed=", ".join(UNITS),
+            )
+
+
+def _with_axes(columns: Sequence[Foreign]) -> list[Foreign]:
+    """The same, elements of vectors of three called by their axes."""
+    found = [ELEMENT.fullmatch(one.words) for one in columns]
+    numbers = defaultdict[str, list[int]](list)
+    for match in filter(None, found):
+        numbers[match[1]].append(int(match[2]))
+    whole = {
+        stem: min(of)
+        for stem, of in numbers.items()
+        if sorted(of) in ([0, 1, 2], [1, 2, 3])
+    }
+    return [
+        replace(one, words=f"{match[1]} {'xyz'[int(match[2]) - whole[match[1]]]}")
+        if match and match[1] in whole
+        else one
+        for one, match in zip(columns, found, strict=True)
+    ]
 
 
 def _split(name: str, column: Column) -> Foreign:

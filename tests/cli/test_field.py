@@ -134,6 +134,9 @@ READ: Mapping[str, Callable[[Job], str | bytes]] = {
         .replace("x_mm;y_mm;z_mm", "Maß x_mm;Maß y_mm;Maß z_mm")
         .encode("cp1252")
     ),
+    "elements of vectors": lambda job: text(
+        {named("q_{}"): job.q, "p_1 p_2 p_3": 1e3 * job.points}
+    ),
     "nan": lost("nan", 7),
     "empty": lost("", 6),
     "star": lost("*", 8),
@@ -178,6 +181,10 @@ REFUSED: Mapping[str, tuple[Callable[[Job], str], Sequence[str]]] = {
     "computed alone": (
         lambda job: text({OWN: job.q, XYZ: job.T[:, :3, 3]}),
         ("computed from the joints by the controller",),
+    ),
+    "an unknown unit": (
+        lambda job: text({OWN: job.q, "x[cm] y[cm] z[cm]": 1e2 * job.points}),
+        ("rows.csv: ", "'cm'", "column 'x'", "mm"),
     ),
     "no header": (
         lambda job: text({OWN: job.q, XYZ: job.points}).partition("\n")[2],

@@ -169,7 +169,7 @@ def require_units(columns: Iterable[Foreign]) -> None:
         InputError: If there is one.
     """
     for one in columns:
-        if one.column.unit is not None and one.unit is None:
+        if one.column.unit and one.unit is None:
             raise InputError(
                 f"the unit '{one.column.unit}' is not known",
                 column=one.name,

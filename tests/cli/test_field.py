@@ -6,7 +6,6 @@ its numbers is written, and `init` and `calibrate` have nothing else.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +15,11 @@ import pytest
 
 import calib_pin
 from calib_pin.cli import main
+from calib_pin.cli.files import open_chains, open_measurements
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.setup import FrameSetup, Setup
+from calib_pin.validation.result import CalibrationResult
 
 ROBOT = "example:ur5_robot"
 NOISE = 3e-5
@@ -147,11 +148,12 @@ READ: Mapping[str, Callable[[Job], str | bytes]] = {
 }
 
 
-def calibrated(folder: Path) -> tuple[str, float, float]:
-    """The verdict, and errors of nominal and calibrated robot that are held out."""
-    found = json.loads((folder / "calibration.json").read_text())
-    errors = found["errors"]["position"]["validation"]
-    return found["verdict"]["status"], errors["before"]["rms"], errors["after"]["rms"]
+def calibrated() -> CalibrationResult:
+    """The result of the file as the setup file reads it."""
+    setup = calib_pin.read_setup("s.yaml")
+    chains = open_chains(ROBOT, setup)
+    chains, rows = open_measurements([Path("rows.csv")], chains, setup, quiet=True)
+    return calib_pin.calibrate(chains, rows, setup)
 
 
 def written(content: str | bytes) -> None:
@@ -165,10 +167,11 @@ def test_a_file_is_read_as_it_is(name, job, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     written(READ[name](job))
     assert main(["init", ROBOT, "rows.csv", "-o", "s.yaml"]) == 0
-    words = ["calibrate", ROBOT, "rows.csv", "--setup", "s.yaml", "-o", "out"]
-    assert main([*words, "--quiet"]) == 0
-    verdict, before, after = calibrated(Path("out"))
-    assert verdict == "good" and before > 1e-3
+    result = calibrated()
+    (errors,) = result.errors
+    assert errors.validation_before and errors.validation_after
+    before, after = errors.validation_before.rms, errors.validation_after.rms
+    assert result.verdict == "good" and before > 1e-3
     # The noise of a point, and that of 24 parameters of 32 folds' measurements.
     assert after < 4.0 * np.sqrt(3.0) * NOISE
 
@@ -219,6 +222,4 @@ def test_a_sign_for_no_reading_is_left_out_when_stated(job, tmp_path, monkeypatc
     columns = ", ".join(f"{joint}: j{k}" for k, joint in enumerate(JOINTS))
     setup = f"tip: tool0\ncolumns: {{{columns}}}\nreading: {{without: {lines}}}\n"
     Path("s.yaml").write_text(setup)
-    words = ["calibrate", ROBOT, "rows.csv", "--setup", "s.yaml", "-o", "out"]
-    assert main([*words, "--quiet"]) == 0
-    assert calibrated(Path("out"))[0] == "good"
+    assert calibrated().verdict == "good"

@@ -3,8 +3,7 @@
 Sources: github.com/huggingface/lerobot, `motors/motors_bus.py` (`_normalize`) and
 `robots/so100_follower`: a motor `shoulder_pan.pos` is in degrees, or in -100 to 100 of
 its range (the gripper 0 to 100), by a setting that the data do not state. The ranges
-are in the calibration file of the robot; data set files (Parquet, lists) have their
-names in `meta/info.json`.
+are in the calibration file of the robot.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import numpy as np
 
 import calib_pin.io.dialects.base as base
 from calib_pin.errors import InputError
-from calib_pin.io.columns import Column, Floats
+from calib_pin.io.columns import Column
 from calib_pin.io.files import TEXT, read_bytes
 
 STATE = "observation.state"
@@ -47,7 +46,7 @@ class LeRobot(base.Dialect):
     def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:
         """The joints in degrees, or as the calibration file beside has them."""
         read, motors = dict[str, Column](), dict[str, Column]()
-        for name, column in _elements(columns, file).items():
+        for name, column in columns.items():
             if found := MOTOR.fullmatch(name):
                 motors[found[1] or found[2]] = column
             elif not name.startswith("action"):
@@ -55,37 +54,43 @@ class LeRobot(base.Dialect):
         joints = motors.keys() - {GRIPPER}
         if len(joints) < 2:
             return None
-        numbers = {name: _readings(column) for name, column in motors.items()}
-        largest = max(np.abs(np.nan_to_num(numbers[k])).max() for k in joints)
+        # A number that stands for no reading tells nothing of the unit.
+        sizes = [
+            np.abs(column.numbers[column.numbers != column.sentinel])
+            for column in map(motors.__getitem__, joints)
+        ]
+        largest = max(np.nanmax(size, initial=0.0) for size in sizes)
         beside = "put the calibration file of the robot (JSON) beside it"
-        if RADIANS < largest <= 100.0 and (ranges := _half_ranges(file, motors)):
-            for name, values in numbers.items():
-                part = values / 100.0
-                part = 2.0 * part - 1.0 if name == GRIPPER else part
-                read[name] = base.computed(name, part * ranges[1][name], "deg")
-            remark = (
-                f"-100 to 100 of the ranges in {ranges[0]}; are they degrees, move "
-            )
-            return base.Reading(read, f"joints of LeRobot in {remark}that file away")
-        if largest == 100.0:
+        if RADIANS < largest <= 100.0 and (ranges := _ranges(file, motors)):
+            calibration, of = ranges
+            read |= {n: _in_degrees(n, c, of[n]) for n, c in motors.items()}
+            remark = f"-100 to 100 of the ranges in {calibration}"
+            remark += "; are they degrees, move that file away"
+        elif largest == 100.0:
             reason = (
                 f"the joints are in -100 to 100 of their ranges: {beside}, or state "
+                "their unit in 'columns' of the setup"
             )
-            raise InputError(reason + "their unit in 'columns' of the setup", file=file)
-        unit, remark = ("deg", "degrees") if largest > RADIANS else (None, "rad")
-        if RADIANS < largest < 100.0:
-            remark += f"; are they in -100 to 100 of a range, {beside}"
-        for name, column in motors.items():
-            if name == GRIPPER:
-                read[f"{name}.pos"] = column
-            else:
-                read[name] = base.named(column, name, unit)
+            raise InputError(reason, file=file)
+        else:
+            unit, remark = None, "rad"
+            if largest > RADIANS:
+                unit, remark = "deg", f"degrees; are they parts of a range, {beside}"
+            for name in joints:
+                read[name] = base.named(motors[name], name, unit)
+            if GRIPPER in motors:
+                read[f"{GRIPPER}.pos"] = motors[GRIPPER]
         return base.Reading(read, f"joints of LeRobot in {remark}")
 
 
-def _readings(column: Column) -> Floats:
-    """The numbers of a column, nan for one that stands for no reading, shape (N,)."""
-    return np.where(column.numbers == column.sentinel, np.nan, column.numbers)
+def _in_degrees(name: str, column: Column, motor: Mapping[str, Any]) -> Column:
+    """A motor's position, which the file has in -100 to 100 of its range."""
+    part = np.where(column.numbers == column.sentinel, np.nan, column.numbers / 100.0)
+    part = 2.0 * part - 1.0 if name == GRIPPER else part
+    half = (motor["range_max"] - motor["range_min"]) * 180.0 / STEPS
+    return base.computed(
+        name, part * (-half if motor.get("drive_mode") else half), "deg"
+    )
 
 
 def read_motors(template: Path) -> dict[str, dict[str, Any]]:
@@ -111,52 +116,21 @@ def read_motors(template: Path) -> dict[str, dict[str, Any]]:
     return data
 
 
-def _half_ranges(
+def _ranges(
     file: Path, motors: Collection[str]
-) -> tuple[str, Mapping[str, float]] | None:
-    """The calibration file beside a file, and half the range of each motor [deg].
+) -> tuple[str, Mapping[str, dict[str, Any]]] | None:
+    """Name and content of the calibration file of these motors beside a file.
 
     Raises:
         InputError: If there are several.
     """
     found = {}
     for path in sorted(file.parent.glob("*.json")):
-        with suppress(InputError, KeyError):
+        with suppress(InputError):
             calibration = read_motors(path)
-            found[path.name] = {
-                name: (-1.0 if calibration[name].get("drive_mode") else 1.0)
-                * (calibration[name]["range_max"] - calibration[name]["range_min"])
-                * 180.0
-                / STEPS
-                for name in motors
-            }
+            if calibration.keys() >= {*motors}:
+                found[path.name] = calibration
     if len(found) > 1:
         reason = f"there are several calibration files beside it: {', '.join(found)}"
         raise InputError(reason, file=file)
     return next(iter(found.items()), None)
-
-
-def _elements(columns: Mapping[str, Column], file: Path) -> dict[str, Column]:
-    """The columns, that of lists of joint positions as a column for each."""
-    read = dict(columns)
-    lists = columns.get(STATE)
-    if lists is None or not lists.words or (lists.codes < 0).any():
-        return read
-    rows = [re.sub(r"[\[\],()]", " ", word).split() for word in lists.words]
-    with suppress(ValueError):  # Other texts, or lists of several lengths.
-        numbers: Floats = np.array(rows, float)[lists.codes]
-        names = _names(file) or [f"q_{k}" for k in range(numbers.shape[1])]
-        for name, column in zip(names, numbers.T, strict=True):
-            read[f"{STATE}.{name}"] = base.computed(name, column)
-        del read[STATE]
-    return read
-
-
-def _names(file: Path) -> list[str]:
-    """Names of the joints, from the data set that a file is of."""
-    for folder in file.resolve().parents[:4]:
-        with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
-            info = json.loads((folder / "meta" / "info.json").read_text("utf-8"))
-            names = info["features"][STATE]["names"]
-            return [*names] if isinstance(names, list) else [*names.popitem()[1]]
-    return []

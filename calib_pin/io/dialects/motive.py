@@ -54,21 +54,21 @@ class Motive(base.Dialect):
         columns = [*zip_longest(*above, fillvalue="")][: len(rows[at])]
         labels = {name for of, name, *_ in columns if of == kind}
         labeled = {name for name in labels if not name.startswith("Unlabeled")}
-        names = []
+        names, objects = list[str](), ["", "", *(name for _, name, *_ in columns[2:])]
         for k, (of, name, group, axis) in enumerate(columns):
             if k < 2 or not of:
                 names.append("time [s]" if axis.startswith("Time (") else axis)
             elif name not in (labeled or labels) or of != kind or axis not in AXES:
-                names.append(base.of(str(k), "other", "column"))
+                names.append("")
             elif group == "Position":
-                names.append(base.of(axis.lower(), KINDS[kind], name, unit))
-            elif order == "quaternion":
-                names.append(base.of(f"q{axis.lower()}", KINDS[kind], name))
+                names.append(base.header(axis.lower(), unit))
             else:
-                names.append(base.of(f"turn {axis.lower()}", KINDS[kind], name, "deg"))
+                turned = "q{}" if order == "quaternion" else "turn {} [deg]"
+                names.append(turned.format(axis.lower()))
         remark = f"an export of OptiTrack Motive (lengths in {unit or 'no unit'})"
         read = partial(_converted, order)
-        return base.Heading(mark, names, lines[at][0], remark, read)
+        last = lines[at][0]
+        return base.Heading(mark, names, last, remark, objects, KINDS[kind], read)
 
 
 def _converted(order: str, columns: dict[str, Column]) -> dict[str, Column]:

@@ -40,25 +40,20 @@ class Pandas(base.Dialect):
         numbered = rows[0][0][:1].isdigit()  # It is a row, with its index.
         if len({*upper}) == len(upper) or len({*names}) < len(names) or numbered:
             return None
+        names[0] = ""  # The index.
         # A name of the index stands alone in a line.
         last = lines[1 if any(rows[1][1:]) else 2][0]
-        return base.Heading(mark, names, last, REMARK, _without_index)
+        return base.Heading(mark, names, last, REMARK)
 
     def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:
         """The columns without the index, names of two parts with `_` between."""
-        read = _without_index(columns)
+        read = dict(columns)
+        steps = np.diff(read[INDEX].numbers) if INDEX in read else np.zeros(0)
+        if len(steps) and (steps == 1.0).all():
+            del read[INDEX]
         for name in columns:
             if pair := PAIR.fullmatch(name):
                 ours = "_".join(filter(None, pair.groups()))
                 read[ours] = base.named(read.pop(name), ours)
         changed = read.keys() != columns.keys()
         return base.Reading(read, REMARK) if changed else None
-
-
-def _without_index(columns: Mapping[str, Column]) -> dict[str, Column]:
-    """The columns but for an unnamed first one that counts the rows."""
-    read = dict(columns)
-    steps = np.diff(read[INDEX].numbers) if INDEX in read else np.zeros(0)
-    if len(steps) and (steps == 1.0).all():
-        del read[INDEX]
-    return read

@@ -32,19 +32,20 @@ class Vicon(base.Dialect):
         )
         if axes[:2] != ["Frame", "Sub Frame"] or not re.fullmatch(r"[\d.]+", rate[0]):
             return None
-        kind, of = "tool" if "TX" in axes else "target", ""
+        kind, of = "tool" if "TX" in axes else "target", ["", ""]
         names = axes[:2]
         columns = [*zip_longest(axes, units, objects, fillvalue="")][: len(axes)]
-        for k, (axis, unit, name) in enumerate(columns[2:]):
-            of, last = name.removeprefix("Global Angle ") or of, axis[-1:].lower()
+        for axis, unit, name in columns[2:]:
+            of.append(name.removeprefix("Global Angle ") or of[-1])
+            last = axis[-1:].lower()
             if axis.removeprefix("T") in ("X", "Y", "Z") and unit in ("mm", "m"):
-                names.append(base.of(last, kind, of, unit))
+                names.append(base.header(last, unit))
             elif axis.startswith("R") and "RW" in axes:
-                names.append(base.of(f"q{last}", kind, of))
+                names.append(f"q{last}")
             elif axis.startswith("R"):
-                names.append(base.of(f"angle_{last}", kind, of, unit))
+                names.append(base.header(f"angle_{last}", unit))
             else:
-                names.append(base.of(str(k), "other", "column"))
+                names.append("")
         remark = "an export of Vicon"
         if any(name.startswith("angle_") for name in names):
             remark += (
@@ -56,4 +57,5 @@ class Vicon(base.Dialect):
             time = columns["Frame"].numbers / float(rate[0])
             return {"time": base.computed("time", time, "s"), **columns}
 
-        return base.Heading(mark, names, lines[at + 1][0], remark, with_time)
+        line = lines[at + 1][0]
+        return base.Heading(mark, names, line, remark, of, kind, with_time)

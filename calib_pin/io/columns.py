@@ -32,10 +32,6 @@ def read_numbers(cells: Sequence[str]) -> NDArray[np.float64]:
     """
     if (numbers := _decimals(cells, len(cells))) is not None:
         return numbers
-    text = "".join(cells)
-    if text.isascii() and "_" not in text:
-        with suppress(ValueError):
-            return np.fromiter(map(float, cells), np.float64, len(cells))
     known = {cell: _number(cell) for cell in set(cells)}
     return np.array([known[cell] for cell in cells])
 

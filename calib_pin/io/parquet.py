@@ -8,30 +8,23 @@ from typing import Any
 
 from calib_pin.errors import InputError, OptionError
 from calib_pin.io.columns import GrowingColumn
+from calib_pin.io.files import read_blocks
 from calib_pin.io.text import Cells
 
-SUFFIXES = (".parquet", ".parq", ".pq")
 MAGIC = b"PAR1"
 """First bytes of a Parquet file."""
 
-CELLS = 1 << 27
-"""Most cells of a file, twice those of the largest CSV file."""
-
 
 def is_parquet(path: str | Path) -> bool:
-    """Whether a file is to be read as Parquet: by its suffix or its first bytes."""
-    path = Path(path)
-    if path.suffix.lower() in SUFFIXES or not path.is_file():
-        return path.suffix.lower() in SUFFIXES
-    with path.open("rb") as stream:
-        return stream.read(len(MAGIC)) == MAGIC
+    """Whether a file is to be read as Parquet: by its first bytes."""
+    return next(read_blocks(path, len(MAGIC)), b"") == MAGIC
 
 
 def read_parquet(path: str | Path) -> Cells:
     """The cells of a Parquet file; its rows are counted from 1.
 
     Raises:
-        InputError: If it cannot be read, or says that it is too large.
+        InputError: If it cannot be read.
         OptionError: If the extra is missing.
     """
     try:
@@ -45,9 +38,6 @@ def read_parquet(path: str | Path) -> Cells:
         ) from None
     try:
         with parquet.ParquetFile(path) as found:
-            about = found.metadata
-            if about.num_rows * about.num_columns > CELLS:
-                raise InputError(f"has more than {CELLS} cells", file=path)
             table = found.read(use_threads=False)
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         what = (str(error).splitlines() or [type(error).__name__])[0]

@@ -22,6 +22,7 @@ from calib_pin.io.columns import (
     PIXEL,
     Column,
     Floats,
+    GrowingColumn,
     Kind,
     closest,
     split_header,
@@ -29,7 +30,7 @@ from calib_pin.io.columns import (
 )
 from calib_pin.io.dialects import reading, side_by_side
 from calib_pin.io.parquet import is_parquet, read_parquet
-from calib_pin.io.text import Cells, read_cells
+from calib_pin.io.text import read_cells
 from calib_pin.observations import Labels
 from calib_pin.progress import Progress
 
@@ -110,6 +111,38 @@ class Table:
         columns = {ours.get(name, name): c for name, c in self.columns.items()}
         return replace(self, columns=columns)
 
+    def called(self, columns: Mapping[str, str]) -> Table:
+        """The table with the names and units that the setup states.
+
+        Args:
+            columns: What columns with foreign names are, ours to theirs; theirs may
+                state a unit in square brackets.
+
+        Raises:
+            InputError: If two are one column, or units contradict.
+        """
+        taken, missing = dict[str, str](), dict[str, str]()
+        stated = dict(self.columns)
+        for ours, theirs in columns.items():
+            name, unit = split_header(theirs)
+            if name not in self:
+                missing |= {} if ours in self else {ours: theirs}
+                continue
+            own = self.columns[name].unit
+            if name in taken:
+                both = f"'{taken[name]}' and '{ours}'"
+                raise self.error(f"'columns' in the setup takes {both} from it", name)
+            # A unit that the file writes in its own way may be stated in ours.
+            if own in UNITS and unit not in (None, own):
+                reason = f"the header says [{own}], 'columns' in the setup [{unit}]"
+                raise self.error(reason, name)
+            taken[name] = ours
+            stated[name] = replace(stated[name], unit=unit or own)
+        # A column that has the name of another's meaning keeps its place without it.
+        names = {ours: f"{ours} (of the file)" for ours in taken.values()} | taken
+        read = {names.get(name, name): column for name, column in stated.items()}
+        return replace(self, columns=read, missing=missing)
+
     def ignored(self, names: Collection[str]) -> str:
         """A sentence about columns without a meaning; empty if there are none."""
         headers = [self.columns[name].header for name in names]
@@ -126,20 +159,20 @@ class Table:
         Raises:
             InputError: If the unit does not fit, or a cell is not a finite number.
         """
-        factor = self._factor(name, kind)
-        values = self.columns[name].numbers
-        bad = ~np.isfinite(values)
+        column = self.columns[name]
+        if column.unit is not None and column.unit not in kind.units:
+            allowed = ", ".join(kind.units) or "no unit"
+            raise self.error(f"unit '{column.unit}' does not fit here", name, allowed)
+        good = np.isfinite(column.numbers)
         if positive:
-            bad |= ~(values > 0.0)
-        if bad.any():
-            row = int(np.argmax(bad))
-            raise self.cell_error(
-                what_is_wrong(self.columns[name].text(row), float(values[row])),
-                name,
-                row,
-                "a positive number" if positive else "a finite number",
-            )
-        return values if factor == 1.0 else values * factor
+            good &= column.numbers > 0.0
+        if not good.all():
+            row = int(np.argmin(good))
+            reason = what_is_wrong(column.text(row), float(column.numbers[row]))
+            allowed = "a positive number" if positive else "a finite number"
+            raise self.cell_error(reason, name, row, allowed)
+        factor = 1.0 if column.unit is None else kind.units[column.unit]
+        return column.numbers if factor == 1.0 else column.numbers * factor
 
     def texts(self, names: Collection[str]) -> dict[str, Labels]:
         """Trimmed text of those columns that there are, by name, N strings each.
@@ -209,18 +242,6 @@ class Table:
         theirs = (name in self and self.columns[name].theirs) or name
         return name if theirs == name else f"{theirs} ({name})"
 
-    def _factor(self, name: str, kind: Kind) -> float:
-        unit = self.columns[name].unit
-        if unit is None:
-            return 1.0
-        if unit not in kind.units:
-            raise self.error(
-                f"unit '{unit}' does not fit here",
-                name,
-                ", ".join(kind.units) or "no unit",
-            )
-        return kind.units[unit]
-
 
 def read_table(
     path: str | Path,
@@ -245,100 +266,48 @@ def read_table(
         OptionError: If it is a Parquet file, and the extra that reads it is missing.
     """
     cells = read_parquet(path) if is_parquet(path) else read_cells(path, "", progress)
+    line, number = cells.header_line or None, np.frombuffer(cells.lines, np.int64)
+    table = Table(cells.file, line, {}, number, remarks=cells.remarks)
     if not cells.lines:
         raise InputError("the file has a header but no rows", file=cells.file)
-    _check_marks(cells)
-    number = np.frombuffer(cells.lines, np.int64)
-    given = [c.grown(name) for name, c in zip(cells.header, cells.columns, strict=True)]
-    remarks = cells.remarks
+    given = [
+        column.grown(name or f"column {place}")
+        for place, (name, column) in enumerate(
+            zip(cells.header, cells.columns, strict=True), 1
+        )
+    ]
     if cells.foreign:
-        named, row = side_by_side(cells.foreign, given)
-        named, number = cells.foreign.read(named), number[row]
-    else:
-        named = _named(cells, given)
-    named, missing = _renamed(named, columns, cells)
-    if not cells.foreign and (found := reading(named, Path(path))):
+        found, row = side_by_side(cells.foreign, given)
+        ours = cells.foreign.read(found)
+        return replace(table, columns=ours, lines=number[row]).called(columns)
+    names = [column.theirs for column in given]
+    for place, name in enumerate(names):
+        if (first := names.index(name)) < place:
+            both = f"'{given[first].header}', '{given[place].header}'"
+            raise table.error(f"two columns are '{name}': {both}", name)
+    table = replace(table, columns=dict(zip(names, given, strict=True)))
+    _check_marks(table, cells.columns)
+    table = table.called(columns)
+    if read := reading(table.columns, Path(path)):
+        remarks = (*table.remarks, f"read as {read.remark}")
         # The setup names columns as the file does, or as they are called then.
-        named, missing = _renamed(found.columns, missing, cells)
-        remarks += (f"read as {found.remark}",)
-    line = cells.header_line or None
-    return Table(cells.file, line, named, number, missing, remarks)
+        table = replace(table, columns=read.columns, remarks=remarks)
+        table = table.called(table.missing)
+    return table
 
 
-def _check_marks(cells: Cells) -> None:
+def _check_marks(table: Table, columns: Sequence[GrowingColumn]) -> None:
     """Refuse commas and points as decimal marks: some separate thousands."""
-    commas = any("," in column.marks for column in cells.columns)
-    for name, column in zip(cells.header, cells.columns, strict=True):
+    commas = [column.marks[","] for column in columns if "," in column.marks]
+    for name, column in zip(table.columns, columns, strict=True):
         points = [row for mark, row in column.marks.items() if mark != ","]
         thousands = commas and "." not in column.marks
         if points and ("," in column.marks or thousands):
-            raise InputError(
-                "a number has a decimal point here, and others a comma",
-                file=cells.file,
-                line=cells.lines[min(points)],
-                column=split_header(name)[0],
-                allowed="one decimal mark",
+            line = table.lines[column.marks.get(",", min(commas))]
+            reason = (
+                f"a number has a decimal point here, and one a comma in line {line}"
             )
-
-
-def _named(cells: Cells, given: Sequence[Column]) -> dict[str, Column]:
-    """Columns by their names; those without are named by their number.
-
-    Raises:
-        InputError: If two have the same.
-    """
-    result: dict[str, Column] = {}
-    for place, column in enumerate(given, 1):
-        name = column.theirs or f"column {place}"
-        if name in result:
-            raise InputError(
-                f"two columns are '{name}': '{result[name].header}', '{column.header}'",
-                file=cells.file,
-                line=cells.header_line or None,
-                column=name,
-            )
-        header = column.header or name
-        result[name] = replace(column, header=header)
-    return result
-
-
-def _renamed(
-    named: Mapping[str, Column], columns: Mapping[str, str], cells: Cells
-) -> tuple[dict[str, Column], dict[str, str]]:
-    """Columns by what the setup says they are, and those that are not there.
-
-    Raises:
-        InputError: If two are one column, or units contradict.
-    """
-    taken, missing = dict[str, tuple[str, Column]](), dict[str, str]()
-    for ours, stated in columns.items():
-        name, unit = split_header(stated)
-        column = named.get(name)
-        if column is None:
-            if ours not in named:
-                missing[ours] = stated
-            continue
-        reason = ""
-        if name in taken:
-            first = taken[name][0]
-            reason = f"'columns' in the setup takes '{first}' and '{ours}' from it"
-        # A unit that the file writes in its own way may be stated in ours.
-        own = column.unit if column.unit in UNITS else None
-        if None not in (unit, own) and unit != own:
-            reason = f"the header says [{own}], 'columns' in the setup [{unit}]"
-        if reason:
-            line = cells.header_line or None
-            raise InputError(reason, file=cells.file, line=line, column=name)
-        taken[name] = ours, replace(column, unit=own or unit or column.unit)
-    meanings = {ours for ours, _ in taken.values()}
-    result = dict[str, Column]()
-    for name, column in named.items():
-        ours, read = taken.get(name, (name, column))
-        # A column that has the name of another's meaning keeps its place without it.
-        if name in meanings and name not in taken:
-            ours = f"{name} (of the file)"
-        result[ours] = read
-    return result, missing
+            raise table.cell_error(reason, name, min(points), "one decimal mark")
 
 
 def with_readings(

@@ -9,6 +9,7 @@ import re
 from array import array
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -177,24 +178,24 @@ def read_cells(
     if kind := "JSON: write it as CSV" if json else next(kinds, ""):
         raise InputError(f"is {kind}", file=file)
     wide = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    try:
-        encoding = "utf-16" if wide else "utf-8-sig"
-        return _read(_opened(source), encoding, file, progress)
-    except UnicodeError:
-        if wide:
-            reason = "not UTF-16 text, as its byte order mark says"
-            raise InputError(reason, file=file) from None
-    found = _read(_opened(source), "latin-1", file, progress)
-    return replace(found, remarks=(*found.remarks, "not UTF-8, read as Latin-1"))
+    for encoding in ("utf-16",) if wide else ("utf-8-sig", "latin-1"):
+        with suppress(UnicodeError):
+            return _read(source, encoding, file, progress)
+    raise InputError("not UTF-16 text, as its byte order mark says", file=file)
 
 
 def _opened(source: str | Path | bytes) -> BinaryIO:
     return io.BytesIO(source) if isinstance(source, bytes) else Path(source).open("rb")
 
 
-def _read(raw: BinaryIO, encoding: str, file: str, progress: Progress | None) -> Cells:
-    with io.TextIOWrapper(raw, encoding) as stream:
+def _read(
+    source: str | Path | bytes, encoding: str, file: str, progress: Progress | None
+) -> Cells:
+    with _opened(source) as raw, io.TextIOWrapper(raw, encoding) as stream:
         found = _laid_out([*islice(stream, HEAD)], file)
+        if encoding == "latin-1":
+            remarks = (*found.remarks, "not UTF-8, read as Latin-1")
+            found = replace(found, remarks=remarks)
         size, count = raw.seek(0, io.SEEK_END), 0
         stream.seek(0)
         while lines := stream.readlines(LINES):
@@ -221,10 +222,14 @@ def _laid_out(first: Sequence[str], file: str) -> Cells:
         names, line, separator = tuple(found.names), found.line, found.separator
         remark = f"read as {found.remark}"
     else:
-        separator = _separator([text for _, text in lines if not _is_comment(text)])
-        line, cells = _header(lines, separator, file)
+        plain = [one for one in lines if not _is_comment(one[1])]
+        if not plain:
+            reason = "the file is empty, it needs a header and rows"
+            raise InputError(reason, file=file)
+        separator = _separator([text for _, text in plain])
+        line, cells = _header(lines, plain, separator, file)
         names = tuple(map(str.strip, cells))
-        above = sum(n < line and not _is_comment(text) for n, text in lines)
+        above = sum(number < line for number, _ in plain)
         remark = f"{above} lines above the header in line {line} are left out"
         remark *= bool(above)
     columns = [GrowingColumn() for _ in names]
@@ -240,49 +245,50 @@ def _separator(lines: Sequence[str]) -> str:
     """The separator that stands as often in most lines."""
     for mark in SEPARATORS:
         counts = Counter(line.count(mark) for line in lines)
-        ((count, most),) = counts.most_common(1) or [(0, 0)]
+        ((count, most),) = counts.most_common(1)
         if count and 2 * most >= len(lines):
             return mark
-    header, last = lines[0] if lines else "", lines[-1] if lines else ""
-    found = max(SEPARATORS, key=header.count)
-    names = cells_of(header, " ")
+    found = max(SEPARATORS, key=lines[0].count)
+    names = cells_of(lines[0], " ")
     # A single column may have a space in its name, but not in its numbers.
-    alone = found not in header and len(names) > 1
-    return " " if alone and len(last.split()) == len(names) else found
+    alone = found not in lines[0] and len(names) > 1
+    return " " if alone and len(lines[-1].split()) == len(names) else found
 
 
 def _header(
-    lines: Sequence[tuple[int, str]], separator: str, file: str
+    lines: Sequence[tuple[int, str]],
+    plain: Sequence[tuple[int, str]],
+    separator: str,
+    file: str,
 ) -> tuple[int, list[str]]:
-    """Line and cells of the header among the first lines, with their numbers."""
-    # Lines that are comments come last: a header stands rather without a sign.
-    cut = [
-        (number, cells_of(line.lstrip(" \t#%/"), separator), _is_comment(line))
-        for number, line in sorted(lines, key=lambda one: _is_comment(one[1]))
-    ]
-    plain = [(number, cells) for number, cells, comment in cut if not comment]
-    if not plain:
-        reason = "the file is empty, it needs a header and rows"
-        raise InputError(reason, file=file)
-    rows = [one for one in plain if _is_row(one[1], separator)]
+    """Line and cells of the header.
+
+    Args:
+        lines: The first lines with their numbers.
+        plain: Those that are no comments.
+        separator: Separator of two cells.
+        file: The file, for messages.
+    """
+    cut = [(number, cells_of(line, separator)) for number, line in plain]
+    rows = [one for one in cut if _is_row(one[1], separator)]
     if not rows:
-        return plain[0]
+        return cut[0]
     ((width, _),) = Counter(len(cells) for _, cells in rows).most_common(1)
     first = next(number for number, cells in rows if len(cells) == width)
-    for number, cells, _ in cut:
-        if number < first and len(cells) == width and not _is_row(cells, separator):
+    above = [one for one in cut if one[0] < first]
+    bare = [(n, cells_of(line.lstrip(" \t#%/"), separator)) for n, line in lines]
+    for number, cells in above + [one for one in bare if one[0] < first]:
+        if len(cells) == width and not _is_row(cells, separator):
             return number, cells
-    above = [one for one in plain if one[0] < first]
     longest = max(above, key=lambda one: len(one[1]), default=(0, []))
     if 2 * len(longest[1]) >= width:
         return longest
-    names = _names(width)
     raise InputError(
         "the first row holds numbers, a header with the names of the columns is "
         "missing",
         file=file,
         line=first,
-        allowed=f"{width} names above it, such as {separator.join(names)}",
+        allowed=f"{width} names above it, such as {separator.join(_names(width))}",
     )
 
 

@@ -11,7 +11,7 @@ least squares for the polynomials of all motions and, by Gauss-Newton, one offse
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import correlate
 
 from calib_pin.errors import InputError
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, from_quaternion, so3_log
 
 STILL = 1e-4
 """Way of a joint in half a second that still counts as standing [rad, m]."""
@@ -38,6 +38,9 @@ READINGS = 3
 
 ALIKE = 0.6
 """Correlation of both logs' motions from which they are of one recording."""
+
+LIKE = 0.1
+"""Difference in thousands of the spans of two logs, as a power, that is theirs."""
 
 COARSE = 0.02
 """Step of the first search for the clock [s]."""
@@ -351,13 +354,90 @@ class _Motion:
         return Clock(ahead, (high - low + COARSE) / np.sqrt(12.0), 0)
 
 
-def scatter(standstills: Sequence[Standstill], values: Floats) -> Floats:
+def join_by_name(
+    joints: Log, readings: Log, ours: Sequence[str], theirs: Sequence[str]
+) -> Joined:
+    """The readings of each row of the joints that has the same name.
+
+    Args:
+        joints: Positions of the joints; their times do not count.
+        readings: Measured values.
+        ours: The name of each row of the joints.
+        theirs: The name of each reading.
+    """
+    names = np.array(theirs)
+    found = [
+        Standstill(float(k), float(k), joints.values[k], rows)
+        for k, name in enumerate(ours)
+        for kind in readings.kinds
+        if len(rows := kind[names[kind] == name])
+    ]
+    return Joined(None, tuple(found), 0, 0, 0)
+
+
+def thousands(joints: Log, readings: Log) -> int:
+    """How often the times of the joints are to be divided by 1000 to last as long.
+
+    Negative for those of the readings; zero where no unit from s to ns explains it.
+    """
+    spans = [float(np.ptp(log.time)) for log in (joints, readings)]
+    if not min(spans) > 0.0:
+        return 0
+    far = np.log10(spans[0] / spans[1]) / 3.0
+    steps = round(far)
+    return steps if abs(far - steps) < LIKE and abs(steps) < 4 else 0
+
+
+def continuous(log: Log) -> Log:
+    """A log whose last four values are quaternions, of which no sign jumps.
+
+    Both signs are the same orientation, and at half turns either comes out.
+    """
+    values = log.values.copy()
+    for rows in log.kinds:
+        q = values[rows, -4:]
+        jumps = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0)
+        values[rows[1:], -4:] *= np.cumprod(jumps)[:, None]
+    return replace(log, values=values)
+
+
+def means(standstills: Sequence[Standstill], values: Floats, oriented: bool) -> Floats:
+    """Mean of the readings of each standstill, shape (S, k).
+
+    Args:
+        standstills: The standstills.
+        values: Values of all readings, shape (N, k).
+        oriented: Whether the last four are quaternions.
+    """
+    found = np.array([values[one.readings].mean(axis=0) for one in standstills])
+    if oriented:
+        found[:, -4:] /= np.linalg.norm(found[:, -4:], axis=1)[:, None]
+    return found
+
+
+def scatter(
+    standstills: Sequence[Standstill], values: Floats, oriented: bool = False
+) -> Floats:
     """Standard deviation of a reading about the mean of its standstill, shape (k,).
 
     Zero where no standstill has two readings.
+
+    Args:
+        standstills: The standstills.
+        values: Values of all readings, shape (N, k).
+        oriented: Whether the last four are quaternions; the last three deviations are
+            those of their rotation vectors then.
     """
-    rest = [values[s.readings] - values[s.readings].mean(axis=0) for s in standstills]
+    rest = []
+    for one, mean in zip(
+        standstills, means(standstills, values, oriented), strict=True
+    ):
+        away = values[one.readings]
+        if oriented:
+            R = from_quaternion(mean[-4:]).T @ from_quaternion(away[:, -4:])
+            away = np.hstack([away[:, :-4], so3_log(R)])
+        rest.append(away - away.mean(axis=0))
     dof = sum(len(r) - 1 for r in rest)
     if dof < 1:
-        return np.zeros(values.shape[1])
+        return np.zeros(values.shape[1] - oriented)
     return np.asarray(np.sqrt(np.sum(np.concatenate(rest) ** 2, axis=0) / dof))

@@ -263,14 +263,13 @@ def test_a_motor_is_in_degrees_or_in_parts_of_its_range(table, tmp_path, refused
     assert "x.pos" in table(head.replace("\n", ",x.pos\n") + "0,50,20,40,1\n")
     assert table(head + "0,0.5,0.2,40\n1,-3,1,40\n").columns["elbow_flex"].unit is None
     motor = {"homing_offset": 5, "range_min": 1000, "range_max": 3000}
-    motors = {name: motor for name in ("shoulder_pan", "gripper")}
+    motors = {"shoulder_pan": motor}
     motors["elbow_flex"] = {**motor, "drive_mode": 1}
     (tmp_path / "arm.json").write_text(json.dumps(motors))
     found = table(head + "0,50,20,40\n1,-30,-100,40\n")
     half = 1000 * 2.0 * np.pi / 4095
     assert np.allclose(found.numbers("shoulder_pan", ANGLE), [0.5 * half, -0.3 * half])
     assert np.allclose(found.numbers("elbow_flex", ANGLE), [-0.2 * half, half])
-    assert np.allclose(found.numbers("gripper", ANGLE), -0.2 * half)
     # Beyond the range they are degrees after all.
     found = table(head + "0,50,20,40\n1,-30,-101,40\n")
     assert np.allclose(found.numbers("elbow_flex", ANGLE), np.radians([20, -101]))
@@ -280,8 +279,7 @@ def test_a_motor_is_in_degrees_or_in_parts_of_its_range(table, tmp_path, refused
 
 
 def test_names_and_index_of_a_data_frame(table):
-    found = table("\"\",\"('q', 0)\",\"('tip', 'x')\"\n0,1.5,2.5\n1,3.5,4.5\n")
-    assert list(found.columns) == ["q_0", "tip_x"]
+    assert list(table('"",a\n0,1.5\n1,3.5\n').columns) == ["a"]
     # An index with a name has a line of its own; one that counts nothing stays.
     found = table(",q,q\n,a,b\nt,,\n0.5,1,2\n1.5,3,4\n")
     assert list(found.columns) == ["q_a", "q_b"]

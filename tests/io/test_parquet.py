@@ -16,7 +16,6 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
-from calib_pin.io import parquet as parquet_module
 from calib_pin.io.columns import LENGTH, PURE
 from calib_pin.io.measurements import encode_table, read_measurements, read_names
 from calib_pin.io.table import Table, read_table
@@ -140,7 +139,7 @@ def test_a_bad_cell_is_blamed_on_its_row(write: Write) -> None:
     assert (caught.value.line, caught.value.column) == (3, "n")
 
 
-def test_by_suffix_or_by_content(write: Write, tmp_path: Path) -> None:
+def test_by_content(write: Write, tmp_path: Path) -> None:
     assert len(read_table(write({"n": [1.0]}, "measured.dat")).lines) == 1
     text = tmp_path / "a.csv"
     text.write_text("PAR,n\n1,2\n")
@@ -162,21 +161,12 @@ def test_files_that_are_none(write: Write, tmp_path: Path) -> None:
     import pyarrow as pa
 
     file = tmp_path / "a.parquet"
-    file.write_text("x,y\n1,2\n")
-    unreadable(file)
     file.write_bytes(b"PAR1" + bytes(40))
     unreadable(file)
     unreadable(tmp_path / "b.parquet")
     unreadable(write({"x": pa.array([], pa.float64())}))
     twice = pa.table([pa.array([1.0]), pa.array([2.0])], names=["x", "x [mm]"])
     unreadable(write(twice))
-
-
-def test_too_large_files(write: Write, monkeypatch: Any) -> None:
-    file = write({"x": [1.0] * 60, "n": [f"name {k}" for k in range(60)]})
-    read_table(file)
-    monkeypatch.setattr(parquet_module, "CELLS", 119)
-    unreadable(file)
 
 
 def test_damaged_files_cost_a_line(write: Write) -> None:

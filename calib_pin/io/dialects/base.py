@@ -190,9 +190,9 @@ def side_by_side(
     """
     count, objects = len(columns[0].numbers), heading.objects or [""] * len(columns)
     found = dict[str, dict[str, Column]]()
-    for column, name in zip(columns, objects, strict=True):
-        if column.header:
-            found.setdefault(name, {})[column.theirs] = column
+    for column, name, of in zip(columns, heading.names, objects, strict=True):
+        if name:
+            found.setdefault(of, {})[column.theirs] = column
     result = found.pop("", {})
     if not found:
         return result, np.arange(count)

@@ -22,11 +22,11 @@ from calib_pin.errors import InputError
 from calib_pin.io.columns import Column
 from calib_pin.io.files import TEXT, read_bytes
 
-STATE = "observation.state"
 MOTOR = re.compile(
-    rf"(?:{STATE}\.)?(?!(?:\w+_)?[xyz]\.)([\w-]+)\.pos|{STATE}\.([\w-]+)"
+    r"(?:observation\.state\.)?(?!gripper|(?:\w+_)?[xyz]\.)([\w-]+)\.pos"
+    r"|observation\.state\.(?!gripper)([\w-]+)"
 )
-"""Motors, of which none is an axis of a position."""
+"""Motors of joints; the gripper is in 0 to 100 of its range in either case."""
 
 RADIANS = 2.2 * np.pi
 """Joints that never go beyond this are in rad."""
@@ -36,8 +36,7 @@ STEPS = 4095
 
 KEYS = ("homing_offset", "range_min", "range_max")
 
-GRIPPER = "gripper"
-"""The motor that is in 0 to 100 of its range in either case."""
+BESIDE = "put the calibration file of the robot (JSON) beside it"
 
 
 class LeRobot(base.Dialect):
@@ -45,52 +44,35 @@ class LeRobot(base.Dialect):
 
     def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:
         """The joints in degrees, or as the calibration file beside has them."""
-        read, motors = dict[str, Column](), dict[str, Column]()
+        read, joints = dict[str, Column](), dict[str, Column]()
         for name, column in columns.items():
             if found := MOTOR.fullmatch(name):
-                motors[found[1] or found[2]] = column
+                joints[found[1] or found[2]] = column
             elif not name.startswith("action"):
                 read["time" if name == "timestamp" else name] = column
-        joints = motors.keys() - {GRIPPER}
         if len(joints) < 2:
             return None
         # A number that stands for no reading tells nothing of the unit.
-        sizes = [
-            np.abs(column.numbers[column.numbers != column.sentinel])
-            for column in map(motors.__getitem__, joints)
-        ]
-        largest = max(np.nanmax(size, initial=0.0) for size in sizes)
-        beside = "put the calibration file of the robot (JSON) beside it"
-        if RADIANS < largest <= 100.0 and (ranges := _ranges(file, motors)):
-            calibration, of = ranges
-            read |= {n: _in_degrees(n, c, of[n]) for n, c in motors.items()}
-            remark = f"-100 to 100 of the ranges in {calibration}"
-            remark += "; are they degrees, move that file away"
+        numbers = {
+            name: np.where(column.numbers == column.sentinel, np.nan, column.numbers)
+            for name, column in joints.items()
+        }
+        largest = max(np.abs(np.nan_to_num(n)).max() for n in numbers.values())
+        unit, remark = ("deg", "degrees") if largest > RADIANS else (None, "rad")
+        ranges = _ranges(file, joints) if unit and largest <= 100.0 else None
+        if ranges:
+            name, half = ranges
+            remark = f"-100 to 100 of the ranges in {name}; are they degrees, move "
+            remark += "that file away"
+            joints = {n: base.computed(n, numbers[n] * half[n]) for n in joints}
         elif largest == 100.0:
-            reason = (
-                f"the joints are in -100 to 100 of their ranges: {beside}, or state "
-                "their unit in 'columns' of the setup"
-            )
+            reason = f"the joints are in -100 to 100 of their ranges: {BESIDE}, or "
+            reason += "state their unit in 'columns' of the setup"
             raise InputError(reason, file=file)
-        else:
-            unit, remark = None, "rad"
-            if largest > RADIANS:
-                unit, remark = "deg", f"degrees; are they parts of a range, {beside}"
-            for name in joints:
-                read[name] = base.named(motors[name], name, unit)
-            if GRIPPER in motors:
-                read[f"{GRIPPER}.pos"] = motors[GRIPPER]
+        elif unit:
+            remark += f"; are they in -100 to 100 of a range, {BESIDE}"
+        read |= {n: base.named(column, n, unit) for n, column in joints.items()}
         return base.Reading(read, f"joints of LeRobot in {remark}")
-
-
-def _in_degrees(name: str, column: Column, motor: Mapping[str, Any]) -> Column:
-    """A motor's position, which the file has in -100 to 100 of its range."""
-    part = np.where(column.numbers == column.sentinel, np.nan, column.numbers / 100.0)
-    part = 2.0 * part - 1.0 if name == GRIPPER else part
-    half = (motor["range_max"] - motor["range_min"]) * 180.0 / STEPS
-    return base.computed(
-        name, part * (-half if motor.get("drive_mode") else half), "deg"
-    )
 
 
 def read_motors(template: Path) -> dict[str, dict[str, Any]]:
@@ -116,20 +98,22 @@ def read_motors(template: Path) -> dict[str, dict[str, Any]]:
     return data
 
 
-def _ranges(
-    file: Path, motors: Collection[str]
-) -> tuple[str, Mapping[str, dict[str, Any]]] | None:
-    """Name and content of the calibration file of these motors beside a file.
+def _ranges(file: Path, joints: Collection[str]) -> tuple[str, dict[str, float]] | None:
+    """The calibration file beside a file, and a hundredth of half the ranges [deg].
 
     Raises:
         InputError: If there are several.
     """
     found = {}
     for path in sorted(file.parent.glob("*.json")):
-        with suppress(InputError):
+        with suppress(InputError, KeyError):
             calibration = read_motors(path)
-            if calibration.keys() >= {*motors}:
-                found[path.name] = calibration
+            found[path.name] = {
+                name: (-1.0 if calibration[name].get("drive_mode") else 1.0)
+                * (calibration[name]["range_max"] - calibration[name]["range_min"])
+                * (1.8 / STEPS)
+                for name in joints
+            }
     if len(found) > 1:
         reason = f"there are several calibration files beside it: {', '.join(found)}"
         raise InputError(reason, file=file)

@@ -21,13 +21,7 @@ from calib_pin.io.columns import Column
 from calib_pin.measurement_models.orientations import quaternions
 from calib_pin.setup import OrientationSetup
 
-KINDS = {
-    "Rigid Body": "tool",
-    "Rigid Body Bone": "tool",
-    "Bone": "tool",
-    "Marker": "target",
-    "Rigid Body Marker": "target",
-}
+KINDS = ("Rigid Body", "Rigid Body Bone", "Bone", "Marker", "Rigid Body Marker")
 """Types of columns, of which the first that is there is read."""
 
 AXES = ("X", "Y", "Z", "W")
@@ -67,8 +61,8 @@ class Motive(base.Dialect):
                 names.append(turned.format(axis.lower()))
         remark = f"an export of OptiTrack Motive (lengths in {unit or 'no unit'})"
         read = partial(_converted, order)
-        last = lines[at][0]
-        return base.Heading(mark, names, last, remark, objects, KINDS[kind], read)
+        last, ours = lines[at][0], "target" if kind.endswith("Marker") else "tool"
+        return base.Heading(mark, names, last, remark, objects, ours, read)
 
 
 def _converted(order: str, columns: dict[str, Column]) -> dict[str, Column]:

@@ -130,7 +130,7 @@ def join(
     samples = (
         joints == measurements and is_bag(joints) and holds_calibration_data(joints)
     )
-    tell = None if quiet else notice
+    tell = (lambda remark: None) if quiet else notice
     with progress_bar(quiet=quiet) as bar:
         if samples:
             positions, readings, found = read_calibration_data(joints, topic, tell)

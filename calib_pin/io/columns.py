@@ -154,6 +154,9 @@ ANGLE = Kind(
 PIXEL = Kind("px", {"px": 1.0}, {}, 1e5)
 PURE = Kind("", {}, {}, np.inf)
 
+UNITS = {*ANGLE.units, *LENGTH.units, *PIXEL.units}
+"""Units as calib-pin writes them."""
+
 
 TEXTS = 1 << 14
 """Different cells of a column up to which the texts of its numbers are kept."""

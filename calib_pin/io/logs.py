@@ -10,6 +10,7 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
+import calib_pin.observations.joining as joining
 from calib_pin.errors import InputError, enumerated
 from calib_pin.io.columns import ANGLE, LENGTH, PIXEL, PURE, Floats, Kind, closest
 from calib_pin.io.dialects.base import header
@@ -24,17 +25,8 @@ from calib_pin.io.measured_columns import (
     reserved,
 )
 from calib_pin.io.measurements import encode_table
-from calib_pin.io.table import Table, with_readings
+from calib_pin.io.table import Table, require_columns, with_readings
 from calib_pin.measurement_models.declaration import ROTATION_VECTOR
-from calib_pin.observations.joining import (
-    Joined,
-    Log,
-    continuous,
-    join_by_name,
-    means,
-    scatter,
-    thousands,
-)
 from calib_pin.setup import STATED
 
 TIME = Kind("s", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, {}, np.inf)
@@ -62,7 +54,7 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 POSE = "pose"
 """Column of the names by which two files are joined, in the result."""
 
-Notice = Callable[[str], None] | None
+Notice = Callable[[str], None]
 """Called with sentences about the file and what was left out."""
 
 
@@ -78,7 +70,7 @@ class JointLog:
         loose: Whether nothing says in which unit the times are.
     """
 
-    log: Log
+    log: joining.Log
     headers: tuple[str, ...]
     factors: Floats
     poses: Sequence[str] = ()
@@ -96,7 +88,7 @@ class ReadingLog:
         loose: Whether nothing says in which unit the times are.
     """
 
-    log: Log
+    log: joining.Log
     columns: tuple[str, ...]
     texts: Mapping[str, Sequence[str]]
     loose: bool = False
@@ -146,7 +138,7 @@ def _names_of(table: Table) -> dict[str, list[str]]:
 
 
 def read_joint_log(
-    table: Table, columns: Mapping[str, str] = {}, notice: Notice = None
+    table: Table, columns: Mapping[str, str], notice: Notice
 ) -> JointLog:
     """The joints of a log: those that the setup names, or its columns of positions.
 
@@ -176,7 +168,7 @@ def read_joint_log(
     pairs = zip(kinds, units, strict=True)
     time, poses, loose = _times(table, stamp)
     return JointLog(
-        Log(time, np.column_stack(values)),
+        joining.Log(time, np.column_stack(values)),
         tuple(map(header, names, units)),
         np.array([kind.units.get(unit or "", 1.0) for kind, unit in pairs]),
         poses,
@@ -184,7 +176,7 @@ def read_joint_log(
     )
 
 
-def read_reading_log(table: Table, notice: Notice = None) -> ReadingLog:
+def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
     """The measured values of a log.
 
     Readings of several targets, tools or stations may alternate, or share a time.
@@ -197,6 +189,9 @@ def read_reading_log(table: Table, notice: Notice = None) -> ReadingLog:
         InputError: If it has no time or no measured values, or the time of a target
             goes back.
     """
+    # Other columns that the setup names may be those of the joints.
+    lacking = {ours: table.missing[ours] for ours in table.missing.keys() & measured()}
+    require_columns([replace(table, missing=lacking)])
     table = understood(table)
     stamp = _stamp(table)
     own = [n for n in table.columns if n in measured() and n not in ORIENTED]
@@ -220,13 +215,13 @@ def read_reading_log(table: Table, notice: Notice = None) -> ReadingLog:
         own += QUATERNION
     used = {stamp, *own, *NAMES, *ORIENTED, "temperature"}
     ignored = table.ignored([name for name in table.columns if name not in used])
-    if ignored and notice is not None:
+    if ignored:
         notice(ignored)
     order = np.argsort(time, kind="stable")
-    log = Log(time[order], np.column_stack(values)[order], kind[order])
+    log = joining.Log(time[order], np.column_stack(values)[order], kind[order])
     cells = {name: [*labels[order]] for name, labels in texts.items()}
     cells |= {POSE: [*poses]} if poses else {}
-    return ReadingLog(continuous(log) if way else log, tuple(own), cells, loose)
+    return ReadingLog(joining.continuous(log) if way else log, tuple(own), cells, loose)
 
 
 def in_one_unit(
@@ -240,13 +235,12 @@ def in_one_unit(
         notice: Called with a sentence about times that are in another unit.
     """
     loose = joints.loose and readings.loose
-    steps = thousands(joints.log, readings.log) if loose else 0
+    steps = joining.thousands(joints.log, readings.log) if loose else 0
     if steps == 0:
         return joints, readings
     unit, part = [*TIME.units.items()][abs(steps)]
-    if notice is not None:
-        longer = "joints" if steps > 0 else "readings"
-        notice(f"the times of the {longer} are read as {unit}: so both last as long")
+    longer = "joints" if steps > 0 else "readings"
+    notice(f"the times of the {longer} are read as {unit}: so both last as long")
     if steps > 0:
         log = replace(joints.log, time=joints.log.time * part)
         return replace(joints, log=log), readings
@@ -254,7 +248,9 @@ def in_one_unit(
     return joints, replace(readings, log=log)
 
 
-def joined_by_name(joints: JointLog, readings: ReadingLog, notice: Notice) -> Joined:
+def joined_by_name(
+    joints: JointLog, readings: ReadingLog, notice: Notice
+) -> joining.Joined:
     """Readings with the joints of the row of the same name.
 
     Args:
@@ -267,13 +263,13 @@ def joined_by_name(joints: JointLog, readings: ReadingLog, notice: Notice) -> Jo
         for names in (joints.poses, readings.texts[POSE])
     )
     alone = sorted({*ours} ^ {*theirs})
-    if alone and notice is not None:
+    if alone:
         notice(f"in one of both files only, and left out: {enumerated(alone)}")
-    return join_by_name(joints.log, readings.log, ours, theirs)
+    return joining.join_by_name(joints.log, readings.log, ours, theirs)
 
 
 def encode_joined(
-    joined: Joined, joints: JointLog, readings: ReadingLog, *, keep: bool
+    joined: joining.Joined, joints: JointLog, readings: ReadingLog, *, keep: bool
 ) -> bytes:
     """A measurement file of two logs.
 
@@ -291,9 +287,9 @@ def encode_joined(
     table: dict[str, Sequence[object] | NDArray[np.float64]]
     table = dict(zip(joints.headers, q.T, strict=True))
     log, oriented = readings.log, QUATERNION[0] in readings.columns
-    values = means(rows, log.values, oriented)
+    values = joining.means(rows, log.values, oriented)
     table |= zip(readings.columns, values.T, strict=True)
-    sigma = scatter(rows, log.values, oriented)
+    sigma = joining.scatter(rows, log.values, oriented)
     if (sigma > LEAST).all():
         turned = ROTATION_VECTOR if oriented else ()
         names = [*(n for n in readings.columns if n not in QUATERNION), *turned]
@@ -315,7 +311,8 @@ def _whole(table: Table, stamp: str, names: Sequence[str], notice: Notice) -> Ta
     Raises:
         InputError: If there are none.
     """
-    told = [*table.remarks]
+    for remark in table.remarks:
+        notice(f"{table.file}: {remark}")
     kept = ~table.columns[stamp].missing()
     for name in names:
         column = table.columns[name]
@@ -324,11 +321,8 @@ def _whole(table: Table, stamp: str, names: Sequence[str], notice: Notice) -> Ta
         if sign is not None:
             rows = column.numbers == sign
             kept &= ~rows
-            count = f"{sign:g} in {np.count_nonzero(rows)} rows of '{name}'"
-            told.append(f"{count} is taken for a reading that is missing")
-    if notice is not None:
-        for remark in told:
-            notice(f"{table.file}: {remark}")
+            told = f"{sign:g} in {np.count_nonzero(rows)} rows of '{name}'"
+            notice(f"{table.file}: {told} is taken for a reading that is missing")
     if not kept.any():
         raise table.error(f"no row has all of {enumerated([stamp, *names])}")
     return with_readings(table, kept, "rows", notice)
@@ -390,7 +384,7 @@ def _times(
         # Seconds since 1970 have ten digits, others are of smaller units.
         steps = int(np.log10(max(time[0], 1.0))) // 3 - 3 if column.unit is None else 0
         time = time * 1e-3 ** max(steps, 0)
-    for rows in Log(time, time, kind).kinds:
+    for rows in joining.Log(time, time, kind).kinds:
         back = np.diff(time[rows]) <= 0.0
         if back.any():
             row = int(rows[int(np.argmax(back)) + 1])

@@ -59,8 +59,6 @@ def _column(cells: Any) -> GrowingColumn:
     if pa.types.is_floating(kind) or pa.types.is_integer(kind):
         column.add(cells.cast(pa.float64(), safe=False).to_numpy())
         return column
-    if pa.types.is_dictionary(kind):
-        cells = cells.cast(kind.value_type)
     try:
         column.extend([x or "" for x in cells.cast(pa.string()).to_pylist()])
     except pa.ArrowException:

@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, enumerated
 from calib_pin.io.columns import (
-    ANGLE,
-    LENGTH,
-    PIXEL,
+    UNITS,
     Column,
     Floats,
     GrowingColumn,
@@ -33,9 +31,6 @@ from calib_pin.io.parquet import is_parquet, read_parquet
 from calib_pin.io.text import read_cells
 from calib_pin.observations import Labels
 from calib_pin.progress import Progress
-
-UNITS = {*ANGLE.units, *LENGTH.units, *PIXEL.units}
-"""Units as calib-pin writes them."""
 
 
 @dataclass(frozen=True)
@@ -69,23 +64,16 @@ class Table:
             index: The rows, in this order.
             names: The columns; those that do not exist are left out.
         """
-        columns = {
-            name: column.rows(index)
-            for name, column in self.columns.items()
-            if name in names
-        }
+        columns = {n: c.rows(index) for n, c in self.columns.items() if n in names}
         return replace(self, columns=columns, lines=self.lines[index])
 
     def error(
         self, reason: str, column: str | None = None, allowed: str | None = None
     ) -> InputError:
         """An error about the header."""
+        line, told = self.header_line, column and self._told(column)
         return InputError(
-            reason,
-            file=self.file,
-            line=self.header_line,
-            column=column and self._told(column),
-            allowed=allowed,
+            reason, file=self.file, line=line, column=told, allowed=allowed
         )
 
     def cell_error(

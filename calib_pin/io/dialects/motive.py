@@ -14,12 +14,8 @@ from collections.abc import Sequence
 from functools import partial
 from itertools import pairwise, zip_longest
 
-import numpy as np
-
 import calib_pin.io.dialects.base as base
 from calib_pin.io.columns import Column
-from calib_pin.measurement_models.orientations import quaternions
-from calib_pin.setup import OrientationSetup
 
 KINDS = ("Rigid Body", "Rigid Body Bone", "Bone", "Marker", "Rigid Body Marker")
 """Types of columns, of which the first that is there is read."""
@@ -67,13 +63,15 @@ class Motive(base.Dialect):
 
 def _converted(order: str, columns: dict[str, Column]) -> dict[str, Column]:
     """Centimeters as millimeters, Euler angles as quaternions."""
+    from scipy.spatial.transform import Rotation
+
     for axis in {*"xyz"} & columns.keys():
         if columns[axis].unit == "cm":
             columns[axis] = base.computed(axis, 10.0 * columns[axis].numbers, "mm")
     if "turn x" in columns and sorted(order) == [*"xyz"]:
         angles = base.stacked(columns.pop(f"turn {axis}") for axis in order)
-        way = OrientationSetup("rotation-vector", f"intrinsic-{order}")
+        # Capitals stand for turned axes.
         columns |= base.oriented(
-            np.radians(angles), lambda q: quaternions(q, "rotation-vector", way)
+            angles, lambda q: Rotation.from_euler(order.upper(), q, True).as_quat()
         )
     return columns

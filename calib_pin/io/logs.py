@@ -109,14 +109,8 @@ def named_alike(joints: Table, readings: Table) -> tuple[Table, Table] | None:
     """
     if all(map(_time_column, (joints, readings))):
         return None
-    shared = {
-        (ours, theirs): len({*names} & {*others} - {""})
-        for ours, names in _names_of(joints).items()
-        if len({*names}) == len(names)
-        for theirs, others in _names_of(readings).items()
-    }
-    most = max(shared.values(), default=0)
-    if most < 2:
+    found = joining.shared_names(_names_of(joints), _names_of(readings))
+    if found is None:
         without = readings if _time_column(joints) else joints
         raise without.error(
             f"there is no column 'time', and no column of names that {joints.file} and "
@@ -124,8 +118,7 @@ def named_alike(joints: Table, readings: Table) -> tuple[Table, Table] | None:
             allowed=f"one of {', '.join(TIMES)}, 'columns: {{time: NAME}}' in the "
             "setup, or the names of points in both",
         )
-    ours, theirs = next(pair for pair, count in shared.items() if count == most)
-    return joints.renamed({POSE: ours}), readings.renamed({POSE: theirs})
+    return joints.renamed({POSE: found[0]}), readings.renamed({POSE: found[1]})
 
 
 def _names_of(table: Table) -> dict[str, list[str]]:
@@ -241,10 +234,10 @@ def in_one_unit(
     unit, part = [*TIME.units.items()][abs(steps)]
     longer = "joints" if steps > 0 else "readings"
     notice(f"the times of the {longer} are read as {unit}: so both last as long")
+    log = joints.log if steps > 0 else readings.log
+    log = replace(log, time=log.time * part)
     if steps > 0:
-        log = replace(joints.log, time=joints.log.time * part)
         return replace(joints, log=log), readings
-    log = replace(readings.log, time=readings.log.time * part)
     return joints, replace(readings, log=log)
 
 

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from calib_pin.estimation.layout import side_by_side
+from calib_pin.io.cells import read_cells
 from calib_pin.io.measurements import LINES
 from calib_pin.io.result_folder import MEASUREMENTS
-from calib_pin.io.text import read_cells
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity, declared
 from calib_pin.observations import (

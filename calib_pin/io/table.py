@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, enumerated
+from calib_pin.io.cells import read_cells
 from calib_pin.io.columns import (
     UNITS,
     Column,
@@ -27,8 +28,6 @@ from calib_pin.io.columns import (
     what_is_wrong,
 )
 from calib_pin.io.dialects import reading, side_by_side
-from calib_pin.io.parquet import is_parquet, read_parquet
-from calib_pin.io.text import read_cells
 from calib_pin.observations import Labels
 from calib_pin.progress import Progress
 
@@ -253,7 +252,7 @@ def read_table(
             it is a damaged Parquet file.
         OptionError: If it is a Parquet file, and the extra that reads it is missing.
     """
-    cells = read_parquet(path) if is_parquet(path) else read_cells(path, "", progress)
+    cells = read_cells(path, "", progress)
     line, number = cells.header_line or None, np.frombuffer(cells.lines, np.int64)
     table = Table(cells.file, line, {}, number, remarks=cells.remarks)
     if not cells.lines:

@@ -10,7 +10,7 @@ least squares for the polynomials of all motions and, by Gauss-Newton, one offse
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -354,6 +354,25 @@ class _Motion:
         return Clock(ahead, (high - low + COARSE) / np.sqrt(12.0), 0)
 
 
+def shared_names(
+    ours: Mapping[str, Sequence[str]], theirs: Mapping[str, Sequence[str]]
+) -> tuple[str, str] | None:
+    """The two columns that share most names; None where no two share two names.
+
+    Args:
+        ours: Columns of names, of which one counts where each name stands once.
+        theirs: Those of the other file.
+    """
+    shared = {
+        (own, other): len({*names} & {*others} - {""})
+        for own, names in ours.items()
+        if len({*names}) == len(names)
+        for other, others in theirs.items()
+    }
+    most = max(shared.values(), default=0)
+    return next((k for k, v in shared.items() if v == most), None) if most > 1 else None
+
+
 def join_by_name(
     joints: Log, readings: Log, ours: Sequence[str], theirs: Sequence[str]
 ) -> Joined:
@@ -410,8 +429,8 @@ def means(standstills: Sequence[Standstill], values: Floats, oriented: bool) -> 
         oriented: Whether the last four are quaternions.
     """
     found = np.array([values[one.readings].mean(axis=0) for one in standstills])
-    if oriented:
-        found[:, -4:] /= np.linalg.norm(found[:, -4:], axis=1)[:, None]
+    for mean in found if oriented else ():
+        mean[-4:] /= np.linalg.norm(mean[-4:])
     return found
 
 

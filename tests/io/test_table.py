@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import InputError
+from calib_pin.io import cells as cells_module
 from calib_pin.io import columns as columns_module
-from calib_pin.io import text as text_module
 from calib_pin.io.columns import LENGTH, PURE
 from calib_pin.io.table import Table, read_table, require_columns
 
@@ -72,7 +72,7 @@ def number(cell: str) -> float:
 
 @pytest.mark.parametrize("count", [3, 4096])
 def test_cells_and_numbers_are_those_of_every_line_alone(monkeypatch, table, count):
-    monkeypatch.setattr(text_module, "LINES", count)
+    monkeypatch.setattr(cells_module, "LINES", count)
     rng = random.Random(1)
     for _ in range(25):
         lines = spoiled(rng)
@@ -114,7 +114,7 @@ def test_numbers_are_texts_as_well(monkeypatch, table):
     assert (error.line, error.value) == (5, "2.50")
     # Of many that differ there are the numbers alone, and the other texts.
     monkeypatch.setattr(columns_module, "TEXTS", 2)
-    monkeypatch.setattr(text_module, "LINES", 1)
+    monkeypatch.setattr(cells_module, "LINES", 1)
     found = table("name,x\n1.10,01\n1.10,02\n1.1,03\n1.1,a\n1.10,04\n")
     assert found.texts(["name"]) == {"name": ("1.10", "1.10", "1.1", "1.1", "1.10")}
     assert found.texts(["x"]) == {"x": ("1", "2", "3", "a", "4")}

@@ -69,7 +69,7 @@ class LeRobot(base.Dialect):
             reason = f"the joints are in -100 to 100 of their ranges: {BESIDE}, or "
             reason += "state their unit in 'columns' of the setup"
             raise InputError(reason, file=file)
-        elif unit:
+        elif unit and largest < 100.0:
             remark += f"; are they in -100 to 100 of a range, {BESIDE}"
         read |= {n: base.named(column, n, unit) for n, column in joints.items()}
         return base.Reading(read, f"joints of LeRobot in {remark}")
@@ -81,21 +81,14 @@ def read_motors(template: Path) -> dict[str, dict[str, Any]]:
     Raises:
         InputError: If it is no such file.
     """
-    try:
-        data = json.loads(read_bytes(template, TEXT))
-    except (ValueError, RecursionError) as error:
-        found = getattr(error, "msg", error)
-        raise InputError(f"is not JSON: {found}", file=template) from None
-    if not isinstance(data, dict) or not data:
-        raise InputError("holds no motors", file=template)
-    for name, motor in data.items():
-        numbers = [motor.get(key) if isinstance(motor, dict) else None for key in KEYS]
-        if any(isinstance(n, bool) or not isinstance(n, int) for n in numbers):
-            raise InputError(
-                f"motor '{name}' lacks one of {', '.join(KEYS)}, in whole steps",
-                file=template,
-            )
-    return data
+    motors, steps = dict[str, dict[str, Any]](), list[object]()
+    with suppress(ValueError, RecursionError, LookupError, TypeError, AttributeError):
+        motors = json.loads(read_bytes(template, TEXT))
+        steps = [motor[key] for motor in motors.values() for key in KEYS]
+    if {*map(type, steps)} != {int}:
+        told = f"each motor has {', '.join(KEYS)} in whole steps"
+        raise InputError(f"is no calibration file of LeRobot: {told}", file=template)
+    return motors
 
 
 def _ranges(file: Path, joints: Collection[str]) -> tuple[str, dict[str, float]] | None:

@@ -48,7 +48,8 @@ class Ndi(base.Dialect):
             tools.append(cell if cell.startswith("Port") else ["", *tools][-1])
             there.add(name)
         last = lines[0][0]
-        return base.Heading(mark, names, last, REMARK, tools, "tool", _ours)
+        found = base.Heading(mark, names, last, REMARK, tools, "tool", _ours)
+        return found if any(tools) else None
 
     def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:
         """The columns of a file as ours; None for a file of another layout."""

@@ -1,4 +1,4 @@
-"""Files of cells as text: their encoding, separator and header, and cells by column."""
+"""Files of cells, text or Parquet: what they are, their header, and cells by column."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
-from calib_pin.errors import InputError
+from calib_pin.errors import InputError, OptionError
 from calib_pin.io.columns import GrowingColumn, read_lines
 from calib_pin.io.dialects import Heading, heading
 from calib_pin.io.dialects.base import cells_of
@@ -39,6 +39,9 @@ SEPARATORS = "\t;,"
 
 START = 1 << 12
 """Bytes that tell what a file is."""
+
+PARQUET = b"PAR1"
+"""First bytes of a Parquet file."""
 
 BINARY: Sequence[tuple[bytes, bytes, str]] = (
     (b"PK", b"xl/", "an Excel workbook: save the sheet as CSV"),
@@ -155,10 +158,11 @@ class Cells:
 def read_cells(
     source: str | Path | bytes, file: str = "", progress: Progress | None = None
 ) -> Cells:
-    """Read a file of cells: UTF-8, UTF-16 with a byte order mark, or else Latin-1.
+    """Read a file of cells: Parquet by its first bytes, or else text.
 
-    Comments and blank lines are skipped. The header is the first line with as many
-    cells as the rows below have; it may stand behind the sign of a comment.
+    Text is UTF-8, UTF-16 with a byte order mark, or else Latin-1. Comments and blank
+    lines are skipped. The header is the first line with as many cells as the rows below
+    have; it may stand behind the sign of a comment.
 
     Args:
         source: The file, or its bytes.
@@ -167,12 +171,15 @@ def read_cells(
 
     Raises:
         InputError: If there is no such file, it is of another kind, has no header, or
-            rows that do not fit to it.
+            rows of another length.
+        OptionError: If it is a Parquet file, and the extra that reads it is missing.
     """
     if isinstance(source, bytes):
         start = source[:START]
     else:
         file, start = str(source), next(read_blocks(source, START), b"")
+        if start.startswith(PARQUET):
+            return _read_parquet(source)
     kinds = (k for a, b, k in BINARY if start.startswith(a) and b in start)
     json = re.match(rb"\s*(\{|\[\s*[\[{\"\d-])", start)
     if kind := "JSON: write it as CSV" if json else next(kinds, ""):
@@ -306,3 +313,50 @@ def _names(count: int) -> list[str]:
             values = ["x", "y", "z", "rx", "ry", "rz"][: count - joints]
             return [f"j{k}" for k in range(1, joints + 1)] + values
     return [f"column_{k}" for k in range(1, count + 1)]
+
+
+def _read_parquet(path: str | Path) -> Cells:
+    """The cells of a Parquet file; its rows are counted from 1.
+
+    Raises:
+        InputError: If it cannot be read.
+        OptionError: If the extra is missing.
+    """
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except ImportError:
+        raise OptionError(
+            "Parquet files need pyarrow, which is missing: pip install "
+            "'calib-pin[parquet]'",
+            file=path,
+        ) from None
+    try:
+        with parquet.ParquetFile(path) as found:
+            table = found.read(use_threads=False)
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+        what = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"cannot be read as Parquet: {what}", file=path) from None
+    header = tuple(name.strip() for name in table.column_names)
+    return Cells(
+        str(path),
+        header,
+        lines=array("q", range(1, table.num_rows + 1)),
+        columns=[*map(_column, table.columns)],
+    )
+
+
+def _column(cells: Any) -> GrowingColumn:
+    """A column of pyarrow; a cell that is null or nan is blank."""
+    import pyarrow as pa
+
+    column, kind = GrowingColumn(), cells.type
+    if pa.types.is_floating(kind) or pa.types.is_integer(kind):
+        column.add(cells.cast(pa.float64(), safe=False).to_numpy())
+        return column
+    try:
+        column.extend([x or "" for x in cells.cast(pa.string()).to_pylist()])
+    except pa.ArrowException:
+        # Lists, bytes and the like: whoever reads the column is told what is there.
+        column.extend([f"({kind})"] * len(cells))
+    return column

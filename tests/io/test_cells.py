@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import InputError
-from calib_pin.io import text as text_module
+from calib_pin.io import cells as cells_module
+from calib_pin.io.cells import Cells, read_cells
 from calib_pin.io.columns import Column
-from calib_pin.io.text import Cells, read_cells
 
 LINES = ["# p\xe4th", "a,b", "", "1,\xe4", '" x ","#"', "  ", " # c", "2,"]
 KEPT = [(4, ("1", "\xe4")), (5, ("x", "#")), (8, ("2", ""))]
@@ -32,7 +32,7 @@ def rows_of(found: Cells) -> list[tuple[str, ...]]:
 @pytest.mark.parametrize("last", [False, True])
 @pytest.mark.parametrize("code", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
 def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
-    monkeypatch.setattr(text_module, "LINES", count)
+    monkeypatch.setattr(cells_module, "LINES", count)
     progress: list[float] = []
     data = (end.join(LINES) + end * last).encode(code)
     found = read_cells(data, "a.csv", progress.append)
@@ -142,7 +142,7 @@ def test_files_that_are_no_text_are_told_by_what_they_are(data, word):
     ],
 )
 def test_errors_name_the_line(monkeypatch, count, data, line):
-    monkeypatch.setattr(text_module, "LINES", count)
+    monkeypatch.setattr(cells_module, "LINES", count)
     with pytest.raises(InputError) as caught:
         read_cells(data.encode(), "a.csv")
     assert (caught.value.file, caught.value.line) == ("a.csv", line)

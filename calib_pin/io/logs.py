@@ -217,50 +217,6 @@ def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
     return ReadingLog(joining.continuous(log) if way else log, tuple(own), cells, loose)
 
 
-def in_one_unit(
-    joints: JointLog, readings: ReadingLog, notice: Notice
-) -> tuple[JointLog, ReadingLog]:
-    """Logs of the same recording, of which one may count milliseconds or less.
-
-    Args:
-        joints: The joints.
-        readings: The readings.
-        notice: Called with a sentence about times that are in another unit.
-    """
-    loose = joints.loose and readings.loose
-    steps = joining.thousands(joints.log, readings.log) if loose else 0
-    if steps == 0:
-        return joints, readings
-    unit, part = [*TIME.units.items()][abs(steps)]
-    longer = "joints" if steps > 0 else "readings"
-    notice(f"the times of the {longer} are read as {unit}: so both last as long")
-    log = joints.log if steps > 0 else readings.log
-    log = replace(log, time=log.time * part)
-    if steps > 0:
-        return replace(joints, log=log), readings
-    return joints, replace(readings, log=log)
-
-
-def joined_by_name(
-    joints: JointLog, readings: ReadingLog, notice: Notice
-) -> joining.Joined:
-    """Readings with the joints of the row of the same name.
-
-    Args:
-        joints: The joints.
-        readings: The readings.
-        notice: Called with a sentence about names that only one of them has.
-    """
-    ours, theirs = (
-        [name.lower() for name in names]
-        for names in (joints.poses, readings.texts[POSE])
-    )
-    alone = sorted({*ours} ^ {*theirs})
-    if alone:
-        notice(f"in one of both files only, and left out: {enumerated(alone)}")
-    return joining.join_by_name(joints.log, readings.log, ours, theirs)
-
-
 def encode_joined(
     joined: joining.Joined, joints: JointLog, readings: ReadingLog, *, keep: bool
 ) -> bytes:

@@ -123,6 +123,7 @@ class Joined:
         empty: Number of standstills without one.
         moving: Number of readings during a motion, or too close to one.
         scattered: Number of readings in a standstill that are far from its others.
+        alone: Names of rows or readings that have no partner, where names join them.
     """
 
     clock: Clock | None
@@ -130,6 +131,7 @@ class Joined:
     empty: int
     moving: int
     scattered: int
+    alone: tuple[str, ...] = ()
 
     @property
     def used(self) -> int:
@@ -376,7 +378,7 @@ def shared_names(
 def join_by_name(
     joints: Log, readings: Log, ours: Sequence[str], theirs: Sequence[str]
 ) -> Joined:
-    """The readings of each row of the joints that has the same name.
+    """The readings of each row of the joints that has the same name, in any case.
 
     Args:
         joints: Positions of the joints; their times do not count.
@@ -384,27 +386,32 @@ def join_by_name(
         ours: The name of each row of the joints.
         theirs: The name of each reading.
     """
-    names = np.array(theirs)
+    own, names = (np.array([*map(str.lower, told)]) for told in (ours, theirs))
     found = [
         Standstill(float(k), float(k), joints.values[k], rows)
-        for k, name in enumerate(ours)
+        for k, name in enumerate(own)
         for kind in readings.kinds
         if len(rows := kind[names[kind] == name])
     ]
-    return Joined(None, tuple(found), 0, 0, 0)
+    alone = tuple(sorted({*own.tolist()} ^ {*names.tolist()}))
+    return Joined(None, tuple(found), 0, 0, 0, alone)
 
 
-def thousands(joints: Log, readings: Log) -> int:
-    """How often the times of the joints are to be divided by 1000 to last as long.
+def in_one_unit(joints: Log, readings: Log) -> tuple[Log, Log, int]:
+    """Logs of the same recording, of which one may count milliseconds or less.
 
-    Negative for those of the readings; zero where no unit from s to ns explains it.
+    Returns:
+        Both in the same unit, and how often the times of the joints were divided by
+        1000, negative for those of the readings.
     """
     spans = [float(np.ptp(log.time)) for log in (joints, readings)]
-    if not min(spans) > 0.0:
-        return 0
-    far = np.log10(spans[0] / spans[1]) / 3.0
+    far = np.log10(spans[0] / spans[1]) / 3.0 if min(spans) > 0.0 else 0.0
     steps = round(far)
-    return steps if abs(far - steps) < LIKE and abs(steps) < 4 else 0
+    if abs(far - steps) >= LIKE or abs(steps) > 3:
+        return joints, readings, 0
+    joints = replace(joints, time=joints.time * 1e-3 ** max(steps, 0))
+    readings = replace(readings, time=readings.time * 1e-3 ** max(-steps, 0))
+    return joints, readings, steps
 
 
 def continuous(log: Log) -> Log:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import asdict
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,6 +21,7 @@ from calib_pin.cli.printing import (
 )
 
 if TYPE_CHECKING:
+    from calib_pin.io.logs import JointLog, ReadingLog
     from calib_pin.observations.joining import Joined
 
 SECONDS = "a time in seconds, more than 0 and at most 60"
@@ -103,7 +104,7 @@ def join(
     single readings. Files without times are joined by the names of points that both
     have. A bag with CalibrationData (robot_calibration) is given twice.
     """
-    from calib_pin.errors import InputError, stated_in
+    from calib_pin.errors import stated_in
     from calib_pin.io.exchange.rosbag import (
         holds_calibration_data,
         is_bag,
@@ -114,23 +115,20 @@ def join(
     from calib_pin.io.files import write_files
     from calib_pin.io.logs import (
         encode_joined,
-        in_one_unit,
-        joined_by_name,
         named_alike,
         read_joint_log,
         read_reading_log,
     )
     from calib_pin.io.table import read_table
-    from calib_pin.observations.joining import join as joined_logs
 
-    names = open_setup(setup).columns
+    stated = open_setup(setup).columns
     for path in (joints, measurements):
         require_file(path)
     check_outputs([output], [joints, measurements, setup], force)
     samples = (
         joints == measurements and is_bag(joints) and holds_calibration_data(joints)
     )
-    tell = None if quiet else notice
+    tell = (lambda remark: None) if quiet else notice
     with progress_bar(quiet=quiet) as bar:
         if samples:
             positions, readings, found = read_calibration_data(joints, topic, tell)
@@ -138,7 +136,7 @@ def join(
             tables = [
                 None
                 if is_bag(path)
-                else read_table(path, stage(bar, what), columns=names)
+                else read_table(path, stage(bar, what), columns=stated)
                 for path, what in ((joints, "joints"), (measurements, "readings"))
             ]
             ours, theirs = tables
@@ -147,7 +145,7 @@ def join(
             positions = (
                 read_joint_bag(joints, joint_topic)
                 if ours is None
-                else read_joint_log(ours, names, tell)
+                else read_joint_log(ours, stated, tell)
             )
             readings = (
                 read_reading_bag(measurements, topic)
@@ -155,14 +153,7 @@ def join(
                 else read_reading_log(theirs, tell)
             )
             with stated_in(f"{joints}, {measurements}"):
-                if positions.poses:
-                    found = joined_by_name(positions, readings, tell)
-                else:
-                    positions, readings = in_one_unit(positions, readings, tell)
-                    found = joined_logs(positions.log, readings.log, settle, tolerance)
-                    if not found.standstills:
-                        reason = "no reading falls into a standstill of the joints"
-                        raise InputError(reason)
+                readings, found = _joined(positions, readings, settle, tolerance, tell)
     data = encode_joined(found, positions, readings, keep=keep or samples)
     with write_files({output: data}, force=force):
         if json:
@@ -172,6 +163,41 @@ def join(
     if not quiet and not json:
         say_written([f"wrote {output}"])
     return 0
+
+
+def _joined(
+    joints: JointLog,
+    readings: ReadingLog,
+    settle: float,
+    tolerance: float,
+    tell: Callable[[str], None],
+) -> tuple[ReadingLog, Joined]:
+    """The readings, by the unit of the joints' times, and what joins them.
+
+    Raises:
+        InputError: If nothing does.
+    """
+    from calib_pin.errors import InputError, enumerated
+    from calib_pin.io.logs import POSE, TIME
+    from calib_pin.observations.joining import in_one_unit, join, join_by_name
+
+    q, values = joints.log, readings.log
+    if joints.poses:
+        found = join_by_name(q, values, joints.poses, readings.texts[POSE])
+        if found.alone:
+            told = enumerated(found.alone)
+            tell(f"in one of both files only, and left out: {told}")
+        return readings, found
+    if joints.loose and readings.loose:
+        q, values, steps = in_one_unit(q, values)
+        if steps:
+            longer, unit = "joints" if steps > 0 else "readings", [*TIME.units]
+            read = f"the times of the {longer} are read as {unit[abs(steps)]}"
+            tell(f"{read}: so both last as long")
+    found = join(q, values, settle, tolerance)
+    if not found.standstills:
+        raise InputError("no reading falls into a standstill of the joints")
+    return replace(readings, log=values), found
 
 
 def _lines(found: Joined, measurements: Path) -> Iterator[str]:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import re
 from array import array
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import compress, count
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import nearest
+from calib_pin.observations.labels import Labels
 from calib_pin.setup.values import LARGEST_ANGLE, LARGEST_LENGTH
 from calib_pin.units import as_number
 
@@ -30,10 +32,6 @@ def read_numbers(cells: Sequence[str]) -> NDArray[np.float64]:
     """
     if (numbers := _decimals(cells, len(cells))) is not None:
         return numbers
-    text = "".join(cells)
-    if text.isascii() and "_" not in text:
-        with suppress(ValueError):
-            return np.fromiter(map(float, cells), np.float64, len(cells))
     known = {cell: _number(cell) for cell in set(cells)}
     return np.array([known[cell] for cell in cells])
 
@@ -156,6 +154,13 @@ ANGLE = Kind(
 PIXEL = Kind("px", {"px": 1.0}, {}, 1e5)
 PURE = Kind("", {}, {}, np.inf)
 
+UNITS = {*ANGLE.units, *LENGTH.units, *PIXEL.units}
+"""Units as calib-pin writes them."""
+
+
+TEXTS = 1 << 14
+"""Different cells of a column up to which the texts of its numbers are kept."""
+
 
 @dataclass(frozen=True)
 class Column:
@@ -164,24 +169,37 @@ class Column:
     Attributes:
         header: Header cell, with its unit.
         unit: Unit in square brackets, or None.
-        place: Number of columns before it in the file.
         numbers: Number in each row, shape (N,); not finite where there is none.
-        words: Untrimmed texts of the cells that hold no finite number, each once.
-        codes: Position among these of the text of each cell, shape (N,); -1 in rows
-            with a number, of shape (0,) where all rows have one.
+        words: Untrimmed texts of cells, each once; some may not occur.
+        codes: Position among these of the text of each cell, shape (N,); -1 for one
+            of many numbers, and for a blank; of shape (0,) where all are such.
+        theirs: Its name in the file; empty where the file has no such column.
     """
 
     header: str
     unit: str | None
-    place: int
     numbers: Floats
-    words: tuple[str, ...]
-    codes: NDArray[np.int64]
+    words: tuple[str, ...] = ()
+    codes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    theirs: str = ""
 
     def rows(self, index: NDArray[np.int64] | slice) -> Column:
         """Some of the rows, in this order."""
         codes = self.codes[index] if self.words else self.codes
         return replace(self, numbers=self.numbers[index], codes=codes)
+
+    def text(self, row: int) -> str:
+        """Trimmed text of a cell, or its number."""
+        if self.words and self.codes[row] >= 0:
+            return self.words[int(self.codes[row])].strip()
+        number = float(self.numbers[row])
+        return "" if math.isnan(number) else repr(number).removesuffix(".0")
+
+    def texts(self) -> Labels:
+        """Trimmed texts of the cells, N strings."""
+        if self.words and (self.codes >= 0).all():
+            return Labels(self.words, self.codes).map(str.strip)
+        return Labels.of([self.text(row) for row in range(len(self.numbers))])
 
     def blank(self) -> NDArray[np.bool_]:
         """Whether each cell is blank, shape (N,)."""
@@ -192,15 +210,21 @@ class Column:
         return self._holds(lambda word: word.strip().lower() in MISSING)
 
     @property
+    def outlying(self) -> NDArray[np.int64]:
+        """Rows of a number that is far larger than all others, and in several rows."""
+        size = np.where(np.isfinite(self.numbers), np.abs(self.numbers), -1.0)
+        rows = np.flatnonzero(size == size.max(initial=0.0))
+        others = np.delete(size, rows).max(initial=-1.0)
+        far = len(rows) > 1 and 0.0 <= 2.0 * others < size[rows[0]]
+        return rows if far else rows[:0]
+
+    @property
     def sentinel(self) -> float | None:
         """A number that stands for no reading: nines, or huge, in several rows."""
-        values, counts = np.unique(np.abs(self.numbers), return_counts=True)
-        values, counts = values[np.isfinite(values)], counts[np.isfinite(values)]
-        if len(values) < 2 or counts[-1] < 2 or values[-1] < 2.0 * values[-2]:
-            return None
-        nines = {*f"{values[-1]:.6f}".rstrip("0").replace(".", "")} == {"9"}
-        far = self.numbers[np.argmax(np.abs(self.numbers) == values[-1])]
-        return float(far) if nines or values[-1] >= HUGE else None
+        for number in self.numbers[self.outlying[:1]].tolist():
+            nines = {*f"{abs(number):.6f}".rstrip("0").replace(".", "")} == {"9"}
+            return number if nines or abs(number) >= HUGE else None
+        return None
 
     @property
     def numeric(self) -> bool:
@@ -209,10 +233,12 @@ class Column:
         return bool(2 * found > len(self.numbers) - np.count_nonzero(self.missing()))
 
     def _holds(self, matches: Callable[[str], bool]) -> NDArray[np.bool_]:
+        blank = np.isnan(self.numbers)
         if not self.words:
-            return np.zeros(len(self.numbers), bool)
+            return blank
         # The last entry is that of the code -1.
-        return np.array([*map(matches, self.words), False])[self.codes]
+        found = np.array([*map(matches, self.words), False])[self.codes]
+        return np.asarray(found | (blank & (self.codes < 0)))
 
 
 class GrowingColumn:
@@ -221,70 +247,58 @@ class GrowingColumn:
     Attributes:
         numbers: The numbers so far.
         marks: Decimal marks of the numbers, of a file in which commas may be some: the
-            first row with each.
-        thousands: Whether each point in them may be one that separates thousands.
+            first row with each; the key `1.000` for a point that may separate
+            thousands.
     """
 
     def __init__(self) -> None:
         """A column without rows."""
         self.numbers = array("d")
         self.marks = dict[str, int]()
-        self.thousands = True
-        self._codes, self._words = array("q"), Numbering()
+        self._codes, self._words = array("q"), defaultdict[str, int](count().__next__)
+
+    @property
+    def few(self) -> bool:
+        """Whether it has so few different cells so far that their texts are kept."""
+        return len(self._words) <= TEXTS
 
     def extend(self, cells: Sequence[str], *, commas: bool = False) -> None:
         """Add rows.
 
         Args:
             cells: Their untrimmed texts.
-            commas: Whether a decimal mark may be a comma.
+            commas: Whether a decimal mark may be a comma, which becomes a point.
         """
-        numbers = read_numbers(with_points(cells) if commas else cells)
+        written = cells
+        cells = with_points(cells) if commas else cells
+        numbers = read_numbers(cells)
         finite = np.isfinite(numbers)
-        for row, cell in enumerate(cells) if commas else ():
-            for mark in ",.":
-                if mark in cell and finite[row]:
-                    self.marks.setdefault(mark, len(self.numbers) + row)
-                    self.thousands &= bool(THOUSANDS.fullmatch(cell.strip()))
-        self.add(numbers, list(compress(cells, ~finite)))
+        for row, cell in enumerate(written) if commas else ():
+            if finite[row] and ("," in cell or "." in cell):
+                thousands = "," not in cell and THOUSANDS.fullmatch(cell.strip())
+                mark = "1.000" if thousands else "," if "," in cell else "."
+                self.marks.setdefault(mark, len(self.numbers) + row)
+        codes, kept = np.full(len(cells), -1), ~finite | self.few
+        codes[kept] = [self._words[cell] for cell in compress(cells, kept)]
+        self.add(numbers, codes)
 
-    def add(self, numbers: Floats, words: Sequence[str]) -> None:
-        """Add rows that were no text.
-
-        Args:
-            numbers: Their numbers.
-            words: Texts of those that are not finite.
-        """
-        if words or self._words.known:
-            codes = np.full(len(numbers), -1)
-            codes[~np.isfinite(numbers)] = self._words.of(words)
-            missing = len(self.numbers) - len(self._codes)
-            self._codes.extend(array("q", [-1]) * missing)
-            self._codes.frombytes(codes.tobytes())
+    def add(self, numbers: Floats, codes: NDArray[np.int64] | None = None) -> None:
+        """Add rows by their numbers, all of them finite where no codes are given."""
+        codes = np.full(len(numbers), -1) if codes is None else codes
+        self._codes.frombytes(codes.tobytes())
         self.numbers.frombytes(numbers.tobytes())
 
-    def grown(self, header: str, unit: str | None, place: int) -> Column:
-        """The column; see its attributes."""
+    def grown(self, header: str) -> Column:
+        """The column below a header cell."""
+        name, unit = split_header(header)
         numbers = np.frombuffer(self.numbers)
         numbers.setflags(write=False)
-        codes = np.frombuffer(self._codes, np.int64)
-        return Column(header, unit, place, numbers, tuple(self._words.known), codes)
-
-
-class Numbering:
-    """Numbers of texts in the order in which they come.
-
-    Attributes:
-        known: Number of each text; asked for a new one, it gets the next number.
-    """
-
-    def __init__(self) -> None:
-        """No texts yet."""
-        self.known = defaultdict[str, int](count().__next__)
-
-    def of(self, cells: Sequence[str]) -> NDArray[np.int64]:
-        """The number of each of some texts, shape (N,)."""
-        return np.fromiter(map(self.known.__getitem__, cells), np.int64, len(cells))
+        codes = np.array(self._codes)
+        if not self.few:
+            codes[np.isfinite(numbers)] = -1
+        if (codes < 0).all():
+            return Column(header, unit, numbers, theirs=name)
+        return Column(header, unit, numbers, tuple(self._words), codes, name)
 
 
 ELSEWHERE = "; 'calib-pin init' finds columns with other names"

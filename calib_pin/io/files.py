@@ -285,16 +285,13 @@ def read_bytes(path: str | Path, largest: int = DATA) -> bytes:
     return b"".join(read_blocks(path, BLOCK, largest))
 
 
-def read_blocks(
-    path: str | Path, size: int, largest: int = DATA, *, pipe: bool = False
-) -> Iterator[bytes]:
+def read_blocks(path: str | Path, size: int, largest: int = DATA) -> Iterator[bytes]:
     """Read a file block by block, so that it need not fit into memory.
 
     Args:
-        path: The file.
+        path: The file; no pipe and no device.
         size: Bytes of a block.
         largest: Bytes that the file may have.
-        pipe: Whether it may be a pipe; one that nothing writes to is empty.
 
     Raises:
         InputError: If there is no such file, or it is too large or cannot be read.
@@ -304,10 +301,9 @@ def read_blocks(
         # Before it is opened: that alone can wait for ever, or make a device act.
         about = path.stat()
         mode, known = about.st_mode, about.st_size
-        pipe &= stat.S_ISFIFO(mode)
-        if not (pipe or stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise InputError("is not a regular file", file=path)
-        with open(path, "rb", opener=_open_pipe if pipe else None) as stream:
+        with path.open("rb") as stream:
             while block := stream.read(size):
                 read += len(block)
                 if max(read, known) > largest:
@@ -321,13 +317,6 @@ def read_blocks(
         raise InputError("is a directory, not a file", file=path) from error
     except (OSError, ValueError) as error:
         raise InputError(f"cannot be read: {reason_of(error)}", file=path) from error
-
-
-def _open_pipe(path: str, flags: int) -> int:
-    """Open a pipe without waiting for who will write to it."""
-    descriptor = os.open(path, flags | os.O_NONBLOCK)
-    os.set_blocking(descriptor, True)
-    return descriptor
 
 
 def write_atomically(path: Path, data: bytes, *, force: bool) -> None:

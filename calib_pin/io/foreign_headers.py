@@ -314,7 +314,7 @@ def vectors(
 def _names(one: Foreign, ours: str) -> bool:
     """Whether a column says what several measurements have in common."""
     numbers = one.column.numbers
-    count = len(one.column.words) + len(np.unique(numbers[np.isfinite(numbers)]))
+    count = max(len(one.column.words), len(np.unique(numbers[np.isfinite(numbers)])))
     return one.name == ours or len(numbers) >= SHARED * max(count, 1)
 
 

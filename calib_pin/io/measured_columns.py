@@ -92,7 +92,7 @@ def read_quaternions(
             file=table.file,
             line=int(table.lines[row]),
             column=", ".join(STATED[way]),
-            value=", ".join(table.cell(c, row) for c in STATED[way]),
+            value=", ".join(table.columns[c].text(row) for c in STATED[way]),
             allowed="a norm of 0.99 to 1.01",
         )
     # Dividing a unit quaternion once more may change its last bit, and a file that was

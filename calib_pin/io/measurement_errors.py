@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 
 from calib_pin.estimation.layout import side_by_side
-from calib_pin.io.columns import GrowingColumn
+from calib_pin.io.cells import read_cells
 from calib_pin.io.measurements import LINES
-from calib_pin.io.text import parsed
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity, declared
 from calib_pin.observations import (
@@ -122,14 +121,10 @@ def decode_errors(
         ValueError: If there is no measurement, or a cell is no number.
         InputError: If it is no CSV file.
     """
-    text = parsed(data, MEASUREMENTS)
-    header = text.header
-    words: dict[str, list[str]] = {n: [] for n in (*WORDS, *KEYS) if n in header}
-    numbers = {name: GrowingColumn() for name in header if name not in words}
-    for _, columns_of in text.rows():
-        for name, cells in zip(header, columns_of, strict=True):
-            (words[name] if name in words else numbers[name]).extend(cells)
-    columns = {name: np.frombuffer(found.numbers) for name, found in numbers.items()}
+    cells = read_cells(data, MEASUREMENTS)
+    whole = {n: c.grown(n) for n, c in zip(cells.header, cells.columns, strict=True)}
+    words = {n: [*whole[n].texts()] for n in (*WORDS, *KEYS) if n in whole}
+    columns = {name: column.numbers for name, column in whole.items()}
     count, only = len(words["set"]), model.only.key._asdict()
     words = {name: [value] * count for name, value in only.items()} | words
     fitted, held_out = (

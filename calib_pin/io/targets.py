@@ -191,7 +191,7 @@ def encode_commands(
     found = command_columns(targets, q, rows[latest], degrees)
     if targets.T is None:
         all_columns = targets.table.columns
-        others = targets.table.with_points(
+        others = targets.table.cells(
             [name for name in all_columns if name not in found]
         )
         columns = dict(

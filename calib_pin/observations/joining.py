@@ -10,8 +10,8 @@ least squares for the polynomials of all motions and, by Gauss-Newton, one offse
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.signal import correlate
 
 from calib_pin.errors import InputError
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, from_quaternion, so3_log
 
 STILL = 1e-4
 """Way of a joint in half a second that still counts as standing [rad, m]."""
@@ -38,6 +38,9 @@ READINGS = 3
 
 ALIKE = 0.6
 """Correlation of both logs' motions from which they are of one recording."""
+
+LIKE = 0.1
+"""Difference in thousands of the spans of two logs, as a power, that is theirs."""
 
 COARSE = 0.02
 """Step of the first search for the clock [s]."""
@@ -120,6 +123,7 @@ class Joined:
         empty: Number of standstills without one.
         moving: Number of readings during a motion, or too close to one.
         scattered: Number of readings in a standstill that are far from its others.
+        alone: Names of rows or readings that have no partner, where names join them.
     """
 
     clock: Clock | None
@@ -127,6 +131,7 @@ class Joined:
     empty: int
     moving: int
     scattered: int
+    alone: tuple[str, ...] = ()
 
     @property
     def used(self) -> int:
@@ -351,13 +356,114 @@ class _Motion:
         return Clock(ahead, (high - low + COARSE) / np.sqrt(12.0), 0)
 
 
-def scatter(standstills: Sequence[Standstill], values: Floats) -> Floats:
+def shared_names(
+    ours: Mapping[str, Sequence[str]], theirs: Mapping[str, Sequence[str]]
+) -> tuple[str, str] | None:
+    """The two columns that share most names; None where no two share two names.
+
+    Args:
+        ours: Columns of names, of which one counts where each name stands once.
+        theirs: Those of the other file.
+    """
+    shared = {
+        (own, other): len({*names} & {*others} - {""})
+        for own, names in ours.items()
+        if len({*names}) == len(names)
+        for other, others in theirs.items()
+    }
+    most = max(shared.values(), default=0)
+    return next((k for k, v in shared.items() if v == most), None) if most > 1 else None
+
+
+def join_by_name(
+    joints: Log, readings: Log, ours: Sequence[str], theirs: Sequence[str]
+) -> Joined:
+    """The readings of each row of the joints that has the same name, in any case.
+
+    Args:
+        joints: Positions of the joints; their times do not count.
+        readings: Measured values.
+        ours: The name of each row of the joints.
+        theirs: The name of each reading.
+    """
+    own, names = (np.array([*map(str.lower, told)]) for told in (ours, theirs))
+    found = [
+        Standstill(float(k), float(k), joints.values[k], rows)
+        for k, name in enumerate(own)
+        for kind in readings.kinds
+        if len(rows := kind[names[kind] == name])
+    ]
+    alone = tuple(sorted({*own.tolist()} ^ {*names.tolist()}))
+    return Joined(None, tuple(found), 0, 0, 0, alone)
+
+
+def in_one_unit(joints: Log, readings: Log) -> tuple[Log, Log, int]:
+    """Logs of the same recording, of which one may count milliseconds or less.
+
+    Returns:
+        Both in the same unit, and how often the times of the joints were divided by
+        1000, negative for those of the readings.
+    """
+    spans = [float(np.ptp(log.time)) for log in (joints, readings)]
+    far = np.log10(spans[0] / spans[1]) / 3.0 if min(spans) > 0.0 else 0.0
+    steps = round(far)
+    if abs(far - steps) >= LIKE or abs(steps) > 3:
+        return joints, readings, 0
+    joints = replace(joints, time=joints.time * 1e-3 ** max(steps, 0))
+    readings = replace(readings, time=readings.time * 1e-3 ** max(-steps, 0))
+    return joints, readings, steps
+
+
+def continuous(log: Log) -> Log:
+    """A log whose last four values are quaternions, of which no sign jumps.
+
+    Both signs are the same orientation, and at half turns either comes out.
+    """
+    values = log.values.copy()
+    for rows in log.kinds:
+        q = values[rows, -4:]
+        jumps = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0.0, -1.0, 1.0)
+        values[rows[1:], -4:] *= np.cumprod(jumps)[:, None]
+    return replace(log, values=values)
+
+
+def means(standstills: Sequence[Standstill], values: Floats, oriented: bool) -> Floats:
+    """Mean of the readings of each standstill, shape (S, k).
+
+    Args:
+        standstills: The standstills.
+        values: Values of all readings, shape (N, k).
+        oriented: Whether the last four are quaternions.
+    """
+    found = np.array([values[one.readings].mean(axis=0) for one in standstills])
+    for mean in found if oriented else ():
+        mean[-4:] /= np.linalg.norm(mean[-4:])
+    return found
+
+
+def scatter(
+    standstills: Sequence[Standstill], values: Floats, oriented: bool = False
+) -> Floats:
     """Standard deviation of a reading about the mean of its standstill, shape (k,).
 
     Zero where no standstill has two readings.
+
+    Args:
+        standstills: The standstills.
+        values: Values of all readings, shape (N, k).
+        oriented: Whether the last four are quaternions; the last three deviations are
+            those of their rotation vectors then.
     """
-    rest = [values[s.readings] - values[s.readings].mean(axis=0) for s in standstills]
+    rest = []
+    for one, mean in zip(
+        standstills, means(standstills, values, oriented), strict=True
+    ):
+        away = values[one.readings]
+        if oriented:
+            R = from_quaternion(mean[-4:]).T @ from_quaternion(away[:, -4:])
+            away = np.hstack([away[:, :-4], so3_log(R)])
+        rest.append(away - away.mean(axis=0))
     dof = sum(len(r) - 1 for r in rest)
     if dof < 1:
-        return np.zeros(values.shape[1])
+        return np.zeros(values.shape[1] - oriented)
     return np.asarray(np.sqrt(np.sum(np.concatenate(rest) ** 2, axis=0) / dof))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 import subprocess
 import sys
@@ -350,20 +349,6 @@ def test_validation_file(here, run):
     assert run("calibrate arm.urdf rows.csv new.csv -o two --quiet").status == 0
     assert document("two")["measurements"]["files"] == found["measurements"]["files"]
     assert document("two")["measurements"]["training"] == 65
-
-
-def test_measurements_from_a_pipe(here, run):
-    """As `cat rows.csv | calib-pin calibrate arm.urdf /dev/stdin`."""
-    reader, writer = os.pipe()
-    # A pipe holds 64 kB, more than this file.
-    with os.fdopen(writer, "wb") as pipe:
-        pipe.write(Path("rows.csv").read_bytes())
-    file = f"/dev/fd/{reader}"
-    words = f"calibrate arm.urdf {file} --setup setup.yaml -o out --quiet"
-    assert run(words).status == 0
-    os.close(reader)
-    files = document("out")["measurements"]["files"]
-    assert files == [{"file": file, "sha256": ""}]
 
 
 COLOR = re.compile(r"\x1b\[(\d+;)*(3|9)[0-7](;\d+)*m")

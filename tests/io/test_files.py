@@ -14,7 +14,6 @@ from calib_pin.io.files import (
     COMMIT,
     REMOVED,
     locked,
-    read_blocks,
     read_bytes,
     settled,
     write_files,
@@ -306,8 +305,6 @@ def test_only_regular_files_are_read(tmp_path: Path) -> None:
     for name in ("pipe", "device", "endless"):
         with pytest.raises(InputError):
             read_bytes(tmp_path / name)
-    # A pipe that nothing writes to is empty.
-    assert list(read_blocks(tmp_path / "pipe", 10, pipe=True)) == []
 
 
 def test_size_is_limited(tmp_path: Path) -> None:

@@ -589,7 +589,7 @@ REFUSED = [
     ("# only\n\n# comments\n", None, None, None),
     (f"# c\n{J},distance\n# c\n", None, None, None),
     (b"lift\x00,elbow\n0,0\n", None, None, None),
-    ("# c\nlift;elbow;wrist;distance\n0,1;2;3;4,5\n0;2;3;1.5\n", 4, "distance", None),
+    ("# c\nlift;elbow;wrist;distance\n0,1;2;3;4,5\n0;2;3;1.5\n", 4, "distance", "1.5"),
     ("lift;elbow;wrist;x\n0,1;2;3,4\n", 2, "x", None),
     ("lift elbow [deg] wrist\n0 0 0\n", 1, None, None, "no measured columns"),
     ("0.1,0.2,0.3,1\n0,0,0,1\n", 1, None, None, "header"),

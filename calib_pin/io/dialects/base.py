@@ -16,12 +16,6 @@ from calib_pin.io.columns import Column, Floats
 
 QUATERNION = ("qx", "qy", "qz", "qw")
 
-NONE = np.zeros(0, np.int64)
-"""Codes of a column without words."""
-
-OBJECT = re.compile(r"(.+) of (tool|target|other) (.+)")
-"""Columns of several objects side by side, as `of` names them."""
-
 
 @dataclass(frozen=True)
 class Heading:
@@ -29,10 +23,13 @@ class Heading:
 
     Attributes:
         separator: Separator of two cells; a space stands for any blanks.
-        names: The name of each column, with its unit in square brackets; those of
-            several objects side by side as `of` names them.
+        names: The name of each column, with its unit in square brackets; empty for one
+            that is left out.
         line: Last line above the rows, counted from 1; 0 if there is none.
         remark: What was recognized.
+        objects: The object that each column is of, where several are side by side;
+            empty for one that is of all.
+        kind: What the objects are, `tool` or `target`.
         read: The columns as ours, of those of all objects one below the other.
     """
 
@@ -40,6 +37,8 @@ class Heading:
     names: Sequence[str]
     line: int
     remark: str
+    objects: Sequence[str] = ()
+    kind: str = ""
     read: Callable[[dict[str, Column]], dict[str, Column]] = dict
 
 
@@ -140,31 +139,20 @@ def cut(lines: Sequence[tuple[int, str]]) -> tuple[list[list[str]], str]:
     return [cells_of(line, separator) for _, line in lines], separator
 
 
-def of(column: str, kind: str, name: str, unit: str | None = None) -> str:
-    """The name of a column of one of several objects that are side by side.
-
-    Args:
-        column: Its name among those of the object.
-        kind: `tool` or `target`, or `other` for one that is left out.
-        name: Name of the object.
-        unit: Its unit.
-    """
-    # Square brackets state units.
-    plain = " ".join(name.translate(str.maketrans("[]", "()")).split())
-    return f"{column} of {kind} {plain}" + (f" [{unit}]" if unit else "")
+def header(name: str, unit: str | None) -> str:
+    """The header of a column with a unit, if it has any."""
+    return f"{name} [{unit}]" if unit else name
 
 
 def named(column: Column, name: str, unit: str | None = None) -> Column:
     """A column with another name, and a unit where it states none."""
     unit = column.unit or unit
-    return replace(column, header=f"{name} [{unit}]" if unit else name, unit=unit)
+    return replace(column, header=header(name, unit), unit=unit)
 
 
 def computed(name: str, numbers: Floats, unit: str | None = None) -> Column:
-    """A column of numbers that the file does not hold; where none is, it is blank."""
-    missing = ~np.isfinite(numbers)
-    words, codes = (("",), np.where(missing, 0, -1)) if missing.any() else ((), NONE)
-    return named(Column(name, unit, -1, numbers, words, codes), name)
+    """A column of numbers that the file does not hold; one that is nan is blank."""
+    return named(Column(name, unit, numbers), name)
 
 
 def stacked(columns: Iterable[Column]) -> Floats:
@@ -188,40 +176,34 @@ def oriented(
 
 
 def side_by_side(
-    columns: Mapping[str, Column],
+    heading: Heading, columns: Sequence[Column]
 ) -> tuple[dict[str, Column], NDArray[np.int64]]:
     """Objects that are side by side in a file one below the other, row by row.
 
     Args:
-        columns: Columns, those of an object as `of` names them.
+        heading: The header of the file.
+        columns: Its columns.
 
     Returns:
-        The columns that all objects have, those of no object, and one with the name of
+        The columns of no object, those that all objects have, and one with the name of
         the object; and the row of the file of each row.
     """
-    shared, found = dict[str, Column](), dict[str, dict[str, Column]]()
-    kind, count = "", 0
-    for name, column in columns.items():
-        match, count = OBJECT.fullmatch(name), len(column.numbers)
-        if match is None:
-            shared[name] = column
-        elif match[2] != "other":
-            kind = match[2]
-            found.setdefault(match[3], {})[match[1]] = column
+    count, objects = len(columns[0].numbers), heading.objects or [""] * len(columns)
+    found = dict[str, dict[str, Column]]()
+    for column, name, of in zip(columns, heading.names, objects, strict=True):
+        if name:
+            found.setdefault(of, {})[column.theirs] = column
+    result = found.pop("", {})
     if not found:
-        return shared, np.arange(count)
-    rows, objects = np.repeat(np.arange(count), len(found)), [*found.values()]
-    result = {name: column.rows(rows) for name, column in shared.items()}
-    for name in objects[0]:
-        if all(name in other for other in objects):
-            result[name] = _alternating(name, [other[name] for other in objects])
+        return result, np.arange(count)
+    rows = np.repeat(np.arange(count), len(found))
+    result = {name: column.rows(rows) for name, column in result.items()}
+    first, *others = found.values()
+    for name in (name for name in first if all(name in other for other in others)):
+        numbers = stacked(other[name] for other in found.values()).ravel()
+        alone = first[name] if not others else None
+        result[name] = alone or computed(name, numbers, first[name].unit)
     codes = np.tile(np.arange(len(found)), count)
-    result[kind] = Column(kind, None, -1, np.full(len(rows), np.nan), (*found,), codes)
+    nothing = np.full(len(rows), np.nan)
+    result[heading.kind] = Column(heading.kind, None, nothing, (*found,), codes)
     return result, rows
-
-
-def _alternating(name: str, columns: Sequence[Column]) -> Column:
-    """Columns one below the other, row by row."""
-    if len(columns) == 1:
-        return named(columns[0], name)
-    return computed(name, stacked(columns).ravel(), columns[0].unit)

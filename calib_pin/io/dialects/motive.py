@@ -14,20 +14,10 @@ from collections.abc import Sequence
 from functools import partial
 from itertools import pairwise, zip_longest
 
-import numpy as np
-
 import calib_pin.io.dialects.base as base
 from calib_pin.io.columns import Column
-from calib_pin.measurement_models.orientations import quaternions
-from calib_pin.setup import OrientationSetup
 
-KINDS = {
-    "Rigid Body": "tool",
-    "Rigid Body Bone": "tool",
-    "Bone": "tool",
-    "Marker": "target",
-    "Rigid Body Marker": "target",
-}
+KINDS = ("Rigid Body", "Rigid Body Bone", "Bone", "Marker", "Rigid Body Marker")
 """Types of columns, of which the first that is there is read."""
 
 AXES = ("X", "Y", "Z", "W")
@@ -54,32 +44,34 @@ class Motive(base.Dialect):
         columns = [*zip_longest(*above, fillvalue="")][: len(rows[at])]
         labels = {name for of, name, *_ in columns if of == kind}
         labeled = {name for name in labels if not name.startswith("Unlabeled")}
-        names = []
+        names, objects = list[str](), ["", "", *(name for _, name, *_ in columns[2:])]
         for k, (of, name, group, axis) in enumerate(columns):
             if k < 2 or not of:
                 names.append("time [s]" if axis.startswith("Time (") else axis)
             elif name not in (labeled or labels) or of != kind or axis not in AXES:
-                names.append(base.of(str(k), "other", "column"))
+                names.append("")
             elif group == "Position":
-                names.append(base.of(axis.lower(), KINDS[kind], name, unit))
-            elif order == "quaternion":
-                names.append(base.of(f"q{axis.lower()}", KINDS[kind], name))
+                names.append(base.header(axis.lower(), unit))
             else:
-                names.append(base.of(f"turn {axis.lower()}", KINDS[kind], name, "deg"))
+                turned = "q{}" if order == "quaternion" else "turn {} [deg]"
+                names.append(turned.format(axis.lower()))
         remark = f"an export of OptiTrack Motive (lengths in {unit or 'no unit'})"
         read = partial(_converted, order)
-        return base.Heading(mark, names, lines[at][0], remark, read)
+        last, ours = lines[at][0], "target" if kind.endswith("Marker") else "tool"
+        return base.Heading(mark, names, last, remark, objects, ours, read)
 
 
 def _converted(order: str, columns: dict[str, Column]) -> dict[str, Column]:
     """Centimeters as millimeters, Euler angles as quaternions."""
+    from scipy.spatial.transform import Rotation
+
     for axis in {*"xyz"} & columns.keys():
         if columns[axis].unit == "cm":
             columns[axis] = base.computed(axis, 10.0 * columns[axis].numbers, "mm")
     if "turn x" in columns and sorted(order) == [*"xyz"]:
         angles = base.stacked(columns.pop(f"turn {axis}") for axis in order)
-        way = OrientationSetup("rotation-vector", f"intrinsic-{order}")
+        # Capitals stand for turned axes.
         columns |= base.oriented(
-            np.radians(angles), lambda q: quaternions(q, "rotation-vector", way)
+            angles, lambda q: Rotation.from_euler(order.upper(), q, True).as_quat()
         )
     return columns

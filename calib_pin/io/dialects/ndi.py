@@ -38,19 +38,18 @@ class Ndi(base.Dialect):
         if not (lines := base.starting(lines, "Tools")):
             return None
         (cells, *_), mark = base.cut(lines[:1])
-        tool, there, names = "", set[str](), list[str]()
-        for k, cell in enumerate(cells):
-            name, unit = split_header(cell)
+        tools, there, names = list[str](), set[str](), list[str]()
+        for cell in cells:
+            name = split_header(cell)[0]
             if cell.startswith("Port"):
-                tool, there = cell, {cell}
-            if not tool or name in there or "Markers" in there:
-                names.append(base.of(str(k), "other", "column"))
-            else:
-                names.append(
-                    base.of(name, "tool", tool, "s" if unit == "sec" else unit)
-                )
+                there = {name}
+            known = not there or name in there or "Markers" in there
+            names.append("" if known else cell.replace("[sec]", "[s]"))
+            tools.append(cell if cell.startswith("Port") else ["", *tools][-1])
             there.add(name)
-        return base.Heading(mark, names, lines[0][0], REMARK, _ours) if tool else None
+        last = lines[0][0]
+        found = base.Heading(mark, names, last, REMARK, tools, "tool", _ours)
+        return found if any(tools) else None
 
     def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:
         """The columns of a file as ours; None for a file of another layout."""

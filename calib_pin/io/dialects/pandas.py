@@ -2,12 +2,11 @@
 
 Source: https://pandas.pydata.org/docs/user_guide/io.html: `DataFrame.to_csv` writes the
 index first, under a blank name; columns of a `MultiIndex` have a line of names for each
-part, or a name such as `('q', 0)` if their tuples became names.
+part.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -15,8 +14,6 @@ import numpy as np
 
 import calib_pin.io.dialects.base as base
 from calib_pin.io.columns import Column
-
-PAIR = re.compile(r"\('?([^',]+)'?, *'?([^',]*)'?\)")
 
 INDEX = "column 1"
 """An unnamed first column, as it is called then."""
@@ -40,25 +37,14 @@ class Pandas(base.Dialect):
         numbered = rows[0][0][:1].isdigit()  # It is a row, with its index.
         if len({*upper}) == len(upper) or len({*names}) < len(names) or numbered:
             return None
+        names[0] = ""  # The index.
         # A name of the index stands alone in a line.
         last = lines[1 if any(rows[1][1:]) else 2][0]
-        return base.Heading(mark, names, last, REMARK, _without_index)
+        return base.Heading(mark, names, last, REMARK)
 
     def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:
-        """The columns without the index, names of two parts with `_` between."""
-        read = _without_index(columns)
-        for name in columns:
-            if pair := PAIR.fullmatch(name):
-                ours = "_".join(filter(None, pair.groups()))
-                read[ours] = base.named(read.pop(name), ours)
-        changed = read.keys() != columns.keys()
-        return base.Reading(read, REMARK) if changed else None
-
-
-def _without_index(columns: Mapping[str, Column]) -> dict[str, Column]:
-    """The columns but for an unnamed first one that counts the rows."""
-    read = dict(columns)
-    steps = np.diff(read[INDEX].numbers) if INDEX in read else np.zeros(0)
-    if len(steps) and (steps == 1.0).all():
-        del read[INDEX]
-    return read
+        """The columns without an index that counts the rows."""
+        steps = np.diff(columns[INDEX].numbers) if INDEX in columns else np.zeros(0)
+        if not len(steps) or (steps != 1.0).any():
+            return None
+        return base.Reading({n: c for n, c in columns.items() if n != INDEX}, REMARK)

@@ -43,10 +43,10 @@ class Points(base.Dialect):
             comments = " ".join(line for _, line in lines if line.startswith("//"))
             found = (u for u, way in UNITS.items() if re.search(way, comments, re.I))
             unit = next(found, "")
-            axes = [f"{axis} [{unit}]" if unit else axis for axis in "xyz"]
-            more = [f"column {k + 1}" for k in range(lead + 3, width)]
+            axes = [base.header(axis, unit) for axis in "xyz"]
+            names = [*NAMES[-lead:], *axes, *[""] * (width - lead - 3)]
             remark = f"points with their names ({unit or 'no unit is stated'})"
-            return base.Heading(mark, [*NAMES[-lead:], *axes, *more], 0, remark)
+            return base.Heading(mark, names, 0, remark)
         return None
 
 

@@ -6,7 +6,7 @@ or RX, RY, RZ, TX, TY, TZ of segments; their units. Sources: the readers of such
 in github.com/PaulT95/Import_Vicon_Data (Nexus 2.6 to 2.12) and
 github.com/AG6GR/Vicon_CSV (Tracker). With RW a rotation is a quaternion; without, the
 settings of the export decide between a rotation vector and Euler angles, and the file
-does not say which, so these columns keep a name of their own.
+does not say which, so these columns are left out.
 """
 
 from __future__ import annotations
@@ -32,28 +32,23 @@ class Vicon(base.Dialect):
         )
         if axes[:2] != ["Frame", "Sub Frame"] or not re.fullmatch(r"[\d.]+", rate[0]):
             return None
-        kind, of = "tool" if "TX" in axes else "target", ""
+        kind, of = "tool" if "TX" in axes else "target", ["", ""]
         names = axes[:2]
         columns = [*zip_longest(axes, units, objects, fillvalue="")][: len(axes)]
-        for k, (axis, unit, name) in enumerate(columns[2:]):
-            of, last = name.removeprefix("Global Angle ") or of, axis[-1:].lower()
+        for axis, unit, name in columns[2:]:
+            of.append(name.removeprefix("Global Angle ") or of[-1])
+            last = axis[-1:].lower()
             if axis.removeprefix("T") in ("X", "Y", "Z") and unit in ("mm", "m"):
-                names.append(base.of(last, kind, of, unit))
-            elif axis.startswith("R") and "RW" in axes:
-                names.append(base.of(f"q{last}", kind, of))
-            elif axis.startswith("R"):
-                names.append(base.of(f"angle_{last}", kind, of, unit))
+                names.append(base.header(last, unit))
             else:
-                names.append(base.of(str(k), "other", "column"))
-        remark = "an export of Vicon"
-        if any(name.startswith("angle_") for name in names):
-            remark += (
-                "; if angle_x, angle_y, angle_z are a rotation vector, and not Euler "
-                "angles, state 'columns: {rx: angle_x, ry: angle_y, rz: angle_z}'"
-            )
+                quaternion = axis.startswith("R") and "RW" in axes
+                names.append(f"q{last}" if quaternion else "")
+        turned = "RX" in axes and "RW" not in axes
+        remark = "an export of Vicon" + "; angles of segments are left out" * turned
 
         def with_time(columns: dict[str, Column]) -> dict[str, Column]:
             time = columns["Frame"].numbers / float(rate[0])
             return {"time": base.computed("time", time, "s"), **columns}
 
-        return base.Heading(mark, names, lines[at + 1][0], remark, with_time)
+        line = lines[at + 1][0]
+        return base.Heading(mark, names, line, remark, of, kind, with_time)

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from calib_pin.errors import InputError, OptionError, enumerated
-from calib_pin.io.logs import QUATERNION, JointLog, ReadingLog, continuous
-from calib_pin.observations.joining import Joined, Log, Standstill
+from calib_pin.io.logs import QUATERNION, JointLog, ReadingLog
+from calib_pin.observations.joining import Joined, Log, Standstill, continuous
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 

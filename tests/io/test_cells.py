@@ -10,19 +10,21 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import InputError
-from calib_pin.io import text as text_module
-from calib_pin.io.text import Text, parsed
+from calib_pin.io import cells as cells_module
+from calib_pin.io.cells import Cells, read_cells
+from calib_pin.io.columns import Column
 
 LINES = ["# p\xe4th", "a,b", "", "1,\xe4", '" x ","#"', "  ", " # c", "2,"]
-KEPT = [(4, ("1", "\xe4")), (5, (" x ", "#")), (8, ("2", ""))]
+KEPT = [(4, ("1", "\xe4")), (5, ("x", "#")), (8, ("2", ""))]
 
 
-def read(text: Text) -> list[tuple[int, tuple[str, ...]]]:
-    return [
-        pair
-        for numbers, columns in text.rows()
-        for pair in zip(numbers, zip(*columns, strict=True), strict=True)
-    ]
+def columns_of(found: Cells) -> list[Column]:
+    return [c.grown(n) for n, c in zip(found.header, found.columns, strict=True)]
+
+
+def rows_of(found: Cells) -> list[tuple[str, ...]]:
+    texts = [column.texts() for column in columns_of(found)]
+    return [*zip(*texts, strict=True)]
 
 
 @pytest.mark.parametrize("count", [1, 2, 1000])
@@ -30,27 +32,26 @@ def read(text: Text) -> list[tuple[int, tuple[str, ...]]]:
 @pytest.mark.parametrize("last", [False, True])
 @pytest.mark.parametrize("code", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
 def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
-    monkeypatch.setattr(text_module, "LINES", count)
-    text = parsed((end.join(LINES) + end * last).encode(code), "a.csv")
-    assert (text.header, text.header_line) == (("a", "b"), 2)
-    assert read(text) == KEPT
-    assert text.cells(5) == (" x ", "#")
-    assert len(text.remarks) == (code == "latin-1")
+    monkeypatch.setattr(cells_module, "LINES", count)
     progress: list[float] = []
-    list(text.blocks(progress.append))
+    data = (end.join(LINES) + end * last).encode(code)
+    found = read_cells(data, "a.csv", progress.append)
+    assert (found.header, found.header_line) == (("a", "b"), 2)
+    assert [*zip(found.lines, rows_of(found), strict=True)] == KEPT
+    assert len(found.remarks) == (code == "latin-1")
     assert progress == sorted(progress) and progress[-1] == 1.0
 
 
 @pytest.mark.parametrize(
     ("text", "header", "line", "rows", "remarks"),
     [
-        ('a;b\n0,5;"1;5"\n', "a b", 1, [("0,5", "1;5")], 0),
-        ("sep=;\na;b\n1,5;2\n", "a b", 2, [("1,5", "2")], 0),
-        ("a\tb,c\n0,5\t1\n", "a b,c", 1, [("0,5", "1")], 0),
+        ('a;b\n0,5;"1;5"\n', "a b", 1, [("0.5", "1;5")], 0),
+        ("sep=;\na;b\n1,5;2\n", "a b", 2, [("1.5", "2")], 0),
+        ("a\tb,c\n0,5\t1\n", "a b,c", 1, [("0.5", "1")], 0),
         # Behind the sign of a comment, as numpy.savetxt and MATLAB write it.
         ("# a,b\n1.5,2\n", "a b", 1, [("1.5", "2")], 0),
         ("# made by\n% a,b\n1.5,2\n", "a b", 2, [("1.5", "2")], 0),
-        ("//a;b\n1,5;2,5\n", "a b", 1, [("1,5", "2,5")], 0),
+        ("//a;b\n1,5;2,5\n", "a b", 1, [("1.5", "2.5")], 0),
         # Below lines about the recording.
         ("Robot: R1\nDate;2026\n\na;b;c\n1;0,5;2\n", "a b c", 4, None, 2),
         ("Take,1\na,b,c\n1,0.5,2\n", "a b c", 2, None, 1),
@@ -63,21 +64,19 @@ def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
     ],
 )
 def test_headers(text, header, line, rows, remarks):
-    found = parsed(text.encode(), "a.csv")
+    found = read_cells(text.encode(), "a.csv")
     assert list(found.header) == (header.split() if "," in text + ";" else [header])
     assert found.header_line == line
     assert len(found.remarks) == (remarks > 0)
-    assert rows is None or [cells for _, cells in read(found)] == rows
+    assert rows is None or rows_of(found) == rows
 
 
 @pytest.mark.parametrize("sign", ["", "# "])
 def test_blanks_separate_where_nothing_else_does(sign):
-    found = parsed(f"{sign}a b [mm]  c\n1.5 2  3\n4.5 x 6\n".encode(), "a.csv")
+    data = f"{sign}a b [mm]  c\n1.5 2  3\n4.5 x 6\n".encode()
+    found = read_cells(data, "a.csv")
     assert found.header == ("a", "b [mm]", "c")
-    assert [cells for _, cells in read(found)] == [
-        ("1.5", "2", "3"),
-        ("4.5", "x", "6"),
-    ]
+    assert rows_of(found) == [("1.5", "2", "3"), ("4.5", "x", "6")]
 
 
 @pytest.mark.parametrize(
@@ -86,7 +85,7 @@ def test_blanks_separate_where_nothing_else_does(sign):
 )
 def test_a_header_to_paste_where_there_is_none(count, names):
     with pytest.raises(InputError) as caught:
-        parsed((",".join(["0.5"] * count) + "\n").encode(), "a.csv")
+        read_cells((",".join(["0.5"] * count) + "\n").encode(), "a.csv")
     assert (caught.value.line, str(count) in caught.value.allowed) == (1, True)
     pasted = caught.value.allowed.split()[-1]
     assert names in pasted and len(pasted.split(",")) == count
@@ -127,7 +126,7 @@ def saved() -> bytes:
 )
 def test_files_that_are_no_text_are_told_by_what_they_are(data, word):
     with pytest.raises(InputError) as caught:
-        parsed(data, "m.csv")
+        read_cells(data, "m.csv")
     assert word in caught.value.reason and caught.value.file == "m.csv"
 
 
@@ -143,7 +142,7 @@ def test_files_that_are_no_text_are_told_by_what_they_are(data, word):
     ],
 )
 def test_errors_name_the_line(monkeypatch, count, data, line):
-    monkeypatch.setattr(text_module, "LINES", count)
+    monkeypatch.setattr(cells_module, "LINES", count)
     with pytest.raises(InputError) as caught:
-        read(parsed(data.encode(), "a.csv"))
+        read_cells(data.encode(), "a.csv")
     assert (caught.value.file, caught.value.line) == ("a.csv", line)

@@ -340,4 +340,4 @@ def split_header(cell: str) -> tuple[str, str | None]:
     name, mark, unit = text.removesuffix("]").rpartition("[")
     # A number in brackets counts the elements of a list.
     stated = mark and text.endswith("]") and "]" not in unit and not unit.isdecimal()
-    return (name.rstrip(), unit.strip()) if stated else (text, None)
+    return (name.rstrip(), unit.strip() or None) if stated else (text, None)

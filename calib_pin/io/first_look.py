@@ -268,6 +268,7 @@ def readings(
     if setup.tip is None and found_joints.tips:
         setup = replace(setup, tip=found_joints.tips[0])
     used = {one.name for one in joints.values()}
+    by_name = {one.name: one for one in columns}
     rest = [one for one in columns if one.name not in used]
     names = dict[str, Foreign]()
     for ours, choices in measured(rest).items():
@@ -306,6 +307,11 @@ def readings(
             foreign = one.name != ours or (unit is not None and one.column.unit is None)
             if foreign or unit not in (None, one.column.unit):
                 stated[ours] = one.stated(unit)
+        for ours, unit in units.items():
+            # The scatter of numbers is in their unit.
+            sigma = by_name.get(f"sigma_{ours}")
+            if sigma is not None and sigma.unit is None and ours in way:
+                stated[sigma.name] = sigma.stated(unit)
         columns_of = {**stated, **setup.columns}
         read = replace(setup, columns=columns_of)
         if "x" in way and read.model is None and not SPATIAL & {*way} - {*VECTORS[0]}:

@@ -46,7 +46,7 @@ MEANINGS: Mapping[str, str] = {
     "tool": "tool|werkzeug",
     "chain": "chain|arm|kette|limb|side",
     "payload": "payload|nutzlast",
-    "time": "time|timestamp|zeit|stamp|times",
+    "time": "time|timestamp|zeit|stamp|times|zeitstempel|uhrzeit|datetime",
     "temperature": "temperature|temperatur|temp|temperaturec|tempc",
     "set": "set",
 }
@@ -272,6 +272,8 @@ def _stem(one: Foreign, ours: str) -> str | None:
     parts = re.findall(r"[^\W_]+", one.words)
     single = any(ours in vector for vector in VECTORS)
     ways = [(parts[:-2], "".join(parts[-2:])), (parts[:-1], "".join(parts[-1:]))]
+    if ours in VECTORS[1]:
+        ways.append((parts[1:-1], "".join(parts[:1] + parts[-1:])))  # As in q_RS_w.
     for rest, word in [*ways, (parts[1:], "".join(parts[:1]))]:
         # Two points may be called pos_x and tcp_x.
         before = [word[:-1]] if ours in VECTORS[0] and word[:-1] else []

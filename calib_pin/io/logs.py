@@ -43,6 +43,9 @@ STAMPS = re.compile(
 )
 """Words of counters and of times."""
 
+DAY = 86400.0
+"""Length of a day [s]."""
+
 COUNTED = 10
 """Numbers that grow by equal steps from which a column is a counter."""
 
@@ -344,14 +347,37 @@ def _times(
 
 
 def _dates(table: Table, name: str) -> Floats:
-    stamps = []
-    for row, text in enumerate(table.cells([name])[name]):
+    """Times of dates, or of clocks with or without a column of dates, (N,) [s]."""
+    from dateutil.parser import parse  # type: ignore[import-untyped]
+
+    stamps, first = [], datetime(1970, 1, 1)
+    for row, text in enumerate(_with_days(table, name)):
         try:
-            stamps.append(datetime.fromisoformat(text.replace(",", ".")).timestamp())
-        except ValueError:
+            try:
+                stamp = datetime.fromisoformat(text)
+            except ValueError:
+                # Points separate day, month and year, where slashes do not say.
+                points = "." in text.split()[0]
+                stamp = parse(text, default=first, dayfirst=points)
+        except (ValueError, OverflowError):
             allowed = "seconds, or a date such as 2026-01-31T12:00:00.5"
             raise table.cell_error("not a time", name, row, allowed) from None
-    return np.array(stamps)
+        stamps.append(stamp.timestamp())
+    time: Floats = np.array(stamps)
+    # A clock without a date begins anew at midnight.
+    return np.asarray(time + DAY * np.cumsum(np.diff(time, prepend=time[0]) < -DAY / 2))
+
+
+def _with_days(table: Table, name: str) -> list[str]:
+    """Texts of times, behind those of a column of dates."""
+    texts = [text.strip().replace(",", ".") for text in table.cells([name])[name]]
+    for other in table.columns:
+        if other.lower() in ("date", "datum"):
+            days = table.cells([other])[other]
+            return [
+                f"{day.strip()} {text}" for day, text in zip(days, texts, strict=True)
+            ]
+    return texts
 
 
 def _kind(unit: str | None) -> Kind:

@@ -269,6 +269,13 @@ def test_joints_in_another_order(measured, run):
     )
 
 
+def test_the_scatter_of_numbers_is_in_their_unit(measured):
+    rows = np.hstack([measured * MILLIMETERS, np.full((len(measured), 3), 0.1)])
+    foreign([*JOINTS, *"xyz", "sigma_x", "sigma_y", "sigma_z"], rows)
+    assert main(INIT.split()) == 0
+    assert read_setup("setup.yaml").columns["sigma_y"] == "sigma_y [mm]"
+
+
 def test_units_are_those_of_each_column(measured):
     rows = measured.copy()
     rows[:, 5] = np.degrees(rows[:, 5])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -166,6 +167,22 @@ def test_times_of_one_log_may_be_milliseconds(logs, run):
     assert result.out.startswith("12 standstills")
     Path("joints.csv").write_text("\n".join([header.replace("p", "p [s]", 1), *late]))
     assert run(f"{JOIN} --force").status == 1
+
+
+@pytest.mark.parametrize("way", ["%d.%m.%Y %H:%M:%S.%f", "%H:%M:%S.%f"])
+def test_dates_as_people_write_them(logs, run, way):
+    """A clock without a date begins anew at midnight."""
+    header, *lines = Path("joints.csv").read_text().splitlines()
+    first, rows = datetime(2026, 3, 12, 23, 59, 30), [header]
+    for line in lines:
+        stamp, rest = line.split(",", 1)
+        when = first + timedelta(seconds=float(stamp))
+        rows.append(f"{when.strftime(way)},{rest}")
+    Path("joints.csv").write_text("\n".join(rows))
+    result = run(JOIN)
+    assert result.status == 0 and result.out.startswith("12 standstills")
+    lines = Path("m.csv").read_text().replace("SMR1", "").splitlines()
+    assert len(lines) == 14
 
 
 def test_columns_of_one_point_stay_together(logs, run):

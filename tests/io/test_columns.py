@@ -77,7 +77,7 @@ def test_cells_that_add_up_are_not_shifted():
         ("x[ mm ]", ("x", "mm")),
         ("[mm]", ("", "mm")),
         ("a [b] [c]", ("a [b]", "c")),
-        ("x []", ("x", "")),
+        ("x []", ("x", None)),
         *((cell, (cell, None)) for cell in ("x", "x [mm", "x mm]", "x [a]]", "[a] b")),
         # Once this took minutes.
         (f"{'[' * 50_000}{' ' * 50_000}x", (f"{'[' * 50_000}{' ' * 50_000}x", None)),

@@ -65,6 +65,33 @@ def test_a_log_of_ndi(table):
     assert np.allclose(turned, to_quaternion(R), rtol=0, atol=1e-4)
 
 
+def test_whole_seconds_and_the_rest(table):
+    found = table("header.secs,header.nsecs,x\n5,500000000,1\n6,0,2\n")
+    assert found.numbers("time", TIME).tolist() == [5.5, 6.0]
+    assert "times" in table("sec,usec,x\n1,2,3\n").remarks[0]
+    assert not table("time,sec,usec,x\n0,1,2,3\n").remarks
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_matrices_are_orientations(table, first):
+    """With a fourth column they are poses; what is not orthonormal is no matrix."""
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, :3, :3] = so3_exp(np.random.default_rng(0).normal(size=(3, 3)))
+    T[:, :3, 3] = [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
+    names = [
+        f"T{i}{j}" for i in range(first, 4 + first) for j in range(first, 4 + first)
+    ]
+    rows = [",".join(map(repr, row)) for row in T.reshape(3, 16).tolist()]
+    found = table("\n".join([",".join(names), *rows]))
+    expected = to_quaternion(T[:, :3, :3])
+    assert np.allclose(read_quaternions(found, "quaternion"), expected, atol=1e-12)
+    assert [found.columns[axis].numbers.tolist() for axis in "xyz"] == T[
+        :, :3, 3
+    ].T.tolist()
+    rows = [",".join(map(repr, row)) for row in (2.0 * T).reshape(3, 16).tolist()]
+    assert "qx" not in table("\n".join([",".join(names), *rows])).columns
+
+
 def test_columns_that_the_setup_names_are_as_it_says(table):
     text = "Tx,Ty,Tz,Q0,Qx,Qy,Qz\n1,2,3,1,0,0,0\n"
     assert table(text).numbers("x", LENGTH).tolist() == [1e-3]

@@ -9,6 +9,7 @@ from calib_pin.io.columns import Column
 from calib_pin.io.dialects.base import Dialect, Heading, Reading, side_by_side
 from calib_pin.io.dialects.franka import Franka
 from calib_pin.io.dialects.lerobot import LeRobot
+from calib_pin.io.dialects.matrices import Matrices
 from calib_pin.io.dialects.motive import Motive
 from calib_pin.io.dialects.ndi import Ndi
 from calib_pin.io.dialects.pandas import Pandas
@@ -16,6 +17,7 @@ from calib_pin.io.dialects.plotjuggler import PlotJuggler
 from calib_pin.io.dialects.points import Points
 from calib_pin.io.dialects.rostopic import Rostopic
 from calib_pin.io.dialects.rtde import Rtde
+from calib_pin.io.dialects.stamps import Stamps
 from calib_pin.io.dialects.vicon import Vicon
 from calib_pin.plugins import Members
 
@@ -41,6 +43,8 @@ DIALECTS: Mapping[str, type[Dialect]] = Members(
         "franka": Franka,
         "lerobot": LeRobot,
         "pandas": Pandas,
+        "matrices": Matrices,
+        "stamps": Stamps,
     },
     _fault,
 )

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.io.columns import Column, Floats
+from calib_pin.kinematics.spatial import nearest_rotation, to_quaternion
 
 QUATERNION = ("qx", "qy", "qz", "qw")
 
@@ -158,6 +159,11 @@ def computed(name: str, numbers: Floats, unit: str | None = None) -> Column:
 def stacked(columns: Iterable[Column]) -> Floats:
     """Numbers side by side, shape (N, k)."""
     return np.stack([column.numbers for column in columns], axis=1)
+
+
+def from_rows(R: Floats) -> Floats:
+    """Quaternions of rotation matrices, row by row, shape (M, 9) -> (M, 4)."""
+    return to_quaternion(nearest_rotation(R.reshape(-1, 3, 3)))
 
 
 def oriented(

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import calib_pin.io.dialects.base as base
-from calib_pin.io.columns import Column, Floats, split_header
-from calib_pin.kinematics.spatial import nearest_rotation, to_quaternion
+from calib_pin.io.columns import Column, split_header
 
 AXES = {"Tx": "x", "Ty": "y", "Tz": "z"}
 NAMES = {"Tool ID": "tool", "Timestamp": "time", "Time": "time"}
@@ -69,9 +68,5 @@ def _ours(columns: Mapping[str, Column]) -> dict[str, Column]:
             read[name] = base.computed(name, numbers, unit)
     if {*MATRIX} <= read.keys():
         R = base.stacked(read.pop(name) for name in MATRIX)
-        read |= base.oriented(R, _from_rows)
+        read |= base.oriented(R, base.from_rows)
     return read
-
-
-def _from_rows(R: Floats) -> Floats:
-    return to_quaternion(nearest_rotation(R.reshape(-1, 3, 3)))

@@ -102,22 +102,13 @@ def named_alike(joints: Table, readings: Table) -> tuple[Table, Table] | None:
         readings: The file of the readings.
 
     Returns:
-        Both; None if both have times.
-
-    Raises:
-        InputError: If one has none, and there are no such columns.
+        Both; None if both have times, or there are no such columns.
     """
     if all(map(_time_column, (joints, readings))):
         return None
     found = joining.shared_names(_names_of(joints), _names_of(readings))
     if found is None:
-        without = readings if _time_column(joints) else joints
-        raise without.error(
-            f"there is no column 'time', and no column of names that {joints.file} and "
-            f"{readings.file} share",
-            allowed=f"one of {', '.join(TIMES)}, 'columns: {{time: NAME}}' in the "
-            "setup, or the names of points in both",
-        )
+        return None
     return joints.renamed({POSE: found[0]}), readings.renamed({POSE: found[1]})
 
 
@@ -157,16 +148,11 @@ def read_joint_log(
     table = _whole(table, stamp, names, notice)
     units = [table.columns[name].unit for name in names]
     kinds = [*map(_kind, units)]
-    values = [table.numbers(*pair) for pair in zip(names, kinds, strict=True)]
-    pairs = zip(kinds, units, strict=True)
+    factors = [k.units.get(u or "", 1.0) for k, u in zip(kinds, units, strict=True)]
     time, poses, loose = _times(table, stamp)
-    return JointLog(
-        joining.Log(time, np.column_stack(values)),
-        tuple(map(header, names, units)),
-        np.array([kind.units.get(unit or "", 1.0) for kind, unit in pairs]),
-        poses,
-        loose,
-    )
+    log = joining.Log(time, np.column_stack([*map(table.numbers, names, kinds)]))
+    headers = tuple(map(header, names, units))
+    return JointLog(log, headers, np.array(factors), poses, loose)
 
 
 def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
@@ -303,8 +289,9 @@ def _stamp(table: Table) -> str:
     if name := POSE if POSE in table else _time_column(table):
         return name
     raise table.error(
-        "there is no column 'time'",
-        allowed=f"one of {', '.join(TIMES)}, or 'columns: {{time: NAME}}' in the setup",
+        "there is no column 'time', and no column of names that both logs share",
+        allowed=f"one of {', '.join(TIMES)}, 'columns: {{time: NAME}}' in the setup, "
+        "or the names of points in both",
     )
 
 
@@ -345,7 +332,7 @@ def _times(
 
 def _dates(table: Table, name: str) -> Floats:
     stamps = []
-    for row, text in enumerate(table.cells([name])[name]):
+    for row, text in enumerate(table.columns[name].texts()):
         try:
             stamps.append(datetime.fromisoformat(text.replace(",", ".")).timestamp())
         except ValueError:

@@ -253,7 +253,7 @@ def _configurations(file: Path | None, images: list[Path]) -> dict[str, list[str
             "tells which belong together",
             file=file,
         )
-    cells = {name: list(labels) for name, labels in table.texts(names).items()}
+    cells = {name: list(labels) for name, labels in table.cells(names).items()}
     return {
         table.columns[name].header: [cells[name][row] for row in order]
         for name in names

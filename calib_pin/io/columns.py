@@ -189,9 +189,9 @@ class Column:
         return "" if math.isnan(number) else repr(number).removesuffix(".0")
 
     def texts(self) -> Labels:
-        """Trimmed texts of the cells, N strings."""
+        """Texts of the cells, untrimmed where they are known, N strings."""
         if self.words and (self.codes >= 0).all():
-            return Labels(self.words, self.codes).map(str.strip)
+            return Labels(self.words, self.codes)
         return Labels.of([self.text(row) for row in range(len(self.numbers))])
 
     def blank(self) -> NDArray[np.bool_]:

@@ -115,7 +115,7 @@ def named_alike(joints: Table, readings: Table) -> tuple[Table, Table] | None:
 def _names_of(table: Table) -> dict[str, list[str]]:
     """Cells in lower case of all columns but those of numbers with decimals."""
     return {
-        name: [cell.lower() for cell in column.texts()]
+        name: [cell.strip().lower() for cell in column.texts()]
         for name, column in table.columns.items()
         if not np.any(column.numbers[np.isfinite(column.numbers)] % 1.0)
     }
@@ -311,7 +311,7 @@ def _times(
     """
     column = table.columns[name]
     if name == POSE:
-        return np.arange(float(len(table.lines))), column.texts(), False
+        return np.arange(float(len(table.lines))), table.texts([POSE])[POSE], False
     loose = column.unit is None and bool((column.numbers < SECONDS).all())
     if not np.isfinite(column.numbers).any():
         time = _dates(table, name)
@@ -332,7 +332,7 @@ def _times(
 
 def _dates(table: Table, name: str) -> Floats:
     stamps = []
-    for row, text in enumerate(table.columns[name].texts()):
+    for row, text in enumerate(table.texts([name])[name]):
         try:
             stamps.append(datetime.fromisoformat(text.replace(",", ".")).timestamp())
         except ValueError:

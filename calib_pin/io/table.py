@@ -88,9 +88,21 @@ class Table:
             allowed=allowed,
         )
 
+    def cells(self, names: Collection[str]) -> dict[str, Labels]:
+        """Text of whole columns, by name, N strings each."""
+        return {name: self.columns[name].texts() for name in names}
+
     def texts(self, names: Collection[str]) -> dict[str, Labels]:
-        """Trimmed text of those columns that there are, by name, N strings each."""
-        return {name: self.columns[name].texts() for name in names if name in self}
+        """Trimmed text of those columns that there are, by name, N strings each.
+
+        Raises:
+            InputError: If a header states a unit.
+        """
+        there = [name for name in names if name in self]
+        for name in there:
+            if self.columns[name].unit is not None:
+                raise self.error(f"'{name}' is text and takes no unit", name)
+        return {name: self.columns[name].texts().map(str.strip) for name in there}
 
     def renamed(self, names: Mapping[str, str]) -> Table:
         """The table with other names of some columns, ours to theirs."""

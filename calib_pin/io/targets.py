@@ -191,7 +191,7 @@ def encode_commands(
     found = command_columns(targets, q, rows[latest], degrees)
     if targets.T is None:
         all_columns = targets.table.columns
-        others = targets.table.texts(
+        others = targets.table.cells(
             [name for name in all_columns if name not in found]
         )
         columns = dict(
@@ -236,7 +236,7 @@ def command_columns(
     result: dict[str, tuple[str, Sequence[object]]] = {}
     own = {source.column for source in targets.sources}
     kinds = {c: kind for source in targets.sources for c, kind in source.kinds.items()}
-    others = targets.table.texts([name for name in kinds if name not in own])
+    others = targets.table.cells([name for name in kinds if name not in own])
     for name, kind in kinds.items():
         column = targets.table.columns[name]
         if name not in own:

@@ -32,8 +32,8 @@ def read_numbers(cells: Sequence[str]) -> NDArray[np.float64]:
     """
     if (numbers := _decimals(cells, len(cells))) is not None:
         return numbers
-    known = {cell: _number(cell) for cell in set(cells)}
-    return np.array([known[cell] for cell in cells])
+    known = {cell: as_number(cell.strip()) for cell in set(cells)}
+    return np.array([known[cell] for cell in cells], np.float64)
 
 
 def read_lines(lines: Sequence[str], width: int) -> NDArray[np.float64] | None:
@@ -87,10 +87,8 @@ def what_is_wrong(cell: str, value: float) -> str:
     """
     if cell.lower() in MISSING:
         return NO_READING if cell else "the cell is empty"
-    if np.isfinite(value):
-        return "not positive"
-    if np.isinf(value):
-        return "not a finite number"
+    if not math.isnan(value):
+        return "not positive" if math.isfinite(value) else "not a finite number"
     if THOUSANDS.fullmatch(cell):
         return "not a number (thousands are not to be separated)"
     if _COMMA.fullmatch(cell):
@@ -112,11 +110,6 @@ THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?:[.,]\d*)?")
 """Numbers that may have signs between thousands."""
 
 _COMMA = re.compile(r"\s*[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?\s*")
-
-
-def _number(cell: str) -> float:
-    number = as_number(cell.strip())
-    return float("nan") if number is None else number
 
 
 Floats = NDArray[np.float64]
@@ -196,9 +189,9 @@ class Column:
         return "" if math.isnan(number) else repr(number).removesuffix(".0")
 
     def texts(self) -> Labels:
-        """Trimmed texts of the cells, N strings."""
+        """Texts of the cells, untrimmed where they are known, N strings."""
         if self.words and (self.codes >= 0).all():
-            return Labels(self.words, self.codes).map(str.strip)
+            return Labels(self.words, self.codes)
         return Labels.of([self.text(row) for row in range(len(self.numbers))])
 
     def blank(self) -> NDArray[np.bool_]:

@@ -105,29 +105,20 @@ def named_alike(joints: Table, readings: Table) -> tuple[Table, Table] | None:
         readings: The file of the readings.
 
     Returns:
-        Both; None if both have times.
-
-    Raises:
-        InputError: If one has none, and there are no such columns.
+        Both; None if both have times, or there are no such columns.
     """
     if all(map(_time_column, (joints, readings))):
         return None
     found = joining.shared_names(_names_of(joints), _names_of(readings))
     if found is None:
-        without = readings if _time_column(joints) else joints
-        raise without.error(
-            f"there is no column 'time', and no column of names that {joints.file} and "
-            f"{readings.file} share",
-            allowed=f"one of {', '.join(TIMES)}, 'columns: {{time: NAME}}' in the "
-            "setup, or the names of points in both",
-        )
+        return None
     return joints.renamed({POSE: found[0]}), readings.renamed({POSE: found[1]})
 
 
 def _names_of(table: Table) -> dict[str, list[str]]:
     """Cells in lower case of all columns but those of numbers with decimals."""
     return {
-        name: [cell.lower() for cell in column.texts()]
+        name: [cell.strip().lower() for cell in column.texts()]
         for name, column in table.columns.items()
         if not np.any(column.numbers[np.isfinite(column.numbers)] % 1.0)
     }
@@ -160,16 +151,11 @@ def read_joint_log(
     table = _whole(table, stamp, names, notice)
     units = [table.columns[name].unit for name in names]
     kinds = [*map(_kind, units)]
-    values = [table.numbers(*pair) for pair in zip(names, kinds, strict=True)]
-    pairs = zip(kinds, units, strict=True)
+    factors = [k.units.get(u or "", 1.0) for k, u in zip(kinds, units, strict=True)]
     time, poses, loose = _times(table, stamp)
-    return JointLog(
-        joining.Log(time, np.column_stack(values)),
-        tuple(map(header, names, units)),
-        np.array([kind.units.get(unit or "", 1.0) for kind, unit in pairs]),
-        poses,
-        loose,
-    )
+    log = joining.Log(time, np.column_stack([*map(table.numbers, names, kinds)]))
+    headers = tuple(map(header, names, units))
+    return JointLog(log, headers, np.array(factors), poses, loose)
 
 
 def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
@@ -306,8 +292,9 @@ def _stamp(table: Table) -> str:
     if name := POSE if POSE in table else _time_column(table):
         return name
     raise table.error(
-        "there is no column 'time'",
-        allowed=f"one of {', '.join(TIMES)}, or 'columns: {{time: NAME}}' in the setup",
+        "there is no column 'time', and no column of names that both logs share",
+        allowed=f"one of {', '.join(TIMES)}, 'columns: {{time: NAME}}' in the setup, "
+        "or the names of points in both",
     )
 
 
@@ -327,7 +314,7 @@ def _times(
     """
     column = table.columns[name]
     if name == POSE:
-        return np.arange(float(len(table.lines))), column.texts(), False
+        return np.arange(float(len(table.lines))), table.texts([POSE])[POSE], False
     loose = column.unit is None and bool((column.numbers < SECONDS).all())
     if not np.isfinite(column.numbers).any():
         time = _dates(table, name)
@@ -370,14 +357,9 @@ def _dates(table: Table, name: str) -> Floats:
 
 def _with_days(table: Table, name: str) -> list[str]:
     """Texts of times, behind those of a column of dates."""
-    texts = [text.strip().replace(",", ".") for text in table.cells([name])[name]]
-    for other in table.columns:
-        if other.lower() in ("date", "datum"):
-            days = table.cells([other])[other]
-            return [
-                f"{day.strip()} {text}" for day, text in zip(days, texts, strict=True)
-            ]
-    return texts
+    days = [other for other in table.columns if other.lower() in ("date", "datum")]
+    columns = [table.texts([each])[each] for each in (*days[:1], name)]
+    return [" ".join(row).replace(",", ".") for row in zip(*columns, strict=True)]
 
 
 def _kind(unit: str | None) -> Kind:

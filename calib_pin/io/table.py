@@ -89,8 +89,20 @@ class Table:
         )
 
     def cells(self, names: Collection[str]) -> dict[str, Labels]:
-        """Trimmed text of whole columns, by name, N strings each."""
+        """Text of whole columns, by name, N strings each."""
         return {name: self.columns[name].texts() for name in names}
+
+    def texts(self, names: Collection[str]) -> dict[str, Labels]:
+        """Trimmed text of those columns that there are, by name, N strings each.
+
+        Raises:
+            InputError: If a header states a unit.
+        """
+        there = [name for name in names if name in self]
+        for name in there:
+            if self.columns[name].unit is not None:
+                raise self.error(f"'{name}' is text and takes no unit", name)
+        return {name: self.columns[name].texts().map(str.strip) for name in there}
 
     def renamed(self, names: Mapping[str, str]) -> Table:
         """The table with other names of some columns, ours to theirs."""
@@ -161,18 +173,6 @@ class Table:
         factor = 1.0 if column.unit is None else kind.units[column.unit]
         return column.numbers if factor == 1.0 else column.numbers * factor
 
-    def texts(self, names: Collection[str]) -> dict[str, Labels]:
-        """Trimmed text of those columns that there are, by name, N strings each.
-
-        Raises:
-            InputError: If a header states a unit.
-        """
-        there = [name for name in names if name in self]
-        for name in there:
-            if self.columns[name].unit is not None:
-                raise self.error(f"'{name}' is text and takes no unit", name)
-        return self.cells(there)
-
     def implausible(
         self, name: str, row: int, value: float, kind: Kind, why: str = ""
     ) -> InputError:
@@ -188,12 +188,9 @@ class Table:
         same = self.columns[name].outlying
         if row in same:
             lines = ", ".join(map(str, self.lines[same]))
-            return self.cell_error(
-                f"stands in {len(same)} rows and looks like a sign that there is no "
-                f"reading; leave them out by 'reading: {{without: [{lines}]}}'",
-                name,
-                int(same[0]),
-            )
+            reason = f"stands in {len(same)} rows and looks like a sign that there is "
+            reason += f"no reading; leave them out by 'reading: {{without: [{lines}]}}'"
+            return self.cell_error(reason, name, int(same[0]))
         column = self.columns[name]
         smaller = kind.smaller.get(column.unit or kind.si)
         reason = f"{value:.6g} {kind.si} looks like the wrong unit"
@@ -257,12 +254,8 @@ def read_table(
     table = Table(cells.file, line, {}, number, remarks=cells.remarks)
     if not cells.lines:
         raise InputError("the file has a header but no rows", file=cells.file)
-    given = [
-        column.grown(name or f"column {place}")
-        for place, (name, column) in enumerate(
-            zip(cells.header, cells.columns, strict=True), 1
-        )
-    ]
+    headers = [name or f"column {k}" for k, name in enumerate(cells.header, 1)]
+    given = [c.grown(name) for c, name in zip(cells.columns, headers, strict=True)]
     if cells.foreign:
         found, row = side_by_side(cells.foreign, given)
         ours = cells.foreign.read(found)

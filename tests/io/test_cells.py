@@ -15,7 +15,7 @@ from calib_pin.io.cells import Cells, read_cells
 from calib_pin.io.columns import Column
 
 LINES = ["# p\xe4th", "a,b", "", "1,\xe4", '" x ","#"', "  ", " # c", "2,"]
-KEPT = [(4, ("1", "\xe4")), (5, ("x", "#")), (8, ("2", ""))]
+KEPT = [(4, ("1", "\xe4")), (5, (" x ", "#")), (8, ("2", ""))]
 
 
 def columns_of(found: Cells) -> list[Column]:

@@ -108,7 +108,7 @@ def test_numbers_are_texts_as_well(monkeypatch, table):
     assert found.texts(["name", "note"]) == {"name": ("01", "1e0", "3")}
     some = found.rows(np.array([2, 1]), ["name", "x", "y"])
     assert some.texts(["name"]) == {"name": ("3", "1e0")}
-    assert some.cells(["x"]) == {"x": ["7", "2.50"]}
+    assert some.texts(["x"]) == {"x": ["7", "2.50"]}
     assert some.numbers("x", LENGTH).tolist() == [7e-3, 2.5e-3]
     error = some.cell_error("too large", "x", 1)
     assert (error.line, error.value) == (5, "2.50")
@@ -148,7 +148,7 @@ def test_foreign_files_are_read_as_the_setup_says(tmp_path, encoding, mark):
     assert table.numbers("x", LENGTH).tolist() == [0.00125, 0.003]
     assert table.numbers("y", LENGTH).tolist() == [-0.5, -0.007]
     assert list(table.texts(["target"])["target"]) == ["Wand, links", "v1.5"]
-    assert list(table.cells(["time"])["time"]) == ["0.5", "1"]
+    assert list(table.texts(["time"])["time"]) == ["0.5", "1"]
     assert table.columns["x"].text(0) == "1.25"
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from itertools import chain
 
 import calib_pin.io.dialects.base as base
 
@@ -36,9 +37,8 @@ class Points(base.Dialect):
             rows = [base.cells_of(line, mark) for _, line in plain]
             width = len(rows[0])
             lead = min(width - 3, len(NAMES))
-            if lead < 1 or not all(_is_point(row, lead, width) for row in rows):
-                continue
-            if not any(FRACTION.fullmatch(cell) for row in rows for cell in row):
+            fits = lead > 0 and all(_is_point(row, lead, width) for row in rows)
+            if not (fits and any(map(FRACTION.fullmatch, chain(*rows)))):
                 continue
             comments = " ".join(line for _, line in lines if line.startswith("//"))
             found = (u for u, way in UNITS.items() if re.search(way, comments, re.I))

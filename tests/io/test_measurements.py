@@ -613,7 +613,6 @@ REFUSED = [
     ("lift,elbow [mm],wrist,distance\n0,0,0,1\n", 1, "elbow", None, "'mm'"),
     ("lift [deg],elbow,wrist,distance\n0,0,0,1\n", 1, "lift", None, "'deg'"),
     (f"{J},distance [cm]\n0,0,0,1\n", 1, "distance", None, "'cm'"),
-    (f"{J},distance []\n0,0,0,1\n", 1, "distance", None, "''"),
     (f"{J},x,y,z,qx [m],qy,qz,qw\n0,0,0,0,0,0,0,0,0,1", 1, "qx", None),
     (f"{J},distance,sigma [deg]\n0,0,0,1,1\n", 1, "sigma", None, "'deg'"),
     (f"{J},distance,target [m]\n0,0,0,1,1\n", 1, "target", None),

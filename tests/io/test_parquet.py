@@ -109,9 +109,9 @@ def cells_of_types() -> dict[str, tuple[Any, list[str]]]:
         "float32": (floats, ["0.5", "1", "2", "-0"]),
         "text": (pa.array(["1.5", "b", None, " 2"]), ["1.5", "b", "", "2"]),
         "coded": (coded, ["a", "a", "b", "a"]),
-        "bool": (pa.array([True, False, None, True]), ["true", "false", "", "true"]),
+        "bool": (pa.array([True, False, None, True]), ["True", "False", "", "True"]),
         "decimal": (pa.array([Decimal("1.25")] * 4), ["1.25"] * 4),
-        "list": (pa.array([[1.0], [], None, [2.0]]), ["(list<element: double>)"] * 4),
+        "list": (pa.array([[1.0], [], None, [2.0]]), ["[1.0]", "[]", "", "[2.0]"]),
         "null": (pa.nulls(4), [""] * 4),
     }
 

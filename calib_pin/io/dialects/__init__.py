@@ -47,7 +47,7 @@ DIALECTS: Mapping[str, type[Dialect]] = Members(
 """Tried in this order: those that come with calib-pin, then others."""
 
 
-def heading(lines: Sequence[tuple[int, str]]) -> Heading | None:
+def heading(lines: Lines) -> Heading | None:
     """The header of a file in a dialect in which it is not one line of names.
 
     Args:

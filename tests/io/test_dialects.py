@@ -284,6 +284,15 @@ def test_names_and_index_of_a_data_frame(table):
     assert not table(",a\n5,1\n7,1\n").remarks
 
 
+def test_a_joint_of_two_topics_is_that_of_the_first(table):
+    found = table(
+        "__time,/joint_states/elbow/position,/other/joint_states/elbow/position\n"
+        "0.5,1.5,2.5\n"
+    )
+    assert found.columns["elbow"].numbers.tolist() == [1.5]
+    assert "/other/joint_states/elbow/position" in found
+
+
 def test_the_pose_of_a_controller_is_left_out_whatever_stands_beside(table):
     names = [f"state.O_T_EE[{k}]" for k in range(16)]
     head = ",".join(["time", *(f"state.q[{k}]" for k in range(7)), *names, "x [mm]"])

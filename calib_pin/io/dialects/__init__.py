@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from calib_pin.io.columns import Column
-from calib_pin.io.dialects.base import Dialect, Heading, Reading, side_by_side
+from calib_pin.io.dialects.base import Dialect, Heading, Lines, Reading, side_by_side
 from calib_pin.io.dialects.franka import Franka
 from calib_pin.io.dialects.lerobot import LeRobot
 from calib_pin.io.dialects.motive import Motive

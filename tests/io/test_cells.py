@@ -119,10 +119,11 @@ def saved() -> bytes:
         (b"[[0.1, 0.2]]", "JSON"),
         (b"SQLite format 3\x00" + bytes(80), "join"),
         (b"a,b\n1,\x00\n", "NUL"),
+        (b"\xff\xfex\x00,", "UTF-16"),
         (b"# only\n\n", "empty"),
         (b"", "empty"),
     ],
-    ids=range(13),
+    ids=range(14),
 )
 def test_files_that_are_no_text_are_told_by_what_they_are(data, word):
     with pytest.raises(InputError) as caught:

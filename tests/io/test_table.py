@@ -211,10 +211,3 @@ def test_separated_thousands_are_no_number(table, cell):
     with pytest.raises(InputError, match="thousands") as caught:
         table(f"a\tb\n1\t2\n1\t{cell}\n").numbers("b", PURE)
     assert (caught.value.line, caught.value.value) == (3, cell.strip('"'))
-
-
-def test_wrong_utf_16_is_told(tmp_path):
-    file = tmp_path / "log.csv"
-    file.write_bytes(b"\xff\xfex\x00,")
-    with pytest.raises(InputError, match="UTF-16"):
-        read_table(file)

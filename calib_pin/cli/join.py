@@ -141,7 +141,7 @@ def join(
             ]
             ours, theirs = tables
             if ours is not None and theirs is not None:
-                ours, theirs = named_alike(ours, theirs) or tables
+                ours, theirs = named_alike(ours, theirs)
             positions = (
                 read_joint_bag(joints, joint_topic)
                 if ours is None

@@ -10,7 +10,7 @@ from array import array
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 from calib_pin.errors import InputError, OptionError
 from calib_pin.io.columns import GrowingColumn, read_lines
 from calib_pin.io.dialects import Heading, heading
-from calib_pin.io.dialects.base import cells_of
+from calib_pin.io.dialects.base import Lines, cells_of
 from calib_pin.io.files import read_blocks
 from calib_pin.progress import Progress
 
@@ -44,7 +44,6 @@ PARQUET = b"PAR1"
 """First bytes of a Parquet file."""
 
 BINARY: Sequence[tuple[bytes, bytes, str]] = (
-    (b"PK", b"xl/", "an Excel workbook: save the sheet as CSV"),
     (b"PK", b"[Content_Types].xml", "an Excel workbook: save the sheet as CSV"),
     (b"PK", b"opendocument", "an OpenDocument spreadsheet: save the sheet as CSV"),
     (b"PK", b".npy", "NumPy arrays: write them with numpy.savetxt, and a header"),
@@ -199,10 +198,7 @@ def _read(
     source: str | Path | bytes, encoding: str, file: str, progress: Progress | None
 ) -> Cells:
     with _opened(source) as raw, io.TextIOWrapper(raw, encoding) as stream:
-        found = _laid_out([*islice(stream, HEAD)], file)
-        if encoding == "latin-1":
-            remarks = (*found.remarks, "not UTF-8, read as Latin-1")
-            found = replace(found, remarks=remarks)
+        found = _laid_out([*islice(stream, HEAD)], encoding, file)
         size, count = raw.seek(0, io.SEEK_END), 0
         stream.seek(0)
         while lines := stream.readlines(LINES):
@@ -213,7 +209,7 @@ def _read(
     return found
 
 
-def _laid_out(first: Sequence[str], file: str) -> Cells:
+def _laid_out(first: Sequence[str], encoding: str, file: str) -> Cells:
     """Columns without rows, below the header that the first lines of a file show."""
     if "\0" in "".join(first):
         raise InputError("not a text file (it contains NUL bytes)", file=file)
@@ -225,23 +221,19 @@ def _laid_out(first: Sequence[str], file: str) -> Cells:
     ]
     # It also writes blank lines as separators.
     found = heading([one for one in lines if one[1].strip(" ,;\t")])
+    remarks = ["not UTF-8, read as Latin-1"] * (encoding == "latin-1")
     if found is not None:
-        names, line, separator = tuple(found.names), found.line, found.separator
-        remark = f"read as {found.remark}"
+        names, line, separator = found.names, found.line, found.separator
+        remarks.append(f"read as {found.remark}")
     else:
         plain = [one for one in lines if not _is_comment(one[1])]
         if not plain:
             reason = "the file is empty, it needs a header and rows"
             raise InputError(reason, file=file)
         separator = _separator([text for _, text in plain])
-        line, cells = _header(lines, plain, separator, file)
-        names = tuple(map(str.strip, cells))
-        above = sum(number < line for number, _ in plain)
-        remark = f"{above} lines above the header in line {line} are left out"
-        remark *= bool(above)
-    columns = [GrowingColumn() for _ in names]
-    remarks = tuple(filter(None, [remark]))
-    return Cells(file, names, line, separator, remarks, found, columns=columns)
+        line, names = _header(lines, plain, separator, file)
+    columns, told = [GrowingColumn() for _ in names], tuple(remarks)
+    return Cells(file, tuple(names), line, separator, told, found, columns=columns)
 
 
 def _is_comment(line: str) -> bool:
@@ -263,10 +255,7 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def _header(
-    lines: Sequence[tuple[int, str]],
-    plain: Sequence[tuple[int, str]],
-    separator: str,
-    file: str,
+    lines: Lines, plain: Lines, separator: str, file: str
 ) -> tuple[int, list[str]]:
     """Line and cells of the header.
 
@@ -350,13 +339,10 @@ def _column(cells: Any) -> GrowingColumn:
     """A column of pyarrow; a cell that is null or nan is blank."""
     import pyarrow as pa
 
-    column, kind = GrowingColumn(), cells.type
-    if pa.types.is_floating(kind) or pa.types.is_integer(kind):
+    column = GrowingColumn()
+    if pa.types.is_floating(cells.type) or pa.types.is_integer(cells.type):
         column.add(cells.cast(pa.float64(), safe=False).to_numpy())
         return column
-    try:
-        column.extend([x or "" for x in cells.cast(pa.string()).to_pylist()])
-    except pa.ArrowException:
-        # Lists, bytes and the like: whoever reads the column is told what is there.
-        column.extend([f"({kind})"] * len(cells))
+    texts = ["" if cell is None else str(cell) for cell in cells.to_pylist()]
+    column.extend(texts)
     return column

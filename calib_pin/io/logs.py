@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import calib_pin.observations.joining as joining
 from calib_pin.errors import InputError, enumerated
-from calib_pin.io.columns import ANGLE, LENGTH, PIXEL, PURE, Floats, Kind, closest
+from calib_pin.io.columns import ANGLE, LENGTH, PIXEL, PURE, Floats, Kind
 from calib_pin.io.dialects.base import header
 from calib_pin.io.foreign_headers import OTHER, Foreign, foreign, understood, vectors
 from calib_pin.io.foreign_headers import measured as meanings
@@ -97,21 +97,18 @@ class ReadingLog:
     loose: bool = False
 
 
-def named_alike(joints: Table, readings: Table) -> tuple[Table, Table] | None:
-    """Two files without times, their columns of the same names called `POSE`.
+def named_alike(joints: Table, readings: Table) -> tuple[Table, Table]:
+    """Two files; where these have no times, columns of the same names called `POSE`.
 
     Args:
         joints: The file of the joints; each name stands there once.
         readings: The file of the readings.
-
-    Returns:
-        Both; None if both have times, or there are no such columns.
     """
     if all(map(_time_column, (joints, readings))):
-        return None
+        return joints, readings
     found = joining.shared_names(_names_of(joints), _names_of(readings))
     if found is None:
-        return None
+        return joints, readings
     return joints.renamed({POSE: found[0]}), readings.renamed({POSE: found[1]})
 
 
@@ -180,10 +177,8 @@ def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
     way = orientation_columns(table) if ORIENTED & table.columns.keys() else ""
     if not own and not way:
         raise table.error(
-            "there are no measured columns"
-            + closest("x", [name for name in table.columns if name != stamp]),
-            allowed="x, y, z, distance, u, v or an orientation; 'columns' in the setup "
-            "says which they are",
+            "there are no measured columns; 'columns' in the setup says which they are",
+            allowed="x, y, z, distance, u, v or an orientation",
         )
     table = _whole(table, stamp, [*own, *(STATED[way] if way else ())], notice)
     texts = table.texts([name for name in NAMES if name in table])

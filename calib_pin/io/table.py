@@ -70,22 +70,19 @@ class Table:
         self, reason: str, column: str | None = None, allowed: str | None = None
     ) -> InputError:
         """An error about the header."""
-        line, told = self.header_line, column and self._told(column)
+        line, own = self.header_line, column and self._told(column)
         return InputError(
-            reason, file=self.file, line=line, column=told, allowed=allowed
+            reason, file=self.file, line=line, column=own, allowed=allowed
         )
 
     def cell_error(
         self, reason: str, name: str, row: int, allowed: str | None = None
     ) -> InputError:
         """An error about one cell."""
+        line, own = int(self.lines[row]), self._told(name)
+        cell = self.columns[name].text(row)
         return InputError(
-            reason,
-            file=self.file,
-            line=int(self.lines[row]),
-            column=self._told(name),
-            value=self.columns[name].text(row),
-            allowed=allowed,
+            reason, file=self.file, line=line, column=own, value=cell, allowed=allowed
         )
 
     def cells(self, names: Collection[str]) -> dict[str, Labels]:

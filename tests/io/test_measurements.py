@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from calib_pin.errors import CalibPinError, InputError, OptionError, OutputError
+from calib_pin.io import columns as columns_module
 from calib_pin.io.measured_columns import components as components_of
 from calib_pin.io.measurements import (
     read_configurations,
@@ -121,36 +122,6 @@ def test_columns_in_any_order_with_units(write, chain):
     np.testing.assert_allclose(data.sigma, [[1e-4] * 3, [2e-4] * 3], rtol=1e-12)
     assert data.target == ("ball", "")
     assert data.validate.tolist() == [False, True]
-
-
-def test_comments_blank_lines_quotes_and_spaces(write, chain):
-    data = read(
-        write(
-            '# made by hand\n\n "lift" ,elbow , wrist,distance,target\n'.replace(
-                '" ,', '",'
-            )
-            + "  # a comment, with commas\n"
-            ' 0 , "0.5", 1 , 2.5 , "wall, left"\n'
-            "   \n"
-            '0,0,0,1," say ""hi"" "\n'
-            "#0,0,0,1,commented out\n"
-        ),
-        chain,
-    )
-    assert data.model == "plane-distance"
-    assert data.q.tolist() == [[0, 0.5, 1], [0, 0, 0]]
-    assert data.values.tolist() == [[2.5], [1.0]]
-    assert data.target == ("wall, left", 'say "hi"')
-    assert data.lines.tolist() == [5, 7]
-
-
-@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
-@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
-def test_line_ends_and_byte_order_mark(write, chain, end, mark):
-    lines = ["lift,elbow,wrist,distance,target", "0,0,0,1,Wände", "", "0,0,0,2,b"]
-    data = read(write(mark + end.join(lines).encode()), chain)
-    assert data.target == ("Wände", "b")
-    assert data.lines.tolist() == [2, 4]
 
 
 def test_names_match_exactly(write, refused, chain_of):
@@ -1296,8 +1267,13 @@ def test_damage_ends_in_a_line_or_in_measurements(
 # --- size ----------------------------------------------------------------
 
 
-def test_many_rows(write, bad, chain):
-    """Of a file that is read in several stretches every row stands where it stood."""
+@pytest.mark.parametrize("texts", [100, 1 << 14])
+def test_many_rows(write, bad, chain, texts, monkeypatch):
+    """Of a file that is read in several stretches every row stands where it stood.
+
+    Also where lines are read at once, which are once no texts are kept any more.
+    """
+    monkeypatch.setattr(columns_module, "TEXTS", texts)
     rows = np.random.default_rng(3).uniform(0.0, 0.4, (4_000, 9))
     text = f"{J},x,y,z,rx,ry,rz\n"
     text += "\n".join(",".join(map(repr, row)) for row in rows.tolist())

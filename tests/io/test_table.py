@@ -108,7 +108,7 @@ def test_numbers_are_texts_as_well(monkeypatch, table):
     assert found.texts(["name", "note"]) == {"name": ("01", "1e0", "3")}
     some = found.rows(np.array([2, 1]), ["name", "x", "y"])
     assert some.texts(["name"]) == {"name": ("3", "1e0")}
-    assert some.texts(["x"]) == {"x": ["7", "2.50"]}
+    assert some.cells(["x"]) == {"x": ["7", "2.50"]}
     assert some.numbers("x", LENGTH).tolist() == [7e-3, 2.5e-3]
     error = some.cell_error("too large", "x", 1)
     assert (error.line, error.value) == (5, "2.50")
@@ -211,10 +211,3 @@ def test_separated_thousands_are_no_number(table, cell):
     with pytest.raises(InputError, match="thousands") as caught:
         table(f"a\tb\n1\t2\n1\t{cell}\n").numbers("b", PURE)
     assert (caught.value.line, caught.value.value) == (3, cell.strip('"'))
-
-
-def test_wrong_utf_16_is_told(tmp_path):
-    file = tmp_path / "log.csv"
-    file.write_bytes(b"\xff\xfex\x00,")
-    with pytest.raises(InputError, match="UTF-16"):
-        read_table(file)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from calib_pin.io.columns import Column
-from calib_pin.io.dialects.base import Dialect, Heading, Reading, side_by_side
+from calib_pin.io.dialects.base import Dialect, Heading, Lines, Reading, side_by_side
 from calib_pin.io.dialects.franka import Franka
 from calib_pin.io.dialects.lerobot import LeRobot
 from calib_pin.io.dialects.matrices import Matrices
@@ -51,7 +51,7 @@ DIALECTS: Mapping[str, type[Dialect]] = Members(
 """Tried in this order: those that come with calib-pin, then others."""
 
 
-def heading(lines: Sequence[tuple[int, str]]) -> Heading | None:
+def heading(lines: Lines) -> Heading | None:
     """The header of a file in a dialect in which it is not one line of names.
 
     Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -16,6 +16,9 @@ from calib_pin.io.columns import Column, Floats
 from calib_pin.kinematics.spatial import nearest_rotation, to_quaternion
 
 QUATERNION = ("qx", "qy", "qz", "qw")
+
+Lines = Sequence[tuple[int, str]]
+"""Lines of a file with their numbers, counted from 1."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class Reading:
 class Dialect:
     """A foreign layout."""
 
-    def heading(self, lines: Sequence[tuple[int, str]]) -> Heading | None:
+    def heading(self, lines: Lines) -> Heading | None:
         """The header of a file; None where it is one line of names, or another layout.
 
         Args:
@@ -125,7 +128,7 @@ def cells_of(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in row]
 
 
-def starting(lines: Sequence[tuple[int, str]], word: str) -> list[tuple[int, str]]:
+def starting(lines: Lines, word: str) -> list[tuple[int, str]]:
     """The lines from that on which begins with a word, maybe behind a sign."""
     for k, (number, line) in enumerate(lines):
         bare = line.lstrip("#%/ \t")
@@ -134,7 +137,7 @@ def starting(lines: Sequence[tuple[int, str]], word: str) -> list[tuple[int, str
     return []
 
 
-def cut(lines: Sequence[tuple[int, str]]) -> tuple[list[list[str]], str]:
+def cut(lines: Lines) -> tuple[list[list[str]], str]:
     """Cells of some lines, and the separator that is in the first of them."""
     separator = max(",;\t", key=lines[0][1].count)
     return [cells_of(line, separator) for _, line in lines], separator
@@ -156,28 +159,21 @@ def computed(name: str, numbers: Floats, unit: str | None = None) -> Column:
     return named(Column(name, unit, numbers), name)
 
 
-def stacked(columns: Iterable[Column]) -> Floats:
-    """Numbers side by side, shape (N, k)."""
-    return np.stack([column.numbers for column in columns], axis=1)
-
-
 def from_rows(R: Floats) -> Floats:
     """Quaternions of rotation matrices, row by row, shape (M, 9) -> (M, 4)."""
     return to_quaternion(nearest_rotation(R.reshape(-1, 3, 3)))
 
 
-def oriented(
-    numbers: Floats, quaternions: Callable[[Floats], Floats]
-) -> dict[str, Column]:
+def oriented(numbers: Floats, read: Callable[[Floats], Floats]) -> dict[str, Column]:
     """The columns of quaternions, blank where a number is missing.
 
     Args:
         numbers: Numbers of orientations, shape (N, k).
-        quaternions: The quaternions that they mean, (M, k) -> (M, 4).
+        read: The quaternions that they mean, (M, k) -> (M, 4).
     """
     seen = np.flatnonzero(np.isfinite(numbers).all(axis=1))
     found = np.full((len(numbers), 4), np.nan)
-    found[seen] = quaternions(numbers[seen])
+    found[seen] = read(numbers[seen])
     return {name: computed(name, found[:, k]) for k, name in enumerate(QUATERNION)}
 
 
@@ -206,9 +202,8 @@ def side_by_side(
     result = {name: column.rows(rows) for name, column in result.items()}
     first, *others = found.values()
     for name in (name for name in first if all(name in other for other in others)):
-        numbers = stacked(other[name] for other in found.values()).ravel()
-        alone = first[name] if not others else None
-        result[name] = alone or computed(name, numbers, first[name].unit)
+        numbers = np.column_stack([own[name].numbers for own in found.values()]).ravel()
+        result[name] = computed(name, numbers, first[name].unit)
     codes = np.tile(np.arange(len(found)), count)
     nothing = np.full(len(rows), np.nan)
     result[heading.kind] = Column(heading.kind, None, nothing, (*found,), codes)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 import calib_pin.io.dialects.base as base
-from calib_pin.io.columns import Column
+from calib_pin.io.columns import Column, Floats
 
 ELEMENT = re.compile(r"(.*?)[ _\[(]*([0-4])[ _,]*([0-4])[\])]*")
 
@@ -44,8 +44,12 @@ class Matrices(base.Dialect):
         return None
 
 
+def _numbers(columns: Mapping[str, Column], names: list[str]) -> Floats:
+    return np.column_stack([columns[name].numbers for name in names])
+
+
 def _orthonormal(columns: Mapping[str, Column], names: list[str]) -> bool:
-    R = base.stacked(columns[name] for name in names).reshape(-1, 3, 3)
+    R = _numbers(columns, names).reshape(-1, 3, 3)
     R = R[np.isfinite(R).all(axis=(1, 2))]
     errors = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3))
     return bool(len(R)) and bool(np.quantile(errors.max(axis=(1, 2)), 0.9) < ROUNDED)
@@ -56,7 +60,7 @@ def _read(
 ) -> base.Reading:
     """The columns, with a quaternion in the place of the matrix."""
     read = {name: c for name, c in columns.items() if name not in turned}
-    read |= base.oriented(base.stacked(columns[n] for n in turned), base.from_rows)
+    read |= base.oriented(_numbers(columns, turned), base.from_rows)
     for axis, name in zip("xyz", moved, strict=True):
         if name and axis not in columns:
             read[axis] = base.named(read.pop(name), axis)

@@ -10,9 +10,10 @@ are about turned axes ("X(Pitch), Y(Yaw), Z(Roll), Relative, RHS" in the NatNet 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from itertools import pairwise, zip_longest
+
+import numpy as np
 
 import calib_pin.io.dialects.base as base
 from calib_pin.io.columns import Column
@@ -28,7 +29,7 @@ UNITS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "in"
 class Motive(base.Dialect):
     """An export of a take."""
 
-    def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
+    def heading(self, lines: base.Lines) -> base.Heading | None:
         """The settings, and the lines down to that of the axes."""
         if not (lines := base.starting(lines, "Format Version")):
             return None
@@ -69,7 +70,7 @@ def _converted(order: str, columns: dict[str, Column]) -> dict[str, Column]:
         if columns[axis].unit == "cm":
             columns[axis] = base.computed(axis, 10.0 * columns[axis].numbers, "mm")
     if "turn x" in columns and sorted(order) == [*"xyz"]:
-        angles = base.stacked(columns.pop(f"turn {axis}") for axis in order)
+        angles = np.column_stack([columns.pop(f"turn {a}").numbers for a in order])
         # Capitals stand for turned axes.
         columns |= base.oriented(
             angles, lambda q: Rotation.from_euler(order.upper(), q, True).as_quat()

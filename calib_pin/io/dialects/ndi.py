@@ -10,7 +10,7 @@ beyond 1e28, as public readers of such files (`vicra_plot`) quote them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,7 @@ LOST = 1e20
 class Ndi(base.Dialect):
     """A tracker's log of tools."""
 
-    def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
+    def heading(self, lines: base.Lines) -> base.Heading | None:
         """One line of names, which are the same for each tool."""
         if not (lines := base.starting(lines, "Tools")):
             return None
@@ -67,6 +67,6 @@ def _ours(columns: Mapping[str, Column]) -> dict[str, Column]:
             numbers = np.where(lost, np.nan, column.numbers)
             read[name] = base.computed(name, numbers, unit)
     if {*MATRIX} <= read.keys():
-        R = base.stacked(read.pop(name) for name in MATRIX)
+        R = np.column_stack([read.pop(name).numbers for name in MATRIX])
         read |= base.oriented(R, base.from_rows)
     return read

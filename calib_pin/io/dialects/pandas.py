@@ -7,7 +7,7 @@ part.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,7 @@ REMARK = "a data frame of pandas"
 class Pandas(base.Dialect):
     """A data frame."""
 
-    def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
+    def heading(self, lines: base.Lines) -> base.Heading | None:
         """Two lines of names below a blank index, of which the upper ones repeat."""
         lines = [one for one in lines if not one[1].startswith("#")]
         (upper, *rows), mark = base.cut(lines[:3] or [(1, "")])

@@ -30,7 +30,7 @@ NAMES = ("collection", "group", "point")
 class Points(base.Dialect):
     """Points with their names."""
 
-    def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
+    def heading(self, lines: base.Lines) -> base.Heading | None:
         """No header: every line begins with names, and three numbers follow."""
         plain = [one for one in lines if not one[1].lstrip().startswith("//")]
         for mark in "\t;, " if plain else "":

@@ -12,7 +12,6 @@ does not say which, so these columns are left out.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from itertools import zip_longest
 
 import calib_pin.io.dialects.base as base
@@ -22,7 +21,7 @@ from calib_pin.io.columns import Column
 class Vicon(base.Dialect):
     """A section of an export."""
 
-    def heading(self, lines: Sequence[tuple[int, str]]) -> base.Heading | None:
+    def heading(self, lines: base.Lines) -> base.Heading | None:
         """The lines from the title of the section to that of the units."""
         at = len(lines) - len(base.starting(lines, "Frame"))
         if not 3 <= at < len(lines) - 1:

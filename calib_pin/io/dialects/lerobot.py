@@ -62,8 +62,7 @@ class LeRobot(base.Dialect):
         ranges = _ranges(file, joints) if unit and largest <= 100.0 else None
         if ranges:
             name, half = ranges
-            remark = f"-100 to 100 of the ranges in {name}; are they degrees, move "
-            remark += "that file away"
+            remark = f"parts of the ranges in {name}; are they degrees, move it away"
             joints = {n: base.computed(n, numbers[n] * half[n]) for n in joints}
         elif largest == 100.0:
             reason = f"the joints are in -100 to 100 of their ranges: {BESIDE}, or "

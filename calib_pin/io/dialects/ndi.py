@@ -46,8 +46,7 @@ class Ndi(base.Dialect):
             names.append("" if known else cell.replace("[sec]", "[s]"))
             tools.append(cell if cell.startswith("Port") else ["", *tools][-1])
             there.add(name)
-        last = lines[0][0]
-        found = base.Heading(mark, names, last, REMARK, tools, "tool", _ours)
+        found = base.Heading(mark, names, lines[0][0], REMARK, tools, "tool", _ours)
         return found if any(tools) else None
 
     def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:

@@ -49,5 +49,4 @@ class Vicon(base.Dialect):
             time = columns["Frame"].numbers / float(rate[0])
             return {"time": base.computed("time", time, "s"), **columns}
 
-        line = lines[at + 1][0]
-        return base.Heading(mark, names, line, remark, of, kind, with_time)
+        return base.Heading(mark, names, lines[at + 1][0], remark, of, kind, with_time)

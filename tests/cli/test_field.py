@@ -161,7 +161,14 @@ def written(content: str | bytes) -> None:
     Path("rows.csv").write_bytes(data)
 
 
-@pytest.mark.parametrize("name", READ)
+SELDOM = {"units behind elements", "one quaternion for all", "empty", "star"}
+"""Those that others tell as well."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] if n in SELDOM else []) for n in READ],
+)
 def test_a_file_is_read_as_it_is(name, job, tmp_path, monkeypatch):
     """Held-out errors are the noise: every number is where it belongs."""
     monkeypatch.chdir(tmp_path)

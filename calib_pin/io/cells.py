@@ -102,9 +102,10 @@ class Cells:
         ]
         if len(numbers) < len(lines):
             lines = [lines[number - first] for number in numbers]
+        commas, later = self.separator != ",", bool(self.lines)
         self.lines.extend(numbers)
-        commas = self.separator != ","
-        if not (commas or any(column.few for column in self.columns)):
+        # The texts of numbers are for messages and names, and so for small files.
+        if later and not commas:
             read = read_lines(lines, len(self.columns))
             if read is not None:
                 for column, values in zip(self.columns, read, strict=True):

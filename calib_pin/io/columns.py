@@ -151,8 +151,9 @@ UNITS = {*ANGLE.units, *LENGTH.units, *PIXEL.units}
 """Units as calib-pin writes them."""
 
 
-TEXTS = 1 << 14
-"""Different cells of a column up to which the texts of its numbers are kept."""
+TEXTS = 1 << 8
+"""Different cells of a column up to which the texts of its numbers are kept: names such
+as 01 and 1.10 are few, and numbers that are measured are not."""
 
 
 @dataclass(frozen=True)
@@ -286,9 +287,10 @@ class GrowingColumn:
         name, unit = split_header(header)
         numbers = np.frombuffer(self.numbers)
         numbers.setflags(write=False)
-        codes = np.array(self._codes)
-        if not self.few:
-            codes[np.isfinite(numbers)] = -1
+        codes, finite = np.array(self._codes), np.isfinite(numbers)
+        # Some of them would be taken for other names than the rest.
+        if not self.few or (codes[finite] < 0).any():
+            codes[finite] = -1
         if (codes < 0).all():
             return Column(header, unit, numbers, theirs=name)
         return Column(header, unit, numbers, tuple(self._words), codes, name)

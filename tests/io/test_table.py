@@ -73,6 +73,8 @@ def number(cell: str) -> float:
 @pytest.mark.parametrize("count", [3, 4096])
 def test_cells_and_numbers_are_those_of_every_line_alone(monkeypatch, table, count):
     monkeypatch.setattr(cells_module, "LINES", count)
+    # Lines of nothing but decimals have no texts where there are many.
+    monkeypatch.setattr(cells_module, "read_lines", lambda *_: None)
     rng = random.Random(1)
     for _ in range(25):
         lines = spoiled(rng)

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from calib_pin.errors import CalibPinError, InputError, OptionError, OutputError
-from calib_pin.io import columns as columns_module
 from calib_pin.io.measured_columns import components as components_of
 from calib_pin.io.measurements import (
     read_configurations,
@@ -1267,13 +1266,8 @@ def test_damage_ends_in_a_line_or_in_measurements(
 # --- size ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("texts", [100, 1 << 14])
-def test_many_rows(write, bad, chain, texts, monkeypatch):
-    """Of a file that is read in several stretches every row stands where it stood.
-
-    Also where lines are read at once, which are once no texts are kept any more.
-    """
-    monkeypatch.setattr(columns_module, "TEXTS", texts)
+def test_many_rows(write, bad, chain):
+    """Of a file that is read in several stretches every row stands where it stood."""
     rows = np.random.default_rng(3).uniform(0.0, 0.4, (4_000, 9))
     text = f"{J},x,y,z,rx,ry,rz\n"
     text += "\n".join(",".join(map(repr, row)) for row in rows.tolist())

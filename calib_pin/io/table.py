@@ -281,9 +281,7 @@ def _check_marks(table: Table, columns: Sequence[GrowingColumn]) -> None:
         thousands = commas and "." not in column.marks
         if points and ("," in column.marks or thousands):
             line = table.lines[column.marks.get(",", min(commas))]
-            reason = (
-                f"a number has a decimal point here, and one a comma in line {line}"
-            )
+            reason = f"a number has a decimal point here, others a comma (line {line})"
             raise table.cell_error(reason, name, min(points), "one decimal mark")
 
 

@@ -223,10 +223,11 @@ def _best(
         with stated_in(str(files[0])):
             looks = [look for own in joints for look in looks_of(stated, own)]
             found = best(looks)
-        others = unlikely_joints(robot, setup.base, joints)
-        while not found.fits and (own := next(others, None)) is not None:
-            looks = looks_of(stated, own)
-            found = min(best(looks), found, key=lambda look: look.share)
+            others = unlikely_joints(robot, setup.base, joints)
+            while not found.fits and (own := next(others, None)) is not None:
+                tries = looks_of(stated, own)
+                if (better := best(tries)).share < found.share:
+                    looks, found = tries, better
         if CLEAR * found.next_share <= found.share < inf:
             raise InputError(
                 "the robot fits about as well with other units; state the units in the "

@@ -39,7 +39,7 @@ from calib_pin.observations import Observations
 from calib_pin.setup import Setup
 from calib_pin.validation.evaluation import prepared
 from calib_pin.validation.findings.case import some_of
-from calib_pin.validation.findings.computed_values import COMPUTED
+from calib_pin.validation.findings.computed_values import COMPUTED, spread
 
 USUAL = ("tool0", "tcp", "ee", "tip", "tool", "flange", "hand", "gripper")
 """Parts of the names of links at which a tool is usually mounted."""
@@ -375,13 +375,14 @@ def _moved(problem: Problem) -> float:
     Where both tell no length, as on a positioner whose tool may sit anywhere, errors in
     another unit are the same part of what was measured in it.
     """
-    squares = []
-    for block in problem.blocks:
-        points = block.data.values[:, :3]
-        if block.data.model not in ("position", "pose", "camera"):
-            points = block.part.error.chain.poses(block.data.q)[:, :3, 3]
-        squares.append(np.sum((points - points.mean(0)) ** 2, axis=1))
-    return float(np.sqrt(np.concatenate(squares).mean()))
+    return spread(
+        [
+            block.data.values[:, :3]
+            if block.data.model in ("position", "pose", "camera")
+            else block.part.error.chain.poses(block.data.q)[:, :3, 3]
+            for block in problem.blocks
+        ]
+    )
 
 
 def best(looks: Sequence[Look]) -> Look:

@@ -155,9 +155,9 @@ def foreign(columns: Mapping[str, Column]) -> tuple[Foreign, ...]:
         InputError: If a column that means something has a unit that is none of ours.
     """
     found = [_split(name, column) for name, column in columns.items()]
-    if "x" not in measured(found):
+    if "x" not in (known := measured(found)):
         found = _with_axes(found)
-    known = measured(found)
+        known = measured(found)
     require_units(one for ours in UNITS_OF for one in known.get(ours, ()))
     return tuple(found)
 

@@ -26,7 +26,7 @@ from calib_pin.io.measured_columns import (
 )
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.table import Table, require_columns, with_readings
-from calib_pin.measurement_models.declaration import ROTATION_VECTOR
+from calib_pin.measurement_models.declaration import QUATERNION, ROTATION_VECTOR
 from calib_pin.setup import STATED
 
 TIME = Kind("s", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, {}, np.inf)
@@ -51,8 +51,6 @@ COUNTED = 10
 
 LEAST = 1e-11
 """Standard deviation of a mean that is rounding, not scatter [m, rad, px]."""
-
-QUATERNION = ("qx", "qy", "qz", "qw")
 
 POSE = "pose"
 """Column of the names by which two files are joined, in the result."""

@@ -233,9 +233,9 @@ def read_table(
     """Read a file of columns: Parquet, or else CSV.
 
     Args:
-        path: Parquet file, by its suffix or its content; or CSV with a header: commas,
-            semicolons or tabs separate, and where it is no comma, the decimal mark may
-            be one; see `read_cells`.
+        path: Parquet file, by its first bytes; or CSV with a header: commas,
+            semicolons, tabs or blanks separate, and where it is no comma, the decimal
+            mark may be one; see `read_cells`.
         progress: Told the part of the lines that is read, 0 to 1.
         columns: What columns with foreign names are, ours to theirs; theirs may state
             a unit in square brackets.

@@ -26,7 +26,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -477,16 +477,15 @@ def run(seed: int) -> Outcome:
 
 def main() -> None:
     """Print how many files are read rightly, and those that are not."""
-    words = sys.argv[1:]
     parser = argparse.ArgumentParser(prog="benchmark relatives")
     parser.add_argument("name", nargs="*")
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--show", action="store_true")
-    asked = parser.parse_args(words)
+    asked = parser.parse_args()
     numbers = range(asked.first, asked.first + asked.count)
     with ProcessPoolExecutor(os.cpu_count()) as pool:
-        found = list(pool.map(partial(run), numbers, chunksize=5))
+        found = list(pool.map(run, numbers, chunksize=5))
     for one in found:
         if asked.show or one.kind in ("silent", "unclear"):
             done = "; ".join(one.damages) or "as it is"

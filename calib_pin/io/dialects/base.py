@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from calib_pin.io.columns import Column, Floats
 from calib_pin.kinematics.spatial import nearest_rotation, to_quaternion
-
-QUATERNION = ("qx", "qy", "qz", "qw")
+from calib_pin.measurement_models.declaration import QUATERNION
 
 Lines = Sequence[tuple[int, str]]
 """Lines of a file with their numbers, counted from 1."""

@@ -27,15 +27,12 @@ class Stamps(base.Dialect):
         if any(map(TIME.fullmatch, columns)):
             return None
         for rest, column in columns.items():
-            stem, word = rest[: -len(_last(rest))], _last(rest)
-            for whole in (f"{stem}sec", f"{stem}secs"):
-                if word in PARTS and whole in columns:
-                    seconds = columns[whole].numbers + PARTS[word] * column.numbers
-                    time = base.computed("time", seconds, "s")
-                    remark = f"times of '{whole}' and '{rest}'"
-                    return base.Reading({**columns, "time": time}, remark)
+            word = re.split(r"[\W_]", rest)[-1]
+            stem = rest.removesuffix(word)
+            wholes = [n for n in (f"{stem}sec", f"{stem}secs") if n in columns]
+            if word in PARTS and wholes:
+                seconds = columns[wholes[0]].numbers + PARTS[word] * column.numbers
+                time = base.computed("time", seconds, "s")
+                remark = f"times of '{wholes[0]}' and '{rest}'"
+                return base.Reading({**columns, "time": time}, remark)
         return None
-
-
-def _last(name: str) -> str:
-    return re.split(r"[\W_]", name)[-1]

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from calib_pin.errors import InputError, OptionError, enumerated
-from calib_pin.io.logs import QUATERNION, JointLog, ReadingLog
+from calib_pin.io.logs import JointLog, ReadingLog
+from calib_pin.measurement_models.declaration import QUATERNION
 from calib_pin.observations.joining import Joined, Log, Standstill, continuous
 
 SUFFIXES = (".mcap", ".db3", ".bag")

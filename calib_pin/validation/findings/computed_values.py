@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.problem import error_table
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
 
@@ -20,6 +21,16 @@ FEWEST = 8
 """Configurations below which frames alone may explain positions."""
 
 
+def spread(blocks: Sequence[Floats]) -> float:
+    """Root mean square distance of points from the mean of their block.
+
+    Args:
+        blocks: Points, each of shape (N, k).
+    """
+    away = np.concatenate([np.sum((p - p.mean(0)) ** 2, axis=1) for p in blocks])
+    return float(np.sqrt(away.mean()))
+
+
 def computed_values(case: Case) -> Iterator[Finding]:
     """Positions that fit to the nominal robot as those of no instrument can."""
     problem = case.fit.problem
@@ -30,8 +41,7 @@ def computed_values(case: Case) -> Iterator[Finding]:
     # Beside those of another model they have its name too, and rows of nan.
     named = (q for q in problem.layout.quantities if q.name.startswith("position"))
     rms = min(float(np.sqrt(np.nanmean(q.errors(errors) ** 2))) for q in named)
-    points = np.concatenate([b.values[:, :3] - b.values[:, :3].mean(0) for b in blocks])
-    moved = float(np.sqrt(np.mean(np.sum(points**2, axis=1))))
+    moved = spread([block.values[:, :3] for block in blocks])
     if rms < COMPUTED * moved:
         unit, factor = DISPLAY["m"]
         yield Finding(

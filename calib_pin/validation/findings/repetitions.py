@@ -33,8 +33,7 @@ def repetitions(case: Case) -> Iterator[Finding]:
     """Copies, few configurations, and most measurements at one configuration."""
     yield from _copies(case)
     data = case.data
-    same = data.groups() * (data.things().max() + 1) + data.things()
-    labels = np.unique(same, return_inverse=True)[1]
+    labels = np.unique(_things_there(data), return_inverse=True)[1]
     configurations, repeats = data.configurations, len(data) / (labels.max() + 1)
     problem = case.fit.problem
     free = int(problem.parameters.free.sum())
@@ -129,10 +128,14 @@ def _by_chance(case: Case, pairs: int) -> bool:
     return float(max(chances)) * repeated > CHANCE
 
 
+def _things_there(data: Observations) -> Indices:
+    """Label of the measurements of one thing at one configuration, shape (N,)."""
+    return np.asarray(data.groups() * (data.things().max() + 1) + data.things())
+
+
 def _scatter(data: Observations) -> float:
     """Scatter of what was measured several times; zero where nothing scatters."""
-    squares, left = 0.0, 0
-    same = data.groups() * (data.things().max() + 1) + data.things()
+    squares, left, same = 0.0, 0, _things_there(data)
     for block, rows in zip(data.blocks, data.slices, strict=True):
         own = np.unique(same[rows], return_inverse=True)[1]
         there = np.bincount(own)

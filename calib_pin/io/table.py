@@ -189,7 +189,10 @@ class Table:
             reason += f"no reading; leave them out by 'reading: {{without: [{lines}]}}'"
             return self.cell_error(reason, name, int(same[0]))
         column = self.columns[name]
-        smaller = kind.smaller.get(column.unit or kind.si)
+        unit = column.unit or kind.si
+        smaller, number = kind.smaller.get(unit, ""), abs(value) / kind.units[unit]
+        while smaller in kind.smaller and kind.units[smaller] * number > kind.largest:
+            smaller = kind.smaller[smaller]
         reason = f"{value:.6g} {kind.si} looks like the wrong unit"
         reason += f", {why}" if why else ""
         if smaller and column.theirs in ("", name):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,6 +23,7 @@ from calib_pin.errors import InputError, OptionError, enumerated, require_known
 
 if TYPE_CHECKING:
     from calib_pin.io.boards import Found
+    from calib_pin.setup import BoardSetup
 
 OURS = ("image", "u", "v", "target", "sigma_u", "sigma_v")
 """Columns of the measurement file, beside those of the joints."""
@@ -29,6 +31,13 @@ OURS = ("image", "u", "v", "target", "sigma_u", "sigma_v")
 BLURRED = 3.0
 """Standard deviation of an image's corners, in that of all images, above which it is
 named as blurred."""
+
+NOISE, MOST = 30.0, (1.0, 3.0)
+"""Rms of corners about a camera that is an error: in standard deviations of a corner,
+as paper bends and lenses are no polynomials, but between these [px]."""
+
+SAMPLE = 4
+"""Images of which a better statement of the board is taken."""
 
 MOUNTS = ("hand", "world")
 
@@ -52,10 +61,11 @@ def detect(
         options.option(
             "Images",
             "--board SPEC",
-            "The board, lengths in m: charuco:7x5:SQUARE:MARKER:DICT_4X4_50, "
-            "chessboard:9x6:SQUARE, circles:9x6:DISTANCE, apriltag:6x6:EDGE:GAP, "
-            "marker:1x1:EDGE:DICT_4X4_50; columns x rows of squares, circles or tags. "
-            "Default is 'board' of the setup file.",
+            "The board, lengths in m: charuco:7x5:SQUARE:MARKER:DICT_4X4_50 (':legacy' "
+            "at the end for boards of OpenCV before 4.6), chessboard:9x6:SQUARE, "
+            "circles:9x6:DISTANCE, apriltag:6x6:EDGE:GAP, "
+            "marker:1x1:EDGE:DICT_4X4_50:first=7; columns x rows of squares (not of "
+            "inner corners), circles or tags. Default is 'board' of the setup file.",
         ),
     ] = None,
     setup: Annotated[
@@ -112,8 +122,11 @@ def detect(
         Detector,
         ambiguous,
         board_of,
+        checked,
         encode_png,
+        fitting,
         read_image,
+        restated,
         start_camera,
     )
     from calib_pin.io.files import write_files
@@ -146,7 +159,7 @@ def detect(
     require_distinct(images)
     check_outputs((output, setup_output), (*images, setup, joints), force)
     rows = _configurations(joints, images)
-    seen: list[tuple[int, Found]] = []
+    every: list[Found] = []
     size, first = (0, 0), images[0]
     with progress_bar(quiet=quiet) as bar:
         tell = stage(bar, "images")
@@ -162,17 +175,18 @@ def detect(
                     value=f"{width} x {height}",
                     allowed=f"{size[0]} x {size[1]}",
                 )
-            found = detector.find(image)
-            if found is not None:
-                seen.append((k, found))
+            every.append(detector.find(image))
             if tell is not None:
                 tell((k + 1) / len(images))
-    if not seen:
-        raise InputError(
-            f"no image shows the board ({wanted.type}, {wanted.columns} x "
-            f"{wanted.rows}); are its type, numbers and dictionary right?",
-            file=images[0] if len(images) == 1 else None,
+    seen = [(k, found) for k, found in enumerate(every) if found.names]
+    told = checked(wanted, every)
+    better = restated(wanted, every)
+    if better != wanted or not (seen and told):
+        fit, markers = fitting(
+            wanted, [read_image(path) for path in images[:: len(images) // SAMPLE + 1]]
         )
+        if not seen or not wanted == better == fit:
+            raise _misstated(wanted, fit, markers, stated.board is not None)
     image_of = [k for k, found in seen for _ in found.names]
     pixels = np.concatenate([found.pixels for _, found in seen])
     sigma = np.concatenate([found.sigma for _, found in seen])
@@ -183,18 +197,25 @@ def detect(
         columns |= {name: pixels[:, k].round(4), f"sigma_{name}": sigma[:, k].round(4)}
     comment = f"found by: {told_command(context)}"
     contents = {output: encode_table(columns, [comment])}
-    camera, rms = start_camera(
+    start = start_camera(
         "world" if mount == "world" else "hand",
         detector,
         size,
         [found for _, found in seen],
     )
+    camera, rms = start.camera, _require_camera(start.rms, images, seen)
+    assumed = "the focal lengths are assumed: the images do not determine them"
     if setup_output is not None:
         document = setup_document(Setup(model="camera", board=wanted, camera=camera))
         lines = {key: document[key] for key in ("model", "board", "camera")}
-        contents[setup_output] = f"# {comment}\n{yaml_text(lines)}\n".encode()
+        remark = f"# {assumed}\n" if start.assumed else ""
+        contents[setup_output] = f"# {comment}\n{remark}{yaml_text(lines)}\n".encode()
     if not quiet:
         _remarks(images, seen)
+        if not told:
+            notice("no image shows enough of the board to check how it is stated")
+        if start.assumed:
+            notice(assumed)
         if ambiguous(wanted):
             notice(
                 "the board looks the same when it is turned: corner 0 is the one "
@@ -209,23 +230,90 @@ def detect(
             "corners": len(pixels),
             "sigma": float(np.median(sigma)),
             "camera": setup_document(Setup(camera=camera))["camera"],
+            "assumed": start.assumed,
+            "rms": rms,
         }
         say_json(document, contents)
     elif not quiet:
         focal, center = (
             f"({a:.1f}, {b:.1f})" for a, b in (camera.focal, camera.center)
         )
-        start = f"rms {rms:.3f} px" if rms is not None else "too few views: assumed"
+        rest = "not checked: too few corners" if rms is None else f"rms {rms:.3f} px"
+        word = "assumed focal" if start.assumed else "focal"
         say(
             f"{len(seen)} of {len(images)} images show the board, {size[0]} x "
             f"{size[1]} px\n"
             f"{len(pixels)} of {len(seen) * len(detector.points)} corners in them, "
             f"sigma {np.median(sigma):.3f} px (median)\n"
-            f"start of the camera: focal {focal}, center {center} px\n"
-            f"  ({start})\n"
+            f"start of the camera: {word} {focal}, center {center} px\n"
+            f"  ({rest})\n"
         )
         say_written([f"wrote {path}" for path in contents])
     return 0
+
+
+def _misstated(
+    board: BoardSetup, fit: BoardSetup | None, markers: str, in_setup: bool
+) -> InputError:
+    """That images do not show a board, and which one they do.
+
+    Args:
+        board: The board as stated.
+        fit: The board that they show, None if none is found.
+        markers: Markers that they show.
+        in_setup: Whether the board was stated in a setup file.
+    """
+    from calib_pin.io.boards import word_of
+    from calib_pin.io.setup import yaml_text
+
+    if fit is None or fit == board:
+        seen = f"; seen: {markers}" if markers else ""
+        return InputError(
+            f"no image shows the board as stated ({board.type}, {board.columns} x "
+            f"{board.rows}); are its type, numbers and dictionary right?{seen}"
+        )
+    line = f"--board {word_of(fit)}"
+    if in_setup:
+        line = yaml_text({"board": {k: v for k, v in vars(fit).items() if v}})
+    reason = f"the images do not show {word_of(board)}"
+    size = "marker" if board.type == "charuco" else "gap"
+    if fit == replace(board, **{size: getattr(fit, size)}):
+        reason = (
+            f"the {size} is not {getattr(board, size):g} m beside {board.square:g} m"
+        )
+    if fit == replace(board, legacy=True):
+        reason = (
+            "its markers are found, its corners are not: a board of OpenCV before 4.6? "
+            "add ':legacy'"
+        )
+    return InputError(f"{reason}; this fits: {line}")
+
+
+def _require_camera(
+    rms: Any, images: list[Path], seen: list[tuple[int, Found]]
+) -> float | None:
+    """Rms of the corners of all images about their camera [px]; None where unknown.
+
+    Raises:
+        InputError: If they are not those of one flat board before a camera.
+    """
+    import numpy as np
+
+    known = [k for k, value in enumerate(rms) if np.isfinite(value)]
+    if not known:
+        return None
+    counts = [len(seen[k][1].names) for k in known]
+    total = float(np.sqrt(np.average(rms[known] ** 2, weights=counts)))
+    sigma = float(np.median(np.concatenate([found.sigma for _, found in seen])))
+    most = float(np.clip(NOISE * sigma, *MOST))
+    worst = known[int(np.argmax(rms[known]))]
+    if total > most or rms[worst] > MOST[1]:
+        raise InputError(
+            f"corners do not fit the board: rms {total:.3g} px with a noise of "
+            f"{sigma:.2g} px, {rms[worst]:.3g} px in {images[seen[worst][0]].name}; is "
+            "the board flat, and as stated?"
+        )
+    return total
 
 
 def _configurations(file: Path | None, images: list[Path]) -> dict[str, list[str]]:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
@@ -19,10 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, OptionError
+from calib_pin.io.board_fit import (
+    Lines,
+    compared,
+    lines_of,
+    restated_lines,
+    restated_tags,
+    tags_of,
+)
 from calib_pin.io.files import read_bytes
 from calib_pin.observations.corners import corner_sigmas, marker_corners, noise_of
 from calib_pin.setup import BoardSetup, CameraSetup
-from calib_pin.setup.references import TAGS
+from calib_pin.setup.references import DICTIONARIES, TAGS
 
 PIXELS = 1 << 27
 """Most pixels of an image."""
@@ -37,6 +46,9 @@ FORMATS = (
 """First bytes of PNG, JPEG, BMP, TIFF, and portable gray and color maps."""
 
 Gray = NDArray[np.uint8]
+
+GRIDS = ("chessboard", "circles")
+"""Types of boards without markers."""
 
 
 def vision() -> Any:
@@ -103,7 +115,7 @@ def encode_png(image: Gray, density: float) -> bytes:
 Floats = NDArray[np.float64]
 
 FORM = (
-    "TYPE:COLUMNSxROWS:SQUARE[:MARKER or GAP][:DICTIONARY][:legacy], such as "
+    "TYPE:COLUMNSxROWS:SQUARE[:MARKER or GAP][:DICTIONARY][:first=N][:legacy], such as "
     "charuco:7x5:0.03:0.022:DICT_4X4_50"
 )
 
@@ -117,14 +129,30 @@ OFF_CENTER = 0.08
 """Standard deviation of the center of a circle [px]: perspective draws the middle of an
 ellipse off it, by 0.065 px in rendered images, whatever their noise."""
 
+TRIES = 4
+"""Times that a board is restated until images agree with it."""
+
+NEAR = (0, 1, -1)
+"""By how many columns and rows a grid may be stated wrong."""
+
+MARKED = 2
+"""Images in which markers of other dictionaries are looked for."""
+
 VIEWS = 3
 """Images from which intrinsics are estimated."""
+
+CLEAR = 0.4
+"""Part of the extent of a board that looks the same from two sides by which its first
+corner has to be nearer to the upper left of the image than that of the other way."""
 
 CORNERS = 8
 """Corners that each of them has at least."""
 
 ASSUMED = 1.2
 """Focal length that is assumed without them, in widths or heights of the image."""
+
+UNKNOWN = 0.1
+"""Standard deviation of a focal length, as part of it, that images do not determine."""
 
 
 @dataclass(frozen=True)
@@ -135,11 +163,20 @@ class Found:
         names: Names of the corners.
         pixels: Corners (u, v), pixel centers at whole numbers, shape (N, 2) [px].
         sigma: Standard deviations, shape (N, 2) [px].
+        tags: Corners and their standard deviations, shape (4, 2) each [px], of all tags
+            of its dictionary, whether they are of the board or not.
+        lines: The lines of a grid, if one was found.
     """
 
-    names: tuple[str, ...]
-    pixels: Floats
-    sigma: Floats
+    names: tuple[str, ...] = ()
+    pixels: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    sigma: Floats = field(default_factory=lambda: np.empty((0, 2)))
+    tags: Mapping[int, tuple[Floats, Floats]] = field(default_factory=dict)
+    lines: Lines | None = None
+
+
+Seen = tuple[tuple[str, ...], Floats, Found]
+"""Names and rough pixels of corners (N, 2), and what else was found."""
 
 
 def board_of(word: str) -> BoardSetup:
@@ -148,22 +185,42 @@ def board_of(word: str) -> BoardSetup:
     Raises:
         OptionError: If it states none.
     """
-    from calib_pin.io.setup import setup_of
+    from pydantic import TypeAdapter, ValidationError
+
+    from calib_pin.io.setup import context
 
     kind, grid, square, *rest = f"{word}::".split(":")
     columns, _, rows = grid.partition("x")
     stated: dict[str, object] = {"type": kind, "columns": columns, "rows": rows}
     stated["square"] = square
     for part in filter(None, rest):
-        size = "marker" if kind == "charuco" else "gap"
-        name = "dictionary" if part.startswith("DICT_") else size
-        stated |= {"legacy": True} if part == "legacy" else {name: part}
+        name = "marker" if kind == "charuco" else "gap"
+        if part.startswith(("DICT_", "first=", "legacy")):
+            name = part.partition("=")[0] if part[0] != "D" else "dictionary"
+        value = True if part == "legacy" else part.removeprefix("first=")
+        if name in stated:
+            raise OptionError(f"--board states its {name} twice", value=word)
+        stated[name] = value
     try:
-        board = setup_of({"board": stated}).board
-    except ValueError:
-        raise OptionError("--board is no board", value=word, allowed=FORM) from None
-    assert board is not None
-    return board
+        return TypeAdapter(BoardSetup).validate_python(stated, context=context())
+    except ValidationError as error:
+        _, ours, reason = error.errors()[0]["msg"].partition("Value error, ")
+        allowed = reason if ours else FORM
+        raise OptionError("--board is no board", value=word, allowed=allowed) from None
+
+
+def word_of(board: BoardSetup) -> str:
+    """The word that states a board.
+
+    Examples:
+        >>> word_of(board_of("marker:2x3:0.03:0.009:first=4"))
+        'marker:2x3:0.03:0.009:first=4'
+    """
+    parts = [board.type, f"{board.columns}x{board.rows}", f"{board.square:.9g}"]
+    parts += [f"{size:.9g}" for size in (board.marker, board.gap) if size]
+    parts += [board.dictionary] if board.dictionary else []
+    parts += [f"first={board.first}"] if board.first else []
+    return ":".join([*parts, "legacy"] if board.legacy else parts)
 
 
 class Detector:
@@ -180,22 +237,25 @@ class Detector:
         """
         self.board, self._cv2 = board, vision()
         self.points = {n: p.xyz or (0.0, 0.0, 0.0) for n, p in board.points.items()}
-        if board.type in ("charuco", *TAGS):
+        if board.type not in GRIDS:
             self._search = self._tags_search()
+        elif board.type == "chessboard" and min(board.columns, board.rows) < 4:
+            size = f"{board.columns}x{board.rows}"
+            allowed = "4x4 squares or more"
+            raise OptionError("a chessboard is too small", value=size, allowed=allowed)
 
-    def find(self, image: Gray) -> Found | None:
-        """The board in an image; None where it is not there."""
-        kind = self.board.type
-        search = self._grid if kind in ("chessboard", "circles") else self._tags
-        names, pixels = search(image)
+    def find(self, image: Gray) -> Found:
+        """The board in an image; without names where it is not there."""
+        kind, levels = self.board.type, image.astype(float)
+        search = self._grid if kind in GRIDS else self._tags
+        names, pixels, found = search(image, levels)
         if not names:
-            return None
+            return found
         if kind == "circles":
             return Found(names, pixels, np.full(pixels.shape, OFF_CENTER))
-        half, levels = self._half(names, pixels), image.astype(float)
+        half = self._half(names, pixels)
         if kind in TAGS:
-            tags = np.split(pixels, len(pixels) // 4)
-            met = [marker_corners(levels, four, self._cells) for four in tags]
+            met = [found.tags[int(name[:-2])] for name in names[::4]]
             fine, sigma = (np.concatenate(part) for part in zip(*met, strict=True))
         else:
             cv2 = self._cv2
@@ -209,7 +269,7 @@ class Detector:
         kept = np.hypot(*(fine - pixels).T) < half
         kept &= ((fine >= half) & (fine <= edge)).all(axis=1)
         names = tuple(n for n, keep in zip(names, kept, strict=True) if keep)
-        return Found(names, fine[kept], sigma[kept]) if names else None
+        return replace(found, names=names, pixels=fine[kept], sigma=sigma[kept])
 
     def drawn(self, pixels: int) -> Gray:
         """A board to print, so many pixels to a square.
@@ -218,7 +278,7 @@ class Detector:
             OptionError: If OpenCV draws no such board.
         """
         board = self.board
-        if board.type not in ("charuco", *TAGS):
+        if board.type in GRIDS:
             raise OptionError("--draw draws boards with markers only", value=board.type)
         size = self.extent * (pixels / board.square)
         width, height = np.round(size).astype(int).tolist()
@@ -234,18 +294,16 @@ class Detector:
     def _tags_search(self) -> Any:
         """The detector of tags; the board as it is drawn is kept."""
         board, aruco = self.board, self._cv2.aruco
-        usual = "DICT_APRILTAG_36h11" if board.type == "apriltag" else "DICT_4X4_50"
-        name, size = board.dictionary or usual, (board.columns, board.rows)
+        name, size = dictionary_of(board), (board.columns, board.rows)
         dictionary = aruco.getPredefinedDictionary(getattr(aruco, name))
         charuco, known = board.type == "charuco", len(dictionary.bytesList)
         if charuco and board.marker is None:
             raise OptionError("a charuco board is found by the edge of its 'marker'")
-        # The white squares: of an odd number of squares the first one is black.
-        last = board.first + board.columns * board.rows // (2 if charuco else 1) - 1
+        last = tags_of(board)[-1]
         if last >= known:
             reason, allowed = f"the board has tags up to {last}", f"more than {known}"
             raise OptionError(reason, value=name, allowed=f"a dictionary of {allowed}")
-        ids = np.arange(board.first, last + 1, dtype=np.int32)
+        ids = np.array(tags_of(board), np.int32)
         self._cells = dictionary.markerSize + 2
         settings = aruco.DetectorParameters()
         if charuco:
@@ -258,41 +316,56 @@ class Detector:
         self._board = aruco.GridBoard(size, *lengths, dictionary, ids)
         return aruco.ArucoDetector(dictionary, settings)
 
-    def _tags(self, image: Gray) -> tuple[tuple[str, ...], Floats]:
-        if self.board.type == "charuco":
-            corners, ids, _, _ = self._search.detectBoard(image)
+    def _tags(self, image: Gray, levels: Floats) -> Seen:
+        charuco = self.board.type == "charuco"
+        search = self._search.detectBoard if charuco else self._search.detectMarkers
+        *corners, around, ids = search(image)[: 4 if charuco else 2]
+        every = np.ravel([] if ids is None else ids).tolist()
+        # A tag that is there twice tells nothing.
+        rough = {
+            k: np.asarray(four, float).reshape(4, 2)
+            for k, four in zip(every, around or (), strict=True)
+            if every.count(k) == 1
+        }
+        cells = self._cells
+        met = {k: marker_corners(levels, four, cells) for k, four in rough.items()}
+        found = Found(tags=met)
+        if charuco:
             # OpenCV numbers them as the model does, row by row from 0.
-            names = [str(k) for k in np.ravel([] if ids is None else ids)]
+            names = [str(k) for k in np.ravel([] if corners[1] is None else corners[1])]
+            pixels = np.array(corners[0] if names else [], float)
         else:
-            around, found, _ = self._search.detectMarkers(image)
-            every = [*np.ravel([] if found is None else found)]
-            # A tag that is there twice, or is none of the board, tells nothing.
-            good = [f"{k}/0" in self.points and every.count(k) == 1 for k in every]
-            pairs = [(k, c) for k, c, ok in zip(every, around, good, strict=True) if ok]
-            names = [f"{k}/{n}" for k, _ in pairs for n in range(4)]
-            corners = [four for _, four in pairs]
-        pixels = np.array(corners if names else [], float)
-        return tuple(names), pixels.reshape(-1, 2)
+            own = [k for k in rough if k in tags_of(self.board)]
+            names = [f"{k}/{n}" for k in own for n in range(4)]
+            pixels = np.array([rough[k] for k in own])
+        return tuple(names), pixels.reshape(-1, 2), found
 
-    def _grid(self, image: Gray) -> tuple[tuple[str, ...], Floats]:
+    def _grid(self, image: Gray, levels: Floats) -> Seen:
         cv2, board = self._cv2, self.board
         chess = board.type == "chessboard"
         size = (board.columns - chess, board.rows - chess)
         if chess:
-            seen, points = cv2.findChessboardCornersSB(
-                image, size, flags=cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-            )
+            flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+            seen, points = cv2.findChessboardCornersSB(image, size, flags=flags)
         else:
             seen, points = cv2.findCirclesGrid(image, size)
         if not seen:
-            return (), np.empty((0, 2))
+            return (), np.empty((0, 2)), Found()
         given = np.asarray(points, float).reshape(size[1], size[0], 2)
+        lines = lines_of(levels, given, not chess)
+        if not lines.whole:
+            return (), np.empty((0, 2)), Found(lines=lines)
         ways = [np.rot90(grid, k) for grid in (given, given[::-1]) for k in range(4)]
         ways = [w for w in ways if w.shape == given.shape and _turn(w) > 0.0]
-        dark = [w for w in ways if chess and _first_is_dark(image, w)]
-        chosen = min(dark or ways, key=lambda way: float(way[0, 0].sum()))
-        pixels = chosen.reshape(-1, 2)
-        return tuple(map(str, range(len(pixels)))), pixels
+        ways = [w for w in ways if chess and _first_is_dark(image, w)] or ways
+        ways.sort(key=lambda way: float(way[0, 0].sum()))
+        first, *others = (way[0, 0].sum() for way in ways)
+        if others and others[0] - first < CLEAR * np.ptp(given.sum(axis=2)):
+            # Turned by a right angle, it is clear which corner is the upper left one.
+            lines = replace(lines, columns=lines.rows, rows=lines.columns)
+            return (), np.empty((0, 2)), Found(lines=lines)
+        pixels = ways[0].reshape(-1, 2)
+        return tuple(map(str, range(len(pixels)))), pixels, Found(lines=lines)
 
     def _half(self, names: tuple[str, ...], pixels: Floats) -> int:
         """Half width of the window of a corner, in which there is no other edge."""
@@ -310,6 +383,80 @@ class Detector:
         return int(np.clip(scale * free, *WINDOWS))
 
 
+def restated(board: BoardSetup, images: Sequence[Found]) -> BoardSetup:
+    """The board as images show it; the stated one, if nothing speaks against it."""
+    if board.type in GRIDS:
+        return restated_lines(board, [i.lines for i in images if i.lines])
+    return restated_tags(board, _corners(images))
+
+
+def checked(board: BoardSetup, images: Sequence[Found]) -> bool:
+    """Whether images show enough of a board to tell whether it is stated well."""
+    if board.type in GRIDS:
+        return any(image.lines and image.lines.sure for image in images)
+    return compared(board, _corners(images))
+
+
+def fitting(board: BoardSetup, images: Sequence[Gray]) -> tuple[BoardSetup | None, str]:
+    """A board like the stated one that images show, and the markers in them.
+
+    Returns:
+        The board, None where none is found; markers in words, empty where they were
+        not asked for, or there are none.
+    """
+    seen, tried = "", [board]
+    if board.type in GRIDS and any(_has_grid(board, image) for image in images):
+        sizes = [(board.columns + i, board.rows + j) for i in NEAR for j in NEAR]
+        tried = [replace(board, columns=c, rows=r) for c, r in sizes]
+    if not checked(board, [Detector(board).find(image) for image in images]):
+        name, ids = _markers(board, images[:MARKED])
+        if ids:
+            seen = f"{len(ids)} markers of {name}, {min(ids)} to {max(ids)}"
+        if name != dictionary_of(board) and board.type not in GRIDS:
+            tried = [replace(board, dictionary=name)]
+    for better in tried:
+        with suppress(OptionError):
+            for _ in range(TRIES):
+                board, detector = better, Detector(better)
+                found = [detector.find(image) for image in images]
+                better = restated(board, found)
+                if better == board and any(image.names for image in found):
+                    return board, seen
+    return None, seen
+
+
+def _corners(images: Sequence[Found]) -> list[dict[int, Floats]]:
+    return [{k: four for k, (four, _) in image.tags.items()} for image in images]
+
+
+def _has_grid(board: BoardSetup, image: Gray) -> bool:
+    """Whether an image shows a part of a grid: others are slow to search."""
+    cv2 = vision()
+    if board.type == "circles":
+        return True
+    flags = cv2.CALIB_CB_LARGER
+    return bool(cv2.findChessboardCornersSB(image, (3, 3), flags=flags)[0])
+
+
+def _markers(board: BoardSetup, images: Sequence[Gray]) -> tuple[str, set[int]]:
+    """The dictionary with most markers in images, and their numbers."""
+    aruco = vision().aruco
+    seen: dict[str, set[int]] = {}
+    for name in (dictionary_of(board), *DICTIONARIES):
+        search = aruco.ArucoDetector(
+            aruco.getPredefinedDictionary(getattr(aruco, name))
+        )
+        met = [search.detectMarkers(image)[1] for image in images]
+        seen[name] = {int(k) for ids in met if ids is not None for k in np.ravel(ids)}
+    return max(seen.items(), key=lambda item: len(item[1]))
+
+
+def dictionary_of(board: BoardSetup) -> str:
+    """The dictionary of a board with markers, or that of most boards."""
+    usual = "DICT_APRILTAG_36h11" if board.type == "apriltag" else "DICT_4X4_50"
+    return board.dictionary or usual
+
+
 def ambiguous(board: BoardSetup) -> bool:
     """Whether a board looks the same from two sides."""
     if board.type == "circles":
@@ -317,13 +464,29 @@ def ambiguous(board: BoardSetup) -> bool:
     return board.type == "chessboard" and (board.columns + board.rows) % 2 == 0
 
 
+@dataclass(frozen=True)
+class Start:
+    """A camera to start from.
+
+    Attributes:
+        camera: Its intrinsics.
+        assumed: Whether images do not determine its focal lengths.
+        rms: Rms of the corners of each image about the camera that fits them [px], NaN
+            where there are too few.
+    """
+
+    camera: CameraSetup
+    assumed: bool
+    rms: Floats
+
+
 def start_camera(
     mount: Literal["hand", "world"],
     board: Detector,
     size: tuple[int, int],
     images: list[Found],
-) -> tuple[CameraSetup, float | None]:
-    """Intrinsics to start from, and their rms [px]; None where they are assumed.
+) -> Start:
+    """Intrinsics to start from.
 
     Args:
         mount: `hand` or `world`.
@@ -334,28 +497,40 @@ def start_camera(
     cv2, largest = vision(), max(size)
     center = ((size[0] - 1) / 2.0, (size[1] - 1) / 2.0)
     focal = (ASSUMED * largest, ASSUMED * largest)
+    rms = np.full(len(images), np.nan)
     assumed = CameraSetup(mount, focal, center, size=size, estimate=True)
-    usable = [image for image in images if len(image.names) >= CORNERS]
-    if len(usable) < VIEWS:
-        return assumed, None
-    sites = [np.array([board.points[n] for n in i.names], np.float32) for i in usable]
-    pixels = [image.pixels.astype(np.float32) for image in usable]
+    usable = [k for k, image in enumerate(images) if len(image.names) >= CORNERS]
+    sites = [
+        np.array([board.points[n] for n in images[k].names], np.float32) for k in usable
+    ]
+    pixels = [images[k].pixels.astype(np.float32) for k in usable]
     # The sixth power of the radius is left to the calibration.
-    about = (size, None, None, None, None, cv2.CALIB_FIX_K3)
+    K, flags = None, cv2.CALIB_FIX_K3
+    if len(usable) < VIEWS:
+        K = np.array(
+            [[focal[0], 0.0, center[0]], [0.0, focal[1], center[1]], [0, 0, 1]]
+        )
+        flags += cv2.CALIB_USE_INTRINSIC_GUESS + cv2.CALIB_FIX_ASPECT_RATIO
+        flags += cv2.CALIB_FIX_PRINCIPAL_POINT + cv2.CALIB_ZERO_TANGENT_DIST
+        flags += cv2.CALIB_FIX_K2
     try:
-        rms, K, lens, *_ = cv2.calibrateCamera(sites, pixels, *about)
-    except cv2.error:  # Corners on a line.
-        return assumed, None
+        _, K, lens, _, _, spread, _, each = cv2.calibrateCameraExtended(
+            sites, pixels, size, K, None, flags=flags
+        )
+    except cv2.error:  # None is usable, or corners are on a line.
+        return Start(assumed, True, rms)
+    rms[usable] = np.ravel(each)
     numbers = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *np.ravel(lens)[:5]])
     sane = (0.1 * largest < numbers[:2]) & (numbers[:2] < 100.0 * largest)
-    if not (np.isfinite(numbers).all() and sane.all()):
-        return assumed, None
+    sane &= np.ravel(spread)[:2] < UNKNOWN * numbers[:2]
+    if len(usable) < VIEWS or not (np.isfinite(numbers).all() and sane.all()):
+        return Start(assumed, True, rms)
     # A start needs no more digits.
     fx, fy, cx, cy = (round(float(number), 3) for number in numbers[:4])
     k_1, k_2, p_1, p_2, k_3 = (round(float(number), 6) for number in numbers[4:])
     distortion = (k_1, k_2, p_1, p_2, k_3)
     camera = CameraSetup(mount, (fx, fy), (cx, cy), distortion, size, estimate=True)
-    return camera, float(rms)
+    return Start(camera, False, rms)
 
 
 def _turn(grid: Floats) -> float:

@@ -84,7 +84,7 @@ def corner_sigmas(image: Floats, corners: Floats, half: int, noise: float) -> Fl
     """
     reach = np.arange(-half - 1, half + 2)
     dv, du = np.meshgrid(reach, reach, indexing="ij")
-    window = _sampled(image, corners[:, :1, None] + du, corners[:, 1:, None] + dv)
+    window = sampled(image, corners[:, :1, None] + du, corners[:, 1:, None] + dv)
     g = np.stack(
         [
             0.5 * (window[:, 1:-1, 2:] - window[:, 1:-1, :-2]),
@@ -158,7 +158,7 @@ def marker_corners(image: Floats, corners: Floats, cells: int) -> tuple[Floats, 
 
 def _steepest(image: Floats, at: Floats, y: Floats) -> Floats:
     """Where across an edge it is the steepest, shape (K,), of places (K, M, 2)."""
-    slope = np.abs(np.diff(_sampled(image, at[..., 0], at[..., 1]), axis=1))
+    slope = np.abs(np.diff(sampled(image, at[..., 0], at[..., 1]), axis=1))
     # Noise far from the edge would draw its place to the middle.
     slope = np.maximum(slope - FLOOR * slope.max(axis=1, keepdims=True), 0.0)
     middle = 0.5 * (y[:, 1:] + y[:, :-1])
@@ -188,7 +188,7 @@ def _leverage(place: float, x: Floats, degree: int) -> float:
     return float(at @ np.linalg.solve(X.T @ X, at))
 
 
-def _sampled(image: Floats, u: Floats, v: Floats) -> Floats:
+def sampled(image: Floats, u: Floats, v: Floats) -> Floats:
     """Gray levels between pixels, bilinear; those outside are those of the edge."""
     height, width = image.shape
     u, v = np.clip(u, 0.0, width - 1.0), np.clip(v, 0.0, height - 1.0)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from calib_pin.io.boards import board_of
 from calib_pin.io.setup import read_setup
 from calib_pin.setup import BoardSetup
 
@@ -60,7 +62,7 @@ def test_what_cannot_be_used(fails, tmp_path, monkeypatch):
 
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(0)
-    gray = rng.integers(0, 255, (120, 160)).astype(np.uint8)
+    gray = rng.integers(120, 126, (120, 160)).astype(np.uint8)
     cv2.imwrite("empty.png", gray)
     cv2.imwrite("other.png", gray[:100])
     Path("text.png").write_text("no image")
@@ -77,9 +79,105 @@ def test_what_cannot_be_used(fails, tmp_path, monkeypatch):
         ("empty.png -o m.csv --board charuco:7", "'charuco:7'"),
         (f"empty.png --draw b.png {board}", "--draw"),
         (board, "images"),
+        (
+            "empty.png -o m.csv --board charuco:7x5:0.022:0.03",
+            "smaller than the square",
+        ),
+        ("empty.png -o m.csv --board charuco:7x5:0.03:0.02:0.01", "marker twice"),
         ("--draw c.png --board chessboard:7x5:0.03", "chessboard"),
     ):
         fails(f"detect {words}", named)
+
+
+def seen_from(board, count=3, bend=0.0):
+    """Write images of a board, by numbers; a bent one is no plane."""
+    import cv2
+
+    from tests.io.rendered import sheet_of
+
+    rng = np.random.default_rng(4)
+    sheet = np.pad(sheet_of(board), 96, constant_values=255).astype(np.float32)
+    v, u = np.mgrid[:480, :640].astype(float)
+    scale = max(sheet.shape[0] / 400.0, sheet.shape[1] / 560.0)
+    for k in range(count):
+        x, y = u - 319.5, v - 239.5 + bend * np.sin(u / 60.0)
+        turn = rng.uniform(-0.3, 0.3)
+        a, b = rng.uniform(-6e-4, 6e-4, 2)
+        w = scale / (1.0 + a * x + b * y)
+        at = np.stack(
+            [
+                w * (np.cos(turn) * x - np.sin(turn) * y) + 0.5 * sheet.shape[1],
+                w * (np.sin(turn) * x + np.cos(turn) * y) + 0.5 * sheet.shape[0],
+            ]
+        ).astype(np.float32)
+        image = cv2.remap(sheet, *at, cv2.INTER_AREA, borderValue=255)
+        image = cv2.GaussianBlur(image, (0, 0), 0.8) + 2.0 * rng.normal(size=v.shape)
+        cv2.imwrite(f"{k}.png", image.clip(0, 255).astype(np.uint8))
+
+
+LEGACY = "its markers are found, its corners are not: a board of OpenCV before 4.6? add"
+
+
+@pytest.mark.parametrize(
+    ("true", "wrong"),
+    [
+        (
+            "apriltag:6x4:0.03:0.01",
+            ["4x6:0.03:0.01", "6x4:0.03:0.333", "6x3:0.03:0.01"],
+        ),
+        ("charuco:6x4:0.03:0.02:legacy", ["6x4:0.03:0.02", "5x3:0.03:0.02:legacy"]),
+        ("charuco:7x5:0.03:0.02:DICT_5X5_50", ["7x5:0.03:0.015:DICT_5X5_50"]),
+        ("marker:3x2:0.03:0.01:DICT_4X4_50:first=9", ["3x2:0.03:0.01:DICT_4X4_50"]),
+        ("chessboard:8x5:0.03", ["7x4:0.03", "8x4:0.03", "9x5:0.03"]),
+        ("circles:6x4:0.03", ["5x4:0.03", "4x6:0.03", "7x4:0.03"]),
+    ],
+)
+def test_another_board_than_stated_is_named(
+    true, wrong, run, fails, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    board = board_of(true)
+    seen_from(board, 1)
+    for stated in wrong:
+        words = f"detect 0.png -o m.csv --board {board.type}:{stated}"
+        line = fails(words, f"--board {true}").err
+        assert (LEGACY in line) == (f"{stated}:legacy" in true)
+    assert run(f"detect 0.png -o m.csv --board {true}").status == 0
+
+
+def test_a_board_of_the_setup_file_is_named_in_its_form(fails, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    seen_from(board_of("marker:3x2:0.03:0.01"), 1)
+    stated = "board: {type: marker, columns: 2, rows: 3, square: 0.03, gap: 0.01}"
+    Path("s.yaml").write_text(stated)
+    named = stated.replace("columns: 2, rows: 3", "columns: 3, rows: 2")
+    fails("detect 0.png -o m.csv --setup s.yaml", named)
+
+
+def test_what_is_seen_of_no_board_is_said(fails, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    seen_from(board_of("marker:3x2:0.03:0.01:DICT_6X6_50"), 1)
+    fails("detect 0.png --board circles:7x5:0.03 -o m.csv", "6 markers", "0 to 5")
+
+
+def test_corners_that_are_those_of_no_plane(run, fails, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    word = "charuco:7x5:0.03:0.02"
+    seen_from(board_of(word), 3, bend=8.0)
+    words = f"detect 0.png 1.png 2.png --board {word} -o m.csv --setup-output s.yaml"
+    fails(words, "rms", "px", ".png")
+    seen_from(board_of(word), 3)
+    assert run(words).status == 0
+
+
+def test_assumed_focal_lengths_are_told(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    seen_from(board_of("charuco:7x5:0.03:0.02"), 2)
+    words = "detect 0.png 1.png --board charuco:7x5:0.03:0.02 -o m.csv --setup-output"
+    result = run(f"{words} s.yaml")
+    assert "assumed focal (768.0, 768.0)" in result.out and "assumed" in result.err
+    assert "assumed" in Path("s.yaml").read_text()
+    assert json.loads(run(f"{words} s.yaml --force --json").out)["assumed"]
 
 
 def test_a_board_to_print_has_its_size(run, tmp_path, monkeypatch):

@@ -141,10 +141,6 @@ MARKED = 2
 VIEWS = 3
 """Images from which intrinsics are estimated."""
 
-CLEAR = 0.4
-"""Part of the extent of a board that looks the same from two sides by which its first
-corner has to be nearer to the upper left of the image than that of the other way."""
-
 CORNERS = 8
 """Corners that each of them has at least."""
 
@@ -358,13 +354,13 @@ class Detector:
         ways = [np.rot90(grid, k) for grid in (given, given[::-1]) for k in range(4)]
         ways = [w for w in ways if w.shape == given.shape and _turn(w) > 0.0]
         ways = [w for w in ways if chess and _first_is_dark(image, w)] or ways
-        ways.sort(key=lambda way: float(way[0, 0].sum()))
-        first, *others = (way[0, 0].sum() for way in ways)
-        if others and others[0] - first < CLEAR * np.ptp(given.sum(axis=2)):
-            # Turned by a right angle, it is clear which corner is the upper left one.
+        chosen = min(ways, key=lambda way: float(way[0, 0].sum()))
+        along = chosen[0, -1] - chosen[0, 0]
+        if len(ways) > 1 and along[0] < abs(along[1]):
+            # A right angle further, it is clear which corner is the upper left one.
             lines = replace(lines, columns=lines.rows, rows=lines.columns)
             return (), np.empty((0, 2)), Found(lines=lines)
-        pixels = ways[0].reshape(-1, 2)
+        pixels = chosen.reshape(-1, 2)
         return tuple(map(str, range(len(pixels)))), pixels, Found(lines=lines)
 
     def _half(self, names: tuple[str, ...], pixels: Floats) -> int:

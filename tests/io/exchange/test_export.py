@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -25,7 +24,7 @@ from calib_pin.io.exchange import FORMATS, Exported
 from calib_pin.io.exchange.base import origin_of, placed
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
-from calib_pin.setup import CameraSetup, FrameSetup, JointMap, PointSetup, Setup
+from calib_pin.setup import FrameSetup, JointMap, Setup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.calibrated_model import CalibratedModel
 
@@ -350,52 +349,6 @@ def test_a_transmission_takes_gain_and_offset(tmp_path):
     assert k == 5
     expected = true.of().poses(of.configurations)
     assert np.abs(of.nominal.poses(q) - expected).max() < 1e-4
-
-
-def test_frames_bring_measurements_into_the_base_link(exported):
-    of = exported("ur10")
-    text = FORMATS["tf"].encode(of, None).data.decode()
-    found = {}
-    for entry in yaml.safe_load(text)["transforms"]:
-        t, r = (entry["transform"][key].values() for key in ("translation", "rotation"))
-        pose = pin.SE3(pin.Quaternion(np.array([*r])).matrix(), np.array([*t]))
-        found[entry["child_frame_id"]] = entry["header"]["frame_id"], pose.homogeneous
-    assert found["measurement"][0] == "base_link" and found["tool"][0] == "tool0"
-    q = of.configurations
-    predicted = of.result.model.of().poses(q)
-    written = of.chain.poses(q) @ found["tool"][1]
-    assert np.abs(found["measurement"][1] @ predicted - written).max() < EXACT
-
-
-@pytest.mark.parametrize("mount", ["hand", "world"])
-def test_a_camera_is_told_with_its_place(mount):
-    camera = CameraSetup(
-        mount=mount,
-        focal=(800.0, 805.0),
-        center=(640.0, 360.0),
-        distortion=(0.01, -0.02, 0.0, 0.0, 0.0),
-        size=(1280, 720),
-    )
-    setup = Setup(
-        camera=camera,
-        targets={"c": PointSetup(xyz=(0.0, 0.0, 0.0), estimate=False)},
-        parameters=("joint-offset",),
-        base_frame=FrameSetup(xyz=(0.0, 0.0, 1.5), rpy=(np.pi, 0.0, 0.0)),
-        tool_frame=FrameSetup(xyz=(0.0, 0.0, 0.05), rpy=(0.0, 0.0, 0.0)),
-    )
-    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
-    problem = nominal_problem(chain, "camera", setup)
-    model = CalibratedModel.create(problem, np.zeros(len(problem.parameters)))
-    result = SimpleNamespace(verdict="good", reason="", model=model)
-    encoded = FORMATS["camera-info"].encode(Exported(result, Path("out")), None)
-    told = yaml.safe_load(encoded.data)
-    assert encoded.remarks == () and told["distortion_model"] == "plumb_bob"
-    assert (told["image_width"], told["image_height"]) == (1280, 720)
-    K = np.array(told["camera_matrix"]["data"]).reshape(3, 3)
-    assert K.tolist() == [[800.0, 0.0, 640.0], [0.0, 805.0, 360.0], [0.0, 0.0, 1.0]]
-    assert told["distortion_coefficients"]["data"] == [0.01, -0.02, 0.0, 0.0, 0.0]
-    link = "tool0" if mount == "hand" else "base_link"
-    assert f"# optical frame in {link}: xyz" in encoded.data.decode()
 
 
 def test_what_is_not_exported(exported, refused):

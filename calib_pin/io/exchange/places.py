@@ -13,7 +13,15 @@ import pinocchio as pin
 import yaml
 
 from calib_pin.errors import OptionError, enumerated
-from calib_pin.io.exchange.base import Encoded, Exported, Format, require_read
+from calib_pin.io.exchange.base import (
+    CAMERA,
+    FRAMES,
+    ROBOTS,
+    Encoded,
+    Exported,
+    Format,
+    require_read,
+)
 from calib_pin.measurement_models.pinhole import Camera
 from calib_pin.validation.breakdown import REMEDY
 from calib_pin.validation.frames import frames_of
@@ -211,7 +219,12 @@ TF = Format(
     ".yaml",
     "static transforms of base, tools, stations, camera",
     encode_transforms,
+    holds=(FRAMES, *ROBOTS),
 )
 CAMERA_INFO = Format(
-    "camera-info", ".yaml", "the camera, as ROS loads it", encode_camera
+    "camera-info",
+    ".yaml",
+    "the camera, as ROS loads it",
+    encode_camera,
+    holds=(CAMERA, *ROBOTS),
 )

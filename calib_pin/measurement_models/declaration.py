@@ -20,6 +20,9 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 ROTATION_VECTOR = ("rx", "ry", "rz")
 """Components of the residual of an orientation."""
 
+DEVIATION, DIAL = "deviation", "dial"
+"""How far a contact is off, and the same as a gauge shows it: pushed in is positive."""
+
 INSTRUMENT = "the unit and the calibration of the instrument"
 """Where the lengths of an instrument that measures lengths come from."""
 
@@ -95,6 +98,7 @@ class Declaration:
             the ways in which a file may state it; its components are `rx ry rz`.
         contact: Whether nothing is measured but that the residual is zero, up to noise.
             Measurements then are configurations at which the tool touches something.
+            Where a gauge says how far it is off, that is the residual, see `readings`.
         relative: Whether a measurement starts at one configuration and ends at another,
             so that poses are those of the tool in the tool at its start.
         external: Whether the instrument stands outside, with a measurement frame of its
@@ -144,6 +148,21 @@ class Declaration:
             name: unit
             for name, unit in self.units.items()
             if not self.contact and name not in turned
+        }
+
+    @property
+    def readings(self) -> Mapping[str, str]:
+        """The columns of a contact's deviation, for those that a gauge reads; units.
+
+        Positive is away from what is touched or, of several components, along the axes
+        of the measurement frame. A measurement without them has none.
+        """
+        if not self.contact:
+            return {}
+        only = len(self.components) == 1
+        return {
+            DEVIATION if only else f"{DEVIATION}_{name}": unit
+            for name, unit in self.units.items()
         }
 
     @property

@@ -277,7 +277,7 @@ class PointModel(PointsAndSites):
             return Geometry(points, self.seen(instrument[:, size:]))
 
         rows, values = np.arange(len(data)), data.values
-        if self.declaration.contact:
+        if not values.shape[1]:  # A contact without readings.
             values = np.zeros_like(weights)
         how = self.comparison
         return [Batch(how, rows, point, site, values, weights, geometry)]
@@ -322,7 +322,7 @@ class PointModel(PointsAndSites):
 
     def _deviation(self, value: Floats, data: Measurements) -> Floats:
         """Predicted minus measured value; angles within half a turn of zero."""
-        if self.declaration.contact:
+        if not data.values.shape[1]:  # A contact without readings.
             return value
         result = value - data.values
         for quantity in self.quantities:

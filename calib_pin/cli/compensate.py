@@ -154,6 +154,7 @@ def compensate(
 
     from calib_pin.cli.documents import compensation_document
     from calib_pin.control.calibrated import ends_estimated, with_payload
+    from calib_pin.control.joints import Joints
     from calib_pin.io.exchange.motions import (
         PROGRAMS,
         moving_times,
@@ -224,6 +225,13 @@ def compensate(
             "the tool was measured as a point: its orientation is the stated one, or "
             "that of the tip link"
         )
+    if asked.q is not None and not quiet:
+        long = asked.lines[Joints.of(model.chain).long_ways(asked.q)]
+        if len(long):
+            notice(
+                "a joint turns almost once around, where its limits allow a short way, "
+                f"to {line_list(long)}"
+            )
     # A file that cannot be written must not turn up after the work.
     if asked.q is not None:
         command_columns(asked, asked.q, np.arange(len(asked.q)))
@@ -235,7 +243,7 @@ def compensate(
     if form != "csv":
         still = np.zeros((1, len(model.chain.joints)))
         first = None if timed is None else timed[:1]
-        PROGRAMS[form](model.chain, still, 1.0, (), first)
+        PROGRAMS[form](model.chain, asked.columns, still, 1.0, (), first)
     elif speed is not None:
         speed_limits(model.chain, speed)
     of_base, of_tip = motion or frame == "base", motion or point == "tip"
@@ -294,7 +302,9 @@ def compensate(
             )
         else:
             program = PROGRAMS[form]
-            contents[output] = program(model.chain, passage.q, part, [comment], times)
+            contents[output] = program(
+                model.chain, asked.columns, passage.q, part, [comment], times
+            )
     with write_files(contents, force=force):
         if json:
             made = output if written else None
@@ -381,7 +391,7 @@ def _run(
     free = None if ways is None else ways.collisions.free
     if asked.T is None:
         assert asked.q is not None
-        oriented = not position and len(model.chain.joints) >= 6
+        oriented = not position and len(asked.columns.tells) >= 6
         return follow(
             model, asked.q, orientation=oriented, free=free, progress=progress
         )

@@ -162,17 +162,17 @@ class RoundModel(SiteModel):
     @property
     @abstractmethod
     def added(self) -> Floats:
-        """What is added at each site, shape (L,) [m]."""
+        """The number that is added at each site, shape (L,) [m]."""
 
     def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
-        """The distance with what is added."""
+        """The distance with that number."""
         e, distance = rays(p, self.sites, site, values)
         by_site = np.concatenate([-e, np.full((len(p), 1), self.sign)], axis=1)
         value = distance + self.added[site] + self.sign * values[:, 3]
         return PointMeasurement(value[:, None], e[:, None], by_site[:, None])
 
     def seen(self, values: Floats) -> Floats:
-        """Centers, and what is added."""
+        """Centers, and these numbers."""
         moved = values.reshape(len(values), -1, 4) * [1.0, 1.0, 1.0, self.sign]
         return np.column_stack([_centers(self.sites), self.added]) + moved
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -139,6 +140,29 @@ def test_rows_of_a_problem() -> None:
     assert not J[-2, :-6].any()
     slope = between / np.linalg.norm(between) / 1e-5
     np.testing.assert_allclose(J[-2, -6:], [*-slope, *slope])
+
+
+@pytest.mark.parametrize(
+    ("known", "refused"),
+    [
+        (DistanceSetup(("s/0", "t/0"), 0.5), "'t/0', which no measurement does"),
+        (DistanceSetup(("ball", "s/0"), 0.5), "base.frame and tool.frame"),
+        (AngleSetup(("s/0", "s/1"), 0.5), "planes alone"),
+        (DistanceSetup(("s/0", "s/1"), 0.5), ""),
+    ],
+)
+def test_nothing_that_is_known_is_ignored(known: DistanceSetup, refused: str) -> None:
+    """It is used, or refused where there is no such thing in one frame."""
+    points = {"ball": PointSetup((0.0, 0.0, 0.1))}
+    setup = replace(
+        Setup(sockets=SOCKETS, targets=points, tool_frame=TOOL), **{known.key: (known,)}
+    )
+    if refused:
+        with pytest.raises(OptionError, match=re.escape(refused)):
+            calib_pin.identify(ARM, "fixed-point", setup)
+    else:
+        found = calib_pin.identify(ARM, "fixed-point", setup)
+        assert found.identifiability.scale_observable
 
 
 @pytest.mark.parametrize(("sigma", "left"), [(1e-6, 1e-6), (1.0, 1e-3)])

@@ -20,7 +20,14 @@ from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.contact import PlaneContact, SphereContact
 from calib_pin.measurement_models.references import Plane, Sphere
 from calib_pin.observations import Measurements
-from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup, SphereSetup
+from calib_pin.setup import (
+    DistanceSetup,
+    FrameSetup,
+    PlaneSetup,
+    PointSetup,
+    Setup,
+    SphereSetup,
+)
 
 Simulated = Callable[..., tuple[Problem, Floats]]
 
@@ -230,6 +237,16 @@ def test_spheres_and_the_point_that_touches_them(
     [
         ("plane-contact", {"planes": {"a": replace(TABLE, estimate=False)}}, 23, False),
         ("plane-contact", {"planes": {"a": TABLE, "b": WALL, "c": DOOR}}, 29, False),
+        # Parallel planes a known distance apart.
+        (
+            "plane-contact",
+            {
+                "planes": {"a": TABLE, "b": replace(TABLE, offset=-0.7), "c": WALL},
+                "distances": (DistanceSetup(("a", "b"), 0.3 / 1.01**0.5),),
+            },
+            30,
+            True,
+        ),
         ("sphere-contact", {"spheres": {"a": BALL}}, 24, True),
         (
             "sphere-contact",

@@ -205,10 +205,8 @@ class KnownDistances:
         Args:
             theta: Parameter values, one vector or many.
         """
-        found = np.empty((*theta.shape[:-1], len(self)))
-        for k, own in enumerate(self._values_of(theta)):
-            found[..., k] = self._compared(k, own)[0]
-        return found
+        found = [self._compared(k, v)[0] for k, v in enumerate(self._values_of(theta))]
+        return np.stack(found, -1) if found else np.empty((*theta.shape[:-1], 0))
 
     def residual(self, theta: Floats) -> Floats:
         """Whitened residuals, predicted minus known, (..., P) -> (..., D)."""

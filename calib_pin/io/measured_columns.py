@@ -21,7 +21,7 @@ from calib_pin.io.columns import (
 from calib_pin.io.table import Table
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
-from calib_pin.measurement_models.declaration import DEVIATION, DIAL
+from calib_pin.measurement_models.declaration import DIAL
 from calib_pin.measurement_models.orientations import quaternions
 from calib_pin.observations import AT, BlockKey, Labels
 from calib_pin.setup import STATED, WORLD, OrientationSetup
@@ -132,18 +132,9 @@ STROKE = replace(LENGTH, largest=0.1)
 """Readings of gauges."""
 
 
-def readings(model: str) -> dict[str, tuple[str, str]]:
-    """The columns that may hold each deviation of a contact.
-
-    The second is that of a gauge, which is positive where it is pushed in.
-    """
-    names = declared(model).readings
-    return {name: (name, name.replace(DEVIATION, DIAL)) for name in names}
-
-
 def optional(model: str) -> frozenset[str]:
     """The measured columns that a model reads where there are any."""
-    return frozenset(name for ways in readings(model).values() for name in ways)
+    return frozenset(name for ways in declared(model).readings for name in ways)
 
 
 def gauges() -> frozenset[str]:
@@ -213,17 +204,17 @@ def read_deviations(table: Table, model: str) -> tuple[tuple[str, ...], Floats]:
     Raises:
         InputError: If only some components have one, or one has two.
     """
-    ways = readings(model)
+    ways = declared(model).readings
     there = sorted(gauges() & table.columns.keys())
     there = [name for name in there if not table.columns[name].missing().all()]
-    found = [name for names in ways.values() for name in names if name in there]
+    found = [name for names in ways for name in names if name in there]
     others = [name for name in there if name not in found]
-    once = all((names[0] in found) != (names[1] in found) for names in ways.values())
+    once = all((names[0] in found) != (names[1] in found) for names in ways)
     if others or (found and not once):
         raise table.error(
             f"of a gauge '{model}' needs every column once, and no other",
             (others or found)[-1],
-            ", ".join(" or ".join(names) for names in ways.values()),
+            ", ".join(map(" or ".join, ways)),
         )
     if not found:
         return (), np.zeros((len(table.lines), 0))
@@ -246,7 +237,7 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
         InputError: If only some components have one, or a value is not positive.
     """
     kinds = components(model)
-    of_gauges = [*readings(model).values()] or [("", "")] * len(kinds)
+    of_gauges = declared(model).readings or [("", "")] * len(kinds)
     if declared(model).oriented:
         _check_pose_sigma(table, model)
     if declared(model).contact and len(kinds) == 1:

@@ -79,7 +79,7 @@ def _measured(data: Observations) -> dict[str, NDArray[Any]]:
             stated = declared(block.model)
             names, table = stated.values, block.values
             if table.shape[1]:
-                names = names or tuple(stated.readings)
+                names = names or tuple(deviation for deviation, _ in stated.readings)
             if sigmas:
                 if block.sigma is None:
                     continue

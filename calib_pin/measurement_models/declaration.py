@@ -6,7 +6,7 @@ that matters to them, never for the name of a model.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -151,19 +151,16 @@ class Declaration:
         }
 
     @property
-    def readings(self) -> Mapping[str, str]:
-        """The columns of a contact's deviation, for those that a gauge reads; units.
+    def readings(self) -> Sequence[tuple[str, str]]:
+        """The columns of each component of a contact's deviation, where a gauge reads.
 
-        Positive is away from what is touched or, of several components, along the axes
-        of the measurement frame. A measurement without them has none.
+        The first is positive away from what is touched or, of several components, along
+        the axes of the measurement frame; the second is that of a gauge, positive where
+        it is pushed in.
         """
-        if not self.contact:
-            return {}
-        only = len(self.components) == 1
-        return {
-            DEVIATION if only else f"{DEVIATION}_{name}": unit
-            for name, unit in self.units.items()
-        }
+        several = len(self.components) > 1
+        axes = [f"_{name}" * several for name in self.components if self.contact]
+        return [(DEVIATION + axis, DIAL + axis) for axis in axes]
 
     @property
     def values(self) -> tuple[str, ...]:

@@ -154,7 +154,7 @@ def _numbers(data: Observations) -> Indices:
 def measured_lengths(block: Measurements) -> Booleans:
     """Which columns of the values of a block are lengths."""
     stated = declared(block.model)
-    units = [*(stated.readings or stated.columns).values()]
+    units = [*(stated.units if stated.contact else stated.columns).values()]
     units = units[: block.values.shape[1]]
     units += [""] * (block.values.shape[1] - len(units))
     return np.array([unit == "m" for unit in units], bool)

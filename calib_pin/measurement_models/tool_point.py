@@ -251,8 +251,9 @@ class PointModel(PointsAndSites):
         raise NotImplementedError
 
     def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
-        """How that changes with the points; arguments as for `compare`."""
-        raise NotImplementedError
+        """How that changes with the points, by default not; arguments as `compare`."""
+        flat = np.zeros((len(p), len(self.declaration.components), 3, 3))
+        return PointCurvature(flat, np.zeros((*flat.shape[:2], values.shape[1], 3)))
 
     def seen(self, values: Floats) -> Floats:
         """Sites of many members as a kernel compares them, (S, K) -> (S, L, w).

@@ -153,7 +153,8 @@ def compensate(
     import numpy as np
 
     from calib_pin.cli.documents import compensation_document
-    from calib_pin.control.calibrated import ends_estimated, with_payload
+    from calib_pin.control.calibrated import ends_known, with_payload
+    from calib_pin.control.joints import Joints
     from calib_pin.io.exchange.motions import (
         PROGRAMS,
         moving_times,
@@ -162,7 +163,12 @@ def compensate(
     )
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
-    from calib_pin.io.results import read_accuracy, read_calibration, written_before
+    from calib_pin.io.results import (
+        read_accuracy,
+        read_calibration,
+        read_result,
+        written_before,
+    )
     from calib_pin.io.targets import (
         command_columns,
         encode_commands,
@@ -224,6 +230,13 @@ def compensate(
             "the tool was measured as a point: its orientation is the stated one, or "
             "that of the tip link"
         )
+    if asked.q is not None and not quiet:
+        long = asked.lines[Joints.of(model.chain).long_ways(asked.q)]
+        if len(long):
+            notice(
+                "a joint turns almost once around, where its limits allow a short way, "
+                f"to {line_list(long)}"
+            )
     # A file that cannot be written must not turn up after the work.
     if asked.q is not None:
         command_columns(asked, asked.q, np.arange(len(asked.q)))
@@ -235,17 +248,13 @@ def compensate(
     if form != "csv":
         still = np.zeros((1, len(model.chain.joints)))
         first = None if timed is None else timed[:1]
-        PROGRAMS[form](model.chain, still, 1.0, (), first)
+        PROGRAMS[form](model.chain, asked.columns, still, 1.0, (), first)
     elif speed is not None:
         speed_limits(model.chain, speed)
-    of_base, of_tip = motion or frame == "base", motion or point == "tip"
-    if ends_estimated(model, base=of_base, tip=of_tip) and not quiet:
-        notice(
-            "base or tool were estimated along with the robot, so the base link and "
-            "the tip link are each known up to a fixed displacement; state them in "
-            "the setup file, or give targets of the tool in the measurement frame"
-        )
-    ends = frame or FRAMES[0], point or POINTS[0]
+    ends = ("base", "tip") if motion else (frame or FRAMES[0], point or POINTS[0])
+    known = ends_known(read_result(calibration), key, *ends)
+    if known and not quiet:
+        notice(known)
     ways = None
     if avoid_collisions:
         obstacles = stated.obstacles or model.setup.obstacles
@@ -294,7 +303,9 @@ def compensate(
             )
         else:
             program = PROGRAMS[form]
-            contents[output] = program(model.chain, passage.q, part, [comment], times)
+            contents[output] = program(
+                model.chain, asked.columns, passage.q, part, [comment], times
+            )
     with write_files(contents, force=force):
         if json:
             made = output if written else None
@@ -381,7 +392,7 @@ def _run(
     free = None if ways is None else ways.collisions.free
     if asked.T is None:
         assert asked.q is not None
-        oriented = not position and len(model.chain.joints) >= 6
+        oriented = not position and len(asked.columns.tells) >= 6
         return follow(
             model, asked.q, orientation=oriented, free=free, progress=progress
         )

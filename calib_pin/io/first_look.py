@@ -20,6 +20,7 @@ from calib_pin.errors import CalibPinError, InputError
 from calib_pin.estimation.problem import Problem, distinct_values, error_table
 from calib_pin.io.columns import ANGLE, LENGTH
 from calib_pin.io.foreign_headers import (
+    GAUGED,
     VECTORS,
     Foreign,
     families,
@@ -29,10 +30,12 @@ from calib_pin.io.foreign_headers import (
     vectors,
     without_meaning,
 )
-from calib_pin.io.measured_columns import reserved
+from calib_pin.io.inferred_model import asked_models
+from calib_pin.io.measured_columns import optional, reserved
 from calib_pin.io.measurements import read_measurements
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.joint_columns import advice, drives_of
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.tree import turns
 from calib_pin.observations import Observations
@@ -50,6 +53,9 @@ TURNED = 2.2 * np.pi
 DROPPED = 0.17
 """Orientation errors of the nominal robot from which an orientation is read wrongly, as
 one of another convention [rad]."""
+
+LENGTHS = {*VECTORS[0], "distance", *GAUGED}
+"""Columns of lengths."""
 
 SPATIAL = {*VECTORS[0], *VECTORS[1], *VECTORS[2], *VECTORS[3]}
 """Columns of positions and orientations."""
@@ -137,7 +143,7 @@ def likely_tip(links: Sequence[str], robot: Robot) -> list[str]:
 
 
 def chains_of(robot: Robot, base: str | None) -> dict[tuple[str, ...], list[str]]:
-    """The links that joints move, by these joints, the likeliest tips first.
+    """The links that drives move, by their joints, the likeliest tips first.
 
     Raises:
         InputError: If there is no such base.
@@ -151,7 +157,7 @@ def chains_of(robot: Robot, base: str | None) -> dict[tuple[str, ...], list[str]
                 raise
             continue
         if chain.joints:
-            found.setdefault(tuple(chain.joints), []).append(link)
+            found.setdefault(tuple(drives_of(chain)), []).append(link)
     return {joints: likely_tip(links, robot) for joints, links in found.items()}
 
 
@@ -167,18 +173,32 @@ def joint_columns(
         columns: Those of a file.
 
     Raises:
-        InputError: If there is no such base or tip.
+        InputError: If there is no such base or tip, or a chain lacks columns for some
+            of its joints.
+        RobotError: If no chain can be used.
     """
-    if tip is None:
-        chains = chains_of(robot, base)
-    else:
-        chains = {tuple(Chain(robot, base, tip).joints): [tip]}
+    chains = chains_of(robot, base) if tip is None else {}
+    if not chains:  # Of which the robot says why.
+        tip = tip or likely_tip(robot.leaves, robot)[0]
+        chains = {tuple(drives_of(Chain(robot, base, tip))): [tip]}
     every = [name for name in robot.model.names if name != "universe"]
     named = joints_by_name(columns, every)
     whole = [joints for joints in chains if {*joints} <= {*named}]
     longest = [one for one in whole if not any({*one} < {*other} for other in whole)]
+    fullest = max(chains, key=lambda one: (len({*one} & {*named}), -len(one)))
+    missing = [joint for joint in fullest if joint not in named]
+    most = max(map(len, longest), default=0)
+    if len(fullest) - len(missing) >= max(most + 1, FEWEST):
+        end = chains[fullest][0]
+        told = f"no column for {', '.join(missing)} of the chain to '{end}'"
+        raise InputError(told + advice(Chain(robot, base, end), missing))
     if longest:
-        return [Joints({j: named[j] for j in one}, chains[one]) for one in longest]
+        # A file may hold those that follow, too.
+        follow = {j: mimic.leader for j, mimic in robot.mimics.items() if j in named}
+        return [
+            Joints({j: named[j] for j in named if follow.get(j, j) in one}, chains[one])
+            for one in longest
+        ]
     found = []
     ordered = without_meaning(columns)
     for family in [*families(columns), ordered]:
@@ -271,7 +291,11 @@ def readings(
     by_name = {one.name: one for one in columns}
     rest = [one for one in columns if one.name not in used]
     names = dict[str, Foreign]()
+    asked = asked_models(setup.model)
+    gauges = frozenset[str]().union(*map(optional, asked))
     for ours, choices in measured(rest).items():
+        if ours in GAUGED and ours not in gauges:
+            continue
         own = next((one for one in choices if one.name == ours), None)
         chosen = own or choices[0]
         if ours != "time" or chosen.largest < DATE:
@@ -293,7 +317,7 @@ def readings(
     for way, degrees, millimeters, length in product(
         ways, _distinct(angles), _distinct(slides), ["m", "mm"]
     ):
-        lengths = [one for n, one in way.items() if n in ("x", "y", "z", "distance")]
+        lengths = [one for n, one in way.items() if n in LENGTHS]
         unstated = [one for one in lengths if one.unit is None]
         if length == "mm" and not unstated:
             continue

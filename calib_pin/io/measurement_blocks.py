@@ -10,10 +10,11 @@ import numpy as np
 from calib_pin.errors import InputError, RobotError, nearest
 from calib_pin.io.columns import NO_READING, Floats
 from calib_pin.io.condition_columns import read_conditions
+from calib_pin.io.foreign_headers import check_gauges
 from calib_pin.io.inferred_model import infer_model
 from calib_pin.io.joint_columns import (
-    JointSource,
-    joint_sources,
+    kinds_of,
+    own_columns,
     read_positions,
     spare_columns,
     spare_positions,
@@ -28,6 +29,7 @@ from calib_pin.io.measured_columns import (
     find_starts,
     measured,
     needed,
+    optional,
     place_of,
     read_sigma,
     read_values,
@@ -37,6 +39,7 @@ from calib_pin.io.measured_columns import (
 )
 from calib_pin.io.table import Table, with_readings
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import (
     BlockKey,
@@ -102,18 +105,18 @@ def read_blocks(
     }
     names["chain"] = names["chain"].map(lambda name: name or unnamed)
     every, chains = chains, _named_chains(table, chains, names["chain"])
-    sources = joint_sources(chains, joints)
+    table, columns = own_columns(table, chains, joints)
     if "model" in table:
         _check_models(table, names["model"])
     else:
         names["model"] = Labels.all(infer_model(table, asked), count)
-    kept = _with_readings(table, chains, sources, names)
+    kept = _with_readings(table, chains, columns, names)
     if not kept.all():
         table = with_readings(table, kept, "measurements", notice)
         return read_blocks(
             table, every, joints, orientation, asked, station, unnamed, notice, progress
         )
-    q = read_positions(table, chains, sources, names["chain"])
+    q = read_positions(table, chains, columns, names["chain"])
     if progress is not None:
         progress(POSITIONS)
     blocks = _split(names)
@@ -121,7 +124,7 @@ def read_blocks(
     anybody = frozenset[str]().union(*read.values())
     spare, used = spare_columns(table, chains, joints), set(NAMES)
     conditions, stating = read_conditions(table, chains.joints)
-    further = spare_positions(table, chains, sources, q, spare)
+    further = spare_positions(table, chains, columns, q, spare)
     conditions = replace(conditions, payload=names["payload"], spare=further)
     parts = []
     for key, rows in blocks.items():
@@ -132,12 +135,15 @@ def read_blocks(
             own = _without_blank(own, set(needed(key.model)))
             texts = {name: labels[rows].map(str) for name, labels in names.items()}
             held = replace(conditions.rows(rows), payload=texts["payload"])
-        part, columns = _read_block(
+        part, read_here = _read_block(
             own, chains, key, q[rows], texts, held, spare, orientation
         )
         parts.append(part)
-        used |= columns | stating
-    ignored = table.ignored([name for name in spare if name not in used | OURS])
+        used |= read_here | stating
+    unread = [name for name in spare if name not in used | OURS]
+    if any(declared(part.model).contact for part in parts):
+        check_gauges(table, unread)
+    ignored = table.ignored(unread)
     if ignored and notice is not None:
         notice(ignored)
     return parts
@@ -230,7 +236,7 @@ def _split(names: Mapping[str, Labels]) -> dict[BlockKey, Indices | slice]:
 def _with_readings(
     table: Table,
     chains: Chains,
-    sources: Sequence[JointSource],
+    columns: JointColumns,
     names: Mapping[str, Labels],
 ) -> Booleans:
     """Whether measurements have all that their model and their joints read, shape (N,).
@@ -242,11 +248,11 @@ def _with_readings(
     lacking = set[str]()
     for key, rows in _split(names).items():
         moved = stated_joints(chains[key.chain])
-        read = {c for each in sources if each.joint in moved for c in each.kinds}
+        read = {c for joint in moved for c in kinds_of(columns, joint)}
         read |= {*needed(key.model)} | (ORIENTED & _read_by(key.model))
-        for name in read & table.columns.keys():
+        for name in (read | optional(key.model)) & table.columns.keys():
             missing = table.columns[name].missing()[rows]
-            if missing.any():
+            if missing.any() and not (missing.all() and name in optional(key.model)):
                 kept[rows] &= ~missing
                 lacking.add(name)
     if not kept.any():
@@ -312,17 +318,19 @@ def _read_set(table: Table, names: Labels) -> Booleans:
 
 def _read_by(name: str) -> frozenset[str]:
     """Columns that a model reads where it finds them, beside those that all do."""
+    found = {*needed(name), *optional(name)}
+    sigmas_of = {f"sigma_{c}" for c in (*components(name), *optional(name))}
     oriented = ORIENTED if declared(name).oriented else frozenset[str]()
-    return oriented | {*needed(name), *(f"sigma_{c}" for c in components(name))}
+    return oriented | found | sigmas_of
 
 
 def _without_blank(table: Table, keep: Set[str]) -> Table:
     """A table without the measured columns and sigmas that are blank throughout."""
-    optional = (measured() | sigmas()) - keep
+    others = (measured() | sigmas()) - keep
     columns = {
         name: column
         for name, column in table.columns.items()
-        if name not in optional or not column.blank().all()
+        if name not in others or not column.blank().all()
     }
     return replace(table, columns=columns)
 

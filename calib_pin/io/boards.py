@@ -410,13 +410,16 @@ def fitting(board: BoardSetup, images: Sequence[Gray]) -> tuple[BoardSetup | Non
             seen = f"{len(ids)} markers of {name}, {min(ids)} to {max(ids)}"
         if name != dictionary_of(board) and board.type not in GRIDS:
             tried = [replace(board, dictionary=name)]
+    stated = board
     for better in tried:
         with suppress(OptionError):
             for _ in range(TRIES):
                 board, detector = better, Detector(better)
                 found = [detector.find(image) for image in images]
                 better = restated(board, found)
-                if better == board and any(image.names for image in found):
+                fits = better == board and any(image.names for image in found)
+                # A part of a board says nothing of its size.
+                if fits and (board == stated or checked(board, found)):
                     return board, seen
     return None, seen
 

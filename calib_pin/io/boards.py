@@ -248,7 +248,8 @@ class Detector:
         if not names:
             return found
         if kind == "circles":
-            return Found(names, pixels, np.full(pixels.shape, OFF_CENTER))
+            sigma = np.full(pixels.shape, OFF_CENTER)
+            return replace(found, names=names, pixels=pixels, sigma=sigma)
         half = self._half(names, pixels)
         if kind in TAGS:
             met = [found.tags[int(name[:-2])] for name in names[::4]]

@@ -142,7 +142,8 @@ def test_another_board_than_stated_is_named(
         words = f"detect 0.png -o m.csv --board {board.type}:{stated}"
         line = fails(words, f"--board {true}").err
         assert (LEGACY in line) == (f"{stated}:legacy" in true)
-    assert run(f"detect 0.png -o m.csv --board {true}").status == 0
+    result = run(f"detect 0.png -o m.csv --board {true}")
+    assert result.status == 0 and "how it is stated" not in result.err
 
 
 def test_a_board_of_the_setup_file_is_named_in_its_form(fails, tmp_path, monkeypatch):

@@ -404,7 +404,7 @@ def fitting(board: BoardSetup, images: Sequence[Gray]) -> tuple[BoardSetup | Non
     seen, tried = "", [board]
     if board.type in GRIDS and any(_has_grid(board, image) for image in images):
         sizes = [(board.columns + i, board.rows + j) for i in NEAR for j in NEAR]
-        tried = [replace(board, columns=c, rows=r) for c, r in sizes]
+        tried = [replace(board, columns=c, rows=r) for c, r in sizes if min(c, r) > 1]
     if not checked(board, [Detector(board).find(image) for image in images]):
         name, ids = _markers(board, images[:MARKED])
         if ids:

@@ -116,7 +116,6 @@ def accuracy_table(errors: Sequence[QuantityErrors], *, details: bool = True) ->
 
 def distance_table(distances: Sequence[FoundDistance]) -> Table:
     """Known distances beside those of the nominal and of the calibrated robot."""
-    unit, factor = DISPLAY["m"]
     rows = [
         (
             Cell(" - ".join(distance.between)),
@@ -128,6 +127,7 @@ def distance_table(distances: Sequence[FoundDistance]) -> Table:
             Cell(unit),
         )
         for distance in distances
+        for unit, factor in [DISPLAY[distance.unit]]
     ]
     titles = ("measurements", "known", "nominal", "calibrated", "unit")
     return Table("Known distances", columns("", titles), rows)
@@ -201,15 +201,18 @@ def group_table(
     )
 
 
-def parameter_overview(parameters: Sequence[ParameterEstimate]) -> Table:
+def parameter_overview(
+    parameters: Sequence[ParameterEstimate], unknown: Sequence[str] = ()
+) -> Table:
     """All parameters with their estimates.
 
-    A fixed or unobservable parameter has no value: that of the URDF holds.
+    A fixed or unobservable parameter has no value: that of the URDF holds. Neither has
+    one of a frame or an instrument that is `unknown`.
     """
     rows = []
     for p in parameters:
         cells = list(_estimate(p, ESTIMATE))
-        if p.status in ("fixed", "unidentifiable"):
+        if p.status in ("fixed", "unidentifiable") or p.name in unknown:
             cells[0] = Cell("-")
         groups = ", ".join(map(str, p.groups))
         rows.append((Cell(p.name), *cells, Cell(STATUS[p.status]), Cell(groups)))

@@ -109,7 +109,6 @@ GROUPS = {
     "docs": ("mkdocs", "latex2mathml"),
     "mujoco": ("mujoco",),
     "parquet": ("pyarrow",),
-    "pdf-reading": ("pypdf",),
     "view": ("viser",),
     "vision": ("cv2",),
 }

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pypdf import PdfReader
 
 import calib_pin
 from calib_pin.io.measurements import encode_table
@@ -35,8 +36,7 @@ def visits(here) -> None:
 
 def pages(file: str) -> list[str]:
     """The text of each page."""
-    pypdf = pytest.importorskip("pypdf")
-    reader = pypdf.PdfReader(io.BytesIO(Path(file).read_bytes()))
+    reader = PdfReader(io.BytesIO(Path(file).read_bytes()))
     return [page.extract_text() for page in reader.pages]
 
 
@@ -95,7 +95,6 @@ def test_a_path_is_its_worst_point(visits, run):
         assert float(row.split()[at]) == pytest.approx(1e3 * worst, rel=1e-3)
 
 
-@pytest.mark.needs("pdf-reading")
 def test_it_is_written_for_a_customer(visits, run):
     Path("limits.yaml").write_text(LIMITS + REPORT)
     run(f"{ACCEPT} -o out")
@@ -109,7 +108,6 @@ def test_it_is_written_for_a_customer(visits, run):
     assert "NO LIMIT STATED" in first and "PASS" not in first and "FAIL" not in first
 
 
-@pytest.mark.needs("pdf-reading")
 def test_a_calibration_has_limits_and_entries_of_its_own(visits, run):
     """But the day and the temperature are those of the test."""
     entries = REPORT.replace("2026-11-23", "1999-01-02, temperature: 31.5")
@@ -128,16 +126,16 @@ def test_a_calibration_has_limits_and_entries_of_its_own(visits, run):
 
 
 @pytest.fixture
-def without_fpdf(monkeypatch) -> None:
+def without_typst(monkeypatch) -> None:
     """The extra is not installed."""
     find = importlib.util.find_spec
     monkeypatch.setattr(
-        "calib_pin.report.sheets.find_spec",
-        lambda name, *more: None if name == "fpdf" else find(name, *more),
+        "calib_pin.report.pdf.find_spec",
+        lambda name, *more: None if name == "typst" else find(name, *more),
     )
 
 
-def test_without_the_extra_the_rest_is_written(visits, run, fails, without_fpdf):
+def test_without_the_extra_the_rest_is_written(visits, run, fails, without_typst):
     result = run(f"{ACCEPT} -o out")
     assert result.status == 2 and "calib-pin[pdf]" in result.err
     names = sorted(path.name for path in Path("out").iterdir())

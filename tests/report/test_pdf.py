@@ -8,10 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import typst
 from matplotlib.figure import Figure
 from matplotlib.image import imread
-from pypdf import PdfReader
 
 from calib_pin.report.blocks import (
     Block,
@@ -29,6 +27,8 @@ from calib_pin.report.figures import Drawn
 from calib_pin.report.pdf import pdf_report, sources
 from calib_pin.report.tiles import Step, Tile
 from calib_pin.setup import ReportSetup
+
+pytestmark = pytest.mark.needs("pdf")
 
 LONG = "left_arm_shoulder_lift_joint_with_a_name_of_sixty_characters"
 HOSTILE = (
@@ -94,6 +94,8 @@ LONG_COVER = {
 
 def pages_of(cover: Cover, blocks: Sequence[Block]) -> list[str]:
     """The text of each page."""
+    from pypdf import PdfReader
+
     reader = PdfReader(io.BytesIO(pdf_report(cover, blocks)))
     return [page.extract_text() for page in reader.pages]
 
@@ -105,6 +107,8 @@ def letters(pages: Sequence[str]) -> str:
 
 @pytest.mark.parametrize("changed", [{}, LONG_COVER], ids=["plain", "long"])
 def test_nothing_leaves_its_page(changed):
+    import typst
+
     files = sources(cover_of(**changed), BLOCKS)
     # A pixel is a point.
     pages = typst.compile(files, format="png", ppi=72.0, ignore_system_fonts=True)
@@ -182,6 +186,8 @@ def test_every_page_has_its_number_and_what_it_is_of():
 def test_the_same_report_is_the_same_bytes():
     one, two = (pdf_report(cover_of(), BLOCKS[6:]) for _ in range(2))
     assert one == two
+    from pypdf import PdfReader
+
     told = PdfReader(io.BytesIO(one)).metadata
     assert told.title == "Acceptance test: arm" and told.author.startswith("calib-pin")
     assert told.creation_date.isoformat() == "2026-11-23T00:00:00+00:00"

@@ -159,8 +159,16 @@ def test_what_is_seen_of_no_board_is_said(fails, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     seen_from(board_of("marker:3x2:0.03:0.01:DICT_6X6_50"), 1)
     fails("detect 0.png --board circles:7x5:0.03 -o m.csv", "6 markers", "0 to 5")
-    seen_from(BoardSetup("circles", 1, 4, 0.03), 1)
-    fails("detect 0.png --board circles:2x4:0.03 -o m.csv", "no image shows the board")
+
+
+def test_a_narrow_part_of_a_board_is_no_board(fails, tmp_path, monkeypatch):
+    """Its neighbors have a single column, which OpenCV finds."""
+    import cv2
+
+    monkeypatch.chdir(tmp_path)
+    seen_from(board_of("circles:4x5:0.03"), 1)
+    cv2.imwrite("0.png", cv2.imread("0.png", cv2.IMREAD_GRAYSCALE)[:, :400])
+    fails("detect 0.png --board circles:2x5:0.03 -o m.csv", "no image shows the board")
 
 
 def test_corners_that_are_those_of_no_plane(run, fails, tmp_path, monkeypatch):

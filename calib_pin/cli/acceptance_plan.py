@@ -80,8 +80,9 @@ def plan_acceptance(
     from calib_pin.estimation.formulation import nominal_problem
     from calib_pin.io.exchange.motions import speed_limits
     from calib_pin.io.files import write_files
-    from calib_pin.io.joint_columns import column_values, joint_sources, shown_columns
+    from calib_pin.io.joint_columns import shown_columns
     from calib_pin.io.measurements import encode_table
+    from calib_pin.kinematics.joint_columns import JointColumns
     from calib_pin.planning.workspace import joint_limits
     from calib_pin.report.acceptance_plan_text import acceptance_schedule
 
@@ -113,12 +114,9 @@ def plan_acceptance(
     robot = chains.robot.name
     schedule = list(acceptance_schedule(found, robot, cycles, speeds, [typed]))
     q, poses, each = found.cycles(cycles)
-    sources = joint_sources(chain, setup.joints)
+    shown = shown_columns(q, JointColumns.of(chain, setup.joints), degrees)
     columns: dict[str, Sequence[object]] = {
-        name: column.tolist()
-        for name, column in shown_columns(
-            column_values(q, sources), sources, degrees
-        ).items()
+        name: column.tolist() for name, column in shown.items()
     }
     columns |= {"cycle": each, "pose": [f"P{pose}" for pose in poses]}
     columns |= {f"{axis} [mm]": [""] * len(q) for axis in "xyz"}  # To be filled in.

@@ -235,7 +235,7 @@ def compensate(
     if form != "csv":
         still = np.zeros((1, len(model.chain.joints)))
         first = None if timed is None else timed[:1]
-        PROGRAMS[form](model.chain, still, 1.0, (), first)
+        PROGRAMS[form](model.chain, asked.columns, still, 1.0, (), first)
     elif speed is not None:
         speed_limits(model.chain, speed)
     of_base, of_tip = motion or frame == "base", motion or point == "tip"
@@ -294,7 +294,9 @@ def compensate(
             )
         else:
             program = PROGRAMS[form]
-            contents[output] = program(model.chain, passage.q, part, [comment], times)
+            contents[output] = program(
+                model.chain, asked.columns, passage.q, part, [comment], times
+            )
     with write_files(contents, force=force):
         if json:
             made = output if written else None

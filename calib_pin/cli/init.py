@@ -141,7 +141,8 @@ def _ends(
     named = measured(columns).get("chain")
     tips = dict(word.partition("=")[::2] for word in (setup.tip or "").split(","))
     if named is None or (setup.tip is not None and "=" not in setup.tip):
-        joints = joint_columns(robot, setup.base, setup.tip, columns)
+        with stated_in(table.file):
+            joints = joint_columns(robot, setup.base, setup.tip, columns)
     else:
         names = table.texts([named[0].name])[named[0].name].distinct
         own = [name for name in names if name not in ("", WORLD, *robot.links)]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import Field, dataclass, field, replace
+from dataclasses import Field, dataclass, replace
 from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.kinematics.joint_space import JointSpace
 from calib_pin.kinematics.spatial import Floats, so3_log, times
 from calib_pin.kinematics.turns import shortest_turns
@@ -61,18 +62,13 @@ class Joints:
         lower: Lower limits, shape (n,) [rad, m]; minus infinity where there is none.
         upper: Upper limits, shape (n,) [rad, m]; infinity where there is none.
         revolute: True for revolute joints of which whole turns move nothing, (n,).
-        factors: Derivative of the chain's joints by these, shape (m, n); None where
-            they are the same.
-        offsets: Positions of the chain's joints where these are zero, shape (m,).
-        tells: The joint of the chain that tells the position of each, shape (n,).
+        columns: How the chain's joints follow these; None where they are the same.
     """
 
     lower: Floats
     upper: Floats
     revolute: Booleans
-    factors: Floats | None = None
-    offsets: Floats = field(default_factory=lambda: np.zeros(0))
-    tells: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
+    columns: JointColumns | None = None
 
     @staticmethod
     def of(chain: Chain) -> Joints:
@@ -82,40 +78,37 @@ class Joints:
         upper = np.where(space.limited, space.upper, np.inf)
         if not space.mimics:
             return Joints(lower, upper, space.revolute)
-        count = len(chain.joints)
-        units = np.concatenate([np.zeros((1, len(lower))), np.eye(len(lower))])
-        zero, *ends = space.follow(units)[:, :count]
-        factors = np.column_stack([end - zero for end in ends])
-        # A column of a mimic joint is zero: it follows, whatever it is asked.
-        (own,) = np.nonzero(factors.any(axis=0))
-        factors = factors[:, own]
+        columns = JointColumns.of(chain)
+        own = [space.joints.index(drive) for drive in columns.joints]
         # After a turn of its leader a mimic joint may stand elsewhere.
-        of_turn = np.where(
-            space.revolute[:count, None], factors - np.round(factors), factors
-        )
+        turned = columns.factors - np.round(columns.factors)
+        of_turn = np.where(chain.revolute[:, None], turned, columns.factors)
         whole = (np.abs(of_turn) < 1e-12).all(axis=0)
-        # A leader tells its position itself where it is one of the chain's joints.
-        tells = np.where(own < count, own, np.abs(factors).argmax(axis=0))
-        return Joints(
-            lower[own], upper[own], space.revolute[own] & whole, factors, zero, tells
-        )
+        return Joints(lower[own], upper[own], columns.revolute & whole, columns)
 
     def positions(self, q: Floats) -> Floats:
         """Positions of the joints of the chain, shape (N, n) -> (N, m)."""
-        return q if self.factors is None else q @ self.factors.T + self.offsets
+        return q if self.columns is None else self.columns.positions(q)
 
     def driven(self, q: Floats) -> Floats:
         """Positions of these joints at those of the chain, shape (N, m) -> (N, n)."""
-        if self.factors is None:
-            return q
-        factors = self.factors[self.tells, np.arange(len(self.lower))]
-        return (q[:, self.tells] - self.offsets[self.tells]) / factors
+        return q if self.columns is None else self.columns.values(q)
+
+    def continued(self, q: Floats) -> Floats:
+        """Positions of the chain's joints, (N, m), of which continuous ones go on.
+
+        A controller may report them within one turn: 359 degrees, then 0.
+        """
+        driven = self.driven(q)
+        free = self.revolute & np.isinf(self.lower) & np.isinf(self.upper)
+        unwound = np.where(free, np.unwrap(driven, axis=0), driven)
+        return q if (unwound == driven).all() else self.positions(unwound)
 
     def driving(self, evaluate: Kinematics) -> Kinematics:
         """The kinematics of a chain as those of the joints that move it."""
-        if self.factors is None:
+        if self.columns is None:
             return evaluate
-        factors = self.factors
+        factors = self.columns.factors
 
         def moved(q: Floats) -> tuple[Floats, Floats]:
             T, J = evaluate(self.positions(q))

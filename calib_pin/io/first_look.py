@@ -33,6 +33,7 @@ from calib_pin.io.measured_columns import reserved
 from calib_pin.io.measurements import read_measurements
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.joint_columns import advice, drives_of
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.tree import turns
 from calib_pin.observations import Observations
@@ -137,7 +138,7 @@ def likely_tip(links: Sequence[str], robot: Robot) -> list[str]:
 
 
 def chains_of(robot: Robot, base: str | None) -> dict[tuple[str, ...], list[str]]:
-    """The links that joints move, by these joints, the likeliest tips first.
+    """The links that drives move, by their joints, the likeliest tips first.
 
     Raises:
         InputError: If there is no such base.
@@ -151,7 +152,7 @@ def chains_of(robot: Robot, base: str | None) -> dict[tuple[str, ...], list[str]
                 raise
             continue
         if chain.joints:
-            found.setdefault(tuple(chain.joints), []).append(link)
+            found.setdefault(tuple(drives_of(chain)), []).append(link)
     return {joints: likely_tip(links, robot) for joints, links in found.items()}
 
 
@@ -167,18 +168,32 @@ def joint_columns(
         columns: Those of a file.
 
     Raises:
-        InputError: If there is no such base or tip.
+        InputError: If there is no such base or tip, or a chain lacks columns for some
+            of its joints.
+        RobotError: If no chain can be used.
     """
-    if tip is None:
-        chains = chains_of(robot, base)
-    else:
-        chains = {tuple(Chain(robot, base, tip).joints): [tip]}
+    chains = chains_of(robot, base) if tip is None else {}
+    if not chains:  # Of which the robot says why.
+        tip = tip or likely_tip(robot.leaves, robot)[0]
+        chains = {tuple(drives_of(Chain(robot, base, tip))): [tip]}
     every = [name for name in robot.model.names if name != "universe"]
     named = joints_by_name(columns, every)
     whole = [joints for joints in chains if {*joints} <= {*named}]
     longest = [one for one in whole if not any({*one} < {*other} for other in whole)]
+    fullest = max(chains, key=lambda one: (len({*one} & {*named}), -len(one)))
+    missing = [joint for joint in fullest if joint not in named]
+    count = max(map(len, longest), default=0)
+    if len(fullest) - len(missing) > max(count, FEWEST):
+        end = chains[fullest][0]
+        told = f"no column for {', '.join(missing)} of the chain to '{end}'"
+        raise InputError(told + advice(Chain(robot, base, end), missing))
     if longest:
-        return [Joints({j: named[j] for j in one}, chains[one]) for one in longest]
+        # A file may hold those that follow, too.
+        follow = {j: mimic.leader for j, mimic in robot.mimics.items() if j in named}
+        return [
+            Joints({j: named[j] for j in named if follow.get(j, j) in one}, chains[one])
+            for one in longest
+        ]
     found = []
     ordered = without_meaning(columns)
     for family in [*families(columns), ordered]:

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.errors import CalibPinError, InputError, nearest
-from calib_pin.io.columns import ANGLE, ELSEWHERE, LENGTH, Floats, Kind, closest
+from calib_pin.errors import CalibPinError, InputError
+from calib_pin.io.columns import (
+    ANGLE,
+    ELSEWHERE,
+    LENGTH,
+    Floats,
+    Kind,
+    closest,
+    split_header,
+)
 from calib_pin.io.measured_columns import reserved
 from calib_pin.io.table import Table
 from calib_pin.io.written_columns import column_name
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.joint_columns import JointColumns, advice
 from calib_pin.kinematics.joint_space import FREE_TRAVEL
 from calib_pin.kinematics.tree import turns
 from calib_pin.observations import Labels
@@ -34,81 +42,27 @@ LONGEST_TRAVEL = 20.0
 """Largest position of a prismatic joint that can be meant [m]: a long rail."""
 
 
-@dataclass(frozen=True)
-class JointSource:
-    """Where the position of one joint of the chain comes from.
-
-    Attributes:
-        joint: URDF joint.
-        column: File column of the joint.
-        kinds: Kind of that column and of those that are coupled to it.
-        map: How they become the position; None where the column is the position.
-    """
-
-    joint: str
-    column: str
-    kinds: Mapping[str, Kind]
-    map: JointMap | None
-
-
-def joint_sources(
-    chain: Chain | Chains, joints: Mapping[str, JointMap]
-) -> tuple[JointSource, ...]:
-    """Find the column of every joint of the chain.
-
-    Args:
-        chain: The chain, or all chains that are measured.
-        joints: Joint map by file column; maps of joints outside the chain are idle.
-
-    Returns:
-        One source per joint, in chain order.
-
-    Raises:
-        InputError: If the map names a joint that the robot does not have, or leaves a
-            joint with two columns or none, or a column has another meaning already.
-    """
-    mapped = _columns_of_joints(chain, joints)
-    column_of = {joint: mapped.get(joint, joint) for joint in chain.joints}
-    kind_of = {
-        column_of[joint]: ANGLE if revolute else LENGTH
-        for joint, revolute in zip(chain.joints, chain.revolute, strict=True)
-    }
-    sources = []
-    for joint, column in column_of.items():
-        given = joints.get(column)
-        if given is not None and given.joint != joint:
-            raise InputError(
-                f"column '{column}' is mapped to joint '{given.joint}', so joint "
-                f"'{joint}' has no column; map another one to it"
-            )
-        coupled = given.coupled if given is not None else {}
-        # A coupled column has its own joint's unit, or that of the joint it moves.
-        kinds = {c: kind_of.get(c, kind_of[column]) for c in (column, *coupled)}
-        for name in kinds:
-            if name in reserved():
-                raise InputError(
-                    f"column '{name}' has a meaning of its own and cannot be that of "
-                    f"joint '{joint}'; give the joint a column of another name by "
-                    "'joints' in the setup file"
-                )
-        sources.append(JointSource(joint, column, kinds, given))
-    return tuple(sources)
+def kinds_of(columns: JointColumns, joint: str) -> dict[str, Kind]:
+    """Kinds of the column of a joint, which comes first, and of those it adds."""
+    column, given = columns.maps[joint]
+    angular = columns.angular
+    return {c: ANGLE if angular[c] else LENGTH for c in (column, *given.coupled)}
 
 
 def read_positions(
     table: Table,
     chain: Chain | Chains,
-    sources: Sequence[JointSource],
+    columns: JointColumns,
     chain_of: Labels | None = None,
 ) -> Floats:
-    """Joint positions in the order of the sources.
+    """Joint positions in the order of the joints.
 
     A joint that mimics another follows it, and needs no column.
 
     Args:
         table: The file.
         chain: The chain, or all chains that are measured.
-        sources: The columns of their joints.
+        columns: The columns of their joints.
         chain_of: Chain of each measurement, which has to state the joints of this one;
             others may be blank and then are zero. None if all need all.
 
@@ -124,53 +78,64 @@ def read_positions(
     if chain_of is None:
         needed = {"": frozenset[str]().union(*needed.values())}
         chain_of = Labels.all("", count)
-    _check_present(table, chains, sources, needed)
-    q, stated = np.zeros((count, len(sources))), np.zeros((count, len(sources)), bool)
-    for i, source in enumerate(sources):
-        if not all(name in table for name in source.kinds):
+    _check_present(table, chains, columns, needed)
+    for joint in columns.maps:
+        for name in kinds_of(columns, joint):
+            if name in table and name in reserved():
+                raise InputError(
+                    f"column '{name}' has a meaning of its own and cannot be that of "
+                    f"joint '{joint}'; give the joint a column of another name by "
+                    "'joints' in the setup file"
+                )
+    q, stated = np.zeros((count, len(chains.joints))), {}
+    for i, joint in enumerate(chains.joints):
+        kinds = kinds_of(columns, joint)
+        if not all(name in table for name in kinds):
             continue
-        needs = np.array([source.joint in needed[name] for name in chain_of.names])
+        needs = np.array([joint in needed[name] for name in chain_of.names])
         rows = needs[chain_of.codes]
         if not rows.all():
-            blank = [table.columns[name].blank() for name in source.kinds]
+            blank = [table.columns[name].blank() for name in kinds]
             rows |= ~np.any(blank, axis=0)
         limits = float(chains.lower[i]), float(chains.upper[i])
         if rows.all():
-            q[:, i] = _positions(table, source, limits)
+            q[:, i] = _positions(table, columns, joint, limits)
         elif rows.any():
-            own = table.rows(np.flatnonzero(rows), source.kinds)
-            q[rows, i] = _positions(own, source, limits)
-        stated[:, i] = rows
+            own = table.rows(np.flatnonzero(rows), kinds)
+            q[rows, i] = _positions(own, columns, joint, limits)
+        stated[joint] = rows
     followed = chains.follow(q)
-    for joint, mimic in chains.mimics.items():
-        i, leader = chains.joints.index(joint), chains.joints.index(mimic.leader)
-        far = stated[:, i] & stated[:, leader] & (abs(followed - q)[:, i] > MIMICRY)
+    for joint in chains.mimics.keys() & stated.keys():
+        i, leader = chains.joints.index(joint), chains.mimics[joint].leader
+        far = stated[joint] & stated[leader] & (abs(followed - q)[:, i] > MIMICRY)
         if far.any():
-            row, kind = int(np.argmax(far)), sources[i].kinds[sources[i].column]
+            row, name = int(np.argmax(far)), columns.maps[joint][0]
+            kind = kinds_of(columns, joint)[name]
             raise table.cell_error(
-                f"joint '{joint}' mimics '{mimic.leader}', which puts it at "
+                f"joint '{joint}' mimics '{leader}', which puts it at "
                 f"{followed[row, i]:.6g} {kind.si}",
-                sources[i].column,
+                name,
                 row,
                 f"{MIMICRY:g} {kind.si} away from there or less; the column may be "
                 "left out",
             )
-    return followed
+    return followed[:, : len(chain.joints)]
 
 
 def _positions(
-    table: Table, source: JointSource, limits: tuple[float, float]
+    table: Table, columns: JointColumns, joint: str, limits: tuple[float, float]
 ) -> Floats:
     """Positions of one joint, shape (N,) [rad, m]."""
-    parts = {c: table.numbers(c, kind) for c, kind in source.kinds.items()}
-    position = parts[source.column]
-    if source.map is not None:
+    kinds, (column, given) = kinds_of(columns, joint), columns.maps[joint]
+    parts = {c: table.numbers(c, kind) for c, kind in kinds.items()}
+    position = parts[column]
+    if given != JointMap(joint):
         # What overflows is told with its line.
         with np.errstate(over="ignore", invalid="ignore"):
-            for name, factor in source.map.coupled.items():
+            for name, factor in given.coupled.items():
                 position = position + factor * parts[name]
-            position = source.map.sign * source.map.gear * position + source.map.offset
-    _check_unit(table, source, position, limits)
+            position = given.sign * given.gear * position + given.offset
+    _check_unit(table, column, kinds[column], given, position, limits)
     return position
 
 
@@ -182,61 +147,32 @@ def stated_joints(chain: Chain) -> frozenset[str]:
     )
 
 
-def column_values(q: Floats, sources: Sequence[JointSource]) -> dict[str, Floats]:
-    """The values of a file's columns for given positions.
+def shown_columns(
+    q: Floats, columns: JointColumns, degrees: bool = False
+) -> dict[str, Floats]:
+    """Columns of a file by their headers, for given positions.
 
     Columns that are coupled to a joint of the chain without being one of its own (an
     external axis) are zero.
 
     Args:
         q: Joint positions, shape (N, n) [rad, m].
-        sources: The columns of the joints.
-
-    Returns:
-        Values by column, each of shape (N,).
-
-    Raises:
-        InputError: If the couplings of the joint map cannot be undone.
-    """
-    columns = [source.column for source in sources]
-    A, moved = np.eye(len(sources)), np.array(q, float)
-    for i, source in enumerate(sources):
-        if source.map is None:
-            continue
-        moved[:, i] -= source.map.offset
-        moved[:, i] /= source.map.sign * source.map.gear
-        for name, factor in source.map.coupled.items():
-            if name in columns:
-                A[i, columns.index(name)] += factor
-    if np.linalg.matrix_rank(A) < len(A):
-        raise InputError("the couplings in 'joints' cannot be undone")
-    # Without couplings nothing is solved, so that no digit changes.
-    values = moved if (np.eye(len(A)) == A).all() else np.linalg.solve(A, moved.T).T
-    result = dict(zip(columns, values.T, strict=True))
-    others = dict.fromkeys(c for source in sources for c in source.kinds)
-    return result | {c: np.zeros(len(q)) for c in others if c not in result}
-
-
-def shown_columns(
-    values: Mapping[str, Floats], sources: Sequence[JointSource], degrees: bool
-) -> dict[str, Floats]:
-    """Columns of joint positions by their headers.
-
-    Args:
-        values: Values by column, as `column_values` gives them [rad, m].
-        sources: The columns of the joints.
+        columns: The columns of the joints.
         degrees: Whether angles are in degrees.
 
     Raises:
+        InputError: If the couplings of the joint map cannot be undone.
         OutputError: If a name would not read back.
     """
-    kinds = {c: kind for source in sources for c, kind in source.kinds.items()}
     shown = {}
-    for name, column in values.items():
-        header = column_name(name)
-        if degrees and kinds[name] is ANGLE:
-            header, column = f"{header} [deg]", column / ANGLE.units["deg"]
-        shown[header] = column
+    for name, values in zip(columns.names, columns.values(q).T, strict=True):
+        kind = ANGLE if columns.angular[name] else LENGTH
+        header, unit = column_name(name), "deg" if degrees and kind is ANGLE else ""
+        if unit or split_header(name) != (name, None):
+            # Other software reads brackets at the end of a name as a unit.
+            unit = unit or kind.si
+            header = f"{header} [{unit}]"
+        shown[header] = values / ANGLE.units["deg"] if unit == "deg" else values
     return shown
 
 
@@ -257,7 +193,7 @@ def spare_columns(
 def spare_positions(
     table: Table,
     chains: Chains,
-    sources: Sequence[JointSource],
+    columns: JointColumns,
     q: Floats,
     spare: Sequence[str],
 ) -> dict[tuple[str, str], Floats]:
@@ -269,7 +205,7 @@ def spare_positions(
     Args:
         table: The file.
         chains: The chains that are measured.
-        sources: The columns of their joints.
+        columns: The columns of their joints.
         q: Positions of these, shape (N, n) [rad, m].
         spare: Columns that hold no joint.
 
@@ -283,32 +219,31 @@ def spare_positions(
             positions = _all_numbers(table, joint, kind)
             found |= {} if positions is None else {(joint, joint): positions}
     some = table.rows(slice(SOME), table.columns)
-    here = {c: _all_numbers(some, c, k) for s in sources for c, k in s.kinds.items()}
     for name in (name for name in spare if name not in reserved()):
         far = {}
-        for i, source in enumerate(sources):
-            own = here.get(source.column)
-            there = _all_numbers(some, name, source.kinds[source.column])
+        for joint, (column, _) in columns.maps.items():
+            own, there = _both(some, columns, column, name)
             if own is not None and there is not None:
                 with np.errstate(over="ignore"):  # What means something else.
                     rms = float(np.sqrt(np.mean((there - own) ** 2)))
-                far[i] = rms / max(float(own.std()), 1e-300)
-        closest = min(far, key=lambda i: far[i], default=-1)
-        if closest >= 0 and 0.0 < far[closest] < NEAR:
-            found |= _followed(table, sources[closest], name, q[:, closest])
+                far[joint] = rms / max(float(own.std()), 1e-300)
+        closest = min(far, key=lambda joint: far[joint], default="")
+        if closest and 0.0 < far[closest] < NEAR:
+            column, given = columns.maps[closest]
+            own, there = _both(table, columns, column, name)
+            if own is not None and there is not None:
+                position = q[:, chains.joints.index(closest)]
+                moved = given.sign * given.gear * (there - own)
+                found[closest, name] = position + moved
     return found
 
 
-def _followed(
-    table: Table, source: JointSource, name: str, q: Floats
-) -> dict[tuple[str, str], Floats]:
-    """Positions of a joint by another column; none where it is not one throughout."""
-    kind = source.kinds[source.column]
-    here, there = (_all_numbers(table, c, kind) for c in (source.column, name))
-    if here is None or there is None:
-        return {}
-    factor = 1.0 if source.map is None else source.map.sign * source.map.gear
-    return {(source.joint, name): q + factor * (there - here)}
+def _both(
+    table: Table, columns: JointColumns, column: str, name: str
+) -> tuple[Floats | None, Floats | None]:
+    """The numbers of a joint's column and of another, see `_all_numbers`."""
+    kind = ANGLE if columns.angular[column] else LENGTH
+    return _all_numbers(table, column, kind), _all_numbers(table, name, kind)
 
 
 def _all_numbers(table: Table, name: str, kind: Kind) -> Floats | None:
@@ -321,41 +256,19 @@ def _all_numbers(table: Table, name: str, kind: Kind) -> Floats | None:
         return None
 
 
-def _columns_of_joints(
-    chain: Chain | Chains, joints: Mapping[str, JointMap]
-) -> dict[str, str]:
-    """The mapped column by joint, checked against the robot."""
-    # The first name is Pinocchio's "universe", which is no joint.
-    known = list(chain.robot.model.names)[1:]
-    mapped: dict[str, str] = {}
-    for column, given in joints.items():
-        if given.joint not in known:
-            raise InputError(
-                f"'joints' maps column '{column}' to joint '{given.joint}', which the "
-                f"robot does not have{nearest(given.joint, known)}",
-                allowed=", ".join(chain.joints),
-            )
-        if given.joint in mapped:
-            raise InputError(
-                f"'joints' maps two columns, '{mapped[given.joint]}' and '{column}', "
-                f"to joint '{given.joint}'"
-            )
-        mapped[given.joint] = column
-    return mapped
-
-
 def _check_present(
     table: Table,
     chains: Chains,
-    sources: Sequence[JointSource],
+    columns: JointColumns,
     needed: Mapping[str, Set[str]],
 ) -> None:
     """Refuse files without a joint that measurements of a chain need."""
+    every = frozenset[str]().union(*needed.values())
     joint_of = {
-        column: source.joint
-        for source in sources
-        if any(source.joint in joints for joints in needed.values())
-        for column in source.kinds
+        name: joint
+        for joint in columns.joints
+        if joint in every
+        for name in kinds_of(columns, joint)
     }
     missing = [column for column in joint_of if column not in table]
     if not missing:
@@ -369,26 +282,32 @@ def _check_present(
         what = f"column '{first}' for {what}"
     also = f"; missing as well: {', '.join(rest)}" if rest else ""
     hint = closest(first, free)
-    raise table.error(
-        f"{what} is missing{hint}{also}{'' if hint else ELSEWHERE}", first
-    )
+    # A column that is only coupled has no joint of its own.
+    maps = [(joint, columns.maps[joint][0]) for joint in filter(None, columns.joints)]
+    own = [joint for joint, column in maps if column in missing]
+    hint = hint or advice(chains[chain or chains.names[0]], own) or ELSEWHERE
+    raise table.error(f"{what} is missing{also}{hint}", first)
 
 
 def _check_unit(
-    table: Table, source: JointSource, q: Floats, limits: tuple[float, float]
+    table: Table,
+    column: str,
+    kind: Kind,
+    given: JointMap,
+    q: Floats,
+    limits: tuple[float, float],
 ) -> None:
     """Refuse positions that can only be degrees or millimeters."""
     lower, upper = limits
-    kind = source.kinds[source.column]
     general = kind.largest if kind is ANGLE else LONGEST_TRAVEL
     # A turntable may be allowed more turns than any threshold would guess.
     largest = max(general, 2.0 * abs(lower), 2.0 * abs(upper))
     why = ""
-    if source.map is not None:
-        offset = f"{source.map.offset:g} {kind.si}"
-        why = f"as mapped to joint '{source.joint}' with an offset of {offset}"
-    table.check_size(source.column, q, kind, largest, why)
-    unit = table.columns[source.column].unit or kind.si
+    if given != JointMap(given.joint):
+        offset = f"{given.offset:g} {kind.si}"
+        why = f"as mapped to joint '{given.joint}' with an offset of {offset}"
+    table.check_size(column, q, kind, largest, why)
+    unit = table.columns[column].unit or kind.si
     # The chain gives these to joints without limits, which may go further.
     free = (-np.pi, np.pi) if kind is ANGLE else (-FREE_TRAVEL, FREE_TRAVEL)
     if limits == free or unit not in kind.smaller:
@@ -400,4 +319,4 @@ def _check_unit(
     far_off = excess[row] > max(upper - lower, 1.0)
     if far_off and lower <= ratio * q[row] <= upper:
         why = f"the limits are {lower:.6g} to {upper:.6g}"
-        raise table.implausible(source.column, row, float(q[row]), kind, why)
+        raise table.implausible(column, row, float(q[row]), kind, why)

@@ -12,8 +12,7 @@ from calib_pin.io.columns import NO_READING, Floats
 from calib_pin.io.condition_columns import read_conditions
 from calib_pin.io.inferred_model import infer_model
 from calib_pin.io.joint_columns import (
-    JointSource,
-    joint_sources,
+    kinds_of,
     read_positions,
     spare_columns,
     spare_positions,
@@ -37,6 +36,7 @@ from calib_pin.io.measured_columns import (
 )
 from calib_pin.io.table import Table, with_readings
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import (
     BlockKey,
@@ -89,6 +89,7 @@ def read_blocks(
         InputError: If a measurement names a model or a chain that there is not, or has
             a value of another model, or the file does not hold such measurements.
     """
+    table = table.whole({*chains.robot.model.names, *joints})
     texts, count = table.texts(NAMES), len(table.lines)
     if station is not None and "station" in texts:
         raise table.error(
@@ -102,18 +103,18 @@ def read_blocks(
     }
     names["chain"] = names["chain"].map(lambda name: name or unnamed)
     every, chains = chains, _named_chains(table, chains, names["chain"])
-    sources = joint_sources(chains, joints)
+    columns = JointColumns.of(chains, joints)
     if "model" in table:
         _check_models(table, names["model"])
     else:
         names["model"] = Labels.all(infer_model(table, asked), count)
-    kept = _with_readings(table, chains, sources, names)
+    kept = _with_readings(table, chains, columns, names)
     if not kept.all():
         table = with_readings(table, kept, "measurements", notice)
         return read_blocks(
             table, every, joints, orientation, asked, station, unnamed, notice, progress
         )
-    q = read_positions(table, chains, sources, names["chain"])
+    q = read_positions(table, chains, columns, names["chain"])
     if progress is not None:
         progress(POSITIONS)
     blocks = _split(names)
@@ -121,7 +122,7 @@ def read_blocks(
     anybody = frozenset[str]().union(*read.values())
     spare, used = spare_columns(table, chains, joints), set(NAMES)
     conditions, stating = read_conditions(table, chains.joints)
-    further = spare_positions(table, chains, sources, q, spare)
+    further = spare_positions(table, chains, columns, q, spare)
     conditions = replace(conditions, payload=names["payload"], spare=further)
     parts = []
     for key, rows in blocks.items():
@@ -132,11 +133,11 @@ def read_blocks(
             own = _without_blank(own, set(needed(key.model)))
             texts = {name: labels[rows].map(str) for name, labels in names.items()}
             held = replace(conditions.rows(rows), payload=texts["payload"])
-        part, columns = _read_block(
+        part, read_here = _read_block(
             own, chains, key, q[rows], texts, held, spare, orientation
         )
         parts.append(part)
-        used |= columns | stating
+        used |= read_here | stating
     ignored = table.ignored([name for name in spare if name not in used | OURS])
     if ignored and notice is not None:
         notice(ignored)
@@ -230,7 +231,7 @@ def _split(names: Mapping[str, Labels]) -> dict[BlockKey, Indices | slice]:
 def _with_readings(
     table: Table,
     chains: Chains,
-    sources: Sequence[JointSource],
+    columns: JointColumns,
     names: Mapping[str, Labels],
 ) -> Booleans:
     """Whether measurements have all that their model and their joints read, shape (N,).
@@ -242,7 +243,7 @@ def _with_readings(
     lacking = set[str]()
     for key, rows in _split(names).items():
         moved = stated_joints(chains[key.chain])
-        read = {c for each in sources if each.joint in moved for c in each.kinds}
+        read = {c for joint in moved for c in kinds_of(columns, joint)}
         read |= {*needed(key.model)} | (ORIENTED & _read_by(key.model))
         for name in read & table.columns.keys():
             missing = table.columns[name].missing()[rows]

@@ -24,8 +24,6 @@ from calib_pin.io.condition_columns import DIRECTION
 from calib_pin.io.files import write_atomically
 from calib_pin.io.inferred_model import asked_models
 from calib_pin.io.joint_columns import (
-    column_values,
-    joint_sources,
     read_positions,
     shown_columns,
 )
@@ -37,6 +35,7 @@ from calib_pin.io.written_columns import (
 )
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import (
     Labels,
@@ -257,7 +256,8 @@ def read_configurations(
         [[0.0, 0.0, 0.0, 0.5, 0.0, 0.0]]
     """
     table = read_table(path, columns=columns)
-    return read_positions(table, chain, joint_sources(chain, joints))
+    table = table.whole({*chain.robot.model.names, *joints})
+    return read_positions(table, chain, JointColumns.of(chain, joints))
 
 
 def read_names(
@@ -314,9 +314,8 @@ def encode_configurations(
         Traceback (most recent call last):
         calib_pin.errors.OutputError: target 'wall\n' would not read back
     """
-    sources = joint_sources(chain, joints)
     columns: dict[str, Floats | Sequence[str] | Sequence[int]] = {
-        **shown_columns(column_values(q, sources), sources, degrees)
+        **shown_columns(q, JointColumns.of(chain, joints), degrees)
     }
     columns |= {joint + DIRECTION: column for joint, column in sides.items()}
     named = {**places, "target": target}

@@ -107,6 +107,17 @@ class Table:
         columns = {ours.get(name, name): c for name, c in self.columns.items()}
         return replace(self, columns=columns)
 
+    def whole(self, names: Collection[str]) -> Table:
+        """The table in which names among these that end in brackets are not split."""
+        ends = {name for name in names if split_header(name) != (name, None)}
+        columns = {
+            one.header if one.header in ends else name: (
+                replace(one, unit=None) if one.header in ends else one
+            )
+            for name, one in self.columns.items()
+        }
+        return replace(self, columns=columns)
+
     def called(self, columns: Mapping[str, str]) -> Table:
         """The table with the names and units that the setup states.
 

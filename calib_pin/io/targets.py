@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.control.joints import Joints
 from calib_pin.errors import OutputError
+from calib_pin.io.columns import ANGLE, LENGTH
 from calib_pin.io.joint_columns import (
-    JointSource,
-    column_values,
-    joint_sources,
     read_positions,
     shown_columns,
     spare_columns,
@@ -28,6 +27,7 @@ from calib_pin.io.measured_columns import (
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.kinematics.spatial import Floats, from_quaternion
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
@@ -43,8 +43,9 @@ class Targets:
 
     Attributes:
         table: Cells of the file.
-        sources: Columns of the joints.
-        q: Joint positions, shape (N, n) [rad, m]; None where the file has none.
+        columns: Columns of the joints.
+        q: Joint positions, shape (N, n) [rad, m]; those of continuous joints in the
+            turns of the shortest way from row to row. None where the file has none.
         T: Poses of the N targets, with identity rotation where the file states no
             orientation, shape (N, 4, 4); None where the file holds joint positions
             only, which is a motion of the nominal robot.
@@ -52,7 +53,7 @@ class Targets:
     """
 
     table: Table
-    sources: tuple[JointSource, ...]
+    columns: JointColumns
     q: Floats | None
     T: Floats | None
     oriented: bool
@@ -101,21 +102,22 @@ def read_target_file(
         ([0.9, 0.0, 0.25], False)
     """
     table = read_table(path, columns=columns)
-    sources = joint_sources(chain, joints)
+    table = table.whole({*chain.robot.model.names, *joints})
+    own = JointColumns.of(chain, joints)
     oriented = any(name in table for name in ORIENTED)
     has_targets = oriented or any(name in table for name in POSITION)
-    has_joints = any(name in table for source in sources for name in source.kinds)
+    has_joints = any(name in table for name in own.names)
     if not has_targets and not has_joints:
-        names = ", ".join(source.column for source in sources)
         raise table.error(
             "neither targets nor joint positions; targets need x, y, z and may have an "
-            f"orientation, a motion needs the joints {names}"
+            f"orientation, a motion needs the joints {', '.join(own.names)}"
         )
-    q = read_positions(table, chain, sources) if has_joints else None
-    used = {name for source in sources for name in source.kinds}
+    q = None
+    if has_joints:
+        q = Joints.of(chain).continued(read_positions(table, chain, own))
     if not has_targets:
-        return Targets(table, sources, q, None, False)
-    spare = [c for c in spare_columns(table, chain, joints) if c not in used]
+        return Targets(table, own, q, None, False)
+    spare = [c for c in spare_columns(table, chain, joints) if c not in own.names]
     model = (Pose if oriented else Position).declaration.name
     used_columns, values = read_values(table, model, spare)
     center = np.zeros(3) if base is None else base
@@ -127,7 +129,7 @@ def read_target_file(
     T[:, :3, 3] = values[:, :3]
     if oriented:
         T[:, :3, :3] = from_quaternion(values[:, 3:])
-    return Targets(table, sources, q, T, oriented)
+    return Targets(table, own, q, T, oriented)
 
 
 def read_times(targets: Targets) -> Floats | None:
@@ -225,25 +227,23 @@ def command_columns(
         InputError: If the joint map cannot be undone.
         OutputError: If a name would not read back.
     """
-    values = column_values(q, targets.sources)
+    own = targets.columns
     if targets.q is None:
-        shown = shown_columns(values, targets.sources, degrees)
-        headers = zip(values, shown.items(), strict=True)
+        shown = shown_columns(q, own, degrees)
+        headers = zip(own.names, shown.items(), strict=True)
         return {name: (header, column.tolist()) for name, (header, column) in headers}
     # The change is added to the value in the file, so that a column coupled with a
     # joint outside the chain (an external axis) keeps the contribution of that joint.
-    before = column_values(targets.q[rows], targets.sources)
+    moved = own.values(q) - own.values(targets.q[rows])
     result: dict[str, tuple[str, Sequence[object]]] = {}
-    own = {source.column for source in targets.sources}
-    kinds = {c: kind for source in targets.sources for c, kind in source.kinds.items()}
-    others = targets.table.cells([name for name in kinds if name not in own])
-    for name, kind in kinds.items():
+    for k, name in enumerate(own.names):
         column = targets.table.columns[name]
-        if name not in own:
-            result[name] = column.header, [others[name][row] for row in rows]
+        if not own.joints[k]:
+            texts = targets.table.cells([name])[name]
+            result[name] = column.header, [texts[row] for row in rows]
             continue
+        kind = ANGLE if own.angular[name] else LENGTH
         stated = targets.table.numbers(name, kind)[rows]
         factor = kind.units[column.unit or kind.si]
-        moved = (stated + (values[name] - before[name])) / factor
-        result[name] = column.header, moved.tolist()
+        result[name] = column.header, ((stated + moved[:, k]) / factor).tolist()
     return result

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OutputError
-from calib_pin.io.columns import Floats, split_header
+from calib_pin.io.columns import Floats
 from calib_pin.io.condition_columns import DIRECTION
 from calib_pin.io.measured_columns import reserved
 from calib_pin.measurement_models import declared
@@ -174,7 +174,7 @@ def column_name(joint: str) -> str:
     Raises:
         OutputError: If it would not read back.
     """
-    if split_header(joint) != (joint, None) or joint in reserved():
+    if joint != joint.strip() or joint in reserved():
         raise OutputError(f"joint '{joint}' cannot be the name of a column")
     return joint
 

@@ -104,7 +104,8 @@ class Chain:
             if name in robot.refused:
                 raise RobotError(
                     f"joint '{name}' between '{self.base}' and '{self.tip}' is "
-                    f"{robot.refused[name]}, which a chain cannot contain",
+                    f"{robot.refused[name]}, which a chain cannot contain; start "
+                    f"behind it with --base {robot.carried(name)}",
                     file=robot.file,
                 )
         locked = sorted({*range(1, full.njoints)}.difference(path))

@@ -56,6 +56,12 @@ class Robot:
             )
         return name
 
+    def carried(self, joint: str) -> str:
+        """The link that a joint moves."""
+        number, body = self.model.getJointId(joint), pin.FrameType.BODY
+        frames = [f for f in self.model.frames if f.parentJoint == number]
+        return next(str(frame.name) for frame in frames if frame.type == body)
+
     def only_tip(self, base: str) -> str:
         """The only leaf beside a base link.
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from calib_pin.control.compensation import Compensation
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.ways import Passage
 from calib_pin.report.blocks import Block, Cell, Line, Names, Table, columns
@@ -151,13 +152,14 @@ def _errors(found: Compensation) -> Table:
 
 
 def _corrections(found: Compensation, chain: Chain) -> Iterator[Table]:
-    sizes = np.abs(found.corrections)
+    drives = JointColumns.of(chain)
+    sizes = np.abs(drives.values(found.corrections + drives.offsets))
     if not len(sizes):
         return
     rows = [
         (Cell(name), *_sizes(column, "rad" if revolute else "m"))
         for name, revolute, column in zip(
-            chain.joints, chain.revolute, sizes.T, strict=True
+            drives.joints, drives.revolute, sizes.T, strict=True
         )
     ]
     yield Table("Joint corrections", columns("", ("mean", "max", "unit")), rows)

@@ -9,6 +9,7 @@ import yaml
 
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices
 
@@ -26,14 +27,15 @@ ROUNDING = 1e-9
 def speed_limits(chain: Chain, part: float) -> Floats:
     """Speeds of the joints, a part of those that the URDF allows, shape (n,).
 
+    Joints that mimic another are as fast as that takes them.
+
     Raises:
         OptionError: If the URDF states none of a joint.
     """
-    model = chain.robot.model
-    limits = np.array(
-        [model.velocityLimit[model.idx_vs[model.getJointId(j)]] for j in chain.joints]
-    )
-    pairs = zip(chain.joints, limits, strict=True)
+    model, drives = chain.robot.model, JointColumns.of(chain)
+    index = [model.idx_vs[model.getJointId(joint)] for joint in drives.joints]
+    stated = model.velocityLimit[index]
+    pairs = zip(drives.joints, stated, strict=True)
     without = [joint for joint, limit in pairs if not 0.0 < limit < FASTEST]
     if without:
         raise OptionError(
@@ -41,7 +43,7 @@ def speed_limits(chain: Chain, part: float) -> Floats:
             file=chain.robot.file,
             allowed='<limit velocity="..."/>',
         )
-    return np.asarray(part * limits)
+    return np.asarray(np.abs(drives.factors) @ (part * stated))
 
 
 def moving_times(q: Floats, limits: Floats) -> Floats:
@@ -90,6 +92,7 @@ def paced(
 
 def urscript(
     chain: Chain,
+    columns: JointColumns,
     q: Floats,
     part: float,
     comments: Sequence[str],
@@ -99,6 +102,7 @@ def urscript(
 
     Args:
         chain: The chain.
+        columns: What the controller takes.
         q: Joint commands, shape (N, n) [rad].
         part: Part of the allowed speeds.
         comments: Lines for its head.
@@ -108,12 +112,12 @@ def urscript(
         OptionError: If the robot is not one of six revolute joints, or its URDF states
             no speeds.
     """
-    if len(chain.joints) != 6 or not chain.revolute.all():
+    if columns.revolute.tolist() != [True] * 6:
         reason = "URScript is for six revolute joints"
-        raise OptionError(reason, value=len(chain.joints))
+        raise OptionError(reason, value=len(columns.names))
     v = float(speed_limits(chain, part).min())
     lines = [f"# {line}" for line in comments] + ["def commands():"]
-    for k, row in enumerate(q):
+    for k, row in enumerate(columns.values(q)):
         numbers = ", ".join(repr(float(angle)) for angle in row)
         pace = f"a={ACCELERATION}, v={v:.6g}"
         if times is not None and k:
@@ -124,6 +128,7 @@ def urscript(
 
 def joint_trajectory(
     chain: Chain,
+    _: JointColumns,
     q: Floats,
     part: float,
     comments: Sequence[str],
@@ -143,13 +148,13 @@ def joint_trajectory(
     """
     if times is None:
         times = moving_times(q, speed_limits(chain, part))
-    times = times - times[:1]
+    times, drives = times - times[:1], JointColumns.of(chain)
     stamps = [{"sec": int(t), "nanosec": int(1e9 * (t % 1.0))} for t in times]
     points = [
         {"positions": row.tolist(), "time_from_start": stamp}
-        for row, stamp in zip(q, stamps, strict=True)
+        for row, stamp in zip(drives.values(q), stamps, strict=True)
     ]
-    document = {"joint_names": [*chain.joints], "points": points}
+    document = {"joint_names": [*drives.joints], "points": points}
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
     return "\n".join([*(f"# {line}" for line in comments), text]).encode()
 

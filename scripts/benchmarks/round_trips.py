@@ -746,7 +746,8 @@ def read_commands(trip: Trip, file: Path, headers: bool) -> Commands:
 def _names(header: str, one: Drive, headers: bool) -> bool:
     if headers:
         return header == one.header
-    return header in (one.column, *(f"{one.column} [{u}]" for u in ("deg", "mm")))
+    units = ("rad", "deg", "m", "mm")
+    return header in (one.column, *(f"{one.column} [{unit}]" for unit in units))
 
 
 def reached(trip: Trip, commands: Commands, targets: Floats, pose: bool) -> None:

@@ -383,7 +383,7 @@ def _run(
     free = None if ways is None else ways.collisions.free
     if asked.T is None:
         assert asked.q is not None
-        oriented = not position and len(model.chain.joints) >= 6
+        oriented = not position and len(asked.columns.tells) >= 6
         return follow(
             model, asked.q, orientation=oriented, free=free, progress=progress
         )

@@ -42,6 +42,32 @@ LONGEST_TRAVEL = 20.0
 """Largest position of a prismatic joint that can be meant [m]: a long rail."""
 
 
+def own_columns(
+    table: Table, chain: Chain | Chains, joints: Mapping[str, JointMap]
+) -> tuple[Table, JointColumns]:
+    """A table that knows its joints by name, and the columns of these.
+
+    Args:
+        table: The file.
+        chain: The chain, or all chains that are measured.
+        joints: How file columns become joints; others are taken by their own name.
+
+    Raises:
+        InputError: If a column has another meaning already, or see `JointColumns.of`.
+    """
+    columns = JointColumns.of(chain, joints)
+    for joint in columns.maps:
+        for name in kinds_of(columns, joint):
+            # One that is not there is told as missing.
+            if name in reserved() and (name in table or name != joint):
+                raise InputError(
+                    f"column '{name}' has a meaning of its own and cannot be that of "
+                    f"joint '{joint}'; give the joint a column of another name by "
+                    "'joints' in the setup file"
+                )
+    return table.whole({*chain.robot.model.names, *joints}), columns
+
+
 def kinds_of(columns: JointColumns, joint: str) -> dict[str, Kind]:
     """Kinds of the column of a joint, which comes first, and of those it adds."""
     column, given = columns.maps[joint]
@@ -79,14 +105,6 @@ def read_positions(
         needed = {"": frozenset[str]().union(*needed.values())}
         chain_of = Labels.all("", count)
     _check_present(table, chains, columns, needed)
-    for joint in columns.maps:
-        for name in kinds_of(columns, joint):
-            if name in table and name in reserved():
-                raise InputError(
-                    f"column '{name}' has a meaning of its own and cannot be that of "
-                    f"joint '{joint}'; give the joint a column of another name by "
-                    "'joints' in the setup file"
-                )
     q, stated = np.zeros((count, len(chains.joints))), {}
     for i, joint in enumerate(chains.joints):
         kinds = kinds_of(columns, joint)

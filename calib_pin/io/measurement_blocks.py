@@ -13,6 +13,7 @@ from calib_pin.io.condition_columns import read_conditions
 from calib_pin.io.inferred_model import infer_model
 from calib_pin.io.joint_columns import (
     kinds_of,
+    own_columns,
     read_positions,
     spare_columns,
     spare_positions,
@@ -89,7 +90,6 @@ def read_blocks(
         InputError: If a measurement names a model or a chain that there is not, or has
             a value of another model, or the file does not hold such measurements.
     """
-    table = table.whole({*chains.robot.model.names, *joints})
     texts, count = table.texts(NAMES), len(table.lines)
     if station is not None and "station" in texts:
         raise table.error(
@@ -103,7 +103,7 @@ def read_blocks(
     }
     names["chain"] = names["chain"].map(lambda name: name or unnamed)
     every, chains = chains, _named_chains(table, chains, names["chain"])
-    columns = JointColumns.of(chains, joints)
+    table, columns = own_columns(table, chains, joints)
     if "model" in table:
         _check_models(table, names["model"])
     else:

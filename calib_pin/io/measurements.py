@@ -24,6 +24,7 @@ from calib_pin.io.condition_columns import DIRECTION
 from calib_pin.io.files import write_atomically
 from calib_pin.io.inferred_model import asked_models
 from calib_pin.io.joint_columns import (
+    own_columns,
     read_positions,
     shown_columns,
 )
@@ -256,8 +257,8 @@ def read_configurations(
         [[0.0, 0.0, 0.0, 0.5, 0.0, 0.0]]
     """
     table = read_table(path, columns=columns)
-    table = table.whole({*chain.robot.model.names, *joints})
-    return read_positions(table, chain, JointColumns.of(chain, joints))
+    table, own = own_columns(table, chain, joints)
+    return read_positions(table, chain, own)
 
 
 def read_names(

@@ -13,6 +13,7 @@ from calib_pin.control.joints import Joints
 from calib_pin.errors import OutputError
 from calib_pin.io.columns import ANGLE, LENGTH
 from calib_pin.io.joint_columns import (
+    own_columns,
     read_positions,
     shown_columns,
     spare_columns,
@@ -102,8 +103,7 @@ def read_target_file(
         ([0.9, 0.0, 0.25], False)
     """
     table = read_table(path, columns=columns)
-    table = table.whole({*chain.robot.model.names, *joints})
-    own = JointColumns.of(chain, joints)
+    table, own = own_columns(table, chain, joints)
     oriented = any(name in table for name in ORIENTED)
     has_targets = oriented or any(name in table for name in POSITION)
     has_joints = any(name in table for name in own.names)

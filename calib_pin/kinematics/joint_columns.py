@@ -1,4 +1,4 @@
-"""What a controller shows of the joints: one column for each drive.
+"""Columns in which a controller shows its joints: one for each drive.
 
 All joints of a chain follow from these columns by one linear map, `q = A c + b`: with
 the signs, gears and couplings that the setup states, and with mimic joints where their
@@ -136,7 +136,7 @@ def drives_of(chain: Chain | Chains) -> list[str]:
 
 
 def advice(chain: Chain, missing: Sequence[str]) -> str:
-    """What to do about drives of a chain for which there are no columns."""
+    """A hint about drives of a chain for which there are no columns."""
     drives = drives_of(chain)
     if [*missing] == drives[: len(missing)] != drives and not chain.reversed.any():
         return f"; start behind them with --base {chain.robot.carried(missing[-1])}"

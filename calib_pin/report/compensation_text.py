@@ -61,7 +61,7 @@ def compensation_report(
             "taken to stand in the middle of its lost motion."
         )
     yield from _unreached(found, file, lines)
-    joints = len(chain.joints)
+    joints = len(JointColumns.of(chain).joints)
     if found.oriented and reached < count and joints < 6:
         yield Line(
             f"{joints} joints reach few poses; --position asks for positions only."

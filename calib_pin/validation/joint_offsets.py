@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib_pin.errors import OptionError, nearest
+from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.parameterizations.base import owner
 from calib_pin.parameters import matching
-from calib_pin.setup import JointMap, Setup
+from calib_pin.setup import Setup
 from calib_pin.validation.result import CalibrationResult
 
 
@@ -39,14 +40,6 @@ class FoundOffset:
     within: tuple[str, ...]
 
 
-def joint_columns(
-    setup: Setup, joints: Sequence[str]
-) -> dict[str, tuple[str, JointMap]]:
-    """The measured column of each joint, and how it becomes its position."""
-    by_joint = {given.joint: (name, given) for name, given in setup.joints.items()}
-    return {joint: by_joint.get(joint, (joint, JointMap(joint))) for joint in joints}
-
-
 def encoder_steps(setup: Setup, joints: Sequence[str]) -> Mapping[str, float]:
     """Steps per turn by joint, of those that have any.
 
@@ -68,33 +61,41 @@ def encoder_steps(setup: Setup, joints: Sequence[str]) -> Mapping[str, float]:
 
 
 def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
-    """The offsets of all joints that have one as a parameter."""
+    """The offsets of the columns of all joints that have one as a parameter."""
     model = result.model
+    columns = JointColumns.of(model.chains, model.setup.joints)
     joints = model.chains.joints
-    columns, steps = (
-        joint_columns(model.setup, joints),
-        encoder_steps(model.setup, joints),
-    )
-    estimates = {p.name: p for p in result.parameters}
+    steps = encoder_steps(model.setup, joints)
+    # Where columns are coupled, the offset of one is made up of those of several.
+    weights = columns.values(np.eye(len(joints)) + columns.offsets).T
+    estimates = {p.name: p for p in result.parameters if p.status != "fixed"}
     absorbed = {e.of[0]: e.within for e in result.robot_errors if e.within}
-    found = []
-    for joint in joints:
-        estimate = estimates.get(f"{owner(joint)}.joint-offset.q")
-        if estimate is None or estimate.status == "fixed":
+    place, found = result.covariance.rows.index, []
+    for row, joint, column in zip(weights, columns.joints, columns.names, strict=True):
+        name = "{}.joint-offset.q"
+        parts = {
+            name.format(owner(other)): weight
+            for other, weight in zip(joints, row, strict=True)
+            if weight and name.format(owner(other)) in estimates
+        }
+        estimate = joint and estimates.get(name.format(owner(joint)))
+        if not estimate:
             continue
-        column, given = columns[joint]
-        known = estimate.status == "identifiable" and estimate.sigma is not None
-        turns = 2.0 * np.pi if estimate.unit == "rad" else np.inf
+        involved, w = [estimates[part] for part in parts], np.array([*parts.values()])
+        sigma = None
+        if all(one.status == "identifiable" for one in involved):
+            index = [place(part) for part in parts]
+            C = np.asarray(result.covariance)[np.ix_(index, index)]
+            sigma = float(np.sqrt(w @ C @ w))
+        stepped = estimate.unit == "rad" and joint in steps
         found.append(
             FoundOffset(
                 joint=joint,
                 column=column,
                 unit=estimate.unit,
-                value=estimate.value / (given.sign * given.gear),
-                sigma=(estimate.sigma or 0.0) / abs(given.gear) if known else None,
-                steps=steps[joint] / turns
-                if joint in steps and np.isfinite(turns)
-                else None,
+                value=float(w @ [one.value for one in involved]),
+                sigma=sigma,
+                steps=steps[joint] / (2.0 * np.pi) if stepped else None,
                 status=estimate.status,
                 within=absorbed.get(joint, ()),
             )

@@ -332,7 +332,7 @@ EARLY = [
     ("--criterion condtion", "", "'condtion'"),
     ("--method exchnge", "", "'exchnge'"),
     ("", UNDOABLE, "couplings"),
-    ("", "joints: {'A1 [deg]': {joint: joint1}}\n", "'A1 [deg]'"),
+    ("", "joints: {' A1': {joint: joint1}}\n", "' A1'"),
     ("", "planes: {' w': {normal: [1, 0, 0], offset: -2}}\n", "' w'"),
 ]
 

@@ -26,8 +26,9 @@ from calib_pin.io.exchange.base import (
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.urdf_tree import parse_document
+from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.units import DISPLAY, as_number
-from calib_pin.validation.joint_offsets import encoder_steps, joint_columns
+from calib_pin.validation.joint_offsets import encoder_steps
 from calib_pin.validation.result import ParameterEstimate
 
 ENOUGH = 1e-6
@@ -57,7 +58,10 @@ def column_offsets(exported: Exported) -> list[tuple[str, str, float, float]]:
         Joint, column, size of its gear, and what is added to what the column reads.
     """
     joints, setup = exported.nominal.joints, exported.result.model.setup
-    found, columns = exported.offsets.offsets.tolist(), joint_columns(setup, joints)
+    found, columns = (
+        exported.offsets.offsets.tolist(),
+        JointColumns.of(exported.nominal, setup.joints).maps,
+    )
     return [
         (joint, column, abs(given.gear), offset / (given.sign * given.gear))
         for joint, offset in zip(joints, found, strict=True)

@@ -15,12 +15,14 @@ from calib_pin.io.exchange.motions import (
     speed_limits,
     urscript,
 )
+from calib_pin.kinematics.joint_columns import JointColumns
 
 
 def test_a_program_of_moves():
     chain = calib_pin.load_chain("example:ur10_robot", tip="tool0")
     q = chain.random_configurations(5, np.random.default_rng(0))
-    text = urscript(chain, q, 0.25, ["commands"]).decode()
+    columns = JointColumns.of(chain)
+    text = urscript(chain, columns, q, 0.25, ["commands"]).decode()
     moves = re.findall(r"^  movej\(\[(.*)\], a=1.2, v=(.*)\)$", text, re.MULTILINE)
     assert np.array_equal([[*map(float, m[0].split(","))] for m in moves], q)
     assert {float(m[1]) for m in moves} == {round(0.25 * 2.16, 6)}
@@ -42,7 +44,7 @@ def test_joints_without_a_speed():
     with pytest.raises(OptionError, match="shoulder_lift_joint, elbow"):
         speed_limits(still, 1.0)
     with pytest.raises(OptionError):
-        joint_trajectory(still, np.zeros((1, 6)), 1.0, [])
+        joint_trajectory(still, JointColumns.of(still), np.zeros((1, 6)), 1.0, [])
 
 
 def test_moves_take_the_times_that_a_motion_has():
@@ -51,7 +53,8 @@ def test_moves_take_the_times_that_a_motion_has():
     times, fast = paced(chain, q, np.array([0, -1, 1]), np.array([5.0, 8.0]))
     np.testing.assert_allclose(times, [5.0, 6.0, 8.0])
     assert fast.tolist() == []
-    moves = urscript(chain, q, 0.25, [], times).decode().splitlines()[1:4]
+    columns = JointColumns.of(chain)
+    moves = urscript(chain, columns, q, 0.25, [], times).decode().splitlines()[1:4]
     assert [line.rpartition("], ")[2] for line in moves[1:]] == ["t=1)", "t=2)"]
     assert "a=1.2, v=" in moves[0]
     # Named is the row behind a command between two rows.

@@ -11,8 +11,8 @@ target is, within three times the error that the calibration promises); told whe
 sentence says what is missing, or a verdict is not trusted; refused where one line
 refuses it; silent where it is none of these; internal where the program fails.
 
-    scripts/benchmark round-trips [--count 200] [--first 0] [--workers 2] [--keep DIR]
-        [--show]
+    scripts/benchmark round-trips [--count 200] [--first 0] [--workers 2] [--only NAMES]
+        [--keep DIR] [--show]
 """
 
 from benchmarks.round_trips.running import main

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import itertools
 import os
 import sys
 import tempfile
@@ -78,13 +77,13 @@ STEPS_OF_A_TRIP: Mapping[str, Callable[[Trip], None]] = {
     "vendor": vendor,
     "lerobot": lerobot,
     "targets": targets,
-    "targets from joints": targets_from,
-    "targets, base": targets_base,
-    "targets, speed": targets_speed,
-    "targets, message": targets_message,
+    "targets-from": targets_from,
+    "targets-base": targets_base,
+    "targets-speed": targets_speed,
+    "targets-message": targets_message,
     "motion": motion,
-    "motion, speed": motion_speed,
-    "motion, message": motion_message,
+    "motion-speed": motion_speed,
+    "motion-message": motion_message,
 }
 """Steps behind `calibrate`, each for itself."""
 
@@ -98,6 +97,9 @@ def outcomes(trip: Trip, name: str, step: Callable[[Trip], None]) -> Iterator[Ou
     except (Told, Refused, Silent, Internal) as error:
         kind = type(error).__name__.lower()
         yield Outcome(trip.robot.seed, name, kind, str(error))
+    except Exception as error:
+        line = f"cannot be read: {error!r}"
+        yield Outcome(trip.robot.seed, name, "silent", line)
     else:
         yield Outcome(trip.robot.seed, name, "right")
 
@@ -133,6 +135,10 @@ def run(
     return found
 
 
+FAULTS = ("silent", "internal")
+KINDS = ("right", "told", "refused", *FAULTS)
+
+
 def main() -> None:
     """Print the faults by seed, and a table of outcomes."""
     parser = argparse.ArgumentParser(prog="benchmark round-trips")
@@ -140,29 +146,35 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--workers", type=int, default=os.cpu_count())
+    parser.add_argument("--only", default=",".join(STEPS_OF_A_TRIP))
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--show", action="store_true")
     asked = parser.parse_args()
     numbers = range(asked.first, asked.first + asked.count)
+    keep = asked.keep and asked.keep.resolve()
+    one = partial(run, steps=asked.only.split(","), keep=keep)
+    found = list[Outcome]()
     with ProcessPoolExecutor(asked.workers) as pool:
-        one = partial(run, keep=asked.keep and asked.keep.resolve())
-        found = list(itertools.chain(*pool.map(one, numbers)))
-    for line in report(found, show=asked.show):
+        for outcomes in pool.map(one, numbers):
+            found += outcomes
+            for line in faults(outcomes, show=asked.show):
+                print(line, flush=True)
+    for line in counts(found):
         print(line)
     if any(one.kind in FAULTS for one in found):
         sys.exit(1)
 
 
-FAULTS = ("silent", "internal")
-KINDS = ("right", "told", "refused", *FAULTS)
-
-
-def report(found: Sequence[Outcome], *, show: bool) -> Iterator[str]:
-    """A line for each fault, and a table of steps and outcomes."""
+def faults(found: Sequence[Outcome], *, show: bool = False) -> Iterator[str]:
+    """A line for each fault, or for each outcome that is not right."""
     for one in found:
         if one.kind in FAULTS or (show and one.kind != "right"):
             special = ", ".join(robot(one.seed).properties)
             yield f"{one.seed:4d} {one.kind:9}{one.step}: {one.line} ({special})"
+
+
+def counts(found: Sequence[Outcome]) -> Iterator[str]:
+    """A table of steps and outcomes."""
     yield f"{'':20}" + "".join(f"{kind:>10}" for kind in KINDS)
     count = Counter((one.step, one.kind) for one in found)
     for step in dict.fromkeys(one.step for one in found):
@@ -170,7 +182,3 @@ def report(found: Sequence[Outcome], *, show: bool) -> Iterator[str]:
     seeds = {one.seed for one in found}
     bad = {one.seed for one in found if one.kind in FAULTS}
     yield f"{len(seeds)} robots, {len(bad)} with faults"
-
-
-if __name__ == "__main__":
-    main()

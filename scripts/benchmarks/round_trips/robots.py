@@ -340,14 +340,14 @@ class Robot:
         return max(ways, key=self._freedom)
 
     def _freedom(self, columns: Mapping[str, Floats]) -> float:
-        """Least motion of the tool that drives can make, by theirs [m]."""
+        """Least motion of the tip that drives can make, by theirs [m]."""
         q, step = self.drives(columns), 1e-6
         q = {name: x[:: len(x) // 8] for name, x in q.items()}
         tree = self.nominal
-        T = tree.poses(tree.followed(q)) @ self.tool
+        T = tree.poses(tree.followed(q))
         J = []
         for name in q:
-            moved = tree.poses(tree.followed(q | {name: q[name] + step})) @ self.tool
+            moved = tree.poses(tree.followed(q | {name: q[name] + step}))
             twist = [(moved - T)[:, :3, 3]]
             if len(q) >= 6:
                 turn = T[:, :3, :3] @ np.swapaxes(moved[:, :3, :3], 1, 2)

@@ -154,6 +154,7 @@ def compensate(
 
     from calib_pin.cli.documents import compensation_document
     from calib_pin.control.calibrated import ends_estimated, with_payload
+    from calib_pin.control.joints import Joints
     from calib_pin.io.exchange.motions import (
         PROGRAMS,
         moving_times,
@@ -224,6 +225,13 @@ def compensate(
             "the tool was measured as a point: its orientation is the stated one, or "
             "that of the tip link"
         )
+    if asked.q is not None and not quiet:
+        long = asked.lines[Joints.of(model.chain).long_ways(asked.q)]
+        if len(long):
+            notice(
+                "a joint turns almost once around, where its limits allow a short way, "
+                f"to {line_list(long)}"
+            )
     # A file that cannot be written must not turn up after the work.
     if asked.q is not None:
         command_columns(asked, asked.q, np.arange(len(asked.q)))

@@ -13,7 +13,7 @@ from calib_pin.cli.printing import notice, say_json, say_written
 from calib_pin.errors import OptionError, require_known
 
 FORMAT_NAMES = (
-    "ur-kinematics, xarm-kinematics, xacro, mjcf, ros2-control, lerobot, "
+    "ur-kinematics, xarm-kinematics, urdf, xacro, mjcf, ros2-control, lerobot, "
     "joint-offsets, camera-info, dh, tf"
 )
 

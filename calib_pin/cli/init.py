@@ -95,7 +95,7 @@ def init(
     require_distinct(measurements)
     check_outputs([output], [robot, *measurements], force)
     loaded = load_robot(robot, package_dir or ())
-    table = read_table(measurements[0])
+    table = read_table(measurements[0]).whole(loaded.model.names)
     with stated_in(str(measurements[0])):
         columns = foreign(table.columns)
     start = Setup(base=base, tip=tip, model=model)

@@ -182,8 +182,8 @@ def joint_columns(
     longest = [one for one in whole if not any({*one} < {*other} for other in whole)]
     fullest = max(chains, key=lambda one: (len({*one} & {*named}), -len(one)))
     missing = [joint for joint in fullest if joint not in named]
-    count = max(map(len, longest), default=0)
-    if len(fullest) - len(missing) > max(count, FEWEST):
+    most = max(map(len, longest), default=0)
+    if len(fullest) - len(missing) >= max(most + 1, FEWEST):
         end = chains[fullest][0]
         told = f"no column for {', '.join(missing)} of the chain to '{end}'"
         raise InputError(told + advice(Chain(robot, base, end), missing))

@@ -7,6 +7,7 @@ their limits and reference positions, and inertias are those of the compiled mod
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
@@ -25,6 +26,12 @@ FILES = ("meshes", "hfields", "skins", "materials", "textures")
 """Parts of a description that come from files of their own."""
 
 REMARK = "read from MJCF: bodies and sites are links, shapes are not taken over"
+
+EQUAL = int(mujoco.mjtEq.mjEQ_JOINT)
+"""Kind of a coupling of joints."""
+
+FEW_DEGREES = 12.6
+"""Ranges of all hinges that are no larger are those of joints in rad: two turns."""
 
 LIGHTEST = 1e-12
 """Mass, and inertia, of a body that has none of its own [kg, kg m2]."""
@@ -45,7 +52,8 @@ class Writer:
         bodies, joints = range(model.nbody), range(model.njnt)
         self.bodies = [model.body(b).name or f"body{b}" for b in bodies]
         self.joints = [model.joint(j).name for j in joints]
-        self.taken = {*self.bodies, *self.joints}
+        self.taken, self.names = {*self.bodies, *self.joints}, dict[int, str]()
+        self.free = list[str]()
         _add(self.root, "link", name=self.bodies[0])
 
     def write(self) -> bytes:
@@ -73,8 +81,25 @@ class Writer:
                 body, joint = self.bodies[model.site_bodyid[k]], f"{site}_fixed"
                 self._joint(self._free(joint), "fixed", body, site, place)
                 _add(self.root, "link", name=site)
+        self._couple()
         ElementTree.indent(self.root)
         return ElementTree.tostring(self.root) + b"\n"
+
+    def _couple(self) -> None:
+        """Let joints mimic those that they are coupled to, as far as a URDF can."""
+        model = self.model
+        moving = {e.get("name"): e for e in self.root.iter("joint")}
+        for k in np.flatnonzero((model.eq_type == EQUAL) & (model.eq_active0 == 1)):
+            one, other = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+            offset, factor, *more = map(float, model.eq_data[k, :5])
+            if other < 0 or any(more):
+                self.free.append(self.names[one])
+                continue
+            # Coupled are the distances from the reference positions.
+            zero, leader = (model.qpos0[model.jnt_qposadr[j]] for j in (one, other))
+            about = {"joint": self.names[other], "multiplier": repr(factor)}
+            about["offset"] = repr(float(zero + offset - factor * leader))
+            _add(moving[self.names[one]], "mimic", about)
 
     def _free(self, name: str) -> str:
         """A name that nothing else has."""
@@ -111,6 +136,7 @@ class Writer:
         model, body = self.model, self.model.jnt_bodyid[j]
         count = j - model.body_jntadr[body]
         name = self.joints[j] or self._free(f"{self.bodies[body]}_joint{count}")
+        self.names[j] = name
         if not child:
             child = self._free(f"{name}_link")
             _add(self.root, "link", name=child)
@@ -150,6 +176,7 @@ def _compiled(path: str) -> tuple[mujoco.MjModel, str]:
     """The model, and what is to be said of it."""
     mujoco.set_mju_user_warning(lambda _: None)  # It would write them into a file.
     spec = mujoco.MjSpec.from_file(path)
+    _check_angles(spec, Path(path))
     spec.compiler.fusestatic = False  # Every body is a link.
     for bound in ("boundmass", "boundinertia"):
         setattr(spec.compiler, bound, max(getattr(spec.compiler, bound), LIGHTEST))
@@ -167,6 +194,30 @@ def _compiled(path: str) -> tuple[mujoco.MjModel, str]:
     return spec.compile(), f"{REMARK}, nor are the masses of meshes"
 
 
+def _check_angles(spec: mujoco.MjSpec, file: Path) -> None:
+    """Refuse a file that means radians, and does not say so.
+
+    Raises:
+        RobotError: If it states no unit, and all hinges would turn by few degrees.
+    """
+    hinges = [j for j in spec.joints if int(j.type) == HINGE and any(j.range)]
+    widest = max((float(np.abs(j.range).max()) for j in hinges), default=np.inf)
+    if spec.compiler.degree and widest <= FEW_DEGREES and not _states_angle(file):
+        raise RobotError(
+            f"no joint turns farther than {widest:g} degrees, and <compiler> states no "
+            'angle, which means degrees; are they radians, add angle="radian"',
+            allowed='<compiler angle="radian"/> or <compiler angle="degree"/>',
+        )
+
+
+def _states_angle(file: Path) -> bool:
+    """Whether a file, or one that it includes, states the unit of angles."""
+    root = ElementTree.parse(file).getroot()
+    stated = any("angle" in element.attrib for element in root.iter("compiler"))
+    names = (element.get("file", "") for element in root.iter("include"))
+    return stated or any(_states_angle(file.parent / name) for name in names)
+
+
 def read(file: str) -> tuple[dict[str, object], bytes]:
     """A sentence about what is not in the URDF of a robot, and the URDF.
 
@@ -178,7 +229,12 @@ def read(file: str) -> tuple[dict[str, object], bytes]:
     """
     try:
         model, remark = _compiled(file)
-        return {"remark": remark}, Writer(model).write()
+        writer = Writer(model)
+        source = writer.write()
+        if writer.free:
+            told = f"{', '.join(writer.free)} moves freely"
+            remark += f"; a URDF holds couplings by one factor only: {told}"
+        return {"remark": remark}, source
     except Exception as failure:
         words = " ".join(str(failure).split()) or type(failure).__name__
         raise RobotError(f"this MJCF cannot be used: {words}") from None

@@ -234,16 +234,24 @@ def command_columns(
         return {name: (header, column.tolist()) for name, (header, column) in headers}
     # The change is added to the value in the file, so that a column coupled with a
     # joint outside the chain (an external axis) keeps the contribution of that joint.
-    moved = own.values(q) - own.values(targets.q[rows])
+    changes = own.values(q) - own.values(targets.q[rows])
+    moved = dict(zip(own.names, changes.T, strict=True))
+    for k, (joint, (name, given)) in enumerate(own.maps.items()):
+        if joint not in own.joints and name in targets.table:  # It mimics another.
+            change = q[:, k] - targets.q[rows, k]
+            moved[name] = change / (given.sign * given.gear)
     result: dict[str, tuple[str, Sequence[object]]] = {}
-    for k, name in enumerate(own.names):
+    coupled = {
+        name for name, joint in zip(own.names, own.joints, strict=True) if not joint
+    }
+    for name, change in moved.items():
         column = targets.table.columns[name]
-        if not own.joints[k]:
+        if name in coupled:
             texts = targets.table.cells([name])[name]
             result[name] = column.header, [texts[row] for row in rows]
             continue
         kind = ANGLE if own.angular[name] else LENGTH
         stated = targets.table.numbers(name, kind)[rows]
         factor = kind.units[column.unit or kind.si]
-        result[name] = column.header, ((stated + moved[:, k]) / factor).tolist()
+        result[name] = column.header, ((stated + change) / factor).tolist()
     return result

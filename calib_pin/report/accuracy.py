@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.estimation.system import System
+from calib_pin.kinematics.joint_columns import drives_of
 from calib_pin.parameterizations import outside_urdf
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
 from calib_pin.report.tables import (
@@ -128,7 +129,7 @@ def chain_words(system: System) -> str:
     """The robot and the ends of its chains, for the line below a verdict."""
     chains = system.chains
     moving = [name for name in chains.names if chains[name].joints]
-    joints = f"{chains.robot.name}: {len(chains.joints)} joints"
+    joints = f"{chains.robot.name}: {len(drives_of(chains))} joints"
     if len(moving) > LISTED_OWNERS:
         return f"{joints} in {len(moving)} chains"
     ends = [f"from {chains[name].base} to {chains[name].tip}" for name in moving]

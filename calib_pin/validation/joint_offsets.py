@@ -26,7 +26,7 @@ class FoundOffset:
         value: Where the joint stands minus what the column says.
         sigma: Standard deviation; None where the offset is not known.
         steps: Steps of its encoder per unit; None where they are not stated.
-        status: That of the parameter.
+        status: That of the parameter, or of one less known that it is coupled to.
         within: Frames or instruments that the offset cannot be told from.
     """
 
@@ -82,8 +82,10 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
         if not estimate:
             continue
         involved, w = [estimates[part] for part in parts], np.array([*parts.values()])
-        sigma = None
-        if all(one.status == "identifiable" for one in involved):
+        sigma, status = None, "identifiable"
+        if unknown := [one.status for one in involved if one.status != status]:
+            status = unknown[0]
+        else:
             index = [place(part) for part in parts]
             C = np.asarray(result.covariance)[np.ix_(index, index)]
             sigma = float(np.sqrt(w @ C @ w))
@@ -96,7 +98,7 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
                 value=float(w @ [one.value for one in involved]),
                 sigma=sigma,
                 steps=steps[joint] / (2.0 * np.pi) if stepped else None,
-                status=estimate.status,
+                status=status,
                 within=absorbed.get(joint, ()),
             )
         )

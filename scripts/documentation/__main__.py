@@ -5,7 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 
-from documentation import api_reference, command_reference, setup_reference
+from documentation import (
+    api_reference,
+    command_reference,
+    format_reference,
+    setup_reference,
+)
 from documentation.site import build
 
 
@@ -29,6 +34,7 @@ def documents() -> dict[str, str]:
         "setup.schema.json": setup_reference.schema_text(),
         "setup.md": setup_reference.reference_text(),
         "reference/commands.md": command_reference.text(),
+        "reference/formats.md": format_reference.text(),
         "reference/api.md": api_reference.text(),
     }
 

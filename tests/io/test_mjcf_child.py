@@ -142,6 +142,47 @@ def test_meshes_that_are_not_there(tmp_path: Path) -> None:
     assert robot.model.inertias[1].mass == 0.0
 
 
+UNSTATED = HEAD.replace('angle="degree" ', "")
+
+
+@pytest.mark.parametrize("stated", ["", 'angle="degree"', 'angle="radian"'])
+def test_radians_that_nothing_states(
+    tmp_path: Path, refused: Callable[..., Any], stated: str
+) -> None:
+    head = UNSTATED.replace("100", "3").replace("<compiler", f"<compiler {stated}")
+    file = written(tmp_path, BASE, head.replace("10", "1"))
+    if stated:
+        half = 3.0 if "radian" in stated else np.deg2rad(3.0)
+        assert load_chain(file, tip="tool").upper[0] == pytest.approx(half)
+        return
+    with refused(RobotError, reason=('angle="radian"', "3 degrees"), file=str(file)):
+        load_chain(file, tip="tool")
+    # Where the joints go farther, they are degrees; so they are where a part says so.
+    assert load_chain(written(tmp_path, BASE, UNSTATED), tip="tool").joints
+    part = '<mujoco><compiler angle="degree"/></mujoco>'
+    (tmp_path / "part.xml").write_text(part)
+    file = written(tmp_path, BASE, f'{head}<include file="part.xml"/>')
+    assert load_chain(file, tip="tool").joints
+
+
+def test_couplings_are_those_of_mujoco(tmp_path: Path) -> None:
+    """Of joints with reference positions, and those that no URDF can hold."""
+    import mujoco
+
+    equal = '<equality><joint joint1="j3" joint2="j1" polycoef="0.1 -2 0 0 0"/>'
+    equal += '<joint joint1="slide" joint2="j2" polycoef="0 0 1 0 0"/>'
+    equal += '<joint joint1="j2" polycoef="0.2 0 0 0 0"/></equality>'
+    file = written(tmp_path, BASE, f"{HEAD}{equal}")
+    robot = load_robot(file)
+    assert {*robot.mimics} == {"j3"} and "slide, j2 moves freely" in robot.remarks[0]
+    chain = Chain(robot, tip="tool")
+    q = chain.random_configurations(5, np.random.default_rng(2))
+    model = mujoco.MjModel.from_xml_path(str(file))
+    zero = {n: model.qpos0[model.joint(n).qposadr[0]] for n in ("j1", "j3")}
+    j1, j3 = (q[:, chain.joints.index(n)] - zero[n] for n in ("j1", "j3"))
+    assert np.allclose(j3, 0.1 - 2.0 * j1, atol=1e-12)
+
+
 def test_warnings_leave_no_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., Any]
 ) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.sax.saxutils import escape, quoteattr
@@ -14,6 +14,8 @@ import pinocchio as pin
 
 from calib_pin.errors import OptionError
 from calib_pin.io.exchange.base import (
+    RIGID,
+    ROBOTS,
     Encoded,
     Exported,
     Format,
@@ -22,7 +24,7 @@ from calib_pin.io.exchange.base import (
 )
 from calib_pin.io.urdf_tree import Document, Element, parse_document
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, invert, se3_exp
 
 KINDS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
 
@@ -52,6 +54,7 @@ def encode_mjcf(exported: Exported, _: Path | None) -> Encoded:
         (world, robot.root, None)
     ]
     without = []
+    _couple(root, exported)
     while pending:
         parent, link, joint = pending.pop()
         body, moving = parent, False
@@ -65,9 +68,20 @@ def encode_mjcf(exported: Exported, _: Path | None) -> Encoded:
         pending += [(body, j.link("child"), j) for j in below.get(link, [])]
     ElementTree.indent(root)
     data = ElementTree.tostring(root) + b"\n"
-    exported.require_same(lambda q: _poses(data, exported.chain, q), "the MJCF")
+    read = partial(_poses, ElementTree.fromstring(data))
+    exported.require_same(read, "the MJCF")
     told = f"the URDF states no mass of {', '.join(without)}: {LEAST_MASS:g} kg is"
-    return Encoded(data, (f"{told} written",) if without else ())
+    return Encoded(data, (f"{told} written",) if without else (), read)
+
+
+def _couple(root: ElementTree.Element, exported: Exported) -> None:
+    """Let mimic joints follow their leaders."""
+    if exported.robot.mimics:
+        equality = ElementTree.SubElement(root, "equality")
+    for name, mimic in exported.robot.mimics.items():
+        numbers = _words([mimic.offset, mimic.factor, 0.0, 0.0, 0.0])
+        ends = {"joint1": name, "joint2": mimic.leader}
+        ElementTree.SubElement(equality, "joint", ends, polycoef=numbers)
 
 
 def _place(
@@ -125,25 +139,45 @@ def _words(numbers: Sequence[float] | Floats) -> str:
     return " ".join(repr(float(number)) for number in numbers)
 
 
-def _poses(data: bytes, chain: Chain, q: Floats) -> Floats:
-    """Poses of the tip in the base as Pinocchio reads the file."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "robot.xml")
-        file.write_bytes(data)
-        model = pin.buildModelFromMJCF(str(file))
-    # The world is the first of Pinocchio's frames.
-    ends = [
-        0 if name == WORLD and not model.existFrame(name) else model.getFrameId(name)
-        for name in (chain.base, chain.tip)
-    ]
-    state, poses, full = model.createData(), [], pin.neutral(model)
-    for positions in q:
-        for joint, position in zip(chain.joints, positions, strict=True):
-            full[model.joints[model.getJointId(joint)].idx_q] = position
-        pin.framesForwardKinematics(model, state, full)
-        base, tip = (state.oMf[end] for end in ends)
-        poses.append(base.actInv(tip).homogeneous)
-    return np.array(poses)
+def _poses(root: ElementTree.Element, chain: Chain, q: Floats) -> Floats:
+    """Poses of the tip in the base by the file, where mimic joints follow."""
+    at = dict(zip(chain.joints, q.T, strict=True))
+    for name, mimic in chain.mimics.items():  # These follow by the file alone.
+        position = at.pop(name)
+        if mimic.factor:
+            at.setdefault(mimic.leader, (position - mimic.offset) / mimic.factor)
+    for coupling in root.iterfind("equality/joint"):
+        offset, factor, *_ = _numbers(coupling, "polycoef")
+        leader = at.get(coupling.get("joint2", ""), np.zeros(len(q)))
+        at[coupling.get("joint1", "")] = offset + factor * leader
+    bodies = {body.get("name", ""): body for body in root.iter("body")}
+    above = {child: b for b in bodies.values() for child in b.findall("body")}
+    ends = []
+    for link in (chain.base, chain.tip):
+        T, body = np.eye(4), bodies.get(link)
+        while body is not None:
+            w, *xyz = _numbers(body, "quat") or [1.0, 0.0, 0.0, 0.0]
+            pose = pin.SE3(pin.Quaternion(np.array([*xyz, w])), np.zeros(3))
+            pose.translation = np.array(_numbers(body, "pos") or [0.0, 0.0, 0.0])
+            for joint in body.findall("joint"):
+                axis = np.array(_numbers(joint, "axis"))
+                axis, none = axis / np.linalg.norm(axis), np.zeros(3)
+                hinge = joint.get("type") == "hinge"
+                motion = np.concatenate([none, axis] if hinge else [axis, none])
+                position = at.get(joint.get("name", ""), np.zeros(len(q)))
+                T = se3_exp(np.outer(position, motion)) @ T
+            T, body = pose.homogeneous @ T, above.get(body)
+        ends.append(T)
+    return np.asarray(invert(ends[0]) @ ends[1])
+
+
+def _numbers(element: ElementTree.Element, key: str) -> list[float]:
+    return [float(word) for word in element.get(key, "").split()]
+
+
+def encode_description(exported: Exported, _: Path | None) -> Encoded:
+    """The corrected URDF itself."""
+    return Encoded(exported.robot.source, read=exported.corrected_poses)
 
 
 NAMESPACE = "http://www.ros.org/wiki/xacro"
@@ -151,15 +185,21 @@ NAMESPACE = "http://www.ros.org/wiki/xacro"
 
 def encode_xacro(exported: Exported, _: Path | None) -> Encoded:
     """The overlay."""
-    properties = {}
+    properties, renamed = dict[str, str](), list[str]()
     for name, origin in corrected_origins(exported).items():
         numbers = list(map(repr, origin_of(origin)))
-        own = re.sub(r"\W", "_", name)  # A name that may stand in an expression.
+        # A name that may stand in an expression, and no other joint's.
+        own = re.sub(r"\W|^(?=\d)", "_", name)
+        while f"{own}_xyz" in properties:
+            own += "_"
+        if own != name:
+            renamed.append(f"{own}_xyz, {own}_rpy are those of '{name}'")
         properties[f"{own}_xyz"] = " ".join(numbers[:3])
         properties[f"{own}_rpy"] = " ".join(numbers[3:])
+    about = escape(exported.robot.name).replace("--", "- -")
     lines = [
         '<?xml version="1.0"?>',
-        f"<!-- joint origins of {escape(exported.robot.name)}, calibrated: "
+        f"<!-- joint origins of {about}, calibrated: "
         "include it, and take them as "
         '<origin xyz="${NAME_xyz}" rpy="${NAME_rpy}"/> -->',
         f'<robot xmlns:xacro="{NAMESPACE}">',
@@ -169,7 +209,7 @@ def encode_xacro(exported: Exported, _: Path | None) -> Encoded:
     data = "\n".join([*lines, "</robot>", ""]).encode()
     found = {e.get("name"): e.get("value") for e in ElementTree.fromstring(data)}
     require_read(found, properties, "the origins")
-    return Encoded(data)
+    return Encoded(data, tuple(renamed), exported.corrected_poses)
 
 
 def corrected_origins(exported: Exported) -> dict[str, pin.SE3]:
@@ -179,12 +219,24 @@ def corrected_origins(exported: Exported) -> dict[str, pin.SE3]:
     """
     document = parse_document(exported.robot.source, exported.robot.file)
     changed = {} if exported.geometry is None else exported.geometry.urdf_corrections()
-    wanted = {*exported.nominal.joints, *changed}
+    wanted = {*exported.chains.joints, *changed}
     named = document.named("joint").items()
     return {name: document.origin(joint) for name, joint in named if name in wanted}
 
 
-MJCF = Format("mjcf", ".xml", "MuJoCo's description of the robot", encode_mjcf)
+HELD = (*RIGID, *ROBOTS)
+"""Held by a description of the whole robot."""
+
+URDF = Format(
+    "urdf", ".urdf", "the corrected URDF alone", encode_description, holds=HELD
+)
+MJCF = Format(
+    "mjcf", ".xml", "MuJoCo's description of the robot", encode_mjcf, holds=HELD
+)
 XACRO = Format(
-    "xacro", ".xacro", "joint origins as properties, to be included", encode_xacro
+    "xacro",
+    ".xacro",
+    "joint origins as properties, to be included",
+    encode_xacro,
+    holds=HELD,
 )

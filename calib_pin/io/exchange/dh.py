@@ -21,6 +21,8 @@ import pinocchio as pin
 
 from calib_pin.io.exchange.base import (
     ORIGIN,
+    PRISMATIC,
+    RIGID,
     Encoded,
     Exported,
     Format,
@@ -29,6 +31,7 @@ from calib_pin.io.exchange.base import (
 )
 from calib_pin.io.exchange.vendor_kinematics import along, axis_frames, poses_about_z
 from calib_pin.io.measurements import encode_table
+from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 
 PARALLEL = np.deg2rad(1.0)
@@ -63,9 +66,9 @@ def encode(exported: Exported, _: Path | None) -> Encoded:
     ends = "base and tip: the frames before the first and behind the last joint"
     data = encode_table(table, [__doc__ or "", ends])
     for convention in tables:
-        poses = partial(_poses, data, convention)
-        exported.require_same(poses, f"the {convention} table")
-    return Encoded(data)
+        read = partial(_poses, data, convention)
+        exported.require_same(read, f"the {convention} table")
+    return Encoded(data, read=read)
 
 
 def _steps(
@@ -130,7 +133,7 @@ def _modified(row: Sequence[float]) -> pin.SE3:
     return tilted * _turn("z", theta) * _move(0.0, d)
 
 
-def _poses(data: bytes, convention: str, q: Floats) -> Floats:
+def _poses(data: bytes, convention: str, _: Chain, q: Floats) -> Floats:
     """Forward kinematics of one of the tables as it reads back."""
     lines = [line for line in data.decode().splitlines() if line[:1] != "#"]
     rows = [row for row in csv.DictReader(lines) if row["convention"] == convention]
@@ -147,4 +150,10 @@ def _poses(data: bytes, convention: str, q: Floats) -> Floats:
     return poses_about_z(origins, [row["type"] == "revolute" for row in rows[1:-1]], q)
 
 
-DH = Format("dh", ".csv", "Denavit-Hartenberg tables, standard and modified", encode)
+DH = Format(
+    "dh",
+    ".csv",
+    "Denavit-Hartenberg tables, standard and modified",
+    encode,
+    holds=(*RIGID, PRISMATIC),
+)

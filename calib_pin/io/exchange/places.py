@@ -12,7 +12,15 @@ import yaml
 
 from calib_pin.errors import OptionError
 from calib_pin.io.calibrated_model import frame_key
-from calib_pin.io.exchange.base import Encoded, Exported, Format, require_read
+from calib_pin.io.exchange.base import (
+    CAMERA,
+    FRAMES,
+    ROBOTS,
+    Encoded,
+    Exported,
+    Format,
+    require_read,
+)
 from calib_pin.setup import CameraSetup
 
 
@@ -152,7 +160,12 @@ TF = Format(
     ".yaml",
     "static transforms of base, tools, stations, camera",
     encode_transforms,
+    holds=(FRAMES, *ROBOTS),
 )
 CAMERA_INFO = Format(
-    "camera-info", ".yaml", "the camera, as ROS loads it", encode_camera
+    "camera-info",
+    ".yaml",
+    "the camera, as ROS loads it",
+    encode_camera,
+    holds=(CAMERA, *ROBOTS),
 )

@@ -28,6 +28,7 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.io.exchange.base import (
     EXACT,
     ORIGIN,
+    RIGID,
     Encoded,
     Exported,
     Format,
@@ -148,8 +149,8 @@ def encode_vendor(
     text = yaml.safe_dump(tree.data, sort_keys=False)
     read = yaml.safe_load(text)[ROOT]
     origins = [placed([read[name][key] for key in ORIGIN]) for name in names]
-    poses = partial(_poses, base, [*origins, flange])
-    exported.require_same(poses, "the file")
+    read = partial(_poses, base, [*origins, flange])
+    exported.require_same(read, "the file")
     remarks = []
     twist = pin.log6(flange).vector
     moved, turned = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
@@ -163,7 +164,7 @@ def encode_vendor(
         )
     if (kept := entries.get("hash")) is not None:
         remarks.append(f"the hash of {template} is kept: {kept}")
-    return Encoded(text.encode(), tuple(remarks))
+    return Encoded(text.encode(), tuple(remarks), read)
 
 
 def _origin(tree: Tree, name: str) -> pin.SE3:
@@ -185,7 +186,7 @@ def _origin(tree: Tree, name: str) -> pin.SE3:
     return placed(numbers)
 
 
-def _poses(base: pin.SE3, origins: Sequence[pin.SE3], q: Floats) -> Floats:
+def _poses(base: pin.SE3, origins: Sequence[pin.SE3], _: Chain, q: Floats) -> Floats:
     """Poses of the flange by the origins of such a file, and of the flange."""
     return poses_about_z([base * origins[0], *origins[1:]], [True] * q.shape[1], q)
 
@@ -198,7 +199,7 @@ def _base(exported: Exported, own: Sequence[pin.SE3], template: Path) -> pin.SE3
     q, nominal = exported.configurations, exported.nominal
     points, sizes = nominal.poses(q)[:, :3, 3], []
     for base in BASES:
-        found = _poses(base, [*own, pin.SE3.Identity()], q)
+        found = _poses(base, [*own, pin.SE3.Identity()], nominal, q)
         R, p = found[:, :3, :3], found[:, :3, 3]
         away = np.einsum("nji,nj->ni", R, points - p)
         sizes.append(rms(away - away.mean(axis=0)))
@@ -221,6 +222,7 @@ UR = Format(
     "calibration file of Universal Robots' description and driver",
     partial(encode_vendor, UR_LINKS, ""),
     "required",
+    RIGID,
 )
 XARM = Format(
     "xarm-kinematics",
@@ -228,4 +230,5 @@ XARM = Format(
     "kinematics file of UFACTORY's xArm description",
     partial(encode_vendor, (), "joint"),
     "required",
+    RIGID,
 )

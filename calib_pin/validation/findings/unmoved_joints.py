@@ -25,6 +25,9 @@ def still_joints(problem: Problem) -> tuple[str, ...]:
         for joint, span in zip(data.joints, np.ptp(data.q, axis=0), strict=True)
         if span > 0.0
     }
+    mimics = problem.chains.mimics
+    # One that others follow moves with them, be it in a chain or not.
+    moved |= {mimics[joint].leader for joint in moved & mimics.keys()}
     return tuple(joint for joint in problem.chains.joints if joint not in moved)
 
 
@@ -38,6 +41,7 @@ def unmoved_joints(case: Case) -> Iterator[Finding]:
     if not single:
         there = chains.robot.model.names[1:]
         names += [name for name in there if name not in chains.joints]
+    names = [name for name in names if name not in chains.robot.mimics]
     if not names:
         return
     joints = "joint is" if len(names) == 1 else "joints are"

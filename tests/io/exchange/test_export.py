@@ -6,13 +6,11 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
-import pinocchio as pin
 import pytest
 import xacro
 import yaml
@@ -22,7 +20,6 @@ from calib_pin.calibration import calibrate
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.exchange import FORMATS, Exported
-from calib_pin.io.exchange.base import origin_of, placed
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.setup import CameraSetup, FrameSetup, JointMap, PointSetup, Setup
@@ -33,8 +30,6 @@ EXACT = 1e-9
 ROBOTS = {
     "ur10": ("example:ur10_robot", "base_link", "tool0"),
     "xarm": ("example:xarm7", None, "link7"),
-    "so101": ("example:so101", None, "gripper_frame_link"),
-    "lift": ("example:tiago_no_hand", "base_footprint", "arm_7_link"),
 }
 
 
@@ -125,27 +120,11 @@ def test_a_vendor_loads_its_kinematics(exported, tmp_path):
     encoded = FORMATS["ur-kinematics"].encode(of, template)
     file.write_bytes(encoded.data)
     assert yaml.safe_load(encoded.data)["kinematics"]["hash"] == "calib_77"
-    assert "calib_77" in encoded.remarks[0] and len(encoded.remarks) == 1
+    assert "calib_77" in encoded.remarks[0] and "tf" in encoded.remarks[1]
     same(of, vendor(file, [*UR10], np.pi).poses(of.configurations))
     # Frames stay where the vendor has them, as far as the axes allow.
     forearm = yaml.safe_load(encoded.data)["kinematics"]["forearm"]
     assert forearm["z"] == pytest.approx(12.5, abs=0.01)
-
-
-def test_a_numbered_vendor_loads_its_kinematics(exported, tmp_path):
-    of = exported("xarm")
-    nominal = of.nominal
-    frames = [pin.SE3.Identity(), *map(pin.SE3, nominal.joint_frames())]
-    own = {
-        f"joint{k + 1}": origin_of(a.actInv(b))
-        for k, (a, b) in enumerate(pairwise(frames))
-    }
-    template, file = tmp_path / "own.yaml", tmp_path / "xarm.yaml"
-    template.write_text(kinematics(own))
-    encoded = FORMATS["xarm-kinematics"].encode(of, template)
-    file.write_bytes(encoded.data)
-    found = vendor(file, [*own], 0.0).poses(of.configurations)
-    same(of, found @ nominal.tip_placement.homogeneous)
 
 
 def test_templates_of_others_are_refused(exported, tmp_path, refused):
@@ -162,83 +141,6 @@ def test_templates_of_others_are_refused(exported, tmp_path, refused):
     template.write_text(kinematics(UR10))
     with refused(OptionError):  # It has seven joints.
         FORMATS["ur-kinematics"].encode(exported("xarm"), template)
-
-
-@pytest.mark.parametrize("name", [*ROBOTS])
-def test_mujoco_moves_the_same(exported, tmp_path, name):
-    of = exported(name)
-    file = tmp_path / "robot.xml"
-    file.write_bytes(FORMATS["mjcf"].encode(of, None).data)
-    model = pin.buildModelFromMJCF(str(file))
-    data = model.createData()
-    for q, expected in zip(
-        of.configurations, of.chain.poses(of.configurations), strict=True
-    ):
-        whole = pin.neutral(model)
-        for joint, position in zip(of.nominal.joints, q, strict=True):
-            whole[model.joints[model.getJointId(joint)].idx_q] = position
-        pin.framesForwardKinematics(model, data, whole)
-        ends = of.nominal.base, of.nominal.tip
-        base, tip = (
-            data.oMf[model.getFrameId(end)]
-            if model.existFrame(end)
-            else pin.SE3.Identity()
-            for end in ends
-        )
-        assert np.abs(base.actInv(tip).homogeneous - expected).max() < EXACT
-
-
-def motion(axis: str, angle: float, x: float = 0.0, z: float = 0.0) -> np.ndarray:
-    """A translation along x and z, then a turn about an axis."""
-    place = np.array([x, 0.0, z])
-    return pin.SE3(pin.utils.rotate(axis, angle), place).homogeneous
-
-
-@pytest.mark.parametrize("name", [*ROBOTS])
-def test_tables_of_denavit_and_hartenberg_move_the_same(exported, name):
-    of = exported(name)
-    text = FORMATS["dh"].encode(of, None).data.decode()
-    lines = [line.split(",") for line in text.splitlines() if line[0] != "#"]
-    for convention in ("standard", "modified"):
-        first, *rows, last = (line for line in lines if line[0] == convention)
-        base, tip = (placed(np.array(row[8:], float)) for row in (first, last))
-        poses = []
-        for q in of.configurations:
-            T = base.homogeneous
-            for row, position in zip(rows, q, strict=True):
-                theta, d, a, alpha, beta = map(float, row[3:8])
-                if row[2] == "prismatic":
-                    d += position
-                else:
-                    theta += position
-                about = motion("z", theta, z=d)
-                across = motion("x", alpha, x=a) @ motion("y", beta)
-                T = T @ (about @ across if convention == "standard" else across @ about)
-            poses.append(T @ tip.homogeneous)
-        same(of, np.array(poses))
-        assert all(abs(float(row[4])) < 2.0 for row in rows)
-
-
-def test_a_description_takes_the_origins_by_property(exported, tmp_path):
-    of = exported("ur10")
-    overlay = tmp_path / "origins.xacro"
-    overlay.write_bytes(FORMATS["xacro"].encode(of, None).data)
-    root = ElementTree.fromstring(of.nominal.robot.source)
-    for joint in root.findall("joint"):
-        name, origin = joint.get("name"), joint.find("origin")
-        if name in of.nominal.joints:
-            assert origin is not None
-            for key in ("xyz", "rpy"):
-                origin.set(key, f"${{{name}_{key}}}")
-    ElementTree.register_namespace("xacro", "http://www.ros.org/wiki/xacro")
-    include = ElementTree.Element("{http://www.ros.org/wiki/xacro}include")
-    include.set("filename", str(overlay))
-    root.insert(0, include)
-    source = tmp_path / "robot.xacro"
-    source.write_bytes(ElementTree.tostring(root))
-    urdf = xacro.process_file(str(source)).toxml()
-    chain = Chain(parse_robot(urdf.encode(), "x"), of.nominal.base, of.nominal.tip)
-    same(of, chain.poses(of.configurations))
 
 
 OFFSETS = Setup(
@@ -261,18 +163,6 @@ def offsets() -> tuple[Exported, CalibratedModel]:
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 
 
-def test_a_controller_takes_the_offsets(offsets):
-    of, true = offsets
-    encoded = FORMATS["joint-offsets"].encode(of, None)
-    assert encoded.remarks == ()
-    rows = [line.split(",") for line in encoded.data.decode().splitlines()[3:]]
-    assert [row[1] for row in rows] == ["m0", "m1", "m2", "m3", "m4"]
-    shown = -of.configurations  # What the columns read.
-    shown = shown + np.deg2rad([float(row[2]) for row in rows])
-    expected = true.of().poses(of.configurations)
-    assert np.abs(of.nominal.poses(-shown) - expected).max() < 2e-5
-
-
 def test_a_motor_takes_its_offset(offsets, tmp_path):
     of, true = offsets
     keys = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
@@ -291,7 +181,8 @@ def test_a_motor_takes_its_offset(offsets, tmp_path):
 
     turned = [zero(new[f"m{k}"]) - zero(own[f"m{k}"]) for k in range(5)]
     moved = of.configurations + np.deg2rad(np.array(turned) * 360 / 4095)
-    truth = of.configurations + of.offsets.offsets
+    found = of.joint_errors(of.result.model.setup.joints)
+    truth = of.configurations - found.offsets
     assert np.abs(moved - truth).max() < np.deg2rad(360 / 4095) / 2 + 1e-9
     expected = true.of().poses(of.configurations)
     assert np.abs(of.nominal.poses(moved) - expected).max() < 2e-3
@@ -303,9 +194,23 @@ def test_a_motor_takes_its_offset(offsets, tmp_path):
         assert b["range_max"] + moved <= a["range_max"]
 
 
+def motors(**changes: dict[str, int]) -> str:
+    """A calibration file of the five motors, with other entries for some."""
+    found = {
+        f"m{k}": {"id": k, "homing_offset": 5, "range_min": 700, "range_max": 3400}
+        for k in range(5)
+    }
+    return json.dumps({name: of | changes.get(name, {}) for name, of in found.items()})
+
+
 def test_other_motors_are_refused(offsets, tmp_path, refused):
     template = tmp_path / "so101.json"
     for content in (
+        motors(m1={"range_max": 4096}),
+        motors(m1={"range_min": -1}),
+        motors(m2={"range_min": 3400, "range_max": 700}),
+        motors(m2={"range_min": 3400}),
+        motors(m4={"id": 0}),
         "{",
         "[]",
         '{"m0": {"homing_offset": 1}}',
@@ -316,55 +221,77 @@ def test_other_motors_are_refused(offsets, tmp_path, refused):
             FORMATS["lerobot"].encode(offsets[0], template)
 
 
-def test_a_transmission_takes_gain_and_offset(tmp_path):
-    setup = replace(
-        OFFSETS,
-        parameters=("joint-offset", "transmission"),
-        fixed=("*.transmission.sin*", "*.transmission.cos*"),
+@pytest.mark.parametrize("more", [{"homing_offset": 2047}, {"range_max": 701}])
+def test_motors_without_room_are_refused(offsets, tmp_path, refused, more):
+    template, of = tmp_path / "so101.json", offsets[0]
+    found = of.joint_errors(of.result.model.setup.joints)
+    # One that is moved by several steps, to where the homing offset grows.
+    steps = np.round(-found.offsets * 4095 / (2 * np.pi))
+    k = int(np.argmax(steps))
+    assert steps[k] >= 1
+    template.write_text(motors(**{f"m{k}": more}))
+    with refused(OptionError, file=str(template)):
+        FORMATS["lerobot"].encode(of, template)
+
+
+@pytest.mark.parametrize("name", ["m1", "wrist_roll"])
+def test_a_range_across_the_seam_is_told(offsets, tmp_path, name):
+    """But not of the motor that LeRobot gives the whole turn."""
+    template, whole = tmp_path / "so101.json", {"range_min": 3, "range_max": 4095}
+    content = motors(m1=whole) if name == "m1" else motors(m4=whole)
+    template.write_text(content.replace("m4", "wrist_roll"))
+    remarks = FORMATS["lerobot"].encode(offsets[0], template).remarks
+    assert sum("seam" in remark for remark in remarks) == (name == "m1")
+
+
+TRANSMISSION = """<robot><transmission name="t"><{tag}>{kind}</{tag}>
+  <joint name="shoulder_pan">{joint}</joint><actuator name="m">{actuator}</actuator>
+</transmission><transmission name="jaw"><type>Four</type><joint name="gripper"/>
+</transmission></robot>"""
+ROS_1 = "<mechanicalReduction>40</mechanicalReduction>"
+ROS_2 = "<mechanical_reduction> 40.0 </mechanical_reduction>"
+
+
+@pytest.mark.parametrize("tag", ["type", "plugin"])
+@pytest.mark.parametrize("number", [ROS_1, ROS_2])
+@pytest.mark.parametrize("place", ["joint", "actuator", "both"])
+def test_a_reduction_is_kept_however_it_is_spelled(
+    offsets, tmp_path, tag, number, place
+):
+    template, kind = tmp_path / "own.xml", "transmission_interface/SimpleTransmission"
+    inner = {
+        at: number if place in (at, "both") else "" for at in ("joint", "actuator")
+    }
+    template.write_text(TRANSMISSION.format(tag=tag, kind=kind, **inner))
+    root = ElementTree.fromstring(
+        FORMATS["ros2-control"].encode(offsets[0], template).data
     )
-    of, true = calibrated("example:ur10_robot", "base_link", "tool0", setup)
+    (found,) = root.findall("transmission[@name='t']/joint/mechanical_reduction")
+    assert float(found.text or "") == 40.0
+    # What belongs to none of the joints stays as it is.
+    assert [e.text for e in root.findall("transmission[@name='jaw']/type")] == ["Four"]
+
+
+@pytest.mark.parametrize(
+    ("tag", "kind", "joint", "actuator"),
+    [
+        ("type", "transmission_interface/DifferentialTransmission", ROS_2, ""),
+        ("plugin", "a/FourBarLinkageTransmission", ROS_2, ""),
+        ("type", "a/SimpleTransmission", ROS_2, ROS_1.replace("40", "50")),
+        ("type", "a/SimpleTransmission", "<gear_ratio>3</gear_ratio>", ""),
+        ("type", "a/SimpleTransmission", ROS_1.replace("40", "0"), ""),
+        ("type", "a/SimpleTransmission", ROS_1.replace("40", "${k}"), ""),
+        ("type", "a/SimpleTransmission", '</joint><joint name="elbow_flex">', ""),
+    ],
+)
+def test_other_transmissions_are_refused(
+    offsets, tmp_path, refused, tag, kind, joint, actuator
+):
     template = tmp_path / "own.xml"
-    own = {joint: (100.0 - k, 0.1 * k) for k, joint in enumerate(of.nominal.joints)}
-    template.write_text(
-        "<ros2_control>"
-        + "".join(
-            f'<transmission name="t_{joint}"><plugin>transmission_interface/'
-            f'SimpleTransmission</plugin><actuator name="a_{joint}" role="actuator1"/>'
-            f'<joint name="{joint}" role="joint1"><mechanical_reduction>{reduction}'
-            f"</mechanical_reduction><offset>{offset}</offset></joint></transmission>"
-            for joint, (reduction, offset) in own.items()
-        )
-        + "</ros2_control>"
-    )
-    data = FORMATS["ros2-control"].encode(of, template).data
-    q, k = of.configurations.copy(), -1
-    for k, transmission in enumerate(ElementTree.fromstring(data).iter("transmission")):
-        joint = transmission.find("joint")
-        assert (
-            joint is not None and transmission.get("name") == f"t_{joint.get('name')}"
-        )
-        reduction, offset = own[joint.get("name", "")]
-        actuator = (q[:, k] - offset) * reduction
-        new = [float(joint.findtext(t, "")) for t in ("mechanical_reduction", "offset")]
-        q[:, k] = actuator / new[0] + new[1]
-    assert k == 5
-    expected = true.of().poses(of.configurations)
-    assert np.abs(of.nominal.poses(q) - expected).max() < 1e-4
-
-
-def test_frames_bring_measurements_into_the_base_link(exported):
-    of = exported("ur10")
-    text = FORMATS["tf"].encode(of, None).data.decode()
-    found = {}
-    for entry in yaml.safe_load(text)["transforms"]:
-        t, r = (entry["transform"][key].values() for key in ("translation", "rotation"))
-        pose = pin.SE3(pin.Quaternion(np.array([*r])).matrix(), np.array([*t]))
-        found[entry["child_frame_id"]] = entry["header"]["frame_id"], pose.homogeneous
-    assert found["measurement"][0] == "base_link" and found["tool"][0] == "tool0"
-    q = of.configurations
-    predicted = of.result.model.of().poses(q)
-    written = of.chain.poses(q) @ found["tool"][1]
-    assert np.abs(found["measurement"][1] @ predicted - written).max() < EXACT
+    about = {"tag": tag, "kind": kind, "joint": joint, "actuator": actuator}
+    template.write_text(TRANSMISSION.format(**about))
+    with refused(InputError, reason="transmission 't'", file=str(template)):
+        FORMATS["ros2-control"].encode(offsets[0], template)
 
 
 @pytest.mark.parametrize("mount", ["hand", "world"])

@@ -1,0 +1,130 @@
+"""Errors of the joints alone that come closest to a whole calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.joint_columns import JointColumns
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.setup import JointMap
+from calib_pin.validation.calibrated_model import CalibratedChain
+
+CONFIGURATIONS = 40
+"""Random configurations at which robots are compared."""
+
+STEPS = 20
+"""Most Gauss-Newton steps."""
+
+SMALL = 1e-9
+"""Step that is rounding [rad, m, 1]."""
+
+
+@dataclass(frozen=True)
+class JointErrors:
+    """Corrections of the columns c of a controller: `(1 + gain) c + offset`.
+
+    Attributes:
+        columns: The K columns of all chains.
+        joints: Joint map by column, from which they come.
+        offsets: Offset of each column, shape (K,) [rad, m].
+        gains: Gain of each column, shape (K,).
+    """
+
+    columns: JointColumns
+    joints: Mapping[str, JointMap]
+    offsets: Floats
+    gains: Floats
+
+    @property
+    def drives(self) -> list[tuple[int, str, str]]:
+        """Place, column and joint of each drive."""
+        both = zip(self.columns.names, self.columns.joints, strict=True)
+        return [(k, name, joint) for k, (name, joint) in enumerate(both) if joint]
+
+    def poses(self, chain: Chain, q: Floats) -> Floats:
+        """Tip poses of a nominal chain that takes them, (N, n) -> (N, 4, 4)."""
+        return chain.poses(self._moved(chain, q)[0])
+
+    def _moved(self, chain: Chain, q: Floats) -> tuple[Floats, Floats, Floats]:
+        """Corrected joint positions of a chain, and its part in all columns.
+
+        Returns:
+            Positions, shape (N, n), their derivative by the columns, (n, K), and the
+            values of these before, (N, K), zero for those of other chains.
+        """
+        own = JointColumns.of(chain, self.joints)
+        at = [self.columns.names.index(name) for name in own.names]
+        factors = np.zeros((len(chain.joints), len(self.offsets)))
+        values = np.zeros((len(q), len(self.offsets)))
+        factors[:, at], values[:, at] = own.factors, own.values(q)
+        corrected = (1.0 + self.gains) * values + self.offsets
+        return corrected @ factors.T + own.offsets, factors, values
+
+    def equations(self, fitted: CalibratedChain) -> tuple[Floats, Floats]:
+        """Linear equations of further corrections at random configurations.
+
+        Returns:
+            Derivative by offsets and gains, shape (6 N, 2 K), and right side, (6 N,).
+        """
+        chain, q = fitted.chain, configurations(fitted.chain)
+        moved, factors, values = self._moved(chain, q)
+        T, J = chain.jacobian(moved)
+        J = J @ factors
+        target = in_base(fitted, q) @ fitted.tool.inverse().homogeneous
+        pairs = zip(T, target, strict=True)
+        twists = [pin.log6(pin.SE3(a).actInv(pin.SE3(b))).vector for a, b in pairs]
+        # A turn counts as the move that it is at the usual distance from the base.
+        reach = np.linalg.norm(chain.poses(q)[:, :3, 3], axis=1).mean()
+        weights = np.repeat([1.0, max(float(reach), 0.1)], 3)
+        A = weights[:, None] * np.concatenate([J, J * values[:, None]], axis=2)
+        return A.reshape(-1, A.shape[2]), (weights * np.array(twists)).reshape(-1)
+
+
+def joint_errors(
+    chains: Chains,
+    fitted: Sequence[CalibratedChain],
+    joints: Mapping[str, JointMap],
+    gained: Collection[str] = (),
+) -> JointErrors:
+    """The errors of the joints that come closest to a calibration of all chains.
+
+    Least squares at random configurations; exact if nothing else was fitted.
+
+    Args:
+        chains: The nominal chains.
+        fitted: The same with their calibration.
+        joints: Joint map by column; empty for the URDF's driven joints themselves.
+        gained: Joints that have a gain as well.
+    """
+    columns = JointColumns.of(chains, joints)
+    count = len(columns.names)
+    # A column that only moves the joint of another has no offset of its own.
+    free = np.append(
+        [j != "" for j in columns.joints], [j in gained for j in columns.joints]
+    )
+    x = np.zeros(2 * count)
+    for _ in range(STEPS):
+        found = JointErrors(columns, joints, x[:count], x[count:])
+        parts = [found.equations(one) for one in fitted]
+        A, rhs = (np.concatenate(part) for part in zip(*parts, strict=True))
+        step = np.linalg.lstsq(A[:, free], rhs, rcond=None)[0]
+        x[free] += step
+        if np.abs(step).max(initial=0.0) < SMALL:
+            break
+    return JointErrors(columns, joints, x[:count], x[count:])
+
+
+def configurations(chain: Chain) -> Floats:
+    """Random configurations of a chain within its limits, shape (N, n) [rad, m]."""
+    return chain.random_configurations(CONFIGURATIONS, np.random.default_rng(0))
+
+
+def in_base(fitted: CalibratedChain, q: Floats) -> Floats:
+    """Poses of the tool in the base link by a calibration, shape (N, 4, 4)."""
+    return np.asarray(fitted.error.base.inverse().homogeneous @ fitted.poses(q))

@@ -79,7 +79,7 @@ def test_a_joint_that_is_turned_back_is_found() -> None:
 def test_offsets_that_are_worse_than_the_best_are_found() -> None:
     of = next(of for of in map(trip, range(100)) if of.robot.offsets)
     names = [*of.robot.slips]
-    of.__dict__["corrected"] = of.robot.nominal
+    vars(of).update(corrected=of.robot.nominal, ends=(of.robot.base, of.robot.tool))
     slips = np.array([*of.robot.slips.values()])
 
     def poses(x: np.ndarray) -> np.ndarray:
@@ -88,6 +88,8 @@ def test_offsets_that_are_worse_than_the_best_are_found() -> None:
         return of.robot.nominal.poses(of.robot.positions(columns))
 
     check_offsets(of, poses, slips, SAID)
+    with pytest.raises(Silent, match="said 7 mm"):
+        check_offsets(of, poses, slips, Said(0, "", ("7 of 9 mm are missing",)))
     with pytest.raises(Silent, match="the best"):
         check_offsets(of, poses, -slips, SAID)
 

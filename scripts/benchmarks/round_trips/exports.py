@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -89,8 +90,15 @@ def check_offsets(
         )
         a, b, c = (1e3 * float(x / scale) for x in (before, left, least))
         raise Silent(f"leaves {b:.3g} of {a:.3g} mm, the best {c:.3g} mm: {apart}")
-    if least > few and not found.word("alone leave"):
-        raise Silent(f"leaves {1e3 * least / scale:.3g} mm and does not say so")
+    apart = (poses(offsets) - wanted) @ trip.ends[1]
+    missing = size(apart[:, :3, 3])
+    stated = re.search(r"([\d.e+-]+) of [\d.e+-]+ mm", found.word(" mm "))
+    if stated is None and missing > LEAST:
+        raise Silent(f"leaves {1e3 * missing:.3g} mm and does not say so")
+    if stated is not None:
+        said = 1e-3 * float(stated[1])
+        if not said / BEST - LEAST < missing < BEST * said + LEAST:
+            raise Silent(f"leaves {1e3 * missing:.3g} mm, said {1e3 * said:.3g} mm")
 
 
 def joint_offsets(trip: Trip) -> None:

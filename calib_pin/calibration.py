@@ -11,10 +11,14 @@ from dataclasses import replace
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import OptionError, nearest
 from calib_pin.estimation.conditions import require_conditions
 from calib_pin.estimation.fit import FittedModel, fit_model
-from calib_pin.estimation.formulation import chains_of, geometric_setup, make_parts
+from calib_pin.estimation.formulation import (
+    chains_of,
+    geometric_setup,
+    make_parts,
+    require_known,
+)
 from calib_pin.estimation.time_course import time_course, with_time_course
 from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chain import Chain
@@ -280,35 +284,21 @@ def _unexplained(model: FittedModel, fitted: ModelErrors) -> bool:
 def _require_ends(
     chains: Chains, setup: Setup, training: Observations, held: Observations | None
 ) -> None:
-    """Refuse known distances between what no measurement names.
+    """Refuse known distances and angles between what no measurement names.
 
     Raises:
         OptionError: If there are such.
     """
-    if not setup.distances:
+    if not setup.known:
         return
     targets = {block.key: block.target.distinct for block in training.blocks}
     parts, _ = make_parts(chains, targets, setup)
     fitted = {half for found in targets.values() for t in found for half in t.split(AT)}
-    names = {
-        part.scope.reference(reference)
-        for part in parts.values()
-        for reference in part.measurement.references
-        if reference.name in fitted
-    }
+    new = set[str]()
     for block in held.blocks if held is not None else ():
-        new = {half for t in block.target.distinct for half in t.split(AT)} - fitted
-        names |= new | {f"{block.station}/{name}" for name in new}
-    for distance in setup.distances:
-        for end in distance.between:
-            if end not in names:
-                reason = f"'distances' names '{end}', which no measurement does"
-                raise OptionError(
-                    f"{reason}{nearest(end, names)}",
-                    file=setup.file or None,
-                    value=list(distance.between),
-                    allowed=", ".join(sorted(filter(None, names))) or None,
-                )
+        own = {half for t in block.target.distinct for half in t.split(AT)} - fitted
+        new |= own | {f"{block.station}/{name}" for name in own}
+    require_known(parts.values(), setup, fitted, new)
 
 
 def _urdf(

@@ -227,6 +227,11 @@ def _measured(
     """Measurements at configurations of a block; the rest as for `simulate`."""
     part = problem.parts[at.key]
     exact = _exact(problem, theta, at)
+    if part.measurement.declaration.contact and problem.setup.gauge:
+        gaps = rng.uniform(-1.0, 1.0, (len(exact), part.components))
+        gaps *= problem.setup.gauge
+        q, _ = brought_to_contact(problem, theta, at, gaps)
+        exact = replace(exact, q=q, values=gaps)
     sigma = assumed_sigma(part, problem.setup)
     if noise is not None:
         sigma = np.full_like(sigma, noise)
@@ -238,7 +243,7 @@ def _measured(
         return rows
     draws = rng.normal(size=(len(rows), len(sigma))) * sigma
     sigmas = np.tile(sigma, (len(rows), 1))
-    if part.measurement.declaration.contact:
+    if not rows.values.shape[1]:
         # Contacts have no values: that they are not exact is that the robot stands so.
         stood = asked(problem, at.key, rows.q, rows.target, rows.conditions)
         moved, _ = brought_to_contact(problem, theta, stood, draws)

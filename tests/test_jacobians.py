@@ -96,6 +96,8 @@ def check_jacobian(problem: Problem, visited: Visited) -> None:
     for part, data, _, _ in exact_at(problem, theta, *at).blocks:
         noise = rng.normal(size=(len(data), part.components)) * 0.05
         values = part.measurement.disturb(data.values, noise)
+        if part.measurement.declaration.readings:
+            values = noise  # Of a gauge.
         disturbed.append(replace(data, values=values))
     measured = replace(problem, data=Observations(tuple(disturbed)))
 

@@ -209,6 +209,20 @@ def test_noise_of_a_contact_is_a_gap_of_the_stated_size(model):
     assert len(np.unique(gap[:, 0])) == 150
 
 
+@pytest.mark.parametrize("model", CONTACTS)
+def test_a_gauge_reads_how_far_a_contact_is_off(model):
+    problem = touched(model, gauge=1e-3, noise={"position": 1e-5, "contact": 1e-5})
+    theta = errors(problem)
+    rows = simulated(problem, theta, np.random.default_rng(1), count=40, repeats=2)
+    gap = residuals(problem, replace(rows, values=rows.values[:, :0]), theta)
+    assert np.abs(gap).max() <= 1e-3 + 1e-9 < 1e-3 + np.abs(gap).max() / 2.0
+    # Both readings of a configuration differ by noise, as they differ from the gap.
+    assert (rows.q[::2] == rows.q[1::2]).all()
+    noise = residuals(problem, rows, theta)
+    np.testing.assert_allclose(noise.std(axis=0), 1e-5, rtol=0.35)
+    np.testing.assert_allclose(gap - rows.values, noise, atol=1e-12)
+
+
 def test_given_configurations_are_brought_into_contact():
     problem = touched("plane-contact")
     theta, rng = errors(problem), np.random.default_rng(1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -18,12 +18,14 @@ from calib_pin.estimation.conditions import (
     usual_conditions,
 )
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.row_blocks import PLACES
 from calib_pin.estimation.scopes import prefixed, scopes
 from calib_pin.estimation.system import Part, assembled
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.measurement_models import measurement_model
+from calib_pin.measurement_models.references import Plane, ReferenceObject
 from calib_pin.observations import (
     BlockKey,
     Labels,
@@ -85,6 +87,55 @@ def chains_of(chains: Chain | Chains, *measured: Observations) -> Chains:
                 allowed=", ".join(chains.joints),
             )
     return chains
+
+
+def require_known(
+    parts: Iterable[Part],
+    setup: Setup,
+    named: Collection[str] | None = None,
+    elsewhere: Collection[str] = (),
+) -> None:
+    """Refuse known distances and angles that nothing would use, or that mean nothing.
+
+    Args:
+        parts: The parts of a problem.
+        setup: The setup, which states them.
+        named: Names that measurements give; None for all.
+        elsewhere: Names of places that are not there yet.
+
+    Raises:
+        OptionError: If there are such.
+    """
+    places: dict[str, tuple[ReferenceObject, str]] = {}
+    for part in parts:
+        for reference in part.measurement.references:
+            name = part.scope.reference(reference)
+            hidden = reference.section == "targets" and name in places
+            told = named is None or reference.name in named
+            if told and not hidden and isinstance(reference, PLACES):
+                frame = part.scope.station if reference.outer else part.scope.tool
+                places[name] = reference, frame
+    every = {*places, *elsewhere}
+    for known in setup.known:
+        lost = [name for name in known.between if name not in every]
+        ends = [places[name] for name in known.between if name in places]
+        frames = {frame for _, frame in ends}
+        flat = all(isinstance(reference, Plane) for reference, _ in ends)
+        if lost:
+            why = f"names '{lost[0]}', which no measurement does"
+            why += nearest(lost[0], every)
+        elif len(frames) > 1:
+            why = f"is about two frames: {' and '.join(sorted(frames))}"
+        elif known.unit == "rad" and not flat:
+            why = "is about planes alone"
+        else:
+            continue
+        raise OptionError(
+            f"'{known.key}' {why}",
+            file=setup.file or None,
+            value=list(known.between),
+            allowed=", ".join(sorted(filter(None, every))) or None,
+        )
 
 
 def make_parts(

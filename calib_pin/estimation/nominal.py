@@ -82,8 +82,10 @@ def analyze_structure(
         priors, shape (M, P).
 
     Raises:
-        OptionError: If there are too many parameters.
+        OptionError: If there are too many parameters, or planes that are not parallel
+            have a known distance.
     """
+    theta = problem.known_distances.with_parallels(theta)
     keys = representative(problem)
     blocks, at = len(keys), []
     parameters = len(problem.parameters) - len(_omitted(problem, keys))

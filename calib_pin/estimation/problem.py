@@ -57,7 +57,7 @@ class Problem(Measured):
     """Whitened residuals of measurements as a function of the error parameters.
 
     The residual vector holds the measurements, block by block, each component divided
-    by its standard deviation, then one row per known distance between points that they
+    by its standard deviation, then one row per known distance or angle of what they
     name, one per direction of an expected size, one per free parameter with a prior.
 
     Attributes:
@@ -251,10 +251,8 @@ class Problem(Measured):
 
     @cached_property
     def known_distances(self) -> KnownDistances:
-        """Known distances between points that the instruments know."""
-        return KnownDistances.of(
-            self.setup.distances, self.references, self.given.names
-        )
+        """Known distances and angles between what the instruments know."""
+        return KnownDistances.of(self.setup.known, self.references, self.given.names)
 
     @cached_property
     def _priors(self) -> Priors:

@@ -7,17 +7,19 @@ gives a robot without any other length its scale.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.errors import OptionError
 from calib_pin.estimation.directions import inverse_root
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.references import (
     Anchor,
+    Plane,
     Point,
     ReferenceObject,
     Sphere,
@@ -149,67 +151,62 @@ class Blocks:
 
 @dataclass(frozen=True)
 class KnownDistances:
-    """D distances between reference objects of a measurement model.
+    """D distances and angles between reference objects of a measurement model.
 
     Attributes:
-        stated: The distances.
-        ends: Places of both ends about the references, shape (D, 2, 3) [m].
-        columns: Where the coordinates of both ends stand among the parameters, shape
-            (D, 2, 3); -1 where they are no parameters.
+        stated: The distances and angles.
+        ends: Both ends of each.
+        columns: Where three parameters of both ends stand among all, shape (D, 2, 3);
+            -1 where they are no parameters.
     """
 
     stated: tuple[DistanceSetup, ...]
-    ends: Floats
+    ends: tuple[tuple[ReferenceObject, ReferenceObject], ...]
     columns: NDArray[np.int64]
 
     @staticmethod
     def of(
-        distances: Sequence[DistanceSetup],
+        known: Sequence[DistanceSetup],
         references: Mapping[tuple[str, str], ReferenceObject],
         names: Sequence[str],
     ) -> KnownDistances:
-        """Those of the distances whose both ends are among some references.
+        """Those whose both ends are among some references.
 
         Args:
-            distances: Known distances.
+            known: Known distances and angles.
             references: Reference objects by section and name among all.
             names: Names of all parameters.
         """
-        if not distances:
-            return KnownDistances((), np.zeros((0, 2, 3)), np.zeros((0, 2, 3), int))
-        position = {name: k for k, name in enumerate(names)}
-        found: dict[str, tuple[Floats, NDArray[np.int64]]] = {}
+        position = {name: k for k, name in enumerate(names)} if known else {}
+        found: dict[str, tuple[ReferenceObject, list[int]]] = {}
         # A point of the tool yields its name to a place of the same name.
-        for (section, name), reference in references.items():
+        for (section, name), reference in references.items() if known else ():
             hidden = section == "targets" and name in found
-            if hidden or not isinstance(reference, Point | Sphere | Anchor):
+            if hidden or not isinstance(reference, PLACES) or not reference.located:
                 continue
-            if reference.xyz is not None:
-                # The known points of a camera have no parameters.
-                columns = [
-                    position.get(f"{name}.{reference.kind}.{c}", -1) for c in "xyz"
-                ]
-                found[name] = reference.xyz, np.array(columns)
-        known = tuple(d for d in distances if all(name in found for name in d.between))
-        ends = [[found[name][0] for name in d.between] for d in known]
-        positions = [[found[name][1] for name in d.between] for d in known]
+            # The known points of a camera have no parameters.
+            three = [*reference.components][:3]
+            own = [f"{name}.{reference.kind}.{component}" for component, *_ in three]
+            found[name] = reference, [position.get(name, -1) for name in own]
+        whole = tuple(k for k in known if all(name in found for name in k.between))
+        pairs = [(found[k.between[0]], found[k.between[1]]) for k in whole]
+        columns = np.array([(a[1], b[1]) for a, b in pairs], np.int64)
         return KnownDistances(
-            known,
-            np.array(ends).reshape(-1, 2, 3),
-            np.array(positions, np.int64).reshape(-1, 2, 3),
+            whole, tuple((a[0], b[0]) for a, b in pairs), columns.reshape(-1, 2, 3)
         )
 
     def __len__(self) -> int:
-        """Number of distances D."""
+        """Number of distances and angles D."""
         return len(self.stated)
 
     def lengths(self, theta: Floats) -> Floats:
-        """The distances that the model predicts, (..., P) -> (..., D) [m].
+        """Their predicted values, (..., P) -> (..., D) [m, rad].
 
         Args:
             theta: Parameter values, one vector or many.
         """
-        return np.asarray(np.linalg.norm(self._vectors(theta), axis=-1))
+        found = [self._compared(k, v)[0] for k, v in enumerate(self._values_of(theta))]
+        return np.stack(found, -1) if found else np.empty((*theta.shape[:-1], 0))
 
     def residual(self, theta: Floats) -> Floats:
         """Whitened residuals, predicted minus known, (..., P) -> (..., D)."""
@@ -217,29 +214,125 @@ class KnownDistances:
 
     def jacobian(self, theta: Floats) -> Floats:
         """Derivative of the whitened residuals by the parameters, shape (D, P)."""
-        vectors = self._vectors(theta)
         result = np.zeros((len(self), len(theta)))
-        for k, (vector, columns) in enumerate(zip(vectors, self.columns, strict=True)):
-            length = float(np.linalg.norm(vector))
-            # Points in one place have no direction to part in.
-            direction = vector / (length or np.inf) / self._sigma[k]
-            for end, sign in zip(columns, (-1.0, 1.0), strict=True):
-                if end[0] >= 0:
-                    result[k, end] = sign * direction
+        for k, own in enumerate(self._values_of(theta)):
+            slopes = self._compared(k, own)[1:]
+            for end in range(2):
+                columns, reference = self.columns[k, end], self.ends[k][end]
+                if columns[0] >= 0:
+                    by_values = slopes[end] @ _slope(reference, own[end])
+                    result[k, columns] = by_values / self._sigma[k]
+        return result
+
+    def with_parallels(self, theta: Floats) -> Floats:
+        """Parameters with which planes of a known distance are parallel, shape (P,).
+
+        Others that are hardly tilted meet far away. A robot that grows about there
+        touches them as before, and the scale would seem unobservable.
+
+        Raises:
+            OptionError: If planes are not nearly parallel.
+        """
+        result = theta.copy()
+        for known, (one, other), columns in zip(
+            self.stated, self.ends, self.columns, strict=True
+        ):
+            if not (isinstance(one, Plane) and isinstance(other, Plane)):
+                continue
+            if known.unit == "rad" or columns.min() < 0:
+                continue
+            a, b = one.turned(result[columns[0]])[0], other.turned(result[columns[1]])
+            angle = float(np.arccos(min(abs(float(a @ b[0])), 1.0)))
+            if angle > PARALLEL:
+                raise OptionError(
+                    f"planes at {np.degrees(angle):.1f} deg have no distance; only "
+                    "parallel ones have",
+                    value=list(known.between),
+                )
+            at = _half_way(one, other)[:3]
+            normal, height = np.sign(a @ b[0]) * a, float(b[0] @ at + b[1])
+            result[columns[1]] = other.towards(normal, at, height)
         return result
 
     @cached_property
     def _values(self) -> Floats:
-        return np.array([distance.value for distance in self.stated])
+        return np.array([known.value for known in self.stated])
 
     @cached_property
     def _sigma(self) -> Floats:
-        return np.array([distance.sigma for distance in self.stated])
+        return np.array([known.sigma for known in self.stated])
 
-    def _vectors(self, theta: Floats) -> Floats:
-        """From one end to the other, shape (..., D, 3) [m]."""
+    def _values_of(self, theta: Floats) -> Iterator[Floats]:
+        """Parameters of both ends of each, shape (2, ..., 3)."""
         # What is no parameter finds a zero behind the others.
-        padded = np.zeros((*theta.shape[:-1], theta.shape[-1] + 1))
-        padded[..., :-1] = theta
-        ends = self.ends + padded[..., self.columns]
-        return np.asarray(ends[..., 1, :] - ends[..., 0, :])
+        padded = np.append(theta, np.zeros((*theta.shape[:-1], 1)), axis=-1)
+        for columns in self.columns:
+            yield np.moveaxis(padded[..., columns], -2, 0)
+
+    def _compared(self, k: int, values: Floats) -> tuple[Floats, Floats, Floats]:
+        """Distance or angle (...,), and its derivatives by both ends, (..., 4) each.
+
+        Args:
+            k: Which one it is.
+            values: Parameters of both ends, shape (2, ..., 3).
+        """
+        one, other = self.ends[k]
+        a, b = _placed(one, values[0]), _placed(other, values[1])
+        flat = isinstance(one, Plane), isinstance(other, Plane)
+        if self.stated[k].unit == "rad":
+            return _angle(a, b)
+        if flat == (True, True):
+            # Of planes that are not quite parallel it depends on where one looks.
+            sign = np.where(np.sum(a[..., :3] * b[..., :3], axis=-1) < 0.0, -1.0, 1.0)
+            at, turned = _half_way(one, other), sign[..., None]
+            height, by_a, by_b = (a - turned * b) @ at, at, -turned * at
+        elif any(flat):
+            height, by_a, by_b = np.sum(a * b, axis=-1), b, a
+        else:
+            length = np.linalg.norm(b - a, axis=-1)
+            # Points in one place have no direction to part in.
+            by_b = (b - a) / np.where(length > 0.0, length, np.inf)[..., None]
+            return length, -by_b, by_b
+        side = np.where(height < 0.0, -1.0, 1.0)
+        return np.abs(height), side[..., None] * by_a, side[..., None] * by_b
+
+
+PARALLEL = 0.1
+"""Largest angle between planes that are meant to be parallel [rad]."""
+
+PLACES = (Point, Sphere, Anchor, Plane)
+"""Reference objects between which distances may be known."""
+
+
+def _placed(reference: ReferenceObject, values: Floats) -> Floats:
+    """The coordinates of a point and 1, or a plane's normal and offset, (..., 4)."""
+    if isinstance(reference, Plane):
+        planes = reference.turned_many(values.reshape(-1, 3))
+        return planes.reshape(*values.shape[:-1], 4)
+    assert isinstance(reference, Point | Sphere | Anchor) and reference.xyz is not None
+    ones = np.ones((*values.shape[:-1], 1))
+    return np.concatenate([reference.xyz + values, ones], axis=-1)
+
+
+def _slope(reference: ReferenceObject, values: Floats) -> Floats:
+    """Derivative of that by the parameters, shape (4, 3)."""
+    result = np.eye(4, 3)
+    if isinstance(reference, Plane):
+        result = np.zeros((4, 3))
+        result[:3, :2], result[3, 2] = reference.turned(values)[2], 1.0
+    return result
+
+
+def _half_way(*planes: ReferenceObject) -> Floats:
+    """Where the distance of planes is taken: between where they were measured, (4,)."""
+    found = [p.center for p in planes if isinstance(p, Plane) and p.center is not None]
+    return np.append(np.mean(found or [np.zeros(3)], axis=0), 1.0)
+
+
+def _angle(a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
+    """The smaller angle of planes, with its derivatives, see `KnownDistances`."""
+    cosine = np.sum(a[..., :3] * b[..., :3], axis=-1)
+    sine = np.linalg.norm(np.cross(a[..., :3], b[..., :3]), axis=-1)
+    side = np.where(cosine < 0.0, -1.0, 1.0)
+    slope = (-side / np.maximum(sine, 1e-12))[..., None] * [1.0, 1.0, 1.0, 0.0]
+    return np.arctan2(sine, side * cosine), slope * b, slope * a

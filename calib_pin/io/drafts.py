@@ -34,6 +34,11 @@ INTERNAL = """
 # reference. State 'frames', 'targets' or 'planes' that you know."""
 """Lines on what is estimated of frames, by where the instrument stands."""
 
+GAUGED = (
+    "Readings of the gauge count. In 'dial' pushed in is positive; if yours counts the "
+    "other way, name its column 'deviation' under 'columns'."
+)
+
 COMMENTS = {
     "chains": "The links that the names in the column 'chain' stand for.",
     "board": "The board; its points are known.",
@@ -81,6 +86,8 @@ def _lines(robot: Robot, look: Look, command: str) -> Iterator[str]:
     yield from stated("chains")
     helps = "; ".join(declared(name).help for name in data.models)
     yield "\n" + _comment(f"Measured: {helps}.")
+    if any(declared(b.model).contact and b.values.shape[1] for b in data.blocks):
+        yield _comment(GAUGED)
     yield f"model: {'+'.join(data.models)}{FAMILIES}"
     yield yaml_text({"parameters": document["parameters"]})
     if "columns" in document:

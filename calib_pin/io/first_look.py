@@ -20,6 +20,7 @@ from calib_pin.errors import CalibPinError, InputError
 from calib_pin.estimation.problem import Problem, distinct_values, error_table
 from calib_pin.io.columns import ANGLE, LENGTH
 from calib_pin.io.foreign_headers import (
+    GAUGED,
     VECTORS,
     Foreign,
     families,
@@ -29,7 +30,8 @@ from calib_pin.io.foreign_headers import (
     vectors,
     without_meaning,
 )
-from calib_pin.io.measured_columns import reserved
+from calib_pin.io.inferred_model import asked_models
+from calib_pin.io.measured_columns import optional, reserved
 from calib_pin.io.measurements import read_measurements
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -51,6 +53,9 @@ TURNED = 2.2 * np.pi
 DROPPED = 0.17
 """Orientation errors of the nominal robot from which an orientation is read wrongly, as
 one of another convention [rad]."""
+
+LENGTHS = {*VECTORS[0], "distance", *GAUGED}
+"""Columns of lengths."""
 
 SPATIAL = {*VECTORS[0], *VECTORS[1], *VECTORS[2], *VECTORS[3]}
 """Columns of positions and orientations."""
@@ -286,7 +291,11 @@ def readings(
     by_name = {one.name: one for one in columns}
     rest = [one for one in columns if one.name not in used]
     names = dict[str, Foreign]()
+    asked = asked_models(setup.model)
+    gauges = frozenset[str]().union(*map(optional, asked))
     for ours, choices in measured(rest).items():
+        if ours in GAUGED and ours not in gauges:
+            continue
         own = next((one for one in choices if one.name == ours), None)
         chosen = own or choices[0]
         if ours != "time" or chosen.largest < DATE:
@@ -308,7 +317,7 @@ def readings(
     for way, degrees, millimeters, length in product(
         ways, _distinct(angles), _distinct(slides), ["m", "mm"]
     ):
-        lengths = [one for n, one in way.items() if n in ("x", "y", "z", "distance")]
+        lengths = [one for n, one in way.items() if n in LENGTHS]
         unstated = [one for one in lengths if one.unit is None]
         if length == "mm" and not unstated:
             continue

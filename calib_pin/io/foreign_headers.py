@@ -33,12 +33,28 @@ UNITS = {
 }
 """Ways of writing each unit; *Grad* is German for degrees."""
 
+DEVIATION = "deviation|abweichung"
+DIAL = (
+    "(?:dial|test)*(?:gauge|gage|indicator)|dial|dti|lvdt|plunger|comparator|messuhr|"
+    "messtaster|taster|reading"
+)
+"""Words of how far a contact is off, and of gauges, where pushed in is positive."""
+
+GAUGED = {
+    name + axis: f"(?:{words}){axis[1:]}"
+    for name, words in (("deviation", DEVIATION), ("dial", DIAL))
+    for axis in ("", "_x", "_y", "_z")
+}
+"""Columns of deviations, and their words."""
+
 MEANINGS: Mapping[str, str] = {
     **{axis: rf"(?:pos|p|t|position|tcp)?{axis}" for axis in "xyz"},
     **{f"q{axis}": rf"(?:quat(?:ernion)?|orientation|q){axis}" for axis in "xyzw"},
     **{f"r{axis}": rf"(?:rot|rvec|rotvec|rv|r){axis}" for axis in "xyz"},
     **{name: name for name in ("roll", "pitch", "yaw")},
-    "distance": "distance|dist|abstand|entfernung|range|length",
+    "distance": "distance|dist|abstand|entfernung|range|length|wire|cable|string|"
+    "extension|seil|seilzug|ballbar",
+    **GAUGED,
     **{axis: rf"(?:pixel|px|p)?{axis}" for axis in "uv"},
     "target": "target|point|punkt|ziel|socket|pfanne|marker|corner|ecke|feature|ball|"
     "kugel",
@@ -69,7 +85,7 @@ VECTORS = (
 """Columns that mean something together only."""
 
 UNITS_OF: Mapping[str, Collection[str | None]] = {
-    **dict.fromkeys((*"xyz", "distance"), (None, *LENGTH.units)),
+    **dict.fromkeys((*"xyz", "distance", *GAUGED), (None, *LENGTH.units)),
     **dict.fromkeys((*VECTORS[2], *VECTORS[3]), (None, *ANGLE.units)),
     **dict.fromkeys(VECTORS[1], (None,)),
 }
@@ -82,7 +98,9 @@ OTHER = re.compile(
 )
 """Words of uncertainties, differences, speeds, forces and the like."""
 
-TURNED = re.compile(r"rvec|rotvec|quat|orient|rot|angle|normal|euler|^[qr]$")
+TURNED = re.compile(
+    rf"rvec|rotvec|quat|orient|rot|angle|normal|euler|^[qr]$|^(?:{DIAL})$"
+)
 """Words with which an x is none of a position."""
 
 LABEL = re.compile(r"(?:id|no|nr|num|number|nummer|name|label|index)?")
@@ -259,6 +277,30 @@ def understood(table: Table) -> Table:
         for name, column in table.columns.items()
     }
     return replace(table, columns=stated).renamed(names)
+
+
+def check_gauges(table: Table, names: Iterable[str]) -> None:
+    """Refuse columns of a file of contacts that nobody reads and a gauge has written.
+
+    Args:
+        table: The file.
+        names: The columns that nobody reads.
+
+    Raises:
+        InputError: If there is one; says how to name it.
+    """
+    found = measured(foreign({name: table.columns[name] for name in names}))
+    for ours, (one, *_) in found.items():
+        # Whole numbers without a unit count readings.
+        numbers = one.column.numbers[np.isfinite(one.column.numbers)]
+        if ours in GAUGED and (one.unit or (numbers % 1.0 != 0.0).any()):
+            lines = f"columns: {{{ours}: '{one.stated(one.unit)}'}}"
+            raise table.error(
+                "these look like readings of a gauge, how far the contact is off; "
+                f"state in the setup '{lines}' ('dial' where pushed in is positive, "
+                "'deviation' where away from the surface is), or leave the column out",
+                one.name,
+            )
 
 
 def _stem(one: Foreign, ours: str) -> str | None:

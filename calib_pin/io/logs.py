@@ -19,6 +19,7 @@ from calib_pin.io.foreign_headers import measured as meanings
 from calib_pin.io.measured_columns import (
     NAMES,
     ORIENTED,
+    gauges,
     measured,
     orientation_columns,
     read_quaternions,
@@ -172,6 +173,8 @@ def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
     table = understood(table)
     stamp = _stamp(table)
     own = [n for n in table.columns if n in measured() and n not in ORIENTED]
+    # Beside other values a deviation is one from some nominal value.
+    own = [n for n in own if n not in gauges()] or own
     way = orientation_columns(table) if ORIENTED & table.columns.keys() else ""
     if not own and not way:
         raise table.error(

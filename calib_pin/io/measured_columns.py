@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from calib_pin.io.columns import (
 from calib_pin.io.table import Table
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
+from calib_pin.measurement_models.declaration import DIAL
 from calib_pin.measurement_models.orientations import quaternions
 from calib_pin.observations import AT, BlockKey, Labels
 from calib_pin.setup import STATED, WORLD, OrientationSetup
@@ -126,9 +128,23 @@ def components(model: str) -> dict[str, Kind]:
     return {name: KINDS[unit] for name, unit in declared(model).units.items()}
 
 
+STROKE = replace(LENGTH, largest=0.1)
+"""Readings of gauges."""
+
+
+def optional(model: str) -> frozenset[str]:
+    """The measured columns that a model reads where there are any."""
+    return frozenset(name for ways in declared(model).readings for name in ways)
+
+
+def gauges() -> frozenset[str]:
+    """Columns that hold deviations of some contact."""
+    return frozenset[str]().union(*map(optional, MEASUREMENT_MODELS))
+
+
 def measured() -> frozenset[str]:
     """Columns that hold what some model measures."""
-    return ORIENTED.union(*map(needed, MEASUREMENT_MODELS))
+    return ORIENTED.union(gauges(), *map(needed, MEASUREMENT_MODELS))
 
 
 def sigmas() -> frozenset[str]:
@@ -172,12 +188,38 @@ def read_values(
     """
     kinds = needed(model)
     _check_present(table, model, tuple(kinds), spare)
+    if declared(model).contact:
+        return read_deviations(table, model)
     values = read_kinds(table, kinds)
     if not declared(model).oriented:
         return tuple(kinds), values
     way = orientation_columns(table)
     turned = read_quaternions(table, way, orientation)
     return (*kinds, *STATED[way]), np.hstack([values, turned])
+
+
+def read_deviations(table: Table, model: str) -> tuple[tuple[str, ...], Floats]:
+    """The deviations of contacts, as `read_values`; none where no gauge was read.
+
+    Raises:
+        InputError: If only some components have one, or one has two.
+    """
+    ways = declared(model).readings
+    there = sorted(gauges() & table.columns.keys())
+    there = [name for name in there if not table.columns[name].missing().all()]
+    found = [name for names in ways for name in names if name in there]
+    others = [name for name in there if name not in found]
+    once = all((names[0] in found) != (names[1] in found) for names in ways)
+    if others or (found and not once):
+        raise table.error(
+            f"of a gauge '{model}' needs every column once, and no other",
+            (others or found)[-1],
+            ", ".join(map(" or ".join, ways)),
+        )
+    if not found:
+        return (), np.zeros((len(table.lines), 0))
+    values = read_kinds(table, dict.fromkeys(found, STROKE))
+    return tuple(found), values * [-1.0 if DIAL in n else 1.0 for n in found]
 
 
 def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | None]:
@@ -195,14 +237,15 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
         InputError: If only some components have one, or a value is not positive.
     """
     kinds = components(model)
+    of_gauges = declared(model).readings or [("", "")] * len(kinds)
     if declared(model).oriented:
         _check_pose_sigma(table, model)
     if declared(model).contact and len(kinds) == 1:
         _check_contact_sigma(table)
     found = {
         component: name
-        for component in kinds
-        for name in ("sigma", f"sigma_{component}")
+        for component, ways in zip(kinds, of_gauges, strict=True)
+        for name in ("sigma", *(f"sigma_{way}" for way in (component, *ways)))
         if name in table
     }
     if not found:

@@ -10,6 +10,7 @@ import numpy as np
 from calib_pin.errors import InputError, RobotError, nearest
 from calib_pin.io.columns import NO_READING, Floats
 from calib_pin.io.condition_columns import read_conditions
+from calib_pin.io.foreign_headers import check_gauges
 from calib_pin.io.inferred_model import infer_model
 from calib_pin.io.joint_columns import (
     kinds_of,
@@ -28,6 +29,7 @@ from calib_pin.io.measured_columns import (
     find_starts,
     measured,
     needed,
+    optional,
     place_of,
     read_sigma,
     read_values,
@@ -138,7 +140,10 @@ def read_blocks(
         )
         parts.append(part)
         used |= read_here | stating
-    ignored = table.ignored([name for name in spare if name not in used | OURS])
+    unread = [name for name in spare if name not in used | OURS]
+    if any(declared(part.model).contact for part in parts):
+        check_gauges(table, unread)
+    ignored = table.ignored(unread)
     if ignored and notice is not None:
         notice(ignored)
     return parts
@@ -245,9 +250,9 @@ def _with_readings(
         moved = stated_joints(chains[key.chain])
         read = {c for joint in moved for c in kinds_of(columns, joint)}
         read |= {*needed(key.model)} | (ORIENTED & _read_by(key.model))
-        for name in read & table.columns.keys():
+        for name in (read | optional(key.model)) & table.columns.keys():
             missing = table.columns[name].missing()[rows]
-            if missing.any():
+            if missing.any() and not (missing.all() and name in optional(key.model)):
                 kept[rows] &= ~missing
                 lacking.add(name)
     if not kept.any():
@@ -313,17 +318,19 @@ def _read_set(table: Table, names: Labels) -> Booleans:
 
 def _read_by(name: str) -> frozenset[str]:
     """Columns that a model reads where it finds them, beside those that all do."""
+    found = {*needed(name), *optional(name)}
+    sigmas_of = {f"sigma_{c}" for c in (*components(name), *optional(name))}
     oriented = ORIENTED if declared(name).oriented else frozenset[str]()
-    return oriented | {*needed(name), *(f"sigma_{c}" for c in components(name))}
+    return oriented | found | sigmas_of
 
 
 def _without_blank(table: Table, keep: Set[str]) -> Table:
     """A table without the measured columns and sigmas that are blank throughout."""
-    optional = (measured() | sigmas()) - keep
+    others = (measured() | sigmas()) - keep
     columns = {
         name: column
         for name, column in table.columns.items()
-        if name not in optional or not column.blank().all()
+        if name not in others or not column.blank().all()
     }
     return replace(table, columns=columns)
 

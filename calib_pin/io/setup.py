@@ -324,8 +324,9 @@ def _check(tree: Tree, setup: Setup) -> None:
             ("board",),
             allowed="one of them",
         )
-    ends = ((frozenset(d.between), k) for k, d in enumerate(setup.distances))
-    _check_twice(tree, ((pair, ("distances", k, "between")) for pair, k in ends))
+    for key in ("distances", "angles"):
+        ends = ((frozenset(d.between), k) for k, d in enumerate(getattr(setup, key)))
+        _check_twice(tree, ((pair, (key, k, "between")) for pair, k in ends))
 
 
 def _check_twice(

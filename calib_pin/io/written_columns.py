@@ -78,6 +78,8 @@ def _measured(data: Observations) -> dict[str, NDArray[Any]]:
         for block, rows in zip(data.blocks, data.slices, strict=True):
             stated = declared(block.model)
             names, table = stated.values, block.values
+            if table.shape[1]:
+                names = names or tuple(deviation for deviation, _ in stated.readings)
             if sigmas:
                 if block.sigma is None:
                     continue

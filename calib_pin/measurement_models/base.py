@@ -129,7 +129,7 @@ class MeasurementModel(ABC):
 
     def disturb(self, values: Floats, noise: Floats) -> Floats:
         """Values with noise of the residual components added; contacts have none."""
-        return values if self.declaration.contact else values + noise
+        return values + noise if values.shape[1] else values
 
     def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
         """Signed residual, predicted minus measured, shape (N, d)."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 import pinocchio as pin
@@ -28,6 +29,7 @@ from calib_pin.measurement_models.references import (
     ReferenceObject,
     Sphere,
     turned_planes,
+    turned_rows,
 )
 from calib_pin.measurement_models.tool_point import (
     PointCurvature,
@@ -85,15 +87,23 @@ class SiteModel(PointModel):
         sites = list(self.sites)
         for s, reference in enumerate(sites):
             rows = site == s
-            if not reference.located and rows.any():
-                part = data.rows(rows)
-                _, sites[s] = self.fit_site(moved[rows], part, np.zeros(3), reference)
+            if not rows.any():
+                continue
+            part, here = data.rows(rows), moved[rows]
+            if not reference.located:
+                _, sites[s] = self.fit_site(here, part, np.zeros(3), reference)
+            new = not reference.located and part.values.any()
+            sites[s] = sites[s].met(here[:, :3, 3], F[rows, :3, 3] if new else None)
         return replace(self, points=points, sites=tuple(sites)), base, tool
 
 
 @dataclass(frozen=True)
 class PlaneContact(SiteModel):
-    """`residual = n . p + f`, the height of the tool point above a plane [m]."""
+    """`residual = n . p + f`, the height of the tool point above a plane [m].
+
+    Where a gauge reads that height, the normal points out of what is touched. One that
+    nobody has given points to the tool.
+    """
 
     declaration = Declaration(
         name="plane-contact",
@@ -113,7 +123,7 @@ class PlaneContact(SiteModel):
 
     def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """The height, with the plane turned by (u, v) and shifted by f."""
-        n, f, by_turn = self._planes(site, values)
+        n, f, by_turn = turned_rows(self.sites, site, values)
         height = np.einsum("ni,ni->n", n, p) + f
         by_plane = np.concatenate(
             [np.einsum("ni,nik->nk", p, by_turn), np.ones((len(p), 1))], axis=1
@@ -127,7 +137,7 @@ class PlaneContact(SiteModel):
 
     def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
         """A plane is flat; what it turns about is as far as the point."""
-        _, _, by_turn = self._planes(site, values)
+        _, _, by_turn = turned_rows(self.sites, site, values)
         by_plane = np.zeros((len(p), 1, 3, 3))
         by_plane[:, 0, :2] = np.swapaxes(by_turn, 1, 2)
         return PointCurvature(np.zeros((len(p), 1, 3, 3)), by_plane)
@@ -140,22 +150,39 @@ class PlaneContact(SiteModel):
         reached = register_touched_plane(F, point)
         return reached.point, replace(site, normal=reached.site, offset=reached.size)
 
-    def _planes(self, site: Indices, values: Floats) -> tuple[Floats, Floats, Floats]:
-        """Normal (N, 3), offset (N,), derivative (N, 3, 2) of each row's plane."""
-        # Rows of one plane share its parameters.
-        first = {int(k): int(np.argmax(site == k)) for k in np.unique(site)}
-        count = len(self.sites)
-        normals, offsets = np.zeros((count, 3)), np.zeros(count)
-        slopes = np.zeros((count, 3, 2))
-        for k, row in first.items():
-            plane = self.sites[k]
-            assert isinstance(plane, Plane)
-            normals[k], offsets[k], slopes[k] = plane.turned(values[row])
-        return normals[site], offsets[site], slopes[site]
+
+@dataclass(frozen=True)
+class RoundModel(SiteModel):
+    """`|p - c| + b`, the distance from a center and a number more, such as a bias."""
+
+    comparison = "distance"
+    sign: ClassVar[float] = 1.0
+    """Derivative by the last parameter of a site."""
+
+    @property
+    @abstractmethod
+    def added(self) -> Floats:
+        """The number that is added at each site, shape (L,) [m]."""
+
+    def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
+        """The distance with that number."""
+        e, distance = rays(p, self.sites, site, values)
+        by_site = np.concatenate([-e, np.full((len(p), 1), self.sign)], axis=1)
+        value = distance + self.added[site] + self.sign * values[:, 3]
+        return PointMeasurement(value[:, None], e[:, None], by_site[:, None])
+
+    def seen(self, values: Floats) -> Floats:
+        """Centers, and these numbers."""
+        moved = values.reshape(len(values), -1, 4) * [1.0, 1.0, 1.0, self.sign]
+        return np.column_stack([_centers(self.sites), self.added]) + moved
+
+    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
+        """As round as the point is far from the center."""
+        return round_bend(*rays(p, self.sites, site, values))
 
 
 @dataclass(frozen=True)
-class SphereContact(SiteModel):
+class SphereContact(RoundModel):
     """`residual = |p - c| - r`, the height of the tool point above a sphere [m].
 
     The radius is that of the sphere and of a ball at the tool point together.
@@ -170,8 +197,8 @@ class SphereContact(SiteModel):
         naming=Naming("sphere", "all or none"),
         yardstick="the radius of the sphere",
     )
-    comparison = "distance"
     unknown = staticmethod(Sphere)
+    sign = -1.0
 
     @classmethod
     def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Sphere, ...]:
@@ -185,37 +212,28 @@ class SphereContact(SiteModel):
             spheres.append(Sphere(name, xyz, stated.radius, stated.estimate, free))
         return tuple(spheres) or tuple(map(Sphere, given_names(names, "sphere")))
 
-    def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
-        """The height."""
-        e, distance = rays(p, self.sites, site, values)
-        height = distance - self._radii[site] - values[:, 3]
-        by_sphere = np.concatenate([-e, np.full((len(p), 1), -1.0)], axis=1)
-        return PointMeasurement(height[:, None], e[:, None], by_sphere[:, None])
-
-    def seen(self, values: Floats) -> Floats:
-        """Centers, and radii to be subtracted."""
-        larger = values.reshape(len(values), -1, 4) * [1.0, 1.0, 1.0, -1.0]
-        return rounds(self.sites, -self._radii) + larger
-
     @property
-    def _radii(self) -> Floats:
+    def added(self) -> Floats:
+        """Radii, which are subtracted."""
         spheres = [s for s in self.sites if isinstance(s, Sphere)]
-        return np.array([sphere.radius for sphere in spheres], float)
-
-    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
-        """As round as the point is far from the center."""
-        e, distance = rays(p, self.sites, site, values)
-        return round_bend(e, distance)
+        return -np.array([sphere.radius for sphere in spheres], float)
 
     def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
     ) -> tuple[Floats, Sphere]:
         """The sphere through the points, with its radius where that was unknown."""
         assert isinstance(site, Sphere)
-        known = None if site.radius is None else np.full(len(F), site.radius)
+        known = None
+        if site.radius is not None:
+            known = site.radius + deviations(data)
         reached = register_distances(F, known, point)
         radius = reached.size if site.radius is None else site.radius
         return reached.point, replace(site, xyz=reached.site, radius=radius)
+
+
+def deviations(data: Measurements) -> Floats:
+    """How far touches are off by their readings, shape (N,) [m]; zero without."""
+    return np.asarray(data.values.sum(axis=1))
 
 
 def planes_of_setup(setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
@@ -251,11 +269,6 @@ def rays(
         values: Its parameters, the coordinates first, shape (N, k).
     """
     return directions(p - _centers(sites)[site] - values[:, :3])
-
-
-def rounds(sites: Sequence[ReferenceObject], added: Floats) -> Floats:
-    """Centers of L spheres or reference points, and distance offsets, (L, 4)."""
-    return np.column_stack([_centers(sites), added])
 
 
 def _centers(sites: Sequence[ReferenceObject]) -> Floats:

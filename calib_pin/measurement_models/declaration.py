@@ -6,7 +6,7 @@ that matters to them, never for the name of a model.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -19,6 +19,9 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 
 ROTATION_VECTOR = ("rx", "ry", "rz")
 """Components of the residual of an orientation."""
+
+DEVIATION, DIAL = "deviation", "dial"
+"""How far a contact is off, and the same as a gauge shows it: pushed in is positive."""
 
 INSTRUMENT = "the unit and the calibration of the instrument"
 """Where the lengths of an instrument that measures lengths come from."""
@@ -95,6 +98,7 @@ class Declaration:
             the ways in which a file may state it; its components are `rx ry rz`.
         contact: Whether nothing is measured but that the residual is zero, up to noise.
             Measurements then are configurations at which the tool touches something.
+            Where a gauge says how far it is off, that is the residual, see `readings`.
         relative: Whether a measurement starts at one configuration and ends at another,
             so that poses are those of the tool in the tool at its start.
         external: Whether the instrument stands outside, with a measurement frame of its
@@ -145,6 +149,18 @@ class Declaration:
             for name, unit in self.units.items()
             if not self.contact and name not in turned
         }
+
+    @property
+    def readings(self) -> Sequence[tuple[str, str]]:
+        """The columns of each component of a contact's deviation, where a gauge reads.
+
+        The first is positive away from what is touched or, of several components, along
+        the axes of the measurement frame; the second is that of a gauge, positive where
+        it is pushed in.
+        """
+        several = len(self.components) > 1
+        axes = [f"_{name}" * several for name in self.components if self.contact]
+        return [(DEVIATION + axis, DIAL + axis) for axis in axes]
 
     @property
     def values(self) -> tuple[str, ...]:

@@ -10,11 +10,9 @@ import pinocchio as pin
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.contact import (
-    SiteModel,
+    RoundModel,
     directions,
-    rays,
     round_bend,
-    rounds,
 )
 from calib_pin.measurement_models.contact_registration import (
     register_distances,
@@ -45,7 +43,7 @@ QUANTITIES = (Quantity("distance", "m", slice(0, 1), 1e-4),)
 
 
 @dataclass(frozen=True)
-class PointDistance(SiteModel):
+class PointDistance(RoundModel):
     """`h = |p - a| + b`, from a fixed point a to the tool point, with a bias b [m]."""
 
     declaration = Declaration(
@@ -56,7 +54,6 @@ class PointDistance(SiteModel):
         naming=Naming("anchor", "all or none"),
         yardstick=INSTRUMENT,
     )
-    comparison = "distance"
     unknown = staticmethod(Anchor)
 
     @classmethod
@@ -68,25 +65,10 @@ class PointDistance(SiteModel):
             for name, a in stated
         ) or tuple(map(Anchor, given_names(names, "anchor")))
 
-    def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
-        """The reading."""
-        e, distance = rays(p, self.sites, site, values)
-        bias = self._biases[site]
-        by_anchor = np.concatenate([-e, np.ones((len(p), 1))], axis=1)
-        reading = distance + bias + values[:, 3]
-        return PointMeasurement(reading[:, None], e[:, None], by_anchor[:, None])
-
-    def seen(self, values: Floats) -> Floats:
-        """Positions of the reference points, and biases."""
-        return rounds(self.sites, self._biases) + values.reshape(len(values), -1, 4)
-
     @property
-    def _biases(self) -> Floats:
+    def added(self) -> Floats:
+        """Biases."""
         return np.array([a.bias for a in self.sites if isinstance(a, Anchor)])
-
-    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
-        """Curvature of a sphere about the reference point."""
-        return round_bend(*rays(p, self.sites, site, values))
 
     def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject

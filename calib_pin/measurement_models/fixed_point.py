@@ -21,7 +21,6 @@ from calib_pin.measurement_models.named_points import (
 from calib_pin.measurement_models.references import Point
 from calib_pin.measurement_models.registration import register_points
 from calib_pin.measurement_models.tool_point import (
-    PointCurvature,
     PointMeasurement,
     PointModel,
 )
@@ -63,11 +62,6 @@ class FixedPoint(PointModel):
     def seen(self, values: Floats) -> Floats:
         """Centers of the sockets."""
         return self._centers + values.reshape(len(values), -1, 3)
-
-    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
-        """Nothing bends."""
-        flat = np.zeros((len(p), 3, 3, 3))
-        return PointCurvature(flat, flat)
 
     @property
     def _centers(self) -> Floats:

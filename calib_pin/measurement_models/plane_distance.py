@@ -29,6 +29,7 @@ from calib_pin.measurement_models.references import (
     ReferenceObject,
     locate,
     turned_planes,
+    turned_rows,
 )
 from calib_pin.measurement_models.registration import register_plane
 from calib_pin.observations import Booleans, Indices, Measurements, Targets
@@ -204,6 +205,8 @@ class PlaneDistance(DeclaredModel):
             if plane.normal is None:
                 normal, offset = register_plane(hits[index == k])
                 planes[k] = replace(plane, normal=normal, offset=offset)
+            if (index == k).any():
+                planes[k] = planes[k].met(hits[index == k])
         # Rows may reach farther than the setup says or a simulation would.
         farthest = float(np.abs(data.values).max())
         reach = self.reach if farthest <= self.reach else 1.5 * farthest
@@ -224,17 +227,8 @@ class PlaneDistance(DeclaredModel):
         self, instrument: Floats, target: Targets
     ) -> tuple[Floats, Floats, Floats]:
         """Normal (N, 3), offset (N,) and derivative (N, 3, 2) of each row's plane."""
-        turned = [
-            plane.turned(instrument[3 * k : 3 * k + 3])
-            for k, plane in enumerate(self.planes)
-        ]
         index = self._index(target)
-        normals, offsets, slopes = zip(*turned, strict=True)
-        return (
-            np.array(normals)[index],
-            np.array(offsets)[index],
-            np.array(slopes)[index],
-        )
+        return turned_rows(self.planes, index, instrument.reshape(-1, 3)[index])
 
     @staticmethod
     def _distance(T: Floats, normal: Floats, offset: Floats) -> Floats:

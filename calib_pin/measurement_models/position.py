@@ -21,7 +21,6 @@ from calib_pin.measurement_models.named_points import (
 )
 from calib_pin.measurement_models.registration import register_points, register_reached
 from calib_pin.measurement_models.tool_point import (
-    PointCurvature,
     PointMeasurement,
     PointModel,
 )
@@ -60,10 +59,6 @@ class Position(PointModel):
     def seen(self, values: Floats) -> Floats:
         """Nothing: values alone."""
         return np.zeros((len(values), 1, 3))
-
-    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
-        """Nothing bends."""
-        return PointCurvature(np.zeros((len(p), 3, 3, 3)), np.zeros((len(p), 3, 0, 3)))
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

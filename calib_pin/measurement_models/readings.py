@@ -153,7 +153,9 @@ def _numbers(data: Observations) -> Indices:
 
 def measured_lengths(block: Measurements) -> Booleans:
     """Which columns of the values of a block are lengths."""
-    units = [*declared(block.model).columns.values()]
+    stated = declared(block.model)
+    units = [*(stated.units if stated.contact else stated.columns).values()]
+    units = units[: block.values.shape[1]]
     units += [""] * (block.values.shape[1] - len(units))
     return np.array([unit == "m" for unit in units], bool)
 
@@ -261,6 +263,13 @@ def _scaled(data: Observations, reading: ReadingSetup) -> Observations:
     return scaled(data, np.full(len(data), reading.scale))
 
 
+def _opposite(data: Observations, reading: ReadingSetup) -> Observations:
+    """Readings of gauges that count the other way."""
+    return with_values(
+        data, lambda b, _: -b.values if declared(b.model).contact else b.values
+    )
+
+
 def _steadied(data: Observations, reading: ReadingSetup) -> Observations:
     part, of_block = elapsed(data)[:, None], iter(data.slices)
 
@@ -314,6 +323,7 @@ STEPS: dict[str, Callable[[Observations, ReadingSetup], Observations]] = {
     "lag": _lagging,
     "axes": _turned,
     "scale": _scaled,
+    "opposite": _opposite,
     "drift": _steadied,
     "moved": _renamed("station"),
     "remounted": _renamed("tool"),

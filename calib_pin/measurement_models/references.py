@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from itertools import pairwise
 from typing import Self
@@ -82,6 +82,15 @@ class ReferenceObject(ABC):
     def rebased(self, values: Floats) -> Self:
         """The same with its parameters, shape (K,), moved into the reference."""
 
+    def met(self, points: Floats, outside: Floats | None = None) -> Self:
+        """The same, which was measured at points and has two sides, perhaps.
+
+        Args:
+            points: The points, shape (N, 3) [m].
+            outside: Points on the outer side, where that is to be known, (M, 3) [m].
+        """
+        return self
+
     @abstractmethod
     def stated(self) -> Stated:
         """Its reference as a setup file would state it."""
@@ -141,12 +150,14 @@ class Plane(ReferenceObject):
         normal: Unit normal n, shape (3,); None until it is registered.
         offset: Offset f [m].
         estimate: Whether the plane is estimated.
+        center: Where it was measured on the average, shape (3,) [m]; None if nowhere.
     """
 
     name: str
     normal: Floats | None = None
     offset: float = 0.0
     estimate: bool = True
+    center: Floats | None = field(default=None, compare=False)
 
     kind = "plane"
 
@@ -189,6 +200,13 @@ class Plane(ReferenceObject):
         by_v = cos_v * t_1 - sin_v * halfway
         return normal, self.offset + float(values[2]), np.column_stack([by_u, by_v])
 
+    def towards(self, normal: Floats, point: Floats, height: float) -> Floats:
+        """Parameters (u, v, f) of a unit normal with a point (3,) at a height."""
+        assert self.normal is not None
+        along = [float(normal @ axis) for axis in (*self.tangents, self.normal)]
+        u, v = np.arctan2(-along[1], along[2]), np.arcsin(np.clip(along[0], -1.0, 1.0))
+        return np.array([u, v, height - normal @ point - self.offset])
+
     def turned_many(self, values: Floats) -> Floats:
         """Normals and offsets at many parameters, shape (S, 3) -> (S, 4)."""
         assert self.normal is not None
@@ -204,6 +222,14 @@ class Plane(ReferenceObject):
         """Turned and shifted by (u, v, f)."""
         normal, offset, _ = self.turned(values)
         return replace(self, normal=normal, offset=offset)
+
+    def met(self, points: Floats, outside: Floats | None = None) -> Plane:
+        """With the mean of the points, and a normal that points outwards."""
+        assert self.normal is not None
+        met = replace(self, center=points.mean(axis=0))
+        if outside is None or np.mean(outside @ self.normal) + self.offset >= 0.0:
+            return met
+        return replace(met, normal=-self.normal, offset=-self.offset)
 
     def stated(self) -> PlaneSetup:
         """Its normal and offset."""
@@ -299,6 +325,25 @@ class Anchor(ReferenceObject):
         return AnchorSetup(
             triple(self.xyz), self.bias, self.estimate, self.estimate_bias
         )
+
+
+def turned_rows(
+    planes: Sequence[ReferenceObject], index: Indices, values: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Normal (N, 3), offset (N,), derivative (N, 3, 2) of each row's plane.
+
+    Args:
+        planes: The planes.
+        index: Position of each row's, shape (N,).
+        values: Its parameters, shape (N, 3); rows of one plane share them.
+    """
+    count = len(index)
+    normals, offsets, slopes = (np.zeros((count, *n)) for n in ((3,), (), (3, 2)))
+    for k in np.unique(index):
+        own, plane = index == k, planes[k]
+        assert isinstance(plane, Plane)
+        normals[own], offsets[own], slopes[own] = plane.turned(values[own][0])
+    return normals, offsets, slopes
 
 
 def turned_planes(planes: Sequence[Plane], values: Floats) -> Floats:

@@ -251,8 +251,9 @@ class PointModel(PointsAndSites):
         raise NotImplementedError
 
     def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
-        """How that changes with the points; arguments as for `compare`."""
-        raise NotImplementedError
+        """How that changes with the points, by default not; arguments as `compare`."""
+        flat = np.zeros((len(p), len(self.declaration.components), 3, 3))
+        return PointCurvature(flat, np.zeros((*flat.shape[:2], values.shape[1], 3)))
 
     def seen(self, values: Floats) -> Floats:
         """Sites of many members as a kernel compares them, (S, K) -> (S, L, w).
@@ -277,7 +278,7 @@ class PointModel(PointsAndSites):
             return Geometry(points, self.seen(instrument[:, size:]))
 
         rows, values = np.arange(len(data)), data.values
-        if self.declaration.contact:
+        if not values.shape[1]:  # A contact without readings.
             values = np.zeros_like(weights)
         how = self.comparison
         return [Batch(how, rows, point, site, values, weights, geometry)]
@@ -322,7 +323,7 @@ class PointModel(PointsAndSites):
 
     def _deviation(self, value: Floats, data: Measurements) -> Floats:
         """Predicted minus measured value; angles within half a turn of zero."""
-        if self.declaration.contact:
+        if not data.values.shape[1]:  # A contact without readings.
             return value
         result = value - data.values
         for quantity in self.quantities:

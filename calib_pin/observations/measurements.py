@@ -112,7 +112,7 @@ class Measurements(SourcedRows):
         model: Name of the measurement model, such as `position`.
         values: Measured values in the layout of the model, shape (N, D), SI units:
             the columns that it declares and, where an orientation is measured, the
-            quaternion qx qy qz qw; contacts none.
+            quaternion qx qy qz qw; contacts none, or the deviations that gauges read.
         sigma: Standard deviations of the residual components, shape (N, d), or
             None where the file does not state them. Of an orientation they belong to
             the rotation vector in the tool frame [rad].
@@ -239,6 +239,10 @@ class Measurements(SourcedRows):
                     file=part.files[0] or None,
                 )
         sigmas = [part.sigma for part in parts if part.sigma is not None]
+        # Contacts without readings are exact beside those with some.
+        width = max(part.values.shape[1] for part in parts)
+        exact = [replace(p, values=np.zeros((len(p), width))) for p in parts]
+        parts = [p if p.values.size else e for p, e in zip(parts, exact, strict=True)]
         joined: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in parts])
             for name in (*ARRAYS, "start")

@@ -16,7 +16,11 @@ from calib_pin.estimation.directions import (
     visible_directions,
     visible_nuisances,
 )
-from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.formulation import (
+    make_problem,
+    nominal_problem,
+    require_known,
+)
 from calib_pin.estimation.identifiability import Structure
 from calib_pin.estimation.model import Configured
 from calib_pin.estimation.nominal import register, structure_at
@@ -98,6 +102,7 @@ def planned_problem(
             }
         )
     problem = nominal_problem(chains, keys, setup)
+    require_known(problem.parts.values(), setup)
     parts, assumed = {}, assumed_tools(problem)
     for key, part in problem.parts.items():
         error = part.error.carrying(setup.heaviest)

@@ -116,7 +116,6 @@ def accuracy_table(errors: Sequence[QuantityErrors], *, details: bool = True) ->
 
 def distance_table(distances: Sequence[FoundDistance]) -> Table:
     """Known distances beside those of the nominal and of the calibrated robot."""
-    unit, factor = DISPLAY["m"]
     rows = [
         (
             Cell(" - ".join(distance.between)),
@@ -128,6 +127,7 @@ def distance_table(distances: Sequence[FoundDistance]) -> Table:
             Cell(unit),
         )
         for distance in distances
+        for unit, factor in [DISPLAY[distance.unit]]
     ]
     titles = ("measurements", "known", "nominal", "calibrated", "unit")
     return Table("Known distances", columns("", titles), rows)

@@ -39,6 +39,7 @@ from calib_pin.setup.reading import (
 from calib_pin.setup.references import (
     WORLD,
     AnchorSetup,
+    AngleSetup,
     BoardSetup,
     CameraSetup,
     ChainSetup,
@@ -52,6 +53,7 @@ from calib_pin.setup.references import (
 )
 from calib_pin.setup.values import (
     LARGEST_ANGLE,
+    Length,
     Number,
     OneOf,
     Pair,
@@ -70,6 +72,7 @@ __all__ = [
     "STATED",
     "WORLD",
     "AnchorSetup",
+    "AngleSetup",
     "Ball",
     "BoardSetup",
     "CameraSetup",
@@ -214,7 +217,8 @@ class MeasurementSetup(Section):
         camera: The camera, where there is one.
         board: The board that it looks at, instead of targets one by one: they are
             known, and named by their numbers, 0 1 2 ..., row by row.
-        distances: Known distances between such points.
+        distances: Known distances between such points and planes.
+        angles: Known angles between planes.
         columns: What columns with foreign names are: ours to theirs, which may state
             the unit in square brackets.
         joints: Joint map by file column; empty where columns are URDF joint names.
@@ -233,12 +237,18 @@ class MeasurementSetup(Section):
     camera: CameraSetup | None = None
     board: BoardSetup | None = None
     distances: tuple[DistanceSetup, ...] = ()
+    angles: tuple[AngleSetup, ...] = ()
     columns: Mapping[str, Text] = field(default_factory=dict)
     joints: Mapping[str, JointMap] = field(default_factory=dict)
     encoder_steps: Mapping[str, Annotated[float, Positive()]] = field(
         default_factory=dict
     )
     reading: ReadingSetup = field(default_factory=ReadingSetup)
+
+    @property
+    def known(self) -> tuple[DistanceSetup, ...]:
+        """Everything that is known of places against one another."""
+        return (*self.distances, *self.angles)
 
 
 @dataclass(frozen=True)
@@ -331,6 +341,8 @@ class PlanSetup(Section):
         limits: Joint name or glob to the lower and upper position within which
             measurements are planned [rad, m]; they narrow the limits of the URDF.
         ranger: The window in which a laser distance sensor measures.
+        gauge: How far a gauge that is pushed in reads at most, either way. Simulated
+            contacts are then off by as much and have a reading [m].
     """
 
     obstacles: tuple[Obstacle, ...] = ()
@@ -351,6 +363,7 @@ class PlanSetup(Section):
         ],
     ] = field(default_factory=dict)
     ranger: RangerSetup = field(default_factory=RangerSetup)
+    gauge: Length | None = None
 
 
 @dataclass(frozen=True)

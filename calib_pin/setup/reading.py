@@ -176,6 +176,7 @@ class ReadingSetup(Section):
         axes: What stands in the columns x, y and z of a position: `[y, x, z]` says
             that the first two are exchanged, `-z` that an axis is negated.
         scale: Factor of all measured lengths.
+        opposite: Whether deviations of contacts have the opposite sign.
         drift: Displacement of measured positions, or of distances, from the first to
             the last line of all files, which is taken out [m].
         moved: Lines from which on the instrument stood elsewhere.
@@ -196,6 +197,7 @@ class ReadingSetup(Section):
         Checked(_axes, listed({"enum": [s + a for a in AXES for s in ("", "-")]}, 3)),
     ] = AXES
     scale: Conversion = 1.0
+    opposite: Flag = False
     drift: Annotated[
         Triple,
         Vector(

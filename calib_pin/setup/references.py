@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import product
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from calib_pin.setup.constraints import Checked, Section, listed
 from calib_pin.setup.values import (
@@ -17,6 +18,7 @@ from calib_pin.setup.values import (
     OneOf,
     Pair,
     Position,
+    Positive,
     Text,
     Triple,
     Vector,
@@ -47,6 +49,10 @@ DICTIONARIES = (
 
 LAST = 999
 """Largest number of a marker in a dictionary."""
+
+LEAST_ANGLE = 0.02
+"""Least angle between planes that may be stated [rad]: that of parallel ones is no
+function with a derivative."""
 
 Distortion = tuple[float, float, float, float, float]
 
@@ -372,11 +378,13 @@ class BoardSetup(Section):
 
 @dataclass(frozen=True)
 class DistanceSetup(Section):
-    """A known distance between two points, which counts as a measurement.
+    """A known distance between two points or planes, which counts as a measurement.
 
     Attributes:
-        between: Names of two sockets, spheres or fixed reference points, or of
-            two points of the tool.
+        between: Names of two sockets, spheres, fixed reference points or planes, or of
+            two points of the tool. That of a point and a plane is along the normal, as
+            is that of two planes, which are parallel, half-way between where both were
+            measured.
         value: Distance [m].
         sigma: Its standard deviation [m].
     """
@@ -384,3 +392,32 @@ class DistanceSetup(Section):
     between: Annotated[tuple[str, str], Checked(_between, TWO_NAMES)]
     value: Length
     sigma: Length = 1e-4
+
+    key: ClassVar[str] = "distances"
+    unit: ClassVar[str] = "m"
+
+
+@dataclass(frozen=True)
+class AngleSetup(DistanceSetup):
+    """A known angle between two planes, which counts as a measurement.
+
+    Attributes:
+        between: Names of two planes.
+        value: The smaller of both angles [rad].
+        sigma: Its standard deviation [rad].
+    """
+
+    value: Annotated[
+        float,
+        Number(
+            "rad",
+            least=LEAST_ANGLE,
+            most=math.pi / 2,
+            words=f"an angle in rad from {LEAST_ANGLE} to {math.pi / 2}; planes that "
+            "are parallel have a distance",
+        ),
+    ]
+    sigma: Annotated[float, Positive("rad", 1.0, "an angle in rad, at most 1")] = 1e-4
+
+    key: ClassVar[str] = "angles"
+    unit: ClassVar[str] = "rad"

@@ -13,7 +13,7 @@ from calib_pin.estimation.directions import (
     robot_singular_values,
 )
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem, require_known
 from calib_pin.estimation.identifiability import Structure, everett_count, observability
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem, distinct_values
@@ -65,6 +65,7 @@ def identify(
         (34, 34)
     """
     problem = nominal_problem(chains, measured, setup or Setup())
+    require_known(problem.parts.values(), problem.setup)
     theta = np.zeros(len(problem.parameters))
     found, _ = analyze_structure(problem, theta, np.random.default_rng(seed))
     parameters, groups = estimates(problem.parameters, found)

@@ -191,7 +191,7 @@ def _found_distances(
     """
     stated = [
         distance
-        for distance in after.problem.setup.distances
+        for distance in after.problem.setup.known
         if known is None or not set(known).intersection(distance.between)
     ]
     (first, nominal), (second, found) = (
@@ -203,7 +203,9 @@ def _found_distances(
     )
     assert first.stated == second.stated
     return tuple(
-        FoundDistance(d.between, d.value, d.sigma, float(n), float(f), known is None)
+        FoundDistance(
+            d.between, d.value, d.sigma, float(n), float(f), known is None, d.unit
+        )
         for d, n, f in zip(first.stated, nominal, found, strict=True)
     )
 
@@ -250,7 +252,7 @@ def registered(
     new = tuple(k for k, name in enumerate(names) if name not in known and free[k])
     if not new:
         return Registered(problem, theta)
-    plain = replace(problem, setup=replace(problem.setup, distances=()))
+    plain = replace(problem, setup=replace(problem.setup, distances=(), angles=()))
     _require_redundancy(plain, theta, new)
     basis = np.diag(problem.parameters.scales)[:, list(new)]
     return Registered(problem, least_squares(plain, theta, basis).x, new)

@@ -77,6 +77,36 @@ def test_real_measurements(name, data_folder):
     assert after < most and after < before
 
 
+@pytest.mark.parametrize(
+    ("header", "factor", "line"),
+    [
+        ("Messuhr (mm)", -1e3, "  dial: 'Messuhr (mm) [mm]'"),
+        (
+            "Gauge Reading",
+            -1e3,
+            "  dial: 'Gauge Reading [mm]'  # (unit by its numbers)",
+        ),
+        ("Abweichung [um]", 1e6, "  deviation: Abweichung"),
+    ],
+)
+def test_readings_of_a_gauge(run, fails, header, factor, line):
+    """The draft says which sign they have; without it they are not ignored."""
+    Path("gauge.yaml").write_text(
+        "{tip: tool, model: sphere-contact, gauge: 5.0e-4, noise: {contact: 2.0e-5},\n"
+        "frames: {tool: {xyz: [0.05, 0.08, 0.12]}},\n"
+        "spheres: {a: {xyz: [0.6, 0.3, 0.4], radius: 0.15}}}\n"
+    )
+    assert run("simulate space6 --setup gauge.yaml --count 40 -o a.csv").status == 0
+    lines = Path("a.csv").read_text().splitlines()[2:]
+    rows = np.array([[*map(float, line.split(",")[:7])] for line in lines])
+    foreign([*JOINTS, header], rows * [*[1.0] * 6, factor])
+    draft = run("init space6 foreign.csv --model sphere-contact -o setup.yaml")
+    assert line in draft.out and "pushed in is positive" in draft.out
+    assert run("evaluate space6 foreign.csv --setup setup.yaml").err == ""
+    name = line.split(":")[0].strip()
+    fails("calibrate space6 foreign.csv --tip tool --model sphere-contact", name)
+
+
 def test_semicolons_decimal_commas_and_names_of_another_language(measured):
     names = ["Punkt", *(f"Achse {k} [Grad]" for k in range(1, 7))]
     names += [f"Istposition {axis} (mm)" for axis in "XYZ"]

@@ -111,7 +111,7 @@ MESSAGES: list[tuple[str, Mapping[str, str], str]] = [
         "bad.yaml:2: unknown key 'paramters' (did you mean 'parameters'?); "
         "allowed: base, tip, chains, model, parameters, learned, frames, stations, "
         "tools, planes, targets, sockets, spheres, anchors, camera, board, distances, "
-        "columns, joints, encoder_steps, reading, gravity and 17 more",
+        "angles, columns, joints, encoder_steps, reading and 19 more",
     ),
     (
         f"{CALIBRATE} --setup bad.yaml",

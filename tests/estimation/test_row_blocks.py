@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
@@ -29,22 +30,28 @@ from calib_pin.measurement_models.references import (
     ReferenceObject,
     Sphere,
 )
-from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
+from calib_pin.setup import AngleSetup, DistanceSetup, FrameSetup, PointSetup, Setup
 from calib_pin.setup.population import PopulationPrior
 
 REFERENCES: tuple[ReferenceObject, ...] = (
     Point("probe", "target", np.array([0.0, 0.0, 0.1])),
-    Plane("table", np.array([0.0, 0.0, 1.0])),
+    Plane("table", np.array([0.0, 0.0, 1.0]), center=np.array([1.0, 2.0, 0])),
     Point("left", "socket", np.array([1.0, 0.0, 0.0])),
     Sphere("ball", np.array([1.0, 3.0, 4.0]), 0.1),
     Anchor("wire", np.array([1.0, 0.0, -2.0])),
     Point("right", "socket", np.array([3.0, 0.0, 0.0])),
+    # Its normal points to the table.
+    Plane("shelf", np.array([0.0, 0.0, -1.0]), 3.0, center=np.array([1.0, 0, 3.0])),
+    Plane("roof", np.array([0.6, 0.0, 0.8])),
 )
 DISTANCES = (
     DistanceSetup(("left", "ball"), 4.9, 0.1),
     DistanceSetup(("wire", "right"), 2.0, 1e-3),
     DistanceSetup(("left", "nowhere"), 1.0, 1e-3),
     DistanceSetup(("table", "left"), 1.0, 1e-3),
+    DistanceSetup(("wire", "table"), 2.0, 1e-3),
+    DistanceSetup(("table", "shelf"), 3.0, 1e-3),
+    AngleSetup(("roof", "table"), 0.6, 1e-3),
 )
 
 
@@ -62,20 +69,47 @@ def known() -> tuple[KnownDistances, Floats]:
 
 
 def test_those_whose_ends_are_known() -> None:
-    """A plane has no place, and what is not there has none either."""
+    """What is not there has no place."""
     found, zero = known()
-    assert found.stated == DISTANCES[:2] and len(found) == 2
-    np.testing.assert_allclose(found.lengths(zero), [5.0, np.sqrt(8.0)])
+    assert found.stated == (*DISTANCES[:2], *DISTANCES[3:]) and len(found) == 6
+    lengths = [5.0, np.sqrt(8.0), 0.0, 2.0, 3.0, np.arctan(0.75)]
+    np.testing.assert_allclose(found.lengths(zero), lengths)
     # Probe 3, table 3, left 3, ball 4, wire 4, right 3.
-    assert found.columns.tolist() == [
+    assert found.columns[:2].tolist() == [
         [[6, 7, 8], [9, 10, 11]],
         [[13, 14, 15], [17, 18, 19]],
     ]
-    residual = found.residual(zero)
+    residual = found.residual(zero)[:2]
     np.testing.assert_allclose(residual, [1.0, (np.sqrt(8.0) - 2.0) / 1e-3])
     none, zero = distances_of((), REFERENCES)
     assert none.residual(zero).shape == (0,)
     assert none.jacobian(zero).shape == (0, len(zero))
+
+
+def test_derivatives_of_distances_and_angles() -> None:
+    """Of one vector as of many, by central differences."""
+    found, zero = known()
+    theta = 0.1 * np.random.default_rng(0).normal(size=len(zero))
+    step = 1e-6 * np.eye(len(theta))
+    slopes = (found.residual(theta + step) - found.residual(theta - step)) / 2e-6
+    J = found.jacobian(theta)
+    np.testing.assert_allclose(J.T, slopes, atol=1e-7 * np.abs(J).max())
+    assert J.any(axis=1).all()
+
+
+def test_planes_of_a_known_distance_are_parallel() -> None:
+    """Where they were measured they stay as far apart."""
+    found, zero = known()
+    theta = 1e-2 * np.random.default_rng(0).normal(size=len(zero))
+    turned = found.with_parallels(theta)
+    np.testing.assert_allclose(found.lengths(turned), found.lengths(theta), atol=1e-15)
+    (table, shelf), (a, b) = found.ends[4], found.columns[4]
+    normals = table.turned(turned[a])[0], shelf.turned(turned[b])[0]
+    np.testing.assert_allclose(normals[0], -normals[1], atol=1e-15)
+    assert set(np.flatnonzero(turned != theta)) <= set(b)
+    apart = DistanceSetup(("roof", "table"), 1.0)
+    with pytest.raises(OptionError, match=r"36\.9 deg"):
+        distances_of((apart,), REFERENCES)[0].with_parallels(zero)
 
 
 # In a problem.
@@ -106,6 +140,29 @@ def test_rows_of_a_problem() -> None:
     assert not J[-2, :-6].any()
     slope = between / np.linalg.norm(between) / 1e-5
     np.testing.assert_allclose(J[-2, -6:], [*-slope, *slope])
+
+
+@pytest.mark.parametrize(
+    ("known", "refused"),
+    [
+        (DistanceSetup(("s/0", "t/0"), 0.5), "'t/0', which no measurement does"),
+        (DistanceSetup(("ball", "s/0"), 0.5), "base.frame and tool.frame"),
+        (AngleSetup(("s/0", "s/1"), 0.5), "planes alone"),
+        (DistanceSetup(("s/0", "s/1"), 0.5), ""),
+    ],
+)
+def test_nothing_that_is_known_is_ignored(known: DistanceSetup, refused: str) -> None:
+    """It is used, or refused where there is no such thing in one frame."""
+    points = {"ball": PointSetup((0.0, 0.0, 0.1))}
+    setup = replace(
+        Setup(sockets=SOCKETS, targets=points, tool_frame=TOOL), **{known.key: (known,)}
+    )
+    if refused:
+        with pytest.raises(OptionError, match=re.escape(refused)):
+            calib_pin.identify(ARM, "fixed-point", setup)
+    else:
+        found = calib_pin.identify(ARM, "fixed-point", setup)
+        assert found.identifiability.scale_observable
 
 
 @pytest.mark.parametrize(("sigma", "left"), [(1e-6, 1e-6), (1.0, 1e-3)])

@@ -362,10 +362,13 @@ def measurements(draw, key=None, chains=None):
     model, n = key.model, len(joints)
     stated = declared(model)
     width, components = len(stated.values), len(stated.components)
+    gauged = draw(st.booleans()) and not chains
+    width = width or (len(stated.readings) if gauged else 0)
     count = draw(st.integers(1, 5))
     # Within the unit checks of the reader: 0 to 0.5 m, about a turn.
     q = draw(arrays(float, (count, n), elements=st.floats(-0.4, 0.4)))
     values = draw(arrays(float, (count, width), elements=st.floats(-2, 2)))
+    values = 0.04 * values if stated.readings else values
     if model == "pose":
         quaternion = draw(arrays(float, (count, 4), elements=st.floats(0.1, 1)))
         quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
@@ -689,6 +692,22 @@ REFUSED_BY_MODEL = [
     ("plane-contact", "sigma_x,sigma_y,sigma_z\n0,0,0,1,1,1\n", 1, "sigma_x", None),
     ("sphere-contact", "sigma_contact [rad]\n0,0,0,1\n", 1, "sigma_contact", None),
     ("fixed-point", "target,sigma_x\n0,0,0,a,1\n0.1,0,0,a,1\n", 1, "sigma_y", None),
+    # Gauges.
+    ("plane-contact", "dial\n0,0,0,0.5\n", 2, "dial", "0.5", "mm"),
+    ("plane-contact", "dial [deg]\n0,0,0,1\n", 1, "dial", None, "'deg'"),
+    ("plane-contact", "dial,deviation\n0,0,0,0,0\n", 1, "dial", None, "once"),
+    ("sphere-contact", "dial_x\n0,0,0,0\n", 1, "dial_x", None, "once"),
+    ("sphere-contact", "Messuhr [mm]\n0,0,0,1\n", 1, "Messuhr", None, "dial: "),
+    ("plane-contact", "test indicator\n0,0,0,0.1\n", 1, "test indicator", None, ""),
+    ("fixed-point", "target,dial\n0,0,0,a,0\n", 1, "dial", None, "every"),
+    (
+        "fixed-point",
+        "target,dial_x,deviation_y\n0,0,0,a,0,0\n0.1,0,0,a,0,0\n",
+        1,
+        "deviation_y",
+        None,
+        "every",
+    ),
     ("plane-contact", "payload [kg]\n0,0,0,1\n", 1, "payload", None),
     # Relative distances: starts that are none.
     *(
@@ -919,6 +938,30 @@ def test_every_measurement_model_has_a_file_format():
             [[5e-6], [5e-6]],
             ("tip@table", "table"),
         ),
+        # Away from the surface, and pushed in.
+        (
+            "plane-contact",
+            "deviation [mm],sigma_deviation [um]\n0.5,5\n-1,5\n",
+            [[5e-4], [-1e-3]],
+            [[5e-6], [5e-6]],
+            ("", ""),
+        ),
+        (
+            "sphere-contact",
+            "dial [mm],sigma_contact\n0.5,1\n-1,1\n",
+            [[-5e-4], [1e-3]],
+            [[1.0], [1.0]],
+            ("", ""),
+        ),
+        # Nobody has read it.
+        ("sphere-contact", "dial\n-\n\n", [[], []], None, ("", "")),
+        (
+            "fixed-point",
+            "target,dial_z,deviation_x,dial_y\na,0.01,0.02,-0.03\na,0,0,0.04\n",
+            [[0.02, 0.03, -0.01], [0.0, -0.04, 0.0]],
+            None,
+            ("a", "a"),
+        ),
         (
             "sphere-contact",
             "sigma_contact [mm]\n1\n2\n",
@@ -942,7 +985,10 @@ def test_columns_of_models(write, chain, model, text, values, sigma, target):
     data = read(write("\n".join(lines)), chain, model=model)
     assert data.model == model
     assert data.values.tolist() == values
-    assert data.values.shape == (2, len(declared(model).values))
+    assert data.values.shape[1] in (
+        len(declared(model).values),
+        len(declared(model).readings),
+    )
     assert (data.sigma is None) == (sigma is None)
     assert sigma is None or np.allclose(data.sigma, sigma, rtol=1e-12, atol=0.0)
     assert (data.target, data.payload) == (target, ("", ""))
@@ -1223,6 +1269,16 @@ def test_contacts_ignore_the_sigma_of_what_they_do_not_read(write, chain):
     data = read(file, chain, model="plane-contact", notice=notices.append)
     assert data.sigma is None
     assert told(notices) == [(file, "x, sigma_x")]
+
+
+def test_touches_beside_readings_are_exact(write, chain):
+    """A row without a reading is left out, a file without any holds touches."""
+    read_off = write(f"{J},dial [mm]\n0,0,0,1\n0.1,0,0,\n0.2,0,0,2\n", "a.csv")
+    touched = write(f"{J}\n0.3,0,0\n", "b.csv")
+    data = read_measurements([touched, read_off], chain, model="plane-contact").only
+    np.testing.assert_allclose(data.values[:, 0], [0.0, -1e-3, -2e-3])
+    counted = write(f"{J},reading\n0,0,0,1\n0.1,0,0,2\n", "c.csv")
+    assert read(counted, chain, model="plane-contact").values.shape == (2, 0)
 
 
 @pytest.mark.parametrize("name", ["u", "model", "payload", "sigma_contact"])

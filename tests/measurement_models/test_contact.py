@@ -20,7 +20,14 @@ from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.contact import PlaneContact, SphereContact
 from calib_pin.measurement_models.references import Plane, Sphere
 from calib_pin.observations import Measurements
-from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup, SphereSetup
+from calib_pin.setup import (
+    DistanceSetup,
+    FrameSetup,
+    PlaneSetup,
+    PointSetup,
+    Setup,
+    SphereSetup,
+)
 
 Simulated = Callable[..., tuple[Problem, Floats]]
 
@@ -126,6 +133,52 @@ def test_rows_of_something_unknown(model: str) -> None:
         measurement_model(model, setup).register(F, data, None, None)
 
 
+@pytest.mark.parametrize("model", ["plane-contact", "sphere-contact", "fixed-point"])
+def test_a_reading_is_how_far_the_point_is_off(model: str) -> None:
+    """What touches, and what a gauge reads at the same heights, has no residual."""
+    at = {"a": PointSetup((0.5, 0.2, 0.4))}
+    found = measurement_model(
+        model, Setup(planes={"a": TABLE}, spheres={"a": BALL}, sockets=at)
+    )
+    T, data = touching(on_sphere(BALL, 5) * 1.001), data_of(model, 5, "a")
+    zero = np.zeros(len(found.parameters))
+    height = found.residual(T, zero, data)
+    assert np.abs(height).max() > 1e-4 and found.width == 0
+    read_off = replace(data, values=height)
+    np.testing.assert_allclose(found.residual(T, zero, read_off), 0.0, atol=1e-15)
+    # Away from the surface, or along the axes, is positive.
+    out = replace(data, values=height + 0.01)
+    np.testing.assert_allclose(found.residual(T, zero, out), -0.01, atol=1e-15)
+    both = Measurements.concatenate([data, out])
+    assert both.values.shape == (10, height.shape[1]) and not both.values[:5].any()
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_an_unknown_plane_faces_the_tool_that_reads(side: float) -> None:
+    """Of one that is given the normal stays, whatever side it is on."""
+    outward = side * np.array(TABLE.normal)
+    rng, points = np.random.default_rng(3), on_plane(TABLE, 30)
+    tilts = [pin.exp3(0.5 * rng.normal(size=3)) for _ in points]
+    up = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), outward).matrix()
+    long = np.array([0.0, 0.0, -0.3])
+    F = np.array(
+        [
+            pin.SE3(up @ R, p - up @ R @ long).homogeneous
+            for p, R in zip(points, tilts, strict=True)
+        ]
+    )
+    values = rng.uniform(-5e-4, 5e-4, (30, 1))
+    data = replace(data_of("plane-contact", 30, "a"), values=values)
+    tool = pin.SE3(np.eye(3), long)
+    for planes in ({}, {"a": TABLE}):
+        model = measurement_model("plane-contact", Setup(planes=planes), ("a",))
+        (plane,) = model.register(F, data, None, tool)[0].references
+        assert isinstance(plane, Plane) and plane.normal is not None
+        expected = np.array(TABLE.normal) if planes else outward
+        assert float(plane.normal @ expected) > 0.99
+        np.testing.assert_allclose(plane.center, points.mean(axis=0), atol=1e-12)
+
+
 # Registration.
 
 
@@ -184,6 +237,16 @@ def test_spheres_and_the_point_that_touches_them(
     [
         ("plane-contact", {"planes": {"a": replace(TABLE, estimate=False)}}, 23, False),
         ("plane-contact", {"planes": {"a": TABLE, "b": WALL, "c": DOOR}}, 29, False),
+        # Parallel planes a known distance apart.
+        (
+            "plane-contact",
+            {
+                "planes": {"a": TABLE, "b": replace(TABLE, offset=-0.7), "c": WALL},
+                "distances": (DistanceSetup(("a", "b"), 0.3 / 1.01**0.5),),
+            },
+            30,
+            True,
+        ),
         ("sphere-contact", {"spheres": {"a": BALL}}, 24, True),
         (
             "sphere-contact",

@@ -113,9 +113,10 @@ def repetitions(problem: Problem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows that can be repetitions, and the configuration of each, shape (n,) both."""
     labels = repeated(problem)
     used = problem.data.weight > 0.0
-    for part, data, own, _ in problem.blocks:
-        # From another start it is another distance.
-        if part.measurement.declaration.contact or data.start.size:
+    for _, data, own, _ in problem.blocks:
+        # Of contacts the joint positions are measured, and from another start it is
+        # another distance.
+        if not data.values.shape[1] or data.start.size:
             used[own] = False
     rows = np.flatnonzero(used)
     return rows, np.unique(labels[rows], return_inverse=True)[1]

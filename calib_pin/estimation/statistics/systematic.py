@@ -105,9 +105,8 @@ class Systematic:
             theta: Parameter values at which frames and instrument stand, shape (P,).
         """
         moved, _ = problem.rebased(theta)
-        plain = replace(
-            moved.setup, fixed=(), bounds={}, prior={}, distances=(), parameters=()
-        )
+        plain = replace(moved.setup, fixed=(), bounds={}, prior={}, parameters=())
+        plain = replace(plain, distances=(), angles=())
         parts, given = assembled(
             [replace(part, error=self._about(part)) for part in moved.parts.values()]
         )

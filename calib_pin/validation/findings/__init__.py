@@ -31,6 +31,7 @@ from calib_pin.validation.findings.computed_values import computed_values
 from calib_pin.validation.findings.design import design
 from calib_pin.validation.findings.drift import drift
 from calib_pin.validation.findings.explanations import Family, explain
+from calib_pin.validation.findings.gauge_readings import gauge_readings
 from calib_pin.validation.findings.hypotheses import finding
 from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
@@ -125,7 +126,7 @@ def find(case: Case, seek: bool = True) -> Found:
         # The origin has taken it over.
         others = [found for found in others if found.code != "large-correction"]
     wrong = {f.evidence["between"] for f in others if f.code == "known-distance"}
-    distances = [d.between for d in case.setup.distances]
+    distances = [d.between for d in case.setup.known]
     ends = {end for both in distances if " - ".join(both) in wrong for end in both}
     # The measurements of an end do not fit a wrong distance.
     others = [
@@ -172,6 +173,8 @@ def explained(
 
 def _sought(case: Case) -> tuple[Finding, ...]:
     """Faults that change how measurements are read, the likeliest explanation alone."""
+    if reversed_gauges := _told(gauge_readings, case):
+        return reversed_gauges
     sets = _told(joint_sets, case)
     better = [found for found in sets if found.setup]
     if better:

@@ -102,7 +102,7 @@ def _step_of(case: Case, quantity: Quantity) -> float:
     found = []
     for block in case.fit.problem.data.blocks:
         model = declared(block.model)
-        if quantity not in model.quantities or model.contact:
+        if quantity not in model.quantities or not block.values.shape[1]:
             continue
         ways = [block.values[:, quantity.columns]]
         if model.oriented and quantity.unit == "rad":

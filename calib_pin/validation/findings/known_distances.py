@@ -63,18 +63,19 @@ def contradicted(
     k = int(np.argmax(w))
     stated = known.stated[k]
     apart = float(v[k] * stated.sigma / left[k])
-    metric = fitted.problem.layout.quantities[0].unit == "m"
+    metric = fitted.problem.layout.quantities[0].unit == "m" == stated.unit
     least = max(MISSED, BEYOND * errors if metric else 0.0)
     if abs(apart) < min(least, CONTRADICTED) or w[k] < SIGNIFICANT:
         return
     # A wrong distance takes all measurements for coarse ones.
     if not _scaled_without(robust or fitted, stated):
         return
-    ends, (unit, factor) = " - ".join(stated.between), DISPLAY["m"]
+    ends, (unit, factor) = " - ".join(stated.between), DISPLAY[stated.unit]
+    what = stated.key.removesuffix("s")
     yield Finding(
         "known-distance",
         "error" if abs(apart) > CONTRADICTED else "warning",
-        f"the measurements contradict the known distance {ends}: without it they find "
+        f"the measurements contradict the known {what} {ends}: without it they find "
         f"{factor * (stated.value + apart):.1f} {unit} instead of "
         f"{factor * stated.value:.1f} {unit} ({w[k]:.0f} standard deviations)",
         {
@@ -84,7 +85,7 @@ def contradicted(
             "found": stated.value + apart,
             "normalized_residual": float(w[k]),
         },
-        "measure this distance again, or state its true sigma",
+        f"measure this {what} again, or state its true sigma",
     )
 
 

@@ -204,7 +204,7 @@ def _elsewhere(there: Registered, station: str) -> Registered | None:
     if len(free) == 0:
         return None
     basis = np.diag(parameters.scales)[:, free]
-    plain = replace(problem, setup=replace(problem.setup, distances=()))
+    plain = replace(problem, setup=replace(problem.setup, distances=(), angles=()))
     starts = [plain]
     relative = any(block.start.size for block in problem.data.blocks)
     if parameters.free[base].all() and not relative:

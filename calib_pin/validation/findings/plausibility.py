@@ -218,8 +218,8 @@ def _yardstick(fitted: Fit) -> str:
     """The lengths on which the scale of these measurements rests."""
     problem = fitted.problem
     lengths = []
-    if known := fitted.problem.known_distances:
-        ends = " - ".join(known.stated[0].between)
+    if known := [d for d in problem.known_distances.stated if d.unit == "m"]:
+        ends = " - ".join(known[0].between)
         more = ", ..." if len(known) > 1 else ""
         lengths.append(f"the known distance {ends}{more}")
     stated = dict.fromkeys(declared(model).yardstick for model in problem.data.models)

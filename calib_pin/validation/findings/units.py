@@ -10,6 +10,7 @@ import numpy as np
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.readings import (
     measured_lengths,
     place_of,
@@ -51,7 +52,8 @@ LISTED = 200
 
 def units(case: Case) -> Iterator[Hypothesis]:
     """Other units of all measured lengths."""
-    if any(measured_lengths(block).any() for block in case.data.blocks):
+    blocks = [b for b in case.data.blocks if not declared(b.model).contact]
+    if any(measured_lengths(block).any() for block in blocks):
         for factor, words in FACTORS.items():
             yield Hypothesis(
                 "unit",

@@ -388,6 +388,7 @@ ELSEWHERE = {
     "outliers": "test_values",
     "measurements-exchanged": "test_values",
     "unit-of-some": "test_values",
+    "gauge-sign": "test_gauge_readings",
     "instrument-moved": "test_moves",
     "tool-remounted": "test_moves",
     "instrument-drift": "test_drift",

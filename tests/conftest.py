@@ -358,6 +358,31 @@ def chain_of() -> Callable[..., Chain]:
 
 
 @pytest.fixture(scope="session")
+def scara(urdf_of: Callable[..., str], chain_of: Callable[..., Chain]) -> Chain:
+    """Four joints along one direction: a shift along it is that of base and of tool.
+
+    The tip link is called `tool`.
+    """
+
+    def joint(k: int, x: float, z: float, **more: Any) -> dict[str, Any]:
+        placement = pin.SE3(np.eye(3), np.array([x, 0.0, z]))
+        names = {"name": f"j{k}", "parent": f"l{k - 1}", "child": f"l{k}"}
+        return {**names, "placement": placement, "limits": (-2.2, 2.2), **more}
+
+    lift = {"type": "prismatic", "limits": (-0.2, 0.0)}
+    mount = {"type": "fixed", "child": "tool"}
+    return chain_of(
+        urdf_of(
+            joint(1, 0.0, 0.3),
+            joint(2, 0.3, 0.05),
+            joint(3, 0.25, 0.0, **lift),
+            joint(4, 0.0, -0.1),
+            joint(5, 0.06, -0.05, **mount),
+        )
+    )
+
+
+@pytest.fixture(scope="session")
 def measured(
     visited: Callable[..., tuple[Floats, Targets]],
 ) -> Callable[..., Problem]:

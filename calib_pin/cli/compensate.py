@@ -153,7 +153,7 @@ def compensate(
     import numpy as np
 
     from calib_pin.cli.documents import compensation_document
-    from calib_pin.control.calibrated import ends_estimated, with_payload
+    from calib_pin.control.calibrated import ends_known, with_payload
     from calib_pin.control.joints import Joints
     from calib_pin.io.exchange.motions import (
         PROGRAMS,
@@ -163,7 +163,12 @@ def compensate(
     )
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
-    from calib_pin.io.results import read_accuracy, read_calibration, written_before
+    from calib_pin.io.results import (
+        read_accuracy,
+        read_calibration,
+        read_result,
+        written_before,
+    )
     from calib_pin.io.targets import (
         command_columns,
         encode_commands,
@@ -246,14 +251,10 @@ def compensate(
         PROGRAMS[form](model.chain, asked.columns, still, 1.0, (), first)
     elif speed is not None:
         speed_limits(model.chain, speed)
-    of_base, of_tip = motion or frame == "base", motion or point == "tip"
-    if ends_estimated(model, base=of_base, tip=of_tip) and not quiet:
-        notice(
-            "base or tool were estimated along with the robot, so the base link and "
-            "the tip link are each known up to a fixed displacement; state them in "
-            "the setup file, or give targets of the tool in the measurement frame"
-        )
-    ends = frame or FRAMES[0], point or POINTS[0]
+    ends = ("base", "tip") if motion else (frame or FRAMES[0], point or POINTS[0])
+    known = ends_known(read_result(calibration), key, *ends)
+    if known and not quiet:
+        notice(known)
     ways = None
     if avoid_collisions:
         obstacles = stated.obstacles or model.setup.obstacles

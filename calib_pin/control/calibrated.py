@@ -10,11 +10,22 @@ import numpy as np
 
 from calib_pin.control.joints import Kinematics
 from calib_pin.errors import OptionError, require_known
+from calib_pin.estimation.system import FRAME
 from calib_pin.kinematics.spatial import Floats, adjoint, interpolate, invert
-from calib_pin.observations import UNSTATED, Conditions, Signs
+from calib_pin.observations import UNSTATED, BlockKey, Conditions, Signs
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.units import DISPLAY
+from calib_pin.validation.breakdown import REMEDY
 from calib_pin.validation.calibrated_model import CalibratedChain
+from calib_pin.validation.frames import frames_of
+from calib_pin.validation.result import CalibrationResult
+
+NOTHING_LEFT = 1e-9
+"""Standard deviation that is rounding [m]."""
+
+SAMPLES = 100
+"""Configurations over which deviations are averaged."""
 
 Frame: TypeAlias = Literal["measuring", "base"]
 Point: TypeAlias = Literal["tool", "tip"]
@@ -103,16 +114,67 @@ def with_payload(
     return model
 
 
-def ends_estimated(model: CalibratedChain, *, base: bool, tip: bool) -> bool:
-    """Whether the base or the tool frame was estimated along with the robot.
+def ends_known(
+    result: CalibrationResult,
+    key: BlockKey,
+    frame: str = "measuring",
+    point: str = "tool",
+) -> str:
+    """How exactly the frame and the point of targets are known, as a sentence.
 
     Args:
-        model: The calibrated chain.
-        base: Whether the base frame matters.
-        tip: Whether the tool frame matters.
+        result: The calibration.
+        key: The block whose chain, station and tool are used.
+        frame: Frame of the targets, see `kinematics`.
+        point: The placed point.
+
+    Returns:
+        The sentence with standard deviations over the workspace; empty where nothing
+        but the measured poses matters, or where base and tool were given.
+
+    Raises:
+        OptionError: If the measurements leave open where the frame or the point is.
     """
-    free = model.error.parameters.free
-    return bool((base and free[:6].any()) or (tip and free[-6:].any()))
+    part, of_base, of_tip = result.model.parts[key], frame == "base", point == "tip"
+    if of_base != of_tip:  # The tool in the base link, or the tip where it is measured.
+        end, _ = frames_of(part)[of_base]
+        # The orientation of a point is as stated.
+        unknown = [c for c in result.unknown_of(*end) if of_tip or c in "xyz"]
+        if unknown:
+            reason = f"{', '.join(unknown)} of {end.label} unknown; {REMEDY}"
+            raise OptionError(reason, file=result.provenance.file or None)
+    free = part.error.parameters.free
+    if not ((of_base and free[:FRAME].any()) or (of_tip and free[-FRAME:].any())):
+        return ""
+    position, orientation = _deviations(result, key, of_base, of_tip)
+    size = "up to a fixed displacement"
+    # Errors that the frames have absorbed count only where their size is known.
+    if position > NOTHING_LEFT:
+        parts = ((position, DISPLAY["m"]), (orientation, DISPLAY["rad"]))
+        shown = (f"{float(f'{by * x:.1e}'):g} {unit}" for x, (unit, by) in parts)
+        size = f"to +- {' and '.join(shown)} (standard deviation)"
+    return (
+        f"base or tool were estimated along with the robot, so the {point} is known in "
+        f"the {'base link' if of_base else 'measurement frame'} {size}; state them in "
+        "the setup file, or give targets of the tool in the measurement frame"
+    )
+
+
+def _deviations(
+    result: CalibrationResult, key: BlockKey, of_base: bool, of_tip: bool
+) -> tuple[float, float]:
+    """Standard deviations of the point in the frame, root mean square [m, rad]."""
+    part, C = result.reference.parts[key], np.asarray(result.covariance)
+    own, values = part.of_error, np.array([p.value for p in result.parameters])
+    q = part.error.chain.random_configurations(SAMPLES, np.random.default_rng(0))
+    _, J = part.error.jacobian(q, values[part.of_error])
+    if of_base:
+        J[:, :, :FRAME] = 0.0
+    if of_tip:
+        J[:, :, -FRAME:] = 0.0
+        J = adjoint(part.error.tool.homogeneous) @ J
+    variances = np.einsum("kip,pr,kir->i", J, C[np.ix_(own, own)], J) / len(q)
+    return float(np.sqrt(variances[:3].sum())), float(np.sqrt(variances[3:].sum()))
 
 
 def has_sides(model: CalibratedChain) -> bool:

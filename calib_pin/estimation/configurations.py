@@ -8,6 +8,7 @@ into contact.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -178,13 +179,29 @@ def observable_configurations(
         left = np.array(still, np.int64)
     if len(left):
         what = "brought into contact" if declared.contact else "measured"
-        raise InputError(
+        few = (
             f"only {count - len(left)} of {count} configurations that can be {what} "
             f"were found among {drawn} random ones within the joint limits "
-            f"({key.model})",
+            f"({key.model})"
+        )
+        lacking = lacking_frames(problem, (key,))
+        raise InputError(
+            f"give {lacking}: without, {few}" if lacking else few,
             file=problem.setup.file or None,
         )
     return asked(problem, key, q_found, target, Conditions(Labels.of(loads)))
+
+
+def lacking_frames(problem: Problem, keys: Iterable[BlockKey]) -> str:
+    """The frames of blocks of which a setup gives no first guess, for a message."""
+    lacking: dict[str, None] = {}
+    for key in keys:
+        scope = problem.parts[key].scope
+        if scope.base.xyz is None:
+            lacking[f"stations.{key.station}" if key.station else "frames.base"] = None
+        if scope.end.xyz is None:
+            lacking[f"tools.{key.tool}" if key.tool else "frames.tool"] = None
+    return f"{' and '.join(lacking)} (first guess, xyz and rpy)" if lacking else ""
 
 
 def brought_to_contact(

@@ -33,6 +33,7 @@ from calib_pin.estimation.evidence import (
 )
 from calib_pin.estimation.learning import with_learned
 from calib_pin.io.calibrated_model import (
+    CAMERAS,
     count_without_instruments,
     model_document,
     model_of,
@@ -135,6 +136,7 @@ def calibration_document(
     setup, method = model.setup.file, result.validation.method
     covariance, urdf = result.covariance, result.urdf
     begun, described = result.recalibration, model_document(model, result.reference)
+    _mark_unknown(described, result)
     return {
         **format_keys(FORMAT),
         "verdict": {"status": result.verdict, "reason": result.reason},
@@ -176,6 +178,20 @@ def calibration_document(
             "created": made.created,
         },
     }
+
+
+def _mark_unknown(described: Json, result: CalibrationResult) -> None:
+    """Say in the entries of frames and instruments which values are left open."""
+    for suffix, frames in ((".station", result.stations), (".tool", result.tools)):
+        for frame in frames:
+            for name in (frame.name, frame.name + suffix):
+                if frame.unknown and name in described["frames"]:
+                    described["frames"][name]["unknown"] = list(frame.unknown)
+    for owner, kind, component in (name.rsplit(".", 2) for name in result.unknown):
+        if kind not in ("frame", "station", "tool"):
+            key = f"{kind}s" if f"{kind}s" in described else CAMERAS
+            entry = described.get(key, described)[owner]
+            entry.setdefault("unknown", []).append(component)
 
 
 def identification_parts(

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import InputError, OptionError, RobotError, nearest
+from calib_pin.estimation.configurations import lacking_frames
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
@@ -204,11 +205,15 @@ class Workspace:
             aim.append(block.aim[kept])
         if not apart.count:
             reasons = ", ".join(f"{n} {why}" for why, n in refused.items() if n)
+            allowed = "wider limits, a larger region, or fewer obstacles"
+            if refused.get("not measurable") == taken:
+                lacking = lacking_frames(self.problem, self.problem.parts)
+                allowed = f"a setup with {lacking}" if lacking else allowed
             raise InputError(
                 f"none of {taken} configurations within the joint limits can be "
                 f"planned: {reasons}",
                 file=self.problem.setup.file or None,
-                allowed="wider limits, a larger region, or fewer obstacles",
+                allowed=allowed,
             )
         return Candidates(np.concatenate(q), np.concatenate(aim), taken)
 

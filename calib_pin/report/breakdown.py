@@ -121,14 +121,24 @@ def told(found: Breakdown) -> Iterator[Block]:
                 f"Without the measurements of {name} the frames fall apart: {groups}.",
                 "note",
             )
-    if found.coupled_frames:
-        sentences = [coupled.sentence for coupled in found.coupled_frames]
-        yield Names("Frames that cannot be told apart", sentences)
+    yield from _coupled(found)
 
 
-def frames_told(found: Breakdown) -> Iterator[Block]:
-    """Joints that never moved, and frames that cannot be told apart."""
+def frames_told(found: Breakdown, *, details: bool = False) -> Iterator[Block]:
+    """Joints that never moved, and frames that cannot be told apart.
+
+    Args:
+        found: The breakdown.
+        details: Also the ranks of several blocks.
+    """
+    if details and len(found.blocks) > 1:
+        yield from told(found)
+        return
     yield from stills(found)
+    yield from _coupled(found)
+
+
+def _coupled(found: Breakdown) -> Iterator[Names]:
     if found.coupled_frames:
         sentences = [coupled.sentence for coupled in found.coupled_frames]
         yield Names("Frames that cannot be told apart", sentences)

@@ -31,7 +31,7 @@ from calib_pin.report.accuracy import (
     taken,
 )
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
-from calib_pin.report.breakdown import parts, told
+from calib_pin.report.breakdown import frames_told, parts
 from calib_pin.report.cover import Cover, program
 from calib_pin.report.figures import Drawn, calibration_figures
 from calib_pin.report.identification import (
@@ -258,7 +258,7 @@ def _sections(
             title=title,
             blocks=blocks[key],
             figures=[figure for figure in figures if figure.name in names],
-            parameters=parameter_overview(result.parameters)
+            parameters=parameter_overview(result.parameters, result.unknown)
             if key == "parameters"
             else None,
             statuses=tuple(dict.fromkeys(STATUS[p.status] for p in result.parameters)),
@@ -269,7 +269,7 @@ def _known(
     result: CalibrationResult, suggestions: Sequence[Suggestion]
 ) -> Iterator[Block]:
     yield ranks(result, fitted=True)
-    yield from told(result)
+    yield from frames_told(result, details=True)
     yield from named_errors(result, fitted=True)
     yield from in_full(result)
     yield from unknown(result)

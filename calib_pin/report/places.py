@@ -14,7 +14,7 @@ from calib_pin.report.blocks import Block, Cell, Code, Column, Line, Table, colu
 from calib_pin.report.tables import decimals, significant
 from calib_pin.setup import CameraSetup
 from calib_pin.units import DISPLAY
-from calib_pin.validation.breakdown import FrameSummary
+from calib_pin.validation.breakdown import REMEDY, FrameSummary
 from calib_pin.validation.result import CalibrationResult
 
 DIGITS = 9
@@ -43,23 +43,27 @@ def frame_blocks(result: CalibrationResult, *, lines: bool = True) -> Iterator[B
             "pitch and yaw, their deviations those about x, y and z.",
             "note",
         )
-    sigmas = {p.name: p.sigma for p in result.parameters}
+    open_ones = {name.partition(".intrinsics.")[0] for name in result.unknown}
+    if any({*"xyz"} & {*f.unknown} for f in stations + tools) or open_ones & {*seen}:
+        yield Line(f"-: unknown, the measurements leave it open; {REMEDY}.", "note")
+    variances = np.nan_to_num(np.diag(result.covariance))
+    sigmas = dict(zip(result.covariance.rows, np.sqrt(variances), strict=True))
+    sigmas |= dict.fromkeys(result.unknown, math.nan)
     for name, camera in seen.items():
         yield _camera(name, camera, sigmas)
-    if lines:
-        written = yaml_text(_lines(stations, tools, seen))
+    known = {name: of for name, of in seen.items() if name not in open_ones}
+    if lines and (found := _lines(stations, tools, known)):
+        written = yaml_text(found)
         yield Code("The same as lines of a setup file (m, rad, px)", written)
 
 
-def _camera(
-    name: str, camera: CameraSetup, sigmas: Mapping[str, float | None]
-) -> Table:
+def _camera(name: str, camera: CameraSetup, sigmas: Mapping[str, float]) -> Table:
     """The intrinsics of a camera."""
     values = (*camera.focal, *camera.center, *camera.distortion)
     rows = []
     for (key, unit, _), value in zip(INTRINSICS, values, strict=True):
-        sigma = sigmas.get(f"{name}.intrinsics.{key}") or 0.0
-        rows.append((Cell(key), Cell(_within(value, sigma, 1.0), value), Cell(unit)))
+        sigma = sigmas[f"{name}.intrinsics.{key}"]
+        rows.append((Cell(key), _within(value, sigma, 1.0), Cell(unit)))
     return Table(f"Intrinsics of {name}", columns("", ("value", "unit")), rows)
 
 
@@ -72,9 +76,11 @@ def _lines(
     lines: dict[str, Any] = {}
     sections = [("stations", f) for f in stations] + [("tools", f) for f in tools]
     for section, frame in sections:
+        # What is unknown is not there.
+        if {*"xyz"} & {*frame.unknown}:
+            continue
         pose = {"xyz": _rounded(frame.xyz)}
-        # A rotation of which nothing is known is not there.
-        if not np.isnan(frame.sigma[3:]).all() or not frame.sigma:
+        if not frame.unknown:
             pose["rpy"] = _rounded(frame.rpy)
         if frame.name in ("base", "tool"):
             section = "frames"
@@ -113,7 +119,7 @@ def _frames(stations: Sequence[FrameSummary], tools: Sequence[FrameSummary]) -> 
         ]
         for name, unit, values, deviations in halves:
             pairs = zip(values, deviations, strict=True)
-            cells = [Cell(_within(*pair, DISPLAY[unit][1]), pair[0]) for pair in pairs]
+            cells = [_within(*pair, DISPLAY[unit][1]) for pair in pairs]
             rows.append((Cell(label), Cell(name), *cells, Cell(DISPLAY[unit][0])))
             label = "" if _link(others) == frame.link else f"  {frame.link}"
     titles = (Column("", "word"), *(Column(axis) for axis in "xyz"))
@@ -121,14 +127,15 @@ def _frames(stations: Sequence[FrameSummary], tools: Sequence[FrameSummary]) -> 
     return Table("Frames of stations and tools", of, rows)
 
 
-def _within(value: float, sigma: float, factor: float) -> str:
+def _within(value: float, sigma: float, factor: float) -> Cell:
     """A value with its standard deviation, such as `12.345 +- 0.012`.
 
     A dash for what the measurements leave open.
     """
     if math.isnan(sigma):
-        return "-"
+        return Cell("-")
     if not sigma > 0.0:
-        return f"{factor * value:z.3f}"
+        return Cell(f"{factor * value:z.3f}", value)
     places = max(decimals(factor * sigma), 0)
-    return f"{factor * value:z.{places}f} +- {significant(factor * sigma)}"
+    text = f"{factor * value:z.{places}f} +- {significant(factor * sigma)}"
+    return Cell(text, value)

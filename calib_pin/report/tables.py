@@ -201,15 +201,18 @@ def group_table(
     )
 
 
-def parameter_overview(parameters: Sequence[ParameterEstimate]) -> Table:
+def parameter_overview(
+    parameters: Sequence[ParameterEstimate], unknown: Sequence[str] = ()
+) -> Table:
     """All parameters with their estimates.
 
-    A fixed or unobservable parameter has no value: that of the URDF holds.
+    A fixed or unobservable parameter has no value: that of the URDF holds. Neither has
+    one of a frame or an instrument that is `unknown`.
     """
     rows = []
     for p in parameters:
         cells = list(_estimate(p, ESTIMATE))
-        if p.status in ("fixed", "unidentifiable"):
+        if p.status in ("fixed", "unidentifiable") or p.name in unknown:
             cells[0] = Cell("-")
         groups = ", ".join(map(str, p.groups))
         rows.append((Cell(p.name), *cells, Cell(STATUS[p.status]), Cell(groups)))

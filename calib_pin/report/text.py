@@ -8,7 +8,7 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block
-from calib_pin.report.breakdown import frames_told, parts, told
+from calib_pin.report.breakdown import frames_told, parts
 from calib_pin.report.identification import identified, summary
 from calib_pin.report.places import frame_blocks
 from calib_pin.report.recalibration import recalibrated
@@ -83,7 +83,7 @@ def report(
         yield from corrections(result)
     yield from frame_blocks(result, lines=details)
     if details:
-        yield from told(result)
+        yield from frames_told(result, details=True)
         yield from identified(
             result, fitted=True, suggestions=suggestions, details=formulae
         )

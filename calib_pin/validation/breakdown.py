@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.validation.accuracy import QuantityErrors
 from calib_pin.validation.summaries import ToolAccuracy
+
+REMEDY = (
+    "measure it otherwise and hold it in the setup file: 'estimate: false', or "
+    "'fixed: [tool.frame.z]' for one value of a stated frame"
+)
+"""Advice on values that measurements leave open."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +45,12 @@ class FrameSummary:
     rpy: tuple[float, float, float]
     sigma: tuple[float, ...]
     estimated: bool
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Names of what measurements leave open: x, y, z, and rx, ry, rz about them."""
+        names = ("x", "y", "z", "rx", "ry", "rz")
+        return tuple(names[k] for k, s in enumerate(self.sigma) if math.isnan(s))
 
 
 @dataclass(frozen=True)
@@ -122,6 +135,8 @@ class Breakdown:
         chains: The chains that were measured.
         blocks: The blocks of measurements.
         coupled_frames: Frames that cannot be told apart.
+        unknown: Names of parameters of frames and instruments whose values the
+            measurements leave open; of a frame along its own axes.
     """
 
     accuracies: Mapping[str, ToolAccuracy] = field(default_factory=dict)
@@ -130,6 +145,12 @@ class Breakdown:
     chains: tuple[ChainSummary, ...] = ()
     blocks: tuple[BlockSummary, ...] = ()
     coupled_frames: tuple[CoupledFrames, ...] = ()
+    unknown: tuple[str, ...] = ()
+
+    def unknown_of(self, kind: str, name: str) -> tuple[str, ...]:
+        """Unknown parts of a `station` or a `tool`, see `FrameSummary.unknown`."""
+        frames = self.tools if kind == "tool" else self.stations
+        return next((f.unknown for f in frames if f.name == name), ())
 
     @property
     def accuracy(self) -> ToolAccuracy:

@@ -7,15 +7,26 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib_pin.estimation.directions import visible_nuisances
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.identifiability import Combination, combinations
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.system import FRAME, Part
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices
 from calib_pin.validation.breakdown import CoupledFrames
 
-UNTOLD = 0.01
-"""Standard deviation from which a motion of a frame counts as unknown [m, rad]."""
+LIMITS = {"m": 0.01, "rad": 0.01, "px": 10.0}
+"""Standard deviations up to which a value of a frame or an instrument is known."""
+
+FAR = 10.0
+"""Times these from which a deviation says that nothing is known of its direction."""
+
+OPEN = 1e-3
+"""Part of a motion that measurements leave open from which it counts as unknown."""
+
+SHARE = 0.05
+"""Part of an unknown direction up to which a parameter hardly belongs to it."""
 
 LEAST = 0.01
 """Least coefficient of a parameter that is told."""
@@ -104,21 +115,61 @@ def _groups(nodes: list[Frame], links: Iterable[list[Frame]]) -> list[list[Frame
     return [sorted(group, key=order.__getitem__) for group in different]
 
 
-def coupled_frames(fitted: Fit) -> tuple[CoupledFrames, ...]:
-    """Frames that the measurements cannot tell apart, were the robot known.
+def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:
+    """Directions of frames and instruments that measurements leave open.
+
+    Args:
+        fitted: The fit.
+        covariance: Of its parameters, shape (P, P).
+
+    Returns:
+        Those that nothing shows, orthonormal in scaled parameters, shape (P, k); and
+        deviations of others that are hardly known, by `LIMITS`, shape (P, l).
+    """
+    problem, parameters = fitted.problem, fitted.problem.parameters
+    kept = parameters.free & problem.referred
+    for eliminated in problem.own_of_stations.values():
+        kept[eliminated] = False
+    free = np.flatnonzero(kept)
+    visible = visible_nuisances(fitted.result.jac, parameters)[free]
+    rest = np.linalg.qr(visible, mode="complete")[0][:, visible.shape[1] :]
+    limits = np.array([LIMITS.get(p.unit, np.inf) for p in parameters])
+    relative = np.nan_to_num(covariance) / np.outer(limits, limits)
+    # No other parameter can be beyond its limit.
+    index = free[np.diag(relative)[free] > 1.0]
+    squares, V = np.linalg.eigh(relative[np.ix_(index, index)])
+    far = squares > FAR**2
+    nothing = np.zeros((len(parameters), rest.shape[1]))
+    little = np.zeros((len(parameters), int(far.sum())))
+    nothing[free], little[index] = rest, V[:, far] * np.sqrt(squares[far])
+    return nothing, little
+
+
+def coupled_frames(
+    fitted: Fit, covariance: Floats | None = None
+) -> tuple[CoupledFrames, ...]:
+    """Frames that the measurements cannot tell apart.
 
     Linear combinations of the parameters of stations, tools and instruments that are
     known while their terms are not, as far as they are of several frames.
+
+    Args:
+        fitted: The fit.
+        covariance: Of its parameters, shape (P, P); default that of the fit.
     """
     problem, parameters = fitted.problem, fitted.problem.parameters
-    nuisances = np.flatnonzero(parameters.free & problem.referred)
-    if not 0 < len(nuisances) <= UNKNOWNS or problem.own_of_stations:
+    given = fitted.covariance if covariance is None else covariance
+    nothing, little = left_open(fitted, given)
+    limits = np.array([LIMITS.get(p.unit, 0.0) for p in parameters])
+    scaled = little * (limits / parameters.scales)[:, None]
+    unknown = np.column_stack([nothing, scaled / np.linalg.norm(scaled, axis=0)])
+    nuisances = np.flatnonzero(np.abs(unknown).max(axis=1, initial=0.0) > SHARE)
+    if not 0 < len(nuisances) <= UNKNOWNS:
         return ()
-    A = (fitted.result.jac * parameters.scales)[:, nuisances]
-    _, s, Vt = np.linalg.svd(np.linalg.qr(A, mode="r"), full_matrices=False)
-    sigma0 = fitted.sigma0 if np.isfinite(fitted.sigma0) else 0.0
-    told = s > max(sigma0 / UNTOLD, 1e-12 * s.max(initial=0.0))
-    pivots, C = combinations(s[told, None] * Vt[told], int(told.sum()))
+    # Known are the sums along which nothing unknown lies.
+    count = unknown.shape[1]
+    Q, _ = np.linalg.qr(unknown[nuisances], mode="complete")
+    pivots, C = combinations(Q[:, count:].T, len(nuisances) - count)
     frame_of = {
         int(k): frame
         for part in problem.parts.values()

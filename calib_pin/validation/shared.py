@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.directions import visible_nuisances
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import likely_posteriors
@@ -28,13 +28,20 @@ from calib_pin.validation.breakdown import (
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.unmoved_joints import still_joints
-from calib_pin.validation.frames import Frame, coupled_frames, frames_of, ties
+from calib_pin.validation.frames import (
+    OPEN,
+    Frame,
+    coupled_frames,
+    frames_of,
+    left_open,
+    ties,
+)
 from calib_pin.validation.judgement import quantity_errors
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.summaries import ToolAccuracy
 
-OPEN = 1e-3
-"""Part of a motion that measurements leave open from which it counts as unknown."""
+ROUNDING = 1e-12
+"""Standard deviation below which a motion is given [m, rad]."""
 
 
 @serial_blas
@@ -55,7 +62,8 @@ def breakdown(
         tools=tuple(told.frames(1)),
         chains=tuple(told.chains()),
         blocks=tuple(told.blocks()),
-        coupled_frames=coupled_frames(model.fit),
+        coupled_frames=coupled_frames(model.fit, told.covariance),
+        unknown=tuple(told.unknown()),
     )
 
 
@@ -149,7 +157,7 @@ class _Parts:
     ) -> tuple[float, ...]:
         """Standard deviations of a frame, see `FrameSummary.sigma`."""
         fitted = self.model.fit
-        covariance = self._covariance[np.ix_(index, index)]
+        covariance = self.covariance[np.ix_(index, index)]
         if not np.isfinite(covariance).all():
             return ()
         screws = part.error.screws[-FRAME:] if end else part.error.screws[:FRAME]
@@ -157,28 +165,31 @@ class _Parts:
         motions = np.kron(np.eye(2), T.rotation) @ twists
         variances = np.einsum("ki,ij,kj->k", motions, covariance, motions)
         sigma = np.sqrt(np.maximum(variances, 0.0))
-        scaled = motions * fitted.problem.parameters.scales[index]
-        unknown = np.linalg.norm(scaled @ self._open[index], axis=1)
-        lengths = np.linalg.norm(scaled, axis=1)
-        sigma[unknown > OPEN * lengths] = np.nan
+        sigma[sigma < ROUNDING] = 0.0
+        sigma[self._unknown(index, motions)] = np.nan
         return tuple(sigma.tolist())
 
+    def unknown(self) -> Iterator[str]:
+        """Names of the parameters of frames and instruments that are left open."""
+        problem, parameters = self.model.fit.problem, self.model.fit.problem.parameters
+        index = np.flatnonzero(problem.referred & parameters.free)
+        if np.isfinite(self.covariance).all():
+            for k in index[self._unknown(index, np.eye(len(index)))]:
+                yield parameters.names[k]
+
+    def _unknown(self, index: Indices, rows: Floats) -> NDArray[np.bool_]:
+        """Which sums of some parameters, rows (k, len(index)), nobody knows, (k,)."""
+        parts = (rows @ found[index] for found in self._left_open)
+        nothing, little = (np.linalg.norm(part, axis=1) for part in parts)
+        none = nothing > OPEN * np.linalg.norm(rows, axis=1)
+        return np.asarray(none | (little > 1.0))
+
     @cached_property
-    def _covariance(self) -> Floats:
+    def covariance(self) -> Floats:
         """Of all parameters, averaged over the likely sizes of errors, (P, P)."""
         found = likely_posteriors(self.model.fit)
         return np.asarray(np.mean([one.covariance for one in found], axis=0))
 
     @cached_property
-    def _open(self) -> Floats:
-        """Scaled directions of frames and instruments that nothing shows, (P, k)."""
-        fitted, parameters = self.model.fit, self.model.fit.problem.parameters
-        free = np.flatnonzero(parameters.free & fitted.problem.referred)
-        result = np.zeros((len(parameters), 0))
-        if not len(free) or fitted.problem.own_of_stations:
-            return result
-        visible = visible_nuisances(fitted.result.jac, parameters)[free]
-        rest = np.linalg.qr(visible, mode="complete")[0][:, visible.shape[1] :]
-        result = np.zeros((len(parameters), rest.shape[1]))
-        result[free] = rest
-        return result
+    def _left_open(self) -> tuple[Floats, Floats]:
+        return left_open(self.model.fit, self.covariance)

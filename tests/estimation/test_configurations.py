@@ -24,7 +24,14 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey
-from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup, SphereSetup
+from calib_pin.setup import (
+    CameraSetup,
+    FrameSetup,
+    PlaneSetup,
+    PointSetup,
+    Setup,
+    SphereSetup,
+)
 from calib_pin.simulation import exact_at
 
 ARM = calib_pin.load_chain("space6")
@@ -130,3 +137,23 @@ def test_a_stretched_arm_cannot_be_brought_there(
         # At zero the rim moves along the plane, which no step can change.
         assert touches.tolist() == [reached, reached, False]
         assert np.isfinite(found).all()
+
+
+def test_frames_that_a_setup_leaves_out_are_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A camera with an image of one pixel sees nothing."""
+    monkeypatch.setattr("calib_pin.estimation.configurations.DRAWS", 3)
+    camera = CameraSetup("world", (900.0, 900.0), (640.0, 480.0), size=(1.0, 1.0))
+    setup = Setup(camera=camera, targets={"m": PointSetup((0.0, 0.0, 0.0))})
+    ahead = FrameSetup((0.0, 0.0, 9.0))
+    for stated, reason in (
+        (setup, "give frames.base and frames.tool (first guess"),
+        (replace(setup, base_frame=ahead), "give frames.tool (first guess"),
+        (replace(setup, base_frame=ahead, tool_frame=TOOL), "only 0 of 5"),
+    ):
+        problem = problem_of("camera", stated)
+        with pytest.raises(InputError) as caught:
+            drawn(problem, zero(problem), 5)
+        assert caught.value.reason.startswith(reason)
+        assert "only 0 of 5" in caught.value.reason

@@ -525,6 +525,21 @@ def test_unknown_keys_are_passed_over() -> None:
     assert_predicts_the_same(read_calibration(stored(document)), result.model, rows)
 
 
+def test_values_that_are_unknown_are_marked() -> None:
+    """Beside the numbers, which the model needs; and they read back."""
+    result, rows = solved("plane-distance")
+    (tool,), (section, plane) = result.tools, next(iter(result.model.references))
+    vague = replace(tool, sigma=(np.nan, 1e-3, np.nan, 1e-3, 1e-3, 1e-3))
+    unknown = ("tool.frame.x", f"{plane}.plane.u", f"{plane}.plane.f")
+    document = calibration_document(replace(result, tools=(vague,), unknown=unknown))
+    assert document["frames"]["tool"]["unknown"] == ["x", "z"]
+    assert document[section][plane]["unknown"] == ["u", "f"]
+    assert "unknown" not in document["frames"]["base"]
+    read = read_result(stored(json.loads(encode(document))))
+    assert read.unknown == unknown and read.tools[0].unknown == ("x", "z")
+    assert_predicts_the_same(read.model, result.model, rows)
+
+
 def test_a_result_of_an_older_version_is_refused() -> None:
     """Version 0.1 wrote nothing of stations and blocks."""
     document = document_of("plane-distance")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +11,9 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.report.blocks import Block, Code, Table
+from calib_pin.report.blocks import Block, Code, Line, Table
 from calib_pin.report.places import frame_blocks
+from calib_pin.report.tables import parameter_overview
 from calib_pin.report.terminal import plain_text
 from calib_pin.setup import CameraSetup, Setup
 from calib_pin.validation.result import CalibrationResult
@@ -64,6 +66,36 @@ def test_what_the_measurements_leave_open_is_no_value(tracked, tmp_path):
     assert lines.tool_frame.rpy is None
     assert lines.tool_frame.xyz == pytest.approx(tool.xyz, abs=1e-9)
     assert lines.base_frame.rpy == pytest.approx(tracked.stations[0].rpy, abs=1e-9)
+
+
+def test_no_number_of_what_is_unknown(tracked, tmp_path):
+    """Neither in the table, nor among the lines, and the note says what to do."""
+    (base,), (tool,) = tracked.stations, tracked.tools
+    base = replace(base, sigma=(1e-3, math.nan, 2.5, *base.sigma[3:]))
+    names = ("base.frame.y", "tool.frame.rx")
+    result = replace(tracked, stations=(base,), unknown=names)
+    blocks = list(frame_blocks(result))
+    cells = table(blocks, "Frames").rows[0]
+    assert (cells[3].text, cells[3].value) == ("-", None)
+    said = [block.text for block in blocks if isinstance(block, Line)]
+    assert "fixed: [tool.frame.z]" in said[-1]
+    lines = lines_of(result, tmp_path)
+    assert lines.base_frame.xyz is None
+    assert lines.tool_frame.xyz == pytest.approx(tool.xyz, abs=1e-9)
+    parameters = {
+        row[0].text: row
+        for row in parameter_overview(result.parameters, result.unknown).rows
+    }
+    assert parameters["base.frame.y"][1].text == "-"
+    assert parameters["base.frame.x"][1].text != "-"
+
+
+def test_intrinsics_that_are_unknown(calibrated_robot, tmp_path):
+    seen = calibrated_robot("camera", SEEN, 40, noise=None, validate=False)
+    result = replace(seen, unknown=("camera.intrinsics.fx",))
+    rows = table(list(frame_blocks(result)), "Intrinsics of camera").rows
+    assert [row[1].text == "-" for row in rows] == [True] + 8 * [False]
+    assert lines_of(result, tmp_path).camera is None
 
 
 def test_a_camera_is_told_and_read_back(calibrated_robot, tmp_path):

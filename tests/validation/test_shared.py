@@ -90,6 +90,38 @@ def test_a_tool_on_another_has_its_own_place(moved_job) -> None:
     assert [frame.name for frame in result.tools] == ["t0", "t1"]
 
 
+FRAMES = Setup(
+    base_frame=FrameSetup((0.3, -0.2, 0.5), (0.1, -0.05, 0.4)),
+    tool_frame=FrameSetup((0.1, 0.05, 0.2)),
+)
+
+
+@pytest.mark.parametrize("size", [0.0, 1.0])
+def test_frames_of_which_only_the_sum_is_known(scara, calibrated_robot, size) -> None:
+    """Without errors nothing shows which is which; errors that tilt axes do, hardly."""
+    found = calibrated_robot("pose", FRAMES, 40, size, 1, robot=scara, noise=5e-5)
+    (base,), (tool,) = found.stations, found.tools
+    assert tool.unknown == ("z",) and "z" in base.unknown
+    assert {*base.unknown} <= {*"xyz"}
+    assert {"base.frame.z", "tool.frame.z"} <= {*found.unknown}
+    (coupled,) = found.coupled_frames
+    assert coupled.frames == ("base", "tool")
+    assert coupled.expression == "base.frame.z + tool.frame.z"
+    # What is known is right: of 8 components one in 2000 is beyond four.
+    truth = frame_pose(FRAMES.tool_frame).translation
+    for axis in (0, 1):
+        assert abs(tool.xyz[axis] - truth[axis]) < 4.0 * tool.sigma[axis]
+
+
+def test_a_value_that_is_held_has_no_deviation(scara, calibrated_robot) -> None:
+    """With the height of the tool given, that of the base is known as well."""
+    held = replace(FRAMES, fixed=("tool.frame.z",))
+    found = calibrated_robot("pose", held, 40, 1.0, 1, robot=scara, noise=5e-5)
+    (base,), (tool,) = found.stations, found.tools
+    assert (base.unknown, tool.unknown, found.unknown) == ((), (), ())
+    assert tool.sigma[2] == 0.0 and found.coupled_frames == ()
+
+
 ARMS = {"left": "arm_left_7_link", "right": "arm_right_7_link"}
 
 

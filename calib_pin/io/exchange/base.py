@@ -280,7 +280,9 @@ class Format:
             reason = f"{self.name} is for joints that turn, '{slides[0]}' slides"
             raise OptionError(reason, file=exported.file)
         encoded = self.write(exported, template)
-        remarks = [*encoded.remarks, *self._distance(exported, encoded.read)]
+        remarks = [*encoded.remarks]
+        if moves:
+            remarks += self._distance(exported, encoded.read)
         if moves and exported.framed:
             remarks.append(f"{self.name} holds no base and tool frames: see 'tf'")
         if moves and MIMIC not in self.holds and (mimics := exported.nominal.mimics):

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain as joined
+from itertools import count
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import yaml
 
-from calib_pin.errors import OptionError
-from calib_pin.io.calibrated_model import frame_key
+from calib_pin.errors import OptionError, enumerated
 from calib_pin.io.exchange.base import (
     CAMERA,
     FRAMES,
@@ -21,7 +22,18 @@ from calib_pin.io.exchange.base import (
     Format,
     require_read,
 )
-from calib_pin.setup import CameraSetup
+from calib_pin.measurement_models.pinhole import Camera
+from calib_pin.validation.breakdown import REMEDY
+from calib_pin.validation.frames import frames_of
+
+NAMES = {
+    "base": ("measurement", "measured_frame"),
+    "tool": ("tool", "measured_point"),
+}
+"""Names of the frames that have none of their own, by how they are called here."""
+
+TURNS = ("rx", "ry", "rz")
+"""Components of an orientation."""
 
 
 @dataclass(frozen=True)
@@ -30,13 +42,27 @@ class Place:
 
     Attributes:
         parent: The link.
-        child: Name of the frame.
+        child: Name of the frame, of which no link and no other frame has any.
         pose: Its pose in the link.
+        camera: Whether it is the optical frame of a camera.
+        unknown: Names of the components of its pose that nobody knows.
+        written: Whether it is of use: all is known, or of a point its position.
     """
 
     parent: str
     child: str
     pose: pin.SE3
+    camera: bool
+    unknown: tuple[str, ...]
+    written: bool
+
+    @property
+    def remark(self) -> str:
+        """A sentence about what nobody knows of it."""
+        where = f"of {self.parent} -> {self.child}"
+        if self.written:
+            return f"the orientation {where} was not measured, only its position"
+        return f"{', '.join(self.unknown)} {where} unknown"
 
 
 def places(exported: Exported) -> list[Place]:
@@ -44,32 +70,51 @@ def places(exported: Exported) -> list[Place]:
 
     They belong to the corrected URDF; a frame that several blocks share is listed once.
     """
-    model, found = exported.result.model, dict[str, Place]()
-    for part in model.parts.values():
-        chain, scope = part.error.chain, part.scope
-        station, tool = frame_key(scope.station), frame_key(scope.tool)
-        if station == "base":
-            station = "measurement"
-        for reference in part.measurement.references:
-            camera = reference.stated()
-            if isinstance(camera, CameraSetup) and camera.mount == "hand":
-                tool = "camera"
-            elif isinstance(camera, CameraSetup):
-                station = "camera"
-        ends = (
-            (chain.base, station, part.error.base.inverse()),
-            (chain.tip, tool, model.of(part.key).tool),
-        )
-        for parent, child, pose in ends:
-            name = child.replace(".", "_").replace("/", "_")
-            found.setdefault(name, Place(parent, name, pose))
+    result, found = exported.result, dict[tuple[str, ...], Place]()
+    taken = set(result.model.chains.robot.links)
+    for part in result.model.parts.values():
+        chain, (station, tool) = part.error.chain, (f for f, _ in frames_of(part))
+        base, tip = part.error.base.inverse(), result.model.of(part.key).tool
+        cameras = {
+            "tool" if reference.mount == "hand" else "station": reference
+            for reference in part.measurement.references
+            if isinstance(reference, Camera)
+        }
+        for frame, link, pose in ((station, chain.base, base), (tool, chain.tip, tip)):
+            if (key := (*frame, link)) in found:
+                continue
+            names = NAMES.get(frame.name, (f"{frame.name}_{frame.kind}",))
+            if camera := cameras.get(frame.kind):
+                name = part.scope.reference(camera)
+                names = (name, f"{name}_optical_frame")
+            child, unknown = _free_name(names, taken), result.unknown_of(*frame)
+            point = frame is tool and camera is None and unknown == TURNS
+            found[key] = Place(
+                link, child, pose, camera is not None, unknown, point or not unknown
+            )
     return list(found.values())
 
 
+def _free_name(names: Sequence[str], taken: set[str]) -> str:
+    """The first name that no frame has, or the last with a number; taken from now."""
+    plain = [name.replace(".", "_").replace("/", "_") for name in names]
+    more = (f"{plain[-1]}_{k}" for k in count(2))
+    name = next(name for name in joined(plain, more) if name not in taken)
+    taken.add(name)
+    return name
+
+
 def encode_transforms(exported: Exported, _: Path | None) -> Encoded:
-    """Static transforms as ROS prints them, and the commands that publish them."""
+    """Static transforms as ROS prints them, and the commands that publish them.
+
+    Raises:
+        OptionError: If nothing is known of any.
+    """
+    found = places(exported)
     documents, commands = [], []
-    for place in places(exported):
+    for place in found:
+        if not place.written:
+            continue
         position, turn = _numbers(place.pose)
         documents.append(
             {
@@ -86,10 +131,24 @@ def encode_transforms(exported: Exported, _: Path | None) -> Encoded:
             f"# ros2 run tf2_ros static_transform_publisher {' '.join(options)} "
             f"--frame-id {place.parent} --child-frame-id {place.child}"
         )
+    remarks = _remarks(exported, found)
+    if not documents:
+        raise OptionError("; ".join(remarks), file=exported.file)
     document = {"transforms": documents}
     text = yaml.safe_dump(document, sort_keys=False)
     require_read(yaml.safe_load(text), document, "the frames")
-    return Encoded("\n".join([*commands, text]).encode())
+    lines = [*(f"# {remark}" for remark in remarks), *commands, text]
+    return Encoded("\n".join(lines).encode(), remarks)
+
+
+def _remarks(exported: Exported, found: Sequence[Place]) -> tuple[str, ...]:
+    """Sentences about what is not known of frames, and what to do about it."""
+    remarks = [place.remark for place in found if place.unknown]
+    if not all(place.written for place in found):
+        coupled = exported.result.coupled_frames
+        known = [f"only {sums.expression} is known" for sums in coupled]
+        remarks.append("; ".join([REMEDY, *known]))
+    return tuple(remarks)
 
 
 def _numbers(pose: pin.SE3) -> tuple[dict[str, float], dict[str, float]]:
@@ -103,20 +162,23 @@ def encode_camera(exported: Exported, _: Path | None) -> Encoded:
     """A camera as ROS' camera_info_manager loads it, and where it is.
 
     Raises:
-        OptionError: If there is not one camera.
+        OptionError: If there is not one camera, or its intrinsics are not known.
     """
     found = exported.result.model.cameras
     if len(found) != 1:
         told = ", ".join(found) or "none"
         raise OptionError("one camera can be exported", file=exported.file, value=told)
     ((name, camera),) = found.items()
+    if unknown := [p for p in exported.result.unknown if p.startswith(f"{name}.")]:
+        reason = f"{enumerated(unknown)} unknown; {REMEDY}"
+        raise OptionError(reason, file=exported.file)
     (fx, fy), (cx, cy) = camera.focal, camera.center
-    remarks = []
+    remarks: tuple[str, ...] = ()
     if camera.size is None:
         width, height = round(2.0 * cx), round(2.0 * cy)
-        remarks.append(
+        remarks = (
             f"the setup states no image size: {width} x {height} is twice the "
-            "principal point; state 'camera: {size: [width, height]}'"
+            "principal point; state 'camera: {size: [width, height]}'",
         )
     else:
         width, height = (int(edge) for edge in camera.size)
@@ -132,27 +194,24 @@ def encode_camera(exported: Exported, _: Path | None) -> Encoded:
         "projection_matrix": _matrix([[*row, 0.0] for row in K]),
     }
     comments = []
-    for place in places(exported):
-        if place.child == "camera":
-            x, turn = (
-                " ".join(f"{number:.9g}" for number in part.values())
-                for part in _numbers(place.pose)
-            )
-            about = f"xyz {x}, quaternion x y z w {turn}"
-            comments.append(f"# optical frame in {place.parent}: {about}")
+    cameras = [place for place in places(exported) if place.camera]
+    for place in cameras:
+        x, turn = (
+            " ".join(f"{number:.9g}" for number in part.values())
+            for part in _numbers(place.pose)
+        )
+        about = f" in {place.parent}: xyz {x}, quaternion x y z w {turn}"
+        told = about if place.written else f": {place.remark}"
+        comments.append(f"# optical frame{told}")
+    remarks += _remarks(exported, cameras)
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
     require_read(yaml.safe_load(text), document, "the numbers of the camera")
-    return Encoded("\n".join([*comments, text]).encode(), tuple(remarks))
+    return Encoded("\n".join([*comments, text]).encode(), remarks)
 
 
 def _matrix(rows: Sequence[Sequence[float]]) -> dict[str, object]:
     data = [float(number) for row in rows for number in row]
     return {"rows": len(rows), "cols": len(rows[0]), "data": data}
-
-
-CAMERA_INFO = Format(
-    "camera-info", ".yaml", "the camera, as ROS loads it", encode_camera
-)
 
 
 TF = Format(

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -22,7 +21,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.exchange import FORMATS, Exported
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
-from calib_pin.setup import CameraSetup, FrameSetup, JointMap, PointSetup, Setup
+from calib_pin.setup import FrameSetup, JointMap, Setup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.calibrated_model import CalibratedModel
 
@@ -292,37 +291,6 @@ def test_other_transmissions_are_refused(
     template.write_text(TRANSMISSION.format(**about))
     with refused(InputError, reason="transmission 't'", file=str(template)):
         FORMATS["ros2-control"].encode(offsets[0], template)
-
-
-@pytest.mark.parametrize("mount", ["hand", "world"])
-def test_a_camera_is_told_with_its_place(mount):
-    camera = CameraSetup(
-        mount=mount,
-        focal=(800.0, 805.0),
-        center=(640.0, 360.0),
-        distortion=(0.01, -0.02, 0.0, 0.0, 0.0),
-        size=(1280, 720),
-    )
-    setup = Setup(
-        camera=camera,
-        targets={"c": PointSetup(xyz=(0.0, 0.0, 0.0), estimate=False)},
-        parameters=("joint-offset",),
-        base_frame=FrameSetup(xyz=(0.0, 0.0, 1.5), rpy=(np.pi, 0.0, 0.0)),
-        tool_frame=FrameSetup(xyz=(0.0, 0.0, 0.05), rpy=(0.0, 0.0, 0.0)),
-    )
-    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
-    problem = nominal_problem(chain, "camera", setup)
-    model = CalibratedModel.create(problem, np.zeros(len(problem.parameters)))
-    result = SimpleNamespace(verdict="good", reason="", model=model)
-    encoded = FORMATS["camera-info"].encode(Exported(result, Path("out")), None)
-    told = yaml.safe_load(encoded.data)
-    assert encoded.remarks == () and told["distortion_model"] == "plumb_bob"
-    assert (told["image_width"], told["image_height"]) == (1280, 720)
-    K = np.array(told["camera_matrix"]["data"]).reshape(3, 3)
-    assert K.tolist() == [[800.0, 0.0, 640.0], [0.0, 805.0, 360.0], [0.0, 0.0, 1.0]]
-    assert told["distortion_coefficients"]["data"] == [0.01, -0.02, 0.0, 0.0, 0.0]
-    link = "tool0" if mount == "hand" else "base_link"
-    assert f"# optical frame in {link}: xyz" in encoded.data.decode()
 
 
 def test_what_is_not_exported(exported, refused):

@@ -268,6 +268,9 @@ def calibrated(case: Case) -> Exported:
         geometry=geometry,
         parameters=(),
         robot_errors=(),
+        coupled_frames=(),
+        unknown=(),
+        unknown_of=lambda kind, name: (),
         covariance=NamedArray.of(
             1e-8 * np.eye(len(theta)), model.given.names, model.given.names
         ),

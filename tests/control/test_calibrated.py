@@ -1,0 +1,77 @@
+"""How exactly the frame and the point of targets are known."""
+
+from __future__ import annotations
+
+import re
+from itertools import product
+
+import numpy as np
+import pytest
+
+from calib_pin.control.calibrated import ends_known, kinematics
+from calib_pin.errors import OptionError
+from calib_pin.setup import FrameSetup, Setup
+from calib_pin.validation.calibrated_model import CalibratedModel
+
+FRAMES = Setup(
+    base_frame=FrameSetup((0.3, -0.2, 0.5), (0.1, -0.05, 0.4)),
+    tool_frame=FrameSetup((0.1, 0.05, 0.2)),
+)
+SEEDS = range(3)
+
+
+def only(result):
+    (key,) = result.model.parts
+    return key
+
+
+@pytest.mark.parametrize(
+    ("frame", "point"), [("base", "tool"), ("base", "tip"), ("measuring", "tip")]
+)
+def test_deviations_are_those_of_the_true_robot(
+    simulated, calibrated_robot, frame, point
+):
+    """The mean square of what several robots are off is what is told of them."""
+    squares = np.zeros((2, len(SEEDS)))
+    for seed in SEEDS:
+        job = "pose", FRAMES, 40, 1.0, seed
+        problem, theta = simulated(*job, noise=3e-5)
+        result = calibrated_robot(*job, noise=3e-5, validate=False)
+        said = ends_known(result, only(result), frame, point)
+        (told,) = re.findall(r"\+- ([0-9.]+) mm", said)
+        true = CalibratedModel.create(problem, theta).of()
+        q = true.chain.random_configurations(50, np.random.default_rng(1))
+        ways = (
+            kinematics(m, frame=frame, point=point) for m in (true, result.model.of())
+        )
+        first, second = (way(q)[0][:, :3, 3] for way in ways)
+        off = 1e3 * np.linalg.norm(first - second, axis=1)
+        squares[:, seed] = np.mean(off**2), float(told) ** 2
+    # Six directions or so of each robot: a factor of three has a chance of one in 100.
+    ratio = np.sqrt(np.divide(*squares.mean(axis=1)))
+    assert 1.0 / 3.0 < ratio < 3.0
+
+
+def test_nothing_is_said_where_nothing_matters(calibrated_robot):
+    result = calibrated_robot("pose", FRAMES, 40, 1.0, 0, noise=3e-5, validate=False)
+    assert ends_known(result, only(result)) == ""
+    given = Setup(
+        base_frame=FrameSetup((0.3, -0.2, 0.5), (0.1, -0.05, 0.4), estimate=False),
+        tool_frame=FrameSetup((0.1, 0.05, 0.2), estimate=False),
+    )
+    result = calibrated_robot("pose", given, 40, 1.0, 0, noise=3e-5, validate=False)
+    for frame, point in product(("base", "measuring"), ("tool", "tip")):
+        assert ends_known(result, only(result), frame, point) == ""
+
+
+def test_what_is_unknown_is_refused(scara, calibrated_robot, refused):
+    """Base and tool along parallel axes: their sum is known, and the robot."""
+    result = calibrated_robot("pose", FRAMES, 40, 1.0, 1, robot=scara, noise=5e-5)
+    for frame, point, whose in (
+        ("base", "tool", "z of the tool"),
+        ("measuring", "tip", "z of the base"),
+    ):
+        with refused(OptionError, reason=(whose, "fixed: [tool.frame.z]")):
+            ends_known(result, only(result), frame, point)
+    assert ends_known(result, only(result)) == ""
+    assert " mm and " in ends_known(result, only(result), "base", "tip")

@@ -1,0 +1,173 @@
+"""Frames and cameras as ROS takes them: right where known, absent where not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+
+import calib_pin
+from calib_pin.errors import OptionError
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.io.exchange import FORMATS, Encoded, Exported
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import BlockKey
+from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup, ToolSetup
+from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.result import CalibrationResult
+
+FRAMES = Setup(
+    base_frame=FrameSetup((0.3, -0.2, 0.5), (0.1, -0.05, 0.4)),
+    tool_frame=FrameSetup((0.1, 0.05, 0.2)),
+)
+NAMES = ("x", "y", "z", "rx", "ry", "rz")
+
+
+def of(result: CalibrationResult) -> Exported:
+    assert result.verdict == "good"
+    return Exported(result, Path("out"))
+
+
+def transforms(encoded: Encoded) -> dict[str, tuple[str, Floats]]:
+    """Parent and pose of each child, as a listener of ROS has them."""
+    found = {}
+    for entry in yaml.safe_load(encoded.data)["transforms"]:
+        t, r = (entry["transform"][key].values() for key in ("translation", "rotation"))
+        pose = pin.SE3(pin.Quaternion(np.array([*r])).matrix(), np.array([*t]))
+        found[entry["child_frame_id"]] = entry["header"]["frame_id"], pose.homogeneous
+    assert len(found) == len(yaml.safe_load(encoded.data)["transforms"])
+    return found
+
+
+def said(encoded: Encoded) -> list[str]:
+    """Remarks on frames, not on the geometry that other files hold."""
+    return [remark for remark in encoded.remarks if "holds no" not in remark]
+
+
+def without(result: CalibrationResult, kind: str, *unknown: str) -> CalibrationResult:
+    """The same, with parts of the only station or tool that nobody knows."""
+    (frame,) = getattr(result, kind)
+    sigma = [np.nan if name in unknown else 1e-4 for name in NAMES]
+    return replace(result, **{kind: (replace(frame, sigma=tuple(sigma)),)})
+
+
+@pytest.fixture(scope="module")
+def posed(scara, calibrated_robot: Callable[..., CalibrationResult]) -> Exported:
+    """A robot whose tip link is called as the tool, made as if all were known."""
+    found = calibrated_robot("pose", FRAMES, 40, 1.0, 1, robot=scara, noise=5e-5)
+    known = without(without(found, "stations"), "tools")
+    return of(replace(known, unknown=(), coupled_frames=()))
+
+
+def test_frames_bring_measurements_into_the_base_link(posed):
+    encoded = FORMATS["tf"].encode(posed, None)
+    found = transforms(encoded)
+    assert said(encoded) == []
+    # No frame has a name twice, nor that of a link.
+    assert {name: parent for name, (parent, _) in found.items()} == {
+        "measurement": "l0",
+        "measured_point": "tool",
+    }
+    q, chain = posed.configurations, posed.result.model.of()
+    robot = chain.error.tip_poses(q, chain.theta)
+    predicted = found["measurement"][1] @ chain.poses(q)
+    assert np.abs(predicted - robot @ found["measured_point"][1]).max() < 1e-9
+
+
+def of_model(model: CalibratedModel, **unknown: Any) -> Exported:
+    """A calibration of which there is no more than the model, and what is unknown."""
+    parts = {"unknown": (), "unknown_of": lambda *_: (), "coupled_frames": ()}
+    told = {"verdict": "good", "reason": "", "model": model, **parts, **unknown}
+    return Exported(SimpleNamespace(**told), Path("out"))
+
+
+def test_several_each_have_a_name(scara):
+    """Of a tool that is known on another, too."""
+    place = FrameSetup((0.1, 0.2, 0.3))
+    setup = Setup(
+        stations=dict.fromkeys(("s.0", "s/1"), place),
+        tools={"t0": place, "t1": ToolSetup((0.0, 0.0, 0.1), on="t0")},
+    )
+    keys = [BlockKey("pose", "", *ends) for ends in (("s.0", "t0"), ("s/1", "t1"))]
+    problem = nominal_problem(scara, keys, setup)
+    model = CalibratedModel.create(problem, np.zeros(len(problem.parameters)))
+    found = transforms(FORMATS["tf"].encode(of_model(model), None))
+    assert [*found] == ["s_0_station", "t0_tool", "s_1_station", "t1_tool"]
+    assert found["t1_tool"][1][2, 3] == pytest.approx(0.4, abs=1e-12)
+
+
+@pytest.mark.parametrize("axis", NAMES)
+def test_a_transform_that_is_not_known_is_not_written(posed, axis):
+    unknown = without(posed.result, "tools", axis)
+    encoded = FORMATS["tf"].encode(of(unknown), None)
+    assert [*transforms(encoded)] == ["measurement"]
+    first, second = said(encoded)
+    assert first == f"{axis} of tool -> measured_point unknown"
+    assert "fixed: [tool.frame.z]" in second
+    for remark in (first, second):
+        assert f"# {remark}\n" in encoded.data.decode()
+
+
+def test_the_position_of_a_point_is_enough(posed):
+    point = without(posed.result, "tools", "rx", "ry", "rz")
+    encoded = FORMATS["tf"].encode(of(point), None)
+    assert [*transforms(encoded)] == ["measurement", "measured_point"]
+    (remark,) = said(encoded)
+    assert "orientation" in remark
+    station = without(posed.result, "stations", "rx", "ry", "rz")
+    assert [*transforms(FORMATS["tf"].encode(of(station), None))] == ["measured_point"]
+
+
+def test_nothing_known_is_refused(scara, calibrated_robot, refused):
+    """Base and tool along parallel axes: only what they add up to is known."""
+    found = calibrated_robot("pose", FRAMES, 40, 1.0, 1, robot=scara, noise=5e-5)
+    reason = "z of tool -> measured_point", "fixed:", "only base.frame.z + "
+    with refused(OptionError, reason=reason, file="out"):
+        FORMATS["tf"].encode(of(found), None)
+
+
+@pytest.mark.parametrize("mount", ["hand", "world"])
+def test_a_camera_is_told_with_its_place(mount, refused):
+    camera = CameraSetup(
+        mount=mount,
+        focal=(800.0, 805.0),
+        center=(640.0, 360.0),
+        distortion=(0.01, -0.02, 0.0, 0.0, 0.0),
+        size=(1280, 720),
+    )
+    setup = Setup(
+        camera=camera,
+        targets={"c": PointSetup(xyz=(0.0, 0.0, 0.0), estimate=False)},
+        parameters=("joint-offset",),
+        base_frame=FrameSetup(xyz=(0.0, 0.0, 1.5), rpy=(np.pi, 0.0, 0.0)),
+        tool_frame=FrameSetup(xyz=(0.0, 0.0, 0.05), rpy=(0.0, 0.0, 0.0)),
+    )
+    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
+    problem = nominal_problem(chain, "camera", setup)
+    model = CalibratedModel.create(problem, np.zeros(len(problem.parameters)))
+
+    def encoded(**unknown: Any) -> Encoded:
+        return FORMATS["camera-info"].encode(of_model(model, **unknown), None)
+
+    told = yaml.safe_load(encoded().data)
+    assert encoded().remarks == () and told["distortion_model"] == "plumb_bob"
+    assert (told["image_width"], told["image_height"]) == (1280, 720)
+    K = np.array(told["camera_matrix"]["data"]).reshape(3, 3)
+    assert K.tolist() == [[800.0, 0.0, 640.0], [0.0, 805.0, 360.0], [0.0, 0.0, 1.0]]
+    assert told["distortion_coefficients"]["data"] == [0.01, -0.02, 0.0, 0.0, 0.0]
+    link = "tool0" if mount == "hand" else "base_link"
+    assert f"# optical frame in {link}: xyz" in encoded().data.decode()
+    # The intrinsics do not depend on where it is.
+    vague = encoded(unknown_of=lambda *_: ("z",))
+    assert vague.data.startswith(f"# optical frame: z of {link} -> camera".encode())
+    assert b"xyz" not in vague.data and len(vague.remarks) == 2
+    assert yaml.safe_load(vague.data) == told
+    with refused(OptionError, reason="camera.intrinsics.fx unknown", file="out"):
+        encoded(unknown=("camera.intrinsics.fx", "base.frame.x"))

@@ -109,7 +109,7 @@ GROUPS = {
     "docs": ("mkdocs", "latex2mathml"),
     "mujoco": ("mujoco",),
     "parquet": ("pyarrow",),
-    "pdf-reading": ("pypdf",),
+    "pdf": ("typst", "pypdf"),
     "view": ("viser",),
     "vision": ("cv2",),
 }

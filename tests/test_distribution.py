@@ -46,6 +46,7 @@ def test_the_wheel_holds_what_the_package_needs(distributions: dict[str, Path]):
     for name in (
         "calib_pin/py.typed",
         "calib_pin/report/page/report.html",
+        "calib_pin/report/page/report.typ",
         "calib_pin/report/page/style.css",
         "calib_pin/robots/space7/robot.urdf",
         "calib_pin/robots/space7/measurements.csv",

@@ -92,8 +92,7 @@ def accept(
     from calib_pin.report.cover import acceptance_cover
     from calib_pin.report.figures import Judged, acceptance_figures
     from calib_pin.report.html import acceptance_page
-    from calib_pin.report.pdf import pdf_report
-    from calib_pin.report.sheets import MISSING, can_write_pdf
+    from calib_pin.report.pdf import MISSING, can_write_pdf, pdf_report
     from calib_pin.setup import LimitSetup, ReportSetup
     from calib_pin.validation.acceptance import judged
     from calib_pin.validation.pose_tests import tested

@@ -155,6 +155,7 @@ def compensate(
     from calib_pin.cli.documents import compensation_document
     from calib_pin.control.calibrated import ends_known, with_payload
     from calib_pin.control.joints import Joints
+    from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.exchange.motions import (
         PROGRAMS,
         moving_times,
@@ -163,12 +164,7 @@ def compensate(
     )
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
-    from calib_pin.io.results import (
-        read_accuracy,
-        read_calibration,
-        read_result,
-        written_before,
-    )
+    from calib_pin.io.results import read_result, written_before
     from calib_pin.io.targets import (
         command_columns,
         encode_commands,
@@ -198,9 +194,20 @@ def compensate(
     require_joints_only(setup, stated, *["obstacles"] * avoid_collisions)
     require_file(calibration)
     check_outputs((output,), (calibration, targets, setup, srdf), force)
-    doubts: list[str] = []
-    calibrated = read_calibration(calibration, notice=doubts.append)
-    accuracy = read_accuracy(calibration)
+    result = read_result(calibration)
+    calibrated, doubts = result.model, list[str]()
+    if result.verdict not in TRUSTED:
+        doubts.append(f"{calibration} must not be trusted: {result.reason}")
+    accuracy = {
+        e.name: {
+            "unit": e.unit,
+            "mean": e.validation_after.mean,
+            "max": e.validation_after.max,
+            "method": result.validation.method,
+        }
+        for e in result.errors
+        if e.validation_after is not None and e.unit in ("m", "rad")
+    }
     key = _block(calibrated, chain, station, tool)
     model = with_payload(calibrated.of(key), payload, calibration)
     robot = model.chain.robot.file
@@ -252,7 +259,7 @@ def compensate(
     elif speed is not None:
         speed_limits(model.chain, speed)
     ends = ("base", "tip") if motion else (frame or FRAMES[0], point or POINTS[0])
-    known = ends_known(read_result(calibration), key, *ends)
+    known = ends_known(result, key, *ends)
     if known and not quiet:
         notice(known)
     ways = None

@@ -241,7 +241,7 @@ def compensation_document(
         asked: The targets.
         doubts: Why the calibration must not be trusted; empty where it may.
         output: File that the commands were written to; None for none.
-        accuracy: Accuracy of the calibration, see `io.results.read_accuracy`.
+        accuracy: Accuracy of the calibration, by quantity.
         ways: Number of via configurations, and lines to which no way is free; None
             where collisions are not looked at.
         hasty: Lines to which a joint would move faster than it can.

@@ -67,8 +67,7 @@ def report(
     )
     from calib_pin.report.cover import calibration_cover
     from calib_pin.report.html import html_report, provenance_blocks
-    from calib_pin.report.pdf import pdf_report
-    from calib_pin.report.sheets import require_pdf
+    from calib_pin.report.pdf import pdf_report, require_pdf
     from calib_pin.report.text import report as blocks
 
     if pdf is not None:

@@ -21,7 +21,7 @@ from calib_pin.io.table import Table
 from calib_pin.io.written_columns import column_name
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.joint_columns import JointColumns, advice
+from calib_pin.kinematics.joint_columns import JointColumns, advice, drives_of
 from calib_pin.kinematics.joint_space import FREE_TRAVEL
 from calib_pin.kinematics.tree import turns
 from calib_pin.observations import Labels
@@ -100,7 +100,7 @@ def read_positions(
             joint is not where the one that it mimics takes it.
     """
     chains, count = Chains.of(chain), len(table.lines)
-    needed = {name: stated_joints(chains[name]) for name in chains.names}
+    needed = {name: frozenset(drives_of(chains[name])) for name in chains.names}
     if chain_of is None:
         needed = {"": frozenset[str]().union(*needed.values())}
         chain_of = Labels.all("", count)
@@ -155,14 +155,6 @@ def _positions(
             position = given.sign * given.gear * position + given.offset
     _check_unit(table, column, kinds[column], given, position, limits)
     return position
-
-
-def stated_joints(chain: Chain) -> frozenset[str]:
-    """The joints that a measurement of a chain states: those that mimic none."""
-    return frozenset(
-        chain.mimics[joint].leader if joint in chain.mimics else joint
-        for joint in chain.joints
-    )
 
 
 def shown_columns(

@@ -18,7 +18,6 @@ from calib_pin.io.joint_columns import (
     read_positions,
     spare_columns,
     spare_positions,
-    stated_joints,
 )
 from calib_pin.io.measured_columns import (
     NAMES,
@@ -39,7 +38,7 @@ from calib_pin.io.measured_columns import (
 )
 from calib_pin.io.table import Table, with_readings
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.joint_columns import JointColumns
+from calib_pin.kinematics.joint_columns import JointColumns, drives_of
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import (
     BlockKey,
@@ -247,7 +246,7 @@ def _with_readings(
     kept = np.ones(len(table.lines), bool)
     lacking = set[str]()
     for key, rows in _split(names).items():
-        moved = stated_joints(chains[key.chain])
+        moved = drives_of(chains[key.chain])
         read = {c for joint in moved for c in kinds_of(columns, joint)}
         read |= {*needed(key.model)} | (ORIENTED & _read_by(key.model))
         for name in (read | optional(key.model)) & table.columns.keys():

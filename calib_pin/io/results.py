@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from reprlib import repr
-from typing import Any, get_type_hints
+from typing import get_type_hints
 
 import numpy as np
 
@@ -305,29 +305,6 @@ def read_calibration(
     if notice is not None and verdict["status"] not in TRUSTED:
         notice(f"{path} must not be trusted: {verdict['reason']}")
     return model
-
-
-def read_accuracy(path: str | Path) -> dict[str, dict[str, Any]]:
-    """The accuracy on validation measurements that a `calibration.json` states.
-
-    Args:
-        path: The file, which `read_calibration` has read.
-
-    Returns:
-        Unit, mean, max and method of every quantity; none where nothing was checked.
-    """
-    with reading(path):
-        stated = read_document(path)["errors"]
-        return {
-            e.name: {
-                "unit": e.unit,
-                "mean": e.validation_after.mean,
-                "max": e.validation_after.max,
-                "method": stated[e.name]["validation"]["method"],
-            }
-            for e in _read_errors(stated)
-            if e.validation_after is not None and e.unit in ("m", "rad")
-        }
 
 
 def read_suggestions(document: Json) -> tuple[Suggestion, ...]:

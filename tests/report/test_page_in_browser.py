@@ -15,7 +15,7 @@ from tests.report.test_html import page
 
 __all__ = ["page"]
 
-pytestmark = [pytest.mark.slow, pytest.mark.needs("browser", "pdf-reading")]
+pytestmark = [pytest.mark.slow, pytest.mark.needs("browser")]
 
 
 @pytest.fixture

@@ -241,14 +241,19 @@ class Drawn:
             title.remove()
             reading.remove()
 
-    def bare(self, kind: str) -> bytes:
-        """The same without heading and caption, which whoever places it writes."""
-        return self._saved(kind, PAPER)
+    def bare(self) -> bytes:
+        """An SVG file without heading and caption, its letters as outlines.
 
-    def _saved(self, kind: str, paper: str, **more: Any) -> bytes:
+        Whoever places it writes the words, and need not have the font.
+        """
+        return self._saved("svg", PAPER, letters="path")
+
+    def _saved(
+        self, kind: str, paper: str, letters: str = "none", **more: Any
+    ) -> bytes:
         metadata, dpi = KINDS[kind]
         stream = io.BytesIO()
-        with drawing():
+        with drawing(), mpl.rc_context({"svg.fonttype": letters}):
             self.figure.savefig(
                 stream, format=kind, dpi=dpi, metadata=metadata, facecolor=paper, **more
             )

@@ -36,8 +36,8 @@ LEVER = 0.3
 """Length at which a turn counts as a move [m]."""
 
 UNLIMITED = {"prismatic": 1.0, "revolute": np.pi, "continuous": np.pi}
-"""Positions that joints without limits are brought to, either way [m, rad]: those of the
-workspace over which the package states errors."""
+"""Positions that joints without limits are brought to, either way [m, rad]: those of
+the workspace over which the package states errors."""
 
 
 def pose(xyz: Sequence[float] | Floats, rotation: Rotation) -> Floats:

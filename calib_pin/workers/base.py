@@ -61,7 +61,7 @@ class WorkerLost(CalibPinError):
 
 
 class Workers:
-    """What does independent items of work: this process, where no other kind is meant.
+    """Independent items of work, done in this process; the base of other workers.
 
     Attributes:
         count: Number of items that may be under way at once.

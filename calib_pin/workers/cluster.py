@@ -24,8 +24,6 @@ from calib_pin.workers.local import cores
 PATIENCE = 5.0
 """Time to wait for an answer of the scheduler [s]."""
 
-ALLOWED = "tcp://HOST:PORT, tls://HOST:PORT, a scheduler.json, local"
-
 
 class Cluster(Workers, AbstractContextManager["Cluster"]):
     """The workers of a scheduler; a context that parts from it.
@@ -70,7 +68,7 @@ class Cluster(Workers, AbstractContextManager["Cluster"]):
             reason = " ".join(str(error).split()) or type(error).__name__
             raise OptionError(
                 f"no scheduler answers at --cluster '{address}': {reason}",
-                allowed=ALLOWED,
+                allowed="tcp://HOST:PORT, tls://HOST:PORT, a scheduler.json, local",
             ) from error
         self.count = sum(self._client.nthreads().values())
         if not self.count:

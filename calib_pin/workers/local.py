@@ -69,18 +69,15 @@ class LocalProcesses(Workers, AbstractContextManager["LocalProcesses"]):
             Path(file.name).unlink(missing_ok=True)
 
     def _submit(self, digest: bytes, file: str, items: Sequence[Any]) -> Future[Done]:
-        try:
-            return self._started().submit(run, digest, file, items)
-        except BrokenProcessPool:
-            self._executor = None
-            return self._started().submit(run, digest, file, items)
-
-    def _started(self) -> ProcessPoolExecutor:
         if self._executor is None:
             # Not forked: a copy of a process with threads may hang.
             spawn, ties = get_context("spawn"), (os.getpid(), self._folder.name)
             self._executor = ProcessPoolExecutor(self.count, spawn, _begin, ties)
-        return self._executor
+        try:
+            return self._executor.submit(run, digest, file, items)
+        except BrokenProcessPool:
+            self._executor = None
+            return self._submit(digest, file, items)
 
 
 def _begin(parent: int, folder: str) -> None:
@@ -97,7 +94,7 @@ def _begin(parent: int, folder: str) -> None:
 
 
 def _end(parent: int, folder: str) -> None:
-    while os.getppid() == parent and os.path.exists(folder):
+    while os.getppid() == parent and Path(folder).exists():
         time.sleep(GLANCE)
     shutil.rmtree(folder, ignore_errors=True)  # A parent that was killed leaves it.
     os._exit(1)

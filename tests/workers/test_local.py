@@ -92,13 +92,6 @@ def test_an_item_that_kills_its_process_stops_nothing(tmp_path: Path):
         assert list(workers.map(inner, 1, range(4))) == [0, 1, 3, 6]
 
 
-def test_two_runs_take_turns():
-    with LocalProcesses(2, patience=0.0) as workers:
-        one = workers.map(added, 1, range(500))
-        other = workers.map(added, 2, iter(range(501)))
-        assert [b - a for a, b in zip(one, other, strict=False)] == [1] * 500
-
-
 SCRIPT = """
 import os, sys, tempfile, time
 from calib_pin.workers.local import LocalProcesses

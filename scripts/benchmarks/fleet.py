@@ -166,10 +166,10 @@ def _saturation() -> None:
         print(f"  {count:5} fake workers {1e6 * each:20.1f} us: {1.0 / each:9.0f}")
     with LocalProcesses(patience=0.0) as workers:
         list(workers.map(_wait, 0.0, range(2 * workers.count)))
-        batches = 50 * workers.count
+        batches = 10 * workers.count
         begin = time.process_time()
         # Each takes so long that it is a batch of its own.
-        for _ in workers.map(_wait, 0.1 * SECONDS, iter(range(batches))):
+        for _ in workers.map(_wait, 1.1 * SECONDS, iter(range(batches))):
             pass
         each = (time.process_time() - begin) / batches
     print(f"  {cores():5} processes    {1e6 * each:20.1f} us: {1.0 / each:9.0f}")

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
-from multiprocessing import get_context, parent_process
-from multiprocessing.connection import wait
-from types import TracebackType
-from typing import Any, Self, TypeVar
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import NamedTemporaryFile, TemporaryDirectory
+from typing import Any
 
-from calib_pin.workers.distributed import Share, distribute
-from calib_pin.workers.remote import Done, alone, keep, run
-
-_Shared = TypeVar("_Shared")
-_Item = TypeVar("_Item")
-_Result = TypeVar("_Result")
+from calib_pin.workers.base import Done, Submit, Workers, alone, run
 
 PATIENCE = 1.0
 """Time that items are done in this process before others are started, which takes about
 as long [s]."""
+
+GLANCE = 0.2
+"""Time after which a worker looks again whether it is still needed [s]."""
 
 
 def cores() -> int:
@@ -34,7 +34,7 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-class LocalProcesses:
+class LocalProcesses(Workers, AbstractContextManager["LocalProcesses"]):
     """Processes on this machine; a context that ends them.
 
     Args:
@@ -43,105 +43,58 @@ class LocalProcesses:
             may end its process.
     """
 
+    died = BrokenProcessPool
+
     def __init__(self, count: int | None = None, patience: float = PATIENCE) -> None:
         """Start nothing yet."""
         self.count = cores() if count is None else count
-        self._patience = patience
-        self._seats = [_Process() for _ in range(self.count)]
-
-    def __enter__(self) -> Self:
-        """Start nothing yet."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End the processes, whatever they are doing."""
-        for seat in self._seats:
-            seat.end()
-
-    def map(
-        self,
-        work: Callable[[_Shared, _Item], _Result],
-        shared: _Shared,
-        items: Iterable[_Item],
-        lost: Callable[[_Item], _Result] | None = None,
-    ) -> Iterator[_Result]:
-        """Results of items, in their order; see `Workers.map`."""
-        todo, done = iter(items), 0
-        if self._patience > 0.0:
-            until = time.monotonic() + self._patience
-            for item in todo:
-                yield work(shared, item)
-                done += 1
-                if self.count > 1 and time.monotonic() > until:
-                    break
-        left = items[done:] if isinstance(items, Sequence) else todo
-        yield from distribute(self._seats, work, shared, left, lost)
-
-
-class _Process:
-    """A seat: one process, which ends with this one."""
-
-    died = (BrokenProcessPool,)
-    tries = 3
-
-    def __init__(self) -> None:
+        self.patience = patience
         self._executor: ProcessPoolExecutor | None = None
-        self._pid: Future[int] = Future()
-        self._kept = b""
+        self._folder = TemporaryDirectory(prefix="calib-pin-")
 
-    def submit(self, share: Share, items: Sequence[Any]) -> Future[Done]:
-        """Send a batch, and before the first one what all share."""
+    def __exit__(self, *_: object) -> None:
+        """End the processes, whatever they are doing."""
+        self._folder.cleanup()
+        if self._executor is not None:
+            self._executor.shutdown(wait=False, cancel_futures=True)
+
+    @contextmanager
+    def sharing(self, digest: bytes, payload: bytes) -> Iterator[Submit]:
+        """The way to processes, with a file of what they share."""
+        with NamedTemporaryFile(dir=self._folder.name, delete=False) as file:
+            file.write(payload)
+        try:
+            yield partial(self._submit, digest, file.name)
+        finally:
+            Path(file.name).unlink(missing_ok=True)
+
+    def _submit(self, digest: bytes, file: str, items: Sequence[Any]) -> Future[Done]:
         if self._executor is None:
             # Not forked: a copy of a process with threads may hang.
-            self._executor = ProcessPoolExecutor(
-                1, mp_context=get_context("spawn"), initializer=_begin
-            )
-            self._pid = self._executor.submit(os.getpid)
+            spawn, ties = get_context("spawn"), (os.getpid(), self._folder.name)
+            self._executor = ProcessPoolExecutor(self.count, spawn, _begin, ties)
         try:
-            if self._kept != share.digest:
-                self._executor.submit(keep, share.digest, share.payload)
-                self._kept = share.digest
-            return self._executor.submit(run, share.digest, None, items)
-        except BrokenProcessPool as error:  # It died with nothing to do.
-            future: Future[Done] = Future()
-            future.set_exception(error)
-            return future
-
-    def renew(self) -> bool:
-        """Forget the process; all batches that it had are lost."""
-        self.end()
-        return True
-
-    def end(self) -> None:
-        """End the process, whatever it is doing; the next batch starts another one."""
-        if self._executor is None:
-            return
-        self._executor.shutdown(wait=False, cancel_futures=True)
-        self._executor, self._kept = None, b""
-        # One that has not yet begun finds nothing to do.
-        if self._pid.done() and not self._pid.cancelled() and not self._pid.exception():
-            with suppress(ProcessLookupError):
-                os.kill(self._pid.result(), signal.SIGTERM)
+            return self._executor.submit(run, digest, file, items)
+        except BrokenProcessPool:
+            self._executor = None
+            return self._submit(digest, file, items)
 
 
-def _begin() -> None:
+def _begin(parent: int, folder: str) -> None:
     """Begin a worker: one thread, deaf to Ctrl-C, and no longer there than its parent.
 
-    A parent that was killed cannot end it, and the pipes between them stay open.
+    Args:
+        parent: Process that gives the work.
+        folder: Folder that it removes when it needs no worker any more.
     """
     alone()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end, args=(parent, folder), daemon=True).start()
 
 
-def _end_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)
+def _end(parent: int, folder: str) -> None:
+    while os.getppid() == parent and Path(folder).exists():
+        time.sleep(GLANCE)
+    shutil.rmtree(folder, ignore_errors=True)  # A parent that was killed leaves it.
+    os._exit(1)

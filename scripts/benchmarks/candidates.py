@@ -36,6 +36,7 @@ from calib_pin.planning.planned_problem import TipTests, identification
 from calib_pin.planning.search import Search
 from calib_pin.planning.workspace import Candidates, Workspace
 from calib_pin.setup import FrameSetup, Region, Setup
+from calib_pin.workers.local import LocalProcesses
 
 TOOL = FrameSetup((0.05, 0.03, 0.1))
 REGION = Region(box=((-1.2, -1.2, 0.1), (1.2, 1.2, 1.6)))
@@ -131,6 +132,10 @@ def values(job: Job) -> list[tuple[float, ...]]:
     return result
 
 
+def _values(shared: None, job: Job) -> list[tuple[float, ...]]:
+    return values(job)
+
+
 def main() -> None:
     """Print the tables; draw the figure and plan with a million where asked to."""
     options = _options()
@@ -149,14 +154,13 @@ def main() -> None:
         for name in options.robots
         for criterion in options.criteria
     }
-    with ProcessPoolExecutor(options.processes) as pool:
-        found = {
-            key: [pool.submit(values, job) for job in of] for key, of in jobs.items()
-        }
-        for axes, (key, of) in zip(grid.flat, found.items(), strict=True):
+    every = [job for of in jobs.values() for job in of]
+    with LocalProcesses(options.processes, patience=0.0) as workers:
+        found = workers.map(_values, None, every)
+        for axes, key in zip(grid.flat, jobs, strict=True):
             table = np.full((options.seeds, len(sizes), len(METHODS)), np.nan)
-            for row, one in zip(table, of, strict=True):
-                row[: len(one.result())] = one.result()
+            for row, one in zip(table, found, strict=False):
+                row[: len(one)] = one
             _table(key, sizes, table)
             _draw(axes, key, sizes, table)
     if options.figure is not None:

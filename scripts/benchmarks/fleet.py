@@ -8,11 +8,13 @@ Robots are UR10 with a tracker, 30 positions each, as `fleet --monte-carlo` draw
 from __future__ import annotations
 
 import argparse
+import pickle
 import resource
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,9 +26,9 @@ from calib_pin.monte_carlo import Study, outlooks, study_of, try_robot
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import FrameSetup, LimitSetup, MonteCarloSetup, Setup
 from calib_pin.simulation import simulate
-from calib_pin.workers.distributed import SECONDS, Dispatch, Share
+from calib_pin.workers import Workers
+from calib_pin.workers.base import SECONDS, Done
 from calib_pin.workers.local import LocalProcesses, cores
-from calib_pin.workers.remote import Done
 
 JOBS = 10_000
 """Jobs whose cost beside their own work is measured."""
@@ -37,7 +39,7 @@ LASTING = 2e-3
 FEW = 200
 """Robots of a comparison of one worker with several."""
 
-SEATS = (1, 10, 100, 1000)
+FAKES = (1, 10, 100, 1000)
 """Workers that a fake executor stands for."""
 
 
@@ -130,19 +132,21 @@ def _overhead() -> None:
     print(f"a job beside its own work, {JOBS} jobs   {over:9.2f} ms (<= 5)")
 
 
-class _Fake:
-    """A seat that pretends to have worked for a second on every batch."""
+class _Fake(Workers):
+    """Workers that pretend to have worked for a second on every batch."""
 
-    died: tuple[type[BaseException], ...] = ()
-    tries = 1
+    patience = 0.0
 
-    def submit(self, share: Share, items: Sequence[Any]) -> Future[Done]:
+    def __init__(self, count: int) -> None:
+        self.count = count
+
+    def sharing(self, digest: bytes, payload: bytes) -> nullcontext[Any]:
+        return nullcontext(self._submit)
+
+    def _submit(self, items: Sequence[Any]) -> Future[Done]:
         future: Future[Done] = Future()
-        future.set_result(Done(list(items), None, SECONDS))
+        future.set_result(Done([pickle.dumps(item) for item in items], None, SECONDS))
         return future
-
-    def renew(self) -> bool:
-        return False
 
 
 def _saturation() -> None:
@@ -151,22 +155,21 @@ def _saturation() -> None:
     Local processes cost more than the fake ones: what they get is pickled and goes
     through a pipe. Their share is measured with as many as there are cores.
     """
-    share = Share.of(_wait, 0.0)
     print("batches of a second that can be given out in one:")
-    for count in SEATS:
+    for count in FAKES:
         batches = 20 * count + 1000
         items: Iterator[int] = iter(range(batches))
         begin = time.process_time()
-        for _ in Dispatch([_Fake() for _ in range(count)], share, items):
+        for _ in _Fake(count).map(_wait, 0.0, items):
             pass
         each = (time.process_time() - begin) / batches
         print(f"  {count:5} fake workers {1e6 * each:20.1f} us: {1.0 / each:9.0f}")
     with LocalProcesses(patience=0.0) as workers:
         list(workers.map(_wait, 0.0, range(2 * workers.count)))
-        batches = 50 * workers.count
+        batches = 10 * workers.count
         begin = time.process_time()
         # Each takes so long that it is a batch of its own.
-        for _ in workers.map(_wait, 0.1 * SECONDS, iter(range(batches))):
+        for _ in workers.map(_wait, 1.1 * SECONDS, iter(range(batches))):
             pass
         each = (time.process_time() - begin) / batches
     print(f"  {cores():5} processes    {1e6 * each:20.1f} us: {1.0 / each:9.0f}")

@@ -18,13 +18,11 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
-import os
 import re
 import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -37,6 +35,7 @@ from calib_pin.cli import main as command
 from calib_pin.cli.files import open_chains, open_measurements
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.workers.local import LocalProcesses
 
 JOBS = 3
 """Jobs that are written."""
@@ -475,6 +474,10 @@ def run(seed: int) -> Outcome:
     return Outcome(seed, layout, tuple(done), kind, ratio, line)
 
 
+def _run(shared: None, number: int) -> Outcome:
+    return run(number)
+
+
 def main() -> None:
     """Print how many files are read rightly, and those that are not."""
     parser = argparse.ArgumentParser(prog="benchmark relatives")
@@ -484,8 +487,8 @@ def main() -> None:
     parser.add_argument("--show", action="store_true")
     asked = parser.parse_args()
     numbers = range(asked.first, asked.first + asked.count)
-    with ProcessPoolExecutor(os.cpu_count()) as pool:
-        found = list(pool.map(run, numbers, chunksize=5))
+    with LocalProcesses(patience=0.0) as workers:
+        found = list(workers.map(_run, None, numbers))
     for one in found:
         if asked.show or one.kind in ("silent", "unclear"):
             done = "; ".join(one.damages) or "as it is"

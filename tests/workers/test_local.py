@@ -38,11 +38,22 @@ def slow(shared: None, item: int) -> int:
     return os.getpid()
 
 
-def deadly(parent: int, item: int) -> int:
-    if item == 7:
-        assert os.getpid() != parent
+def deadly(flag: str | None, item: int) -> int:
+    """Item 7 ends its process: always, or once where a file is to tell of it."""
+    if item == 7 and not (flag and Path(flag).exists()):
+        if flag:
+            Path(flag).touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return item
+
+
+def inner(shared: int, item: int) -> int:
+    with LocalProcesses(2, patience=0.0) as workers:
+        return sum(workers.map(added, shared, range(item)))
+
+
+def added(shared: int, item: int) -> int:
+    return shared + item
 
 
 def test_any_number_of_processes_has_the_same_bytes():
@@ -72,14 +83,17 @@ def test_what_takes_longer_is_shared():
 
 
 @pytest.mark.slow
-def test_an_item_that_kills_its_process_stops_nothing():
+def test_an_item_that_kills_its_process_stops_nothing(tmp_path: Path):
     with LocalProcesses(2, patience=0.0) as workers:
-        found = workers.map(deadly, os.getpid(), range(40), lambda item: -item)
+        found = workers.map(deadly, None, range(40), lambda item: -item)
         assert list(found) == [-7 if k == 7 else k for k in range(40)]
+        flag = str(tmp_path / "flag")
+        assert list(workers.map(deadly, flag, range(40))) == list(range(40))
+        assert list(workers.map(inner, 1, range(4))) == [0, 1, 3, 6]
 
 
 SCRIPT = """
-import os, sys, time
+import os, sys, tempfile, time
 from calib_pin.workers.local import LocalProcesses
 
 def work(shared, item):
@@ -87,17 +101,18 @@ def work(shared, item):
     time.sleep(60)
 
 if __name__ == "__main__":
+    tempfile.tempdir = sys.argv[1]
     with LocalProcesses(2, patience=0.0) as workers:
         list(workers.map(work, None, range(8)))
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
 def test_no_worker_outlives_its_parent(tmp_path: Path, number: signal.Signals):
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
     process = subprocess.Popen(
-        [sys.executable, script],
+        [sys.executable, script, tmp_path],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
@@ -110,6 +125,7 @@ def test_no_worker_outlives_its_parent(tmp_path: Path, number: signal.Signals):
     while time.monotonic() < deadline and any(map(alive, children)):
         time.sleep(0.05)
     assert not any(map(alive, children))
+    assert not list(tmp_path.glob("calib-pin-*"))
     process.stdout.close()
 
 

@@ -503,15 +503,6 @@ def test_structure_as_json(here, run):
     assert result.status == 0 and "4R + 2P + 6 = 22" in result.out
 
 
-def test_identification_with_measurements(here, run, listing):
-    before = listing(here)
-    result = run("identify arm.urdf rows.csv --setup setup.yaml")
-    assert (result.status, result.err) == (0, "")
-    found = json.loads(run("identify arm.urdf rows.csv --setup setup.yaml --json").out)
-    check_form(found["identifiability"], CONTRACT, "identifiability")
-    assert listing(here) == before
-
-
 # --- evaluate ----------------------------------------------------------------------
 
 

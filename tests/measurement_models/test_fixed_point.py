@@ -10,8 +10,6 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
-from calib_pin.estimation.fit import fit
-from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
@@ -158,16 +156,3 @@ def test_ranks(
     assert found.rank == found.structural_rank == rank
     assert found.gap > 1e6
     assert found.scale_observable == scaled
-
-
-def test_a_wrong_distance_makes_another_robot(simulated: Simulated) -> None:
-    """All rows fit as well, and the robot has another size."""
-    setup = Setup(sockets=sockets(2), tool_frame=TOOL, distances=known_apart())
-    truth, _ = simulated("fixed-point", setup, 50, size=1.0)
-    bare = Setup(distances=known_apart(1.01 * APART))
-    fitted = fit(make_problem(ARM, truth.data, bare), np.random.default_rng(0))
-    assert fitted.rank == 27 and fitted.structure.scaled
-    assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-10
-    moved, _ = fitted.problem.rebased(fitted.theta)
-    a, b = moved.only.measurement.sites
-    assert np.linalg.norm(a.xyz - b.xyz) == pytest.approx(1.01 * APART, abs=1e-9)

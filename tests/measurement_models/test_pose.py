@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-import pytest
 
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats, so3_exp
@@ -48,15 +47,3 @@ def test_residual_is_in_the_measuring_frame_and_in_the_tool() -> None:
     # Either sign of a quaternion is one.
     data.values[:, 3:] *= -1.0
     np.testing.assert_allclose(Pose().residual(T, np.zeros(0), data), 0.0, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("count", "base", "tool"), [(4, None, None), (12, BASE, None), (4, None, TOOL)]
-)
-def test_registration(count: int, base: pin.SE3 | None, tool: pin.SE3 | None) -> None:
-    F = tips(count)
-    data = data_of(BASE.homogeneous @ F @ TOOL.homogeneous)
-    model, found_base, found_tool = Pose().register(F, data, base, tool)
-    np.testing.assert_allclose(found_base.homogeneous, BASE.homogeneous, atol=1e-11)
-    np.testing.assert_allclose(found_tool.homogeneous, TOOL.homogeneous, atol=1e-11)
-    assert model == Pose()

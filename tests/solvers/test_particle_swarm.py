@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -98,20 +97,6 @@ def test_particles_stay_within_bounds_and_are_counted() -> None:
     assert result.status is Status.GENERATIONS
 
 
-def test_the_best_place_is_never_lost() -> None:
-    seen: list[float] = []
-
-    def costs(x: Floats) -> Floats:
-        seen.append(rastrigin(x).min())
-        return rastrigin(x)
-
-    result = run(costs, replace(QUICK, mutation=1.0, crossover=1.0))
-    assert result.best_history.tolist() == np.minimum.accumulate(seen).tolist()
-    assert all(b <= a for a, b in pairwise(result.best_history))
-    assert result.fun == rastrigin(result.x[None])[0] == min(seen)
-    assert np.array_equal(result.population_energies, rastrigin(result.population))
-
-
 def test_x0_are_places_of_the_first_particles() -> None:
     seen: list[Floats] = []
 
@@ -125,33 +110,6 @@ def test_x0_are_places_of_the_first_particles() -> None:
     assert np.array_equal(seen[0][:2], x0)
     assert len(seen[0]) == 20
     assert (result.fun, result.x.tolist()) == (0.0, x0[0].tolist())
-
-
-def test_what_is_not_feasible_loses() -> None:
-    def costs(x: Floats) -> Floats:
-        values = sphere(x)
-        values[x[:, 0] > 0.5] = np.inf
-        values[x[:, 1] > 0.5] = np.nan
-        return values
-
-    result = run(costs, ParticleSwarm(particles=40, iterations=300))
-    assert result.x == pytest.approx([0.5, 0.5, 1.0, 1.0, 1.0], abs=0.02)
-    assert (result.x[:2] <= 0.5).all()
-    nothing = run(lambda x: np.full(len(x), np.nan))
-    assert (nothing.status, nothing.nit, nothing.nfev) == (Status.NOT_FINITE, 0, 20)
-
-
-def test_the_callback_sees_every_iteration_and_stops() -> None:
-    seen: list[int] = []
-
-    def callback(iteration: int, x: Floats, fun: float) -> bool:
-        assert sphere(x[None])[0] == fun
-        seen.append(iteration)
-        return iteration == 5
-
-    result = run(callback=callback)
-    assert (result.status, result.nit) == (Status.STOPPED, 5)
-    assert seen == [1, 2, 3, 4, 5]
 
 
 def test_places_that_cannot_be_used(refused: Callable[..., Any]) -> None:

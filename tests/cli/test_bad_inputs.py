@@ -11,29 +11,12 @@ from typing import Any
 
 import pytest
 
+from tests.cli.files import marked
+
 Edit = Callable[[str], str]
 
 
 # --- edits of the good files -------------------------------------------------------
-
-
-def column(name: str, values: Callable[[int, float], object]) -> Edit:
-    """Replace the numbers of a column, or add it."""
-
-    def edit(file: str) -> str:
-        comment, names, *rows = file.splitlines()
-        table = [row.split(",") for row in rows]
-        heads = names.split(",")
-        if name not in heads:
-            heads.append(name)
-            table = [[*row, "0"] for row in table]
-        k = heads.index(name)
-        for i, row in enumerate(table):
-            row[k] = str(values(i, float(row[k])))
-        lines = [comment, ",".join(heads), *map(",".join, table)]
-        return "\n".join(lines) + "\n"
-
-    return edit
 
 
 def swap(old: str, new: str, count: int = -1) -> Edit:
@@ -73,17 +56,8 @@ SIMULATE = "simulate arm.urdf --model position --count 5 -o out.csv"
 CONTACT = "calibrate arm.urdf touch.csv --setup bad.yaml -o out"
 
 
-def touch(*rows: str, columns: str = "target") -> str:
-    """A file of four configurations, with these cells in turn."""
-    lines = [f"joint1,joint2,joint3,joint4,{columns}"]
-    for k in range(4):
-        q = f"{0.1 * k:.1f},{0.2 * k - 1:.1f},0.3,{-0.1 * k:.1f}"
-        lines.append(f"{q},{rows[k % len(rows)]}")
-    return "\n".join(lines) + "\n"
-
-
 CAMERA = "camera: {mount: hand, focal: [900, 900], center: [640, 480]}\n"
-PIXELS = touch("1,2,m", columns="u,v,target")
+PIXELS = "joint1,joint2,joint3,joint4,u,v,target\n0,0,0.3,0,1,2,m\n0.1,0,0.3,0,1,2,m\n"
 MIMIC = swap('<child link="link3"/>', '<child link="link3"/><mimic joint="joint2"/>')
 LONGER = swap('xyz="0 0 0.4"', 'xyz="0 0 0.41"')
 
@@ -158,8 +132,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 
 # Command, files to write first, fields of the error. What reading a file refuses is
-# tested with the reader, in tests/io; here stands one case of each kind of file. The
-# cases of `test_messages.py` are not repeated.
+# tested with the reader, in tests/io, and what a setup states of a robot or of rows
+# with what uses it; here stands one case of each kind of file. The cases of
+# `test_messages.py` are not repeated.
 Case = tuple[Any, Mapping[str, str | Edit], dict[str, Any]]
 CASES: dict[str, Case] = {
     "empty tip": (
@@ -177,13 +152,6 @@ CASES: dict[str, Case] = {
         {"arm.urdf": swap('"joint2" type="revolute"', '"joint2" type="floating"')},
         dict(file="arm.urdf", reason="joint2"),
     ),
-    # measurement files
-    "all rows for validation": (
-        CALIBRATE,
-        {"rows.csv": column("set", lambda *_: "validate")},
-        dict(line=None),
-    ),
-    # points, sockets, wires and cameras
     "camera without points": (
         CONTACT,
         {"touch.csv": PIXELS, "bad.yaml": CAMERA},
@@ -216,7 +184,6 @@ CASES: dict[str, Case] = {
         dict.fromkeys(("arm.urdf", "done/nominal.urdf"), LONGER),
         dict(file="done/calibration.json", reason="arm.urdf"),
     ),
-    # simulation
 }
 
 
@@ -234,6 +201,11 @@ def test_wrong_input(name, here, refuses):
             content = content(path.read_text() if path.exists() else "")
         path.write_text(content)
     refuses(command, **fields)
+
+
+def test_all_rows_for_validation(here, refuses):
+    marked("rows.csv", 1)
+    refuses(CALIBRATE, line=None)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")

@@ -12,22 +12,10 @@ import pytest
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import EvolutionResult, ParticleSwarm, Status, particle_swarm
+from tests.solvers.test_differential_evolution import rastrigin, rosenbrock, sphere
 
 WIDE = np.tile([-5.0, 5.0], (5, 1))
 QUICK = ParticleSwarm(particles=20, iterations=30)
-
-
-def sphere(x: Floats) -> Floats:
-    return np.sum((x - 1.0) ** 2, axis=1)
-
-
-def rosenbrock(x: Floats) -> Floats:
-    valley = 100 * (x[:, 1:] - x[:, :-1] ** 2) ** 2
-    return np.sum(valley + (1 - x[:, :-1]) ** 2, axis=1)
-
-
-def rastrigin(x: Floats) -> Floats:
-    return np.sum((x - 1) ** 2 + 10 - 10 * np.cos(2 * np.pi * (x - 1)), axis=1)
 
 
 def run(

@@ -147,11 +147,6 @@ CASES: dict[str, Case] = {
         {"arm.urdf": MIMIC},
         dict(file="rows.csv", line=3, column="joint3", reason="'joint2'"),
     ),
-    "floating joint": (
-        CALIBRATE,
-        {"arm.urdf": swap('"joint2" type="revolute"', '"joint2" type="floating"')},
-        dict(file="arm.urdf", reason="joint2"),
-    ),
     "camera without points": (
         CONTACT,
         {"touch.csv": PIXELS, "bad.yaml": CAMERA},

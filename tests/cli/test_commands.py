@@ -40,12 +40,6 @@ def process(*words: str, code: int) -> subprocess.CompletedProcess[str]:
 # --- as processes ------------------------------------------------------------------
 
 
-@pytest.fixture
-def few(here: Path) -> None:
-    """Three rows, which are too few to judge a calibration by."""
-    Path("few.csv").write_text("\n".join(Path("rows.csv").read_text().split("\n")[:4]))
-
-
 @pytest.mark.slow
 def test_calibrations_as_processes(few):
     result = process(*POSITION.split(), "-o", "out", code=0)

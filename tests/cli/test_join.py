@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,9 +52,9 @@ def changed(change: Callable[[str], str]) -> None:
     Path("joints.csv").write_text("\n".join([header, *rows]))
 
 
-def joined(within: float) -> Measurements:
+def joined(within: float, **options: Any) -> Measurements:
     """What was joined, which are the points of the robot to some of their noise."""
-    data = read_measurements("m.csv", CHAIN).only
+    data = read_measurements("m.csv", CHAIN, **options).only
     expected = CHAIN.poses(data.q)[:, :3, 3] + [0.3, -1.0, 2.0]
     assert np.abs(data.values - expected).max() < within * NOISE
     return data
@@ -215,9 +216,7 @@ def test_words_of_a_logger_and_signs_of_lost_readings(logs, run):
     assert result.status == 0 and "-9999 in 3 rows" in result.err
     assert result.out.startswith("12 standstills")
     columns = {joint: f"rec.{joint} [deg]" for joint in CHAIN.joints}
-    data = read_measurements("m.csv", CHAIN, columns=columns).only
-    expected = CHAIN.poses(data.q)[:, :3, 3] + [0.3, -1.0, 2.0]
-    assert np.abs(data.values - expected).max() < 3.0 * NOISE
+    joined(3.0, columns=columns)
 
 
 def test_a_log_of_the_robot_as_it_is(logs, run):

@@ -25,8 +25,8 @@ CHAIN = calib_pin.load_chain("space6")
 Q = CHAIN.random_configurations(7, np.random.default_rng(0))
 
 
-def write_configurations(path: Path, *about: Any, force: bool = False, **more: Any):
-    write_atomically(path, encode_configurations(*about, **more), force=force)
+def write_configurations(path: Path, *about: Any, **more: Any):
+    write_atomically(path, encode_configurations(*about, **more), force=False)
 
 
 def test_files_read_back_bit_by_bit(tmp_path: Path) -> None:

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pinocchio as pin
 import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
-from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.references import Point
 from calib_pin.observations import Measurements
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
-
-Simulated = Callable[..., tuple[Problem, Floats]]
 
 ARM = calib_pin.load_chain("space6")
 CENTERS = {"s/0": (0.6, 0.3, 0.4), "s/1": (0.5, -0.2, 0.6), "t/0": (0.3, 0.5, 0.5)}
@@ -32,8 +27,7 @@ def sockets(count: int, estimate: bool = True) -> dict[str, PointSetup]:
     return {name: PointSetup(CENTERS[name], estimate=estimate) for name in names}
 
 
-def known_apart(value: float = APART) -> tuple[DistanceSetup, ...]:
-    return (DistanceSetup(("s/0", "s/1"), value, 1e-5),)
+KNOWN = (DistanceSetup(("s/0", "s/1"), APART, 1e-5),)
 
 
 def fixed_point(setup: Setup, *targets: str) -> FixedPoint:
@@ -137,7 +131,7 @@ def test_registration(ball: bool, known: tuple[str, ...], base: pin.SE3 | None) 
     [
         # 18 of the robot, 3 of the ball, 3 of the socket, but not the scale.
         (sockets(1), (), 23, False),
-        (sockets(2), known_apart(), 27, True),
+        (sockets(2), KNOWN, 27, True),
         # The base stands where it stands: how far a known socket is, is a length.
         # A larger robot that stands elsewhere has its ball there too.
         (sockets(1, estimate=False), (), 23, False),

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats, so3_exp
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.observations import Measurements
 
-BASE = pin.exp6(np.array([1.0, -2.0, 0.5, 0.3, 2.0, -1.0]))
-TOOL = pin.exp6(np.array([0.1, 0.0, 0.2, -2.0, 0.4, 1.0]))
 
-
-def tips(count: int = 12) -> Floats:
+def tips() -> Floats:
     chain = load_chain("space6")
-    return chain.poses(chain.random_configurations(count, np.random.default_rng(0)))
+    return chain.poses(chain.random_configurations(12, np.random.default_rng(0)))
 
 
 def data_of(T: Floats) -> Measurements:

@@ -99,15 +99,15 @@ def kinematics(entries: dict[str, tuple[float, ...]], **more: str) -> str:
 
 
 def test_a_vendor_loads_its_kinematics(exported, tmp_path):
-    of = exported
     template, file = tmp_path / "own.yaml", tmp_path / "ur10.yaml"
     template.write_text(kinematics(UR10, hash="calib_77"))
-    encoded = FORMATS["ur-kinematics"].encode(of, template)
+    encoded = FORMATS["ur-kinematics"].encode(exported, template)
     file.write_bytes(encoded.data)
     assert yaml.safe_load(encoded.data)["kinematics"]["hash"] == "calib_77"
     assert "calib_77" in encoded.remarks[0] and "tf" in encoded.remarks[1]
-    read = vendor(file, [*UR10], np.pi).poses(of.configurations)
-    assert np.abs(read - of.chain.poses(of.configurations)).max() < EXACT
+    q, expected = exported.configurations, exported.chain.poses(exported.configurations)
+    read = vendor(file, [*UR10], np.pi).poses(q)
+    assert np.abs(read - expected).max() < EXACT
     # Frames stay where the vendor has them, as far as the axes allow.
     forearm = yaml.safe_load(encoded.data)["kinematics"]["forearm"]
     assert forearm["z"] == pytest.approx(12.5, abs=0.01)
@@ -147,14 +147,13 @@ JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_ro
 
 
 def test_a_motor_takes_its_offset(offsets, tmp_path):
-    of = offsets
     keys = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
     rows = {f"m{k}": (k, 0, 100 * k, 700 + k, 3500 - 3 * k) for k in range(5)}
     rows["gripper"] = (6, 0, 5, 0, 9)
     own = {name: dict(zip(keys, row, strict=True)) for name, row in rows.items()}
     template = tmp_path / "so101.json"
     template.write_text(json.dumps(own))
-    encoded = FORMATS["lerobot"].encode(of, template)
+    encoded = FORMATS["lerobot"].encode(offsets, template)
     new = json.loads(encoded.data)
     assert new["gripper"] == own["gripper"]
 
@@ -163,9 +162,9 @@ def test_a_motor_takes_its_offset(offsets, tmp_path):
         return (motor["range_min"] + motor["range_max"]) / 2 + motor["homing_offset"]
 
     turned = [zero(new[f"m{k}"]) - zero(own[f"m{k}"]) for k in range(5)]
-    moved = of.configurations + np.deg2rad(np.array(turned) * 360 / 4095)
-    found = of.joint_errors(of.result.model.setup.joints)
-    truth = of.configurations - found.offsets
+    moved = offsets.configurations + np.deg2rad(np.array(turned) * 360 / 4095)
+    found = offsets.joint_errors(offsets.result.model.setup.joints)
+    truth = offsets.configurations - found.offsets
     assert np.abs(moved - truth).max() < np.deg2rad(360 / 4095) / 2 + 1e-9
     for k in range(5):
         # Nothing that was out of reach is in reach.

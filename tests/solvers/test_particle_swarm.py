@@ -66,7 +66,7 @@ def test_the_swarm_converges_in_one_basin() -> None:
 
 
 def test_particles_stay_within_bounds_and_are_counted() -> None:
-    seen: list[Floats] = []
+    seen, told = list[Floats](), list[int]()
 
     def costs(x: Floats) -> Floats:
         seen.append(x.copy())
@@ -75,12 +75,13 @@ def test_particles_stay_within_bounds_and_are_counted() -> None:
     # The minimum is in a corner; one component is fixed, one is narrow.
     bounds = np.array([[-1.0, 1.0], [0.1, 0.3], [0.7, 0.7], [1e-12, 3e-12]])
     options = ParticleSwarm(20, 40, velocity=1.0, crossover=0.5, mutation=0.5, tol=0)
-    result = run(costs, options, bounds)
+    result = run(costs, options, bounds, callback=lambda n, *_: told.append(n))
     places = np.concatenate(seen)
     assert (bounds[:, 0] <= places).all() and (places <= bounds[:, 1]).all()
     assert (places[:, 2] == 0.7).all()
     assert result.x[:3] == pytest.approx([-1.0, 0.3, 0.7], rel=0.01)
     assert (len(seen), len(places)) == (result.nit + 1, result.nfev)
+    assert told == [*range(1, result.nit + 1)]
     assert result.nfev == options.budget == 20 * 41
     assert result.status is Status.GENERATIONS
 

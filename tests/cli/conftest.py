@@ -120,12 +120,6 @@ def here(workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     return folder
 
 
-@pytest.fixture
-def few(here: Path) -> None:
-    """Three rows, which are too few to judge a calibration by."""
-    Path("few.csv").write_text("\n".join(Path("rows.csv").read_text().split("\n")[:4]))
-
-
 @pytest.fixture(autouse=True)
 def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pages without figures, unless a test asks for `drawn`: they take the longest."""

@@ -25,30 +25,7 @@ from tests.cli.files import column, document, marked, numbers, table, write
 POSITION = "calibrate arm.urdf rows.csv --setup setup.yaml"
 
 
-def process(*words: str, code: int) -> subprocess.CompletedProcess[str]:
-    """Run a command as its own process."""
-    result = subprocess.run(
-        [sys.executable, "-m", "calib_pin.cli", *words],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert result.returncode == code, result.stderr
-    return result
-
-
 # --- as processes ------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_calibrations_as_processes(few):
-    result = process(*POSITION.split(), "-o", "out", code=0)
-    assert result.stdout.startswith("GOOD: ")
-    assert result.stderr == ""
-    assert len(list(Path("out").iterdir())) == 5
-    result = process("calibrate", "arm.urdf", "few.csv", code=2)
-    assert result.stdout.startswith("UNCHECKED: ")
-    assert result.stderr == ""
 
 
 def test_a_mistake_and_help_are_fast():

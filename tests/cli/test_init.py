@@ -280,6 +280,13 @@ def test_headers_of_other_software(name, measured):
         assert columns.get(axis, "").endswith("[mm]") == (unit == "mm")
 
 
+def test_measured_joints_and_not_commanded_ones(measured):
+    names = [f"q{k}_{what}" for what in ("cmd", "actual") for k in range(1, 7)]
+    foreign([*names, *"xyz"], np.hstack([measured[:, :6], measured]))
+    assert main(INIT.split()) == 0
+    assert read_setup("setup.yaml").columns["joint_3"] == "q3_actual"
+
+
 def test_joints_in_another_order(measured, run):
     """Numbers say nothing where the columns are those of a file sorted otherwise."""
     order = [0, 4, 2, 3, 1, 5, 6, 7, 8]

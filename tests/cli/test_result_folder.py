@@ -49,6 +49,11 @@ def assert_one_run(folder: str) -> None:
     assert f'<meta name="calib-pin-run" content="{stated["run"]}">' in page
 
 
+@pytest.fixture
+def few(here: Path) -> None:
+    Path("few.csv").write_text("\n".join(Path("rows.csv").read_text().split("\n")[:4]))
+
+
 # --- what it holds -----------------------------------------------------------------
 
 

@@ -62,6 +62,9 @@ def test_what_stands_in_the_file(plain: Robot) -> None:
     assert Chain(robot, "base", "two").joints == ("j1", "j2", "j3")
     chain = Chain(robot, "base", "tool")
     assert chain.joints == ("j1", "j2", "j3", "slide")
+    q = chain.random_configurations(5, np.random.default_rng(1))
+    tip, tool = Chain(robot, "base", "tip").poses(q), chain.poses(q)
+    assert np.allclose(np.linalg.solve(tip, tool)[:, :3, 3], [0.1, 0.0, -0.1])
     # Degrees, but those of a slide are meters.
     limits = np.deg2rad([100.0, 100.0, 10.0])
     assert np.allclose(chain.upper, [*limits, 0.3]) and chain.lower[3] == 0.0

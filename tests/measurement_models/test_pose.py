@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
+import pytest
 
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats, so3_exp
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.observations import Measurements
 
+BASE = pin.exp6(np.array([1.0, -2.0, 0.5, 0.3, 2.0, -1.0]))
+TOOL = pin.exp6(np.array([0.1, 0.0, 0.2, -2.0, 0.4, 1.0]))
 
-def tips() -> Floats:
+
+def tips(count: int = 12) -> Floats:
     chain = load_chain("space6")
-    return chain.poses(chain.random_configurations(12, np.random.default_rng(0)))
+    return chain.poses(chain.random_configurations(count, np.random.default_rng(0)))
 
 
 def data_of(T: Floats) -> Measurements:
@@ -43,3 +48,15 @@ def test_residual_is_in_the_measuring_frame_and_in_the_tool() -> None:
     # Either sign of a quaternion is one.
     data.values[:, 3:] *= -1.0
     np.testing.assert_allclose(Pose().residual(T, np.zeros(0), data), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("count", "base", "tool"), [(4, None, None), (12, BASE, None), (4, None, TOOL)]
+)
+def test_registration(count: int, base: pin.SE3 | None, tool: pin.SE3 | None) -> None:
+    F = tips(count)
+    data = data_of(BASE.homogeneous @ F @ TOOL.homogeneous)
+    model, found_base, found_tool = Pose().register(F, data, base, tool)
+    np.testing.assert_allclose(found_base.homogeneous, BASE.homogeneous, atol=1e-11)
+    np.testing.assert_allclose(found_tool.homogeneous, TOOL.homogeneous, atol=1e-11)
+    assert model == Pose()

@@ -24,6 +24,9 @@ from calib_pin.validation.result import CalibrationResult
 NOTHING_LEFT = 1e-9
 """Standard deviation that is rounding [m]."""
 
+MUCH = 2.0
+"""Deviations of the measured point from which those of another are worth a word."""
+
 SAMPLES = 100
 """Configurations over which deviations are averaged."""
 
@@ -143,16 +146,24 @@ def ends_known(
         if unknown:
             reason = f"{', '.join(unknown)} of {end.label} unknown; {REMEDY}"
             raise OptionError(reason, file=result.provenance.file or None)
-    free = part.error.parameters.free
-    if not ((of_base and free[:FRAME].any()) or (of_tip and free[-FRAME:].any())):
+    if not (of_base or of_tip):
         return ""
+    free = part.error.parameters.free
+    given = not ((of_base and free[:FRAME].any()) or (of_tip and free[-FRAME:].any()))
     position, orientation = _deviations(result, key, of_base, of_tip)
+    if given and position <= MUCH * _deviations(result, key, False, False)[0]:
+        return ""
     size = "up to a fixed displacement"
     # Errors that the frames have absorbed count only where their size is known.
     if position > NOTHING_LEFT:
         parts = ((position, DISPLAY["m"]), (orientation, DISPLAY["rad"]))
         shown = (f"{float(f'{by * x:.1e}'):g} {unit}" for x, (unit, by) in parts)
         size = f"to +- {' and '.join(shown)} (standard deviation)"
+    if given:
+        return (
+            f"errors of the robot that the measurements do not show move the {point}, "
+            f"which is known {size}; measure poses, or several points of the tool"
+        )
     return (
         f"base or tool were estimated along with the robot, so the {point} is known in "
         f"the {'base link' if of_base else 'measurement frame'} {size}; state them in "

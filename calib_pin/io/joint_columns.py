@@ -125,7 +125,10 @@ def read_positions(
     followed = chains.follow(q)
     for joint in chains.mimics.keys() & stated.keys():
         i, leader = chains.joints.index(joint), chains.mimics[joint].leader
-        far = stated[joint] & stated[leader] & (abs(followed - q)[:, i] > MIMICRY)
+        apart = abs(followed - q)[:, i]
+        if chains.revolute[i]:  # A controller may report it within one turn.
+            apart = abs(apart - 2.0 * np.pi * np.round(apart / (2.0 * np.pi)))
+        far = stated[joint] & stated[leader] & (apart > MIMICRY)
         if far.any():
             row, name = int(np.argmax(far)), columns.maps[joint][0]
             kind = kinds_of(columns, joint)[name]

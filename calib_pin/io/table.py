@@ -112,7 +112,9 @@ class Table:
         ends = {name for name in names if split_header(name) != (name, None)}
         columns = {
             one.header if one.header in ends else name: (
-                replace(one, unit=None) if one.header in ends else one
+                replace(one, unit=None, theirs=one.header)
+                if one.header in ends
+                else one
             )
             for name, one in self.columns.items()
         }

@@ -151,7 +151,8 @@ def _teller(chain: Chain | Chains, drive: str, factors: Floats) -> int:
     """Row of the joint that tells where a drive is: its own, or one that follows it."""
     if drive in chain.joints:
         return chain.joints.index(drive)
-    return int(np.argmax(np.abs(factors)))
+    own = [j in chain.mimics and chain.mimics[j].leader == drive for j in chain.joints]
+    return int(np.argmax(np.abs(factors) * own))
 
 
 def _maps(

@@ -10,6 +10,7 @@ import pytest
 
 from calib_pin.control.calibrated import ends_known, kinematics
 from calib_pin.errors import OptionError
+from calib_pin.kinematics.chain import Chain
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
 
@@ -75,3 +76,17 @@ def test_what_is_unknown_is_refused(scara, calibrated_robot, refused):
             ends_known(result, only(result), frame, point)
     assert ends_known(result, only(result)) == ""
     assert " mm and " in ends_known(result, only(result), "base", "tip")
+
+
+def test_a_point_that_the_measurements_do_not_show(scara, calibrated_robot):
+    """Points tell nothing of the turn about them of a link that slides."""
+    given = Setup(
+        base_frame=FrameSetup((0.3, -0.2, 0.5), (0.1, -0.05, 0.4), estimate=False),
+        tool_frame=FrameSetup((0.1, 0.05, 0.2), estimate=False),
+    )
+    job = "position", given, 40, 1.0, 0
+    slide = Chain(scara.robot, "l0", "l3")
+    result = calibrated_robot(*job, robot=slide, noise=3e-5, validate=False)
+    said = ends_known(result, only(result), "base", "tip")
+    assert "do not show" in said and " mm and " in said
+    assert ends_known(result, only(result), "base", "tool") == ""

@@ -6,6 +6,7 @@ import contextlib
 import csv
 import io
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -90,6 +91,11 @@ class Said:
         """The first remark that has one of some words; empty where there is none."""
         remarks = (line for line in self.remarks if any(w in line for w in words))
         return next(remarks, "")
+
+    def promised(self, measured: float) -> float:
+        """The error that is told of a point that was not measured [m]."""
+        told = re.search(r"known to \+- ([0-9.e-]+) mm", self.word("do not show"))
+        return max(measured, 1e-3 * float(told[1])) if told else measured
 
 
 def said(*words: str) -> Said:

@@ -106,18 +106,6 @@ def test_a_station_for_each_file(here: Path, run: Callable[..., Any]) -> None:
     assert sizes[0] > 10.0 * sizes[1]
 
 
-def test_files_that_name_their_stations(
-    here: Path, refuses: Callable[..., None]
-) -> None:
-    header, rows, _ = table("rows.csv")
-    write("named.csv", ",".join([*header, "station"]), [[*row, "day1"] for row in rows])
-    refuses(
-        "calibrate arm.urdf named.csv --setup setup.yaml --station-per-file",
-        file="named.csv",
-        column="station",
-    )
-
-
 # --- chains ------------------------------------------------------------------------
 
 

@@ -25,36 +25,7 @@ from tests.cli.files import column, document, marked, numbers, table, write
 POSITION = "calibrate arm.urdf rows.csv --setup setup.yaml"
 
 
-def process(*words: str, code: int) -> subprocess.CompletedProcess[str]:
-    """Run a command as its own process."""
-    result = subprocess.run(
-        [sys.executable, "-m", "calib_pin.cli", *words],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert result.returncode == code, result.stderr
-    return result
-
-
 # --- as processes ------------------------------------------------------------------
-
-
-@pytest.fixture
-def few(here: Path) -> None:
-    """Three rows, which are too few to judge a calibration by."""
-    Path("few.csv").write_text("\n".join(Path("rows.csv").read_text().split("\n")[:4]))
-
-
-@pytest.mark.slow
-def test_calibrations_as_processes(few):
-    result = process(*POSITION.split(), "-o", "out", code=0)
-    assert result.stdout.startswith("GOOD: ")
-    assert result.stderr == ""
-    assert len(list(Path("out").iterdir())) == 5
-    result = process("calibrate", "arm.urdf", "few.csv", code=2)
-    assert result.stdout.startswith("UNCHECKED: ")
-    assert result.stderr == ""
 
 
 def test_a_mistake_and_help_are_fast():
@@ -501,15 +472,6 @@ def test_structure_as_json(here, run):
     assert found["verdict"] == {"status": "good", "reason": ""}
     result = run("identify arm.urdf --model pose --parameters placement")
     assert result.status == 0 and "4R + 2P + 6 = 22" in result.out
-
-
-def test_identification_with_measurements(here, run, listing):
-    before = listing(here)
-    result = run("identify arm.urdf rows.csv --setup setup.yaml")
-    assert (result.status, result.err) == (0, "")
-    found = json.loads(run("identify arm.urdf rows.csv --setup setup.yaml --json").out)
-    check_form(found["identifiability"], CONTRACT, "identifiability")
-    assert listing(here) == before
 
 
 # --- evaluate ----------------------------------------------------------------------

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import calib_pin
 from calib_pin.io.measurements import read_measurements
+from calib_pin.kinematics.spatial import so3_exp, so3_log
+from calib_pin.observations import Measurements
+from tests.cli.files import table
 from tests.observations.test_joining import NOISE, Recording, recording
 
 CHAIN = calib_pin.load_chain("example:ur10_robot", tip="tool0")
@@ -39,6 +44,27 @@ def written(made: Recording) -> None:
     Path("setup.yaml").write_text(SETUP)
 
 
+def changed(change: Callable[[str], str]) -> None:
+    """Write the times of the joints' log otherwise."""
+    header, *lines = Path("joints.csv").read_text().splitlines()
+    cut = [line.partition(",") for line in lines]
+    rows = [f"{change(time)},{rest}" for time, _, rest in cut]
+    Path("joints.csv").write_text("\n".join([header, *rows]))
+
+
+def joined(within: float, **options: Any) -> Measurements:
+    """What was joined, which are the points of the robot to some of their noise."""
+    data = read_measurements("m.csv", CHAIN, **options).only
+    expected = CHAIN.poses(data.q)[:, :3, 3] + [0.3, -1.0, 2.0]
+    assert np.abs(data.values - expected).max() < within * NOISE
+    return data
+
+
+def poses_of(logs: Recording, time: np.ndarray) -> np.ndarray:
+    q = [np.interp(time, logs.joints.time, c) for c in logs.joints.values.T]
+    return CHAIN.poses(np.column_stack(q))
+
+
 JOIN = "join joints.csv tracker.txt --setup setup.yaml -o m.csv"
 
 
@@ -56,38 +82,24 @@ def test_two_logs_become_measurements(logs, run):
     assert result.err == ""
     assert result.out.startswith("12 standstills")
     assert f"{logs.ahead:+.3f}" in result.out
-    data = read_measurements("m.csv", CHAIN).only
+    data = joined(3.0)
     assert data.target.distinct == ("SMR1",)
     assert len(data.q) == 12 and data.sigma is not None
     assert np.allclose(data.sigma, NOISE, rtol=0.2)
-    expected = CHAIN.poses(data.q)[:, :3, 3] + [0.3, -1.0, 2.0]
-    assert np.abs(data.values - expected).max() < 3.0 * NOISE
 
 
 def test_every_reading_can_be_kept(logs, run):
     """Dates are times as well."""
-    header, *lines = Path("joints.csv").read_text().splitlines()
-    first, rows = np.datetime64("2026-03-01T23:59:30"), [header]
-    for line in lines:
-        stamp, rest = line.split(",", 1)
-        when = first + np.timedelta64(round(1e6 * float(stamp)), "us")
-        rows.append(f"{when},{rest}")
-    Path("joints.csv").write_text("\n".join(rows))
+    first = np.datetime64("2026-03-01T23:59:30")
+    changed(lambda t: f"{first + np.timedelta64(round(1e6 * float(t)), 'us')}")
     assert run(f"{JOIN} --keep").status == 0
-    data = read_measurements("m.csv", CHAIN).only
-    expected = CHAIN.poses(data.q)[:, :3, 3] + [0.3, -1.0, 2.0]
-    assert len(data.q) > 100
-    assert np.abs(data.values - expected).max() < 6.0 * NOISE
+    assert len(joined(6.0).q) > 100
 
 
 def test_poses_keep_their_scatter(logs, run):
     time = np.linspace(0.0, logs.joints.time[-1], 900)
-    q = [np.interp(time, logs.joints.time, c) for c in logs.joints.values.T]
-    T = CHAIN.poses(np.column_stack(q))
-    rng = np.random.default_rng(0)
+    T, rng = poses_of(logs, time), np.random.default_rng(0)
     lines = ["time [ms],x,y,z,rx,ry,rz"]
-    from calib_pin.kinematics.spatial import so3_exp, so3_log
-
     R = T[:, :3, :3] @ so3_exp(rng.normal(0.0, 1e-4, (len(T), 3)))
     p = T[:, :3, 3] + rng.normal(0.0, NOISE, (len(T), 3))
     for t, a, b in zip(time, p, so3_log(R), strict=True):
@@ -106,8 +118,7 @@ BALLS = {"A": np.zeros(3), "B": np.array([0.1, 0.0, 0.02])}
 def test_points_that_are_read_by_turns_stay_apart(logs, run):
     """Also where a point is lost in some rows, and others share a time."""
     time = np.arange(0.0, logs.joints.time[-1], 0.05)
-    q = [np.interp(time, logs.joints.time, c) for c in logs.joints.values.T]
-    T, rng = CHAIN.poses(np.column_stack(q)), np.random.default_rng(1)
+    T, rng = poses_of(logs, time), np.random.default_rng(1)
     lines = ["stamp,Marker,tracker_x,tracker_y,tracker_z"]
     for k, (t, pose) in enumerate(zip(time, T, strict=True)):
         for name, ball in BALLS.items() if k % 3 else [("A", BALLS["A"])]:
@@ -158,27 +169,20 @@ def test_points_with_names_need_no_time(tmp_path, monkeypatch, run):
 
 
 def test_times_of_one_log_may_be_milliseconds(logs, run):
-    header, *lines = Path("joints.csv").read_text().splitlines()
-    cut = [line.partition(",") for line in lines]
-    late = [f"{1e3 * float(time):.1f},{rest}" for time, _, rest in cut]
-    Path("joints.csv").write_text("\n".join([header, *late]))
+    changed(lambda time: f"{1e3 * float(time):.1f}")
     result = run(JOIN)
     assert "the times of the joints are read as ms" in result.err
     assert result.out.startswith("12 standstills")
-    Path("joints.csv").write_text("\n".join([header.replace("p", "p [s]", 1), *late]))
+    text = Path("joints.csv").read_text()
+    Path("joints.csv").write_text(text.replace("p", "p [s]", 1))
     assert run(f"{JOIN} --force").status == 1
 
 
 @pytest.mark.parametrize("way", ["%d.%m.%Y %H:%M:%S.%f", "%H:%M:%S.%f"])
 def test_dates_as_people_write_them(logs, run, way):
     """A clock without a date begins anew at midnight."""
-    header, *lines = Path("joints.csv").read_text().splitlines()
-    first, rows = datetime(2026, 3, 12, 23, 59, 30), [header]
-    for line in lines:
-        stamp, rest = line.split(",", 1)
-        when = first + timedelta(seconds=float(stamp))
-        rows.append(f"{when.strftime(way)},{rest}")
-    Path("joints.csv").write_text("\n".join(rows))
+    first = datetime(2026, 3, 12, 23, 59, 30)
+    changed(lambda time: (first + timedelta(seconds=float(time))).strftime(way))
     result = run(JOIN)
     assert result.status == 0 and result.out.startswith("12 standstills")
     lines = Path("m.csv").read_text().replace("SMR1", "").splitlines()
@@ -188,8 +192,7 @@ def test_dates_as_people_write_them(logs, run, way):
 def test_columns_of_one_point_stay_together(logs, run):
     """Of two points the one is taken that no controller computes, whole."""
     time = np.arange(0.0, logs.joints.time[-1], 0.05)
-    q = [np.interp(time, logs.joints.time, c) for c in logs.joints.values.T]
-    p = CHAIN.poses(np.column_stack(q))[:, :3, 3]
+    p = poses_of(logs, time)[:, :3, 3]
     cells = np.column_stack([time, p[:, :2] + 1.0, p - 9.0, p[:, 2] + 1.0])
     lines = [",".join(f"{number:.6f}" for number in row) for row in cells]
     header = "time,pos_x,pos_y,tcp_x,tcp_y,tcp_z,pos_z"
@@ -213,9 +216,7 @@ def test_words_of_a_logger_and_signs_of_lost_readings(logs, run):
     assert result.status == 0 and "-9999 in 3 rows" in result.err
     assert result.out.startswith("12 standstills")
     columns = {joint: f"rec.{joint} [deg]" for joint in CHAIN.joints}
-    data = read_measurements("m.csv", CHAIN, columns=columns).only
-    expected = CHAIN.poses(data.q)[:, :3, 3] + [0.3, -1.0, 2.0]
-    assert np.abs(data.values - expected).max() < 3.0 * NOISE
+    joined(3.0, columns=columns)
 
 
 def test_a_log_of_the_robot_as_it_is(logs, run):
@@ -232,18 +233,14 @@ def test_a_log_of_the_robot_as_it_is(logs, run):
     Path("joints.csv").write_text("\n".join(lines))
     result = run(JOIN)
     assert result.status == 0 and "joints.csv" in result.err
-    data = read_measurements("m.csv", CHAIN).only
-    header = next(x for x in Path("m.csv").read_text().splitlines() if x[0] != "#")
-    assert header.split(",")[:7] == [*names, "x"]
-    expected = CHAIN.poses(data.q)[:, :3, 3] + [0.3, -1.0, 2.0]
+    data = joined(3.0)
+    assert table("m.csv")[0][:7] == [*names, "x"]
     assert len(data.q) == 12
-    assert np.abs(data.values - expected).max() < 3.0 * NOISE
     # Columns that the setup names are the joints, whatever else there is.
     some = "".join(f"  {name}: {name}\n" for name in names[:3])
     Path("setup.yaml").write_text(SETUP.replace("  time: Zeit\n", "") + some)
     assert run("join joints.csv tracker.txt --setup setup.yaml -o n.csv").status == 0
-    header = next(x for x in Path("n.csv").read_text().splitlines() if x[0] != "#")
-    assert header.split(",")[:4] == [*names[:3], "x"]
+    assert table("n.csv")[0][:4] == [*names[:3], "x"]
 
 
 def test_readings_that_do_not_scatter_have_no_sigma(logs, run):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import calib_pin
-from calib_pin.errors import InputError, OptionError, OutputError
+from calib_pin.errors import OutputError
 from calib_pin.io.files import write_atomically
 from calib_pin.io.measurements import (
     encode_configurations,
@@ -26,8 +25,8 @@ CHAIN = calib_pin.load_chain("space6")
 Q = CHAIN.random_configurations(7, np.random.default_rng(0))
 
 
-def write_configurations(path: Path, *about: Any, force: bool = False, **more: Any):
-    write_atomically(path, encode_configurations(*about, **more), force=force)
+def write_configurations(path: Path, *about: Any, **more: Any):
+    write_atomically(path, encode_configurations(*about, **more), force=False)
 
 
 def test_files_read_back_bit_by_bit(tmp_path: Path) -> None:
@@ -59,18 +58,6 @@ def test_targets_that_would_not_read_back(name: str, tmp_path: Path) -> None:
     with pytest.raises(OutputError):
         write_configurations(file, CHAIN, Q, ("wall",) * 6 + (name,))
     assert not file.exists()
-
-
-def test_existing_files_stay_without_force(
-    tmp_path: Path, refused: Callable[..., Any]
-) -> None:
-    file = tmp_path / "plan.csv"
-    file.write_text("old")
-    with refused(OptionError, file=str(file)):
-        write_configurations(file, CHAIN, Q)
-    assert file.read_text() == "old"
-    write_configurations(file, CHAIN, Q, force=True)
-    assert read_configurations(file, CHAIN).tobytes() == Q.tobytes()
 
 
 factor = st.floats(0.01, 100.0) | st.floats(-100.0, -0.01)
@@ -124,16 +111,6 @@ def test_mutual_couplings_are_undone(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         read_configurations(file, CHAIN, joints), Q, rtol=0.0, atol=1e-12
     )
-
-
-def test_couplings_that_cannot_be_undone(refused: Callable[..., Any]) -> None:
-    first, second, *_ = CHAIN.joints
-    joints = {
-        "A": JointMap(first, coupled={"B": 1.0}),
-        "B": JointMap(second, coupled={"A": 1.0}),
-    }
-    with refused(InputError, reason="'joints'"):
-        JointColumns.of(CHAIN, joints).values(Q)
 
 
 def test_positions_are_not_changed_by_a_map_of_other_joints() -> None:

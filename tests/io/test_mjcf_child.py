@@ -57,20 +57,14 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     return load_robot(written(tmp_path_factory.mktemp("plain"), BASE))
 
 
-def test_what_pinocchio_reads(plain: Robot) -> None:
+def test_what_stands_in_the_file(plain: Robot) -> None:
     model, robot = pin.buildModelFromMJCF(plain.file), plain
-    state = model.createData()
-    for tip in ("two", "tip", "tool"):
-        chain = Chain(robot, "base", tip)
-        names = ["j1", "j2", "j3", "slide"][: 3 if tip == "two" else 4]
-        assert list(chain.joints) == names
-        q = chain.random_configurations(20, np.random.default_rng(1))
-        for values, pose in zip(q, chain.poses(q), strict=True):
-            full = np.zeros(model.nq)
-            full[: len(values)] = values
-            pin.framesForwardKinematics(model, state, full)
-            frame = state.oMf[model.getFrameId(tip)].homogeneous
-            assert np.abs(frame - pose).max() < 1e-12
+    assert Chain(robot, "base", "two").joints == ("j1", "j2", "j3")
+    chain = Chain(robot, "base", "tool")
+    assert chain.joints == ("j1", "j2", "j3", "slide")
+    q = chain.random_configurations(5, np.random.default_rng(1))
+    tip, tool = Chain(robot, "base", "tip").poses(q), chain.poses(q)
+    assert np.allclose(np.linalg.solve(tip, tool)[:, :3, 3], [0.1, 0.0, -0.1])
     # Degrees, but those of a slide are meters.
     limits = np.deg2rad([100.0, 100.0, 10.0])
     assert np.allclose(chain.upper, [*limits, 0.3]) and chain.lower[3] == 0.0

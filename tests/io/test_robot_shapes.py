@@ -10,8 +10,8 @@ import pytest
 
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_robot
-from calib_pin.kinematics.shapes import Surface
 from calib_pin.kinematics.stand_ins import JOINT
+from tests.kinematics.test_shapes import volume
 
 ARM = """<robot name="arm">
   <material name="red"><color rgba="1 0 0 1"/></material>
@@ -34,12 +34,6 @@ def visual(geometry: str, more: str = "", kind: str = "visual") -> str:
 
 def arm(base: str = "", upper: str = "", tool: str = "") -> str:
     return ARM.format(base=base, upper=upper, tool=tool)
-
-
-def volume(surface: Surface) -> float:
-    """By the divergence theorem; negative for a surface that is inside out."""
-    a, b, c = np.moveaxis(surface.vertices[surface.triangles], 1, 0)
-    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 
 
 def test_visuals_come_before_collisions(write: Callable[..., Path]) -> None:

@@ -28,6 +28,7 @@ from calib_pin.setup import (
     Setup,
     SphereSetup,
 )
+from tests.measurement_models.test_contact_registration import poses
 
 Simulated = Callable[..., tuple[Problem, Floats]]
 
@@ -46,16 +47,9 @@ def data_of(model: str, count: int, *names: str) -> Measurements:
     return Measurements(("j",), q, model, values, target=target)
 
 
-def touching(points: Floats, point: Floats = TIP, seed: int = 0) -> Floats:
+def touching(points: Floats) -> Floats:
     """Poses of a tip whose point is at places, turned at random."""
-    rng = np.random.default_rng(seed)
-    turns = [pin.exp3(rng.normal(size=3)) for _ in points]
-    return np.array(
-        [
-            pin.SE3(R, p - R @ point).homogeneous
-            for R, p in zip(turns, points, strict=True)
-        ]
-    )
+    return poses(points, TIP, np.random.default_rng(0))
 
 
 def on_plane(plane: PlaneSetup, count: int, seed: int = 1) -> Floats:
@@ -117,11 +111,6 @@ def test_measurements_of_several_sites_keep_their_own() -> None:
     )
     of_a = np.array([name == "a" for name in data.target])
     assert np.abs(moved[of_a]).min() > 1e-3 and not moved[~of_a].any()
-    J_instrument = model.linearize(T, instrument, data).J_instrument
-    assert (
-        not J_instrument[of_a][:, :, 3:].any()
-        and not J_instrument[~of_a][:, :, :3].any()
-    )
     assert [p.unit for p in model.parameters] == ["rad", "rad", "m"] * 2
 
 

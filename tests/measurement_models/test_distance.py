@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,6 @@ import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.distance import PointDistance, RelativeDistance
@@ -21,8 +19,6 @@ from calib_pin.measurement_models.references import Anchor, Point
 from calib_pin.observations import Measurements
 from calib_pin.setup import AnchorSetup, FrameSetup, PointSetup, Setup
 from calib_pin.simulation import exact_problem
-
-Simulated = Callable[..., tuple[Problem, Floats]]
 
 ARM = calib_pin.load_chain("space6")
 TIP = np.array([0.05, -0.03, 0.12])

@@ -13,15 +13,12 @@ import pytest
 import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.position import Position
 from calib_pin.measurement_models.references import Point
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, PointSetup, Setup
-
-Simulated = Callable[..., tuple[Problem, Floats]]
 
 ARM = calib_pin.load_chain("space6")
 BASE = pin.exp6(np.array([1.0, -2.0, 0.5, 0.3, 2.0, -1.0]))

@@ -12,6 +12,7 @@ from calib_pin.planning.information import Information, Trials
 from calib_pin.planning.planned_problem import identification
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from tests.planning.test_criteria import factored
 
 COLUMNS = 9
 SHAPES = [(1, 4), (3, 0), (6, 4)]
@@ -49,12 +50,6 @@ def of_robot_alone(trials: Trials, d: int) -> Floats:
     with np.errstate(invalid="ignore"):
         logs = [np.log(np.einsum("taa->ta", one)).sum(axis=1) for one in (L, L_n)]
     return 2.0 * (logs[0] - logs[1])
-
-
-def factored(M: Floats, f: int) -> Information:
-    found = Information.of(M, f)
-    assert found is not None
-    return found
 
 
 @pytest.mark.parametrize("f", [0, 4, COLUMNS - 1])

@@ -120,9 +120,6 @@ def test_the_population_meets() -> None:
     assert result.fun == pytest.approx(1.0, abs=0.01)
 
 
-# With F = 0.6 all but rand/1 and l-shade contract too early for a bent valley.
-
-
 def test_each_strategy_follows_its_name() -> None:
     assert DifferentialEvolution().strategy == "tradeoff"
     options = {name: replace(QUICK, strategy=name) for name in STRATEGIES}

@@ -10,13 +10,9 @@ import pytest
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import DifferentialEvolution, Status, differential_evolution
 from calib_pin.solvers.differential_evolution import TERMINAL, LShade
+from tests.solvers.test_differential_evolution import rosenbrock
 
 WIDE = np.tile([-5.0, 5.0], (10, 1))
-
-
-def rosenbrock(x: Floats) -> Floats:
-    valley = 100 * (x[:, 1:] - x[:, :-1] ** 2) ** 2
-    return np.sum(valley + (1 - x[:, :-1]) ** 2, axis=1)
 
 
 def variant(size: int = 10, dimension: int = 2, budget: int = 1000) -> LShade:

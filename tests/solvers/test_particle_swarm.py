@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,22 +12,10 @@ import pytest
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import EvolutionResult, ParticleSwarm, Status, particle_swarm
+from tests.solvers.test_differential_evolution import rastrigin, rosenbrock, sphere
 
 WIDE = np.tile([-5.0, 5.0], (5, 1))
 QUICK = ParticleSwarm(particles=20, iterations=30)
-
-
-def sphere(x: Floats) -> Floats:
-    return np.sum((x - 1.0) ** 2, axis=1)
-
-
-def rosenbrock(x: Floats) -> Floats:
-    valley = 100 * (x[:, 1:] - x[:, :-1] ** 2) ** 2
-    return np.sum(valley + (1 - x[:, :-1]) ** 2, axis=1)
-
-
-def rastrigin(x: Floats) -> Floats:
-    return np.sum((x - 1) ** 2 + 10 - 10 * np.cos(2 * np.pi * (x - 1)), axis=1)
 
 
 def run(
@@ -79,7 +66,7 @@ def test_the_swarm_converges_in_one_basin() -> None:
 
 
 def test_particles_stay_within_bounds_and_are_counted() -> None:
-    seen: list[Floats] = []
+    seen, told = list[Floats](), list[int]()
 
     def costs(x: Floats) -> Floats:
         seen.append(x.copy())
@@ -88,28 +75,15 @@ def test_particles_stay_within_bounds_and_are_counted() -> None:
     # The minimum is in a corner; one component is fixed, one is narrow.
     bounds = np.array([[-1.0, 1.0], [0.1, 0.3], [0.7, 0.7], [1e-12, 3e-12]])
     options = ParticleSwarm(20, 40, velocity=1.0, crossover=0.5, mutation=0.5, tol=0)
-    result = run(costs, options, bounds)
+    result = run(costs, options, bounds, callback=lambda n, *_: told.append(n))
     places = np.concatenate(seen)
     assert (bounds[:, 0] <= places).all() and (places <= bounds[:, 1]).all()
     assert (places[:, 2] == 0.7).all()
     assert result.x[:3] == pytest.approx([-1.0, 0.3, 0.7], rel=0.01)
     assert (len(seen), len(places)) == (result.nit + 1, result.nfev)
+    assert told == [*range(1, result.nit + 1)]
     assert result.nfev == options.budget == 20 * 41
     assert result.status is Status.GENERATIONS
-
-
-def test_the_best_place_is_never_lost() -> None:
-    seen: list[float] = []
-
-    def costs(x: Floats) -> Floats:
-        seen.append(rastrigin(x).min())
-        return rastrigin(x)
-
-    result = run(costs, replace(QUICK, mutation=1.0, crossover=1.0))
-    assert result.best_history.tolist() == np.minimum.accumulate(seen).tolist()
-    assert all(b <= a for a, b in pairwise(result.best_history))
-    assert result.fun == rastrigin(result.x[None])[0] == min(seen)
-    assert np.array_equal(result.population_energies, rastrigin(result.population))
 
 
 def test_x0_are_places_of_the_first_particles() -> None:
@@ -125,33 +99,6 @@ def test_x0_are_places_of_the_first_particles() -> None:
     assert np.array_equal(seen[0][:2], x0)
     assert len(seen[0]) == 20
     assert (result.fun, result.x.tolist()) == (0.0, x0[0].tolist())
-
-
-def test_what_is_not_feasible_loses() -> None:
-    def costs(x: Floats) -> Floats:
-        values = sphere(x)
-        values[x[:, 0] > 0.5] = np.inf
-        values[x[:, 1] > 0.5] = np.nan
-        return values
-
-    result = run(costs, ParticleSwarm(particles=40, iterations=300))
-    assert result.x == pytest.approx([0.5, 0.5, 1.0, 1.0, 1.0], abs=0.02)
-    assert (result.x[:2] <= 0.5).all()
-    nothing = run(lambda x: np.full(len(x), np.nan))
-    assert (nothing.status, nothing.nit, nothing.nfev) == (Status.NOT_FINITE, 0, 20)
-
-
-def test_the_callback_sees_every_iteration_and_stops() -> None:
-    seen: list[int] = []
-
-    def callback(iteration: int, x: Floats, fun: float) -> bool:
-        assert sphere(x[None])[0] == fun
-        seen.append(iteration)
-        return iteration == 5
-
-    result = run(callback=callback)
-    assert (result.status, result.nit) == (Status.STOPPED, 5)
-    assert seen == [1, 2, 3, 4, 5]
 
 
 def test_places_that_cannot_be_used(refused: Callable[..., Any]) -> None:

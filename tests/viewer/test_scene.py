@@ -39,10 +39,6 @@ MIMICS = {"panda_finger_joint2": "panda_finger_joint1"}
 """Of the robots below; each moves like the other."""
 
 
-SOCKETS = (("left", 0.3), ("right", -0.3))
-TARGETS = ("ball@left", "ball@right", "right", "left")
-
-
 def link_poses(robot: Any, positions: dict[str, float], base: str) -> dict[str, Any]:
     """Poses of all links in one of them, by Pinocchio."""
     model, data = robot.model, robot.model.createData()

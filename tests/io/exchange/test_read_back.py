@@ -15,7 +15,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -48,6 +47,7 @@ from calib_pin.simulation import draw_errors
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import ParameterEstimate
 from calib_pin.validation.summaries import NamedArray
+from tests.io.exchange.test_places import of_model, transforms
 
 pytestmark = pytest.mark.needs("mujoco")
 
@@ -260,22 +260,10 @@ def calibrated(case: Case) -> Exported:
             for key, part in model.parts.items()
         }
         model = replace(model, parts=parts)
-    result: Any = SimpleNamespace(
-        verdict="good",
-        reason="",
-        model=model,
-        urdf=None,
-        geometry=geometry,
-        parameters=(),
-        robot_errors=(),
-        coupled_frames=(),
-        unknown=(),
-        unknown_of=lambda kind, name: (),
-        covariance=NamedArray.of(
-            1e-8 * np.eye(len(theta)), model.given.names, model.given.names
-        ),
-    )
-    return Exported(result, Path("out"))
+    names = model.given.names
+    covariance = NamedArray.of(1e-8 * np.eye(len(theta)), names, names)
+    about = {"parameters": (), "robot_errors": (), "covariance": covariance}
+    return of_model(model, urdf=None, geometry=geometry, **about)
 
 
 def chain_poses(source: bytes, base: str, tip: str, at: At) -> np.ndarray:
@@ -302,7 +290,7 @@ def mimics(of: Exported) -> dict[str, tuple[str, float, float]]:
 
 
 class Reader:
-    """Reads a format: the poses of a chain's tip in its base."""
+    """Reads a format, here a URDF: the poses of a chain's tip in its base."""
 
     def __init__(self, of: Exported, folder: Path) -> None:
         self.of, self.folder = of, folder
@@ -312,16 +300,11 @@ class Reader:
         return None
 
     def poses(self, encoded: Encoded, base: str, tip: str, at: At) -> np.ndarray:
-        raise NotImplementedError
+        return chain_poses(encoded.data, base, tip, at)
 
     def moved(self, base: str, tip: str, at: At) -> np.ndarray:
         """Poses of the nominal robot."""
         return chain_poses(self.of.nominal.robot.source, base, tip, at)
-
-
-class Urdf(Reader):
-    def poses(self, encoded: Encoded, base: str, tip: str, at: At) -> np.ndarray:
-        return chain_poses(encoded.data, base, tip, at)
 
 
 class Xacro(Reader):
@@ -567,23 +550,19 @@ class Frames(Reader):
     """Measured poses go into the base link, and from the tool to the tip."""
 
     def poses(self, encoded: Encoded, base: str, tip: str, at: At) -> np.ndarray:
-        found: dict[str, list[np.ndarray]] = {}
-        for entry in yaml.safe_load(encoded.data)["transforms"]:
-            t, r = (entry["transform"][k].values() for k in ("translation", "rotation"))
-            turn = pin.Quaternion(np.array([*r])).matrix()
-            frames = found.setdefault(entry["header"]["frame_id"], [])
-            frames.append(pin.SE3(turn, np.array([*t])).homogeneous)
+        # Of several stations and tools the first.
+        found = dict(reversed(transforms(encoded).values()))
         model = self.of.result.model
         name = next(n for n in model.measured_chains if model.of(n).chain.tip == tip)
         fitted = model.of(name)
         error = fitted.error.carrying(model.setup.heaviest)
         q = np.column_stack([at[j] for j in fitted.chain.joints])
         measured = error.poses(q, fitted.theta)
-        return np.asarray(found[base][0] @ measured @ np.linalg.inv(found[tip][0]))
+        return np.asarray(found[base] @ measured @ np.linalg.inv(found[tip]))
 
 
 READERS: Mapping[str, type[Reader]] = {
-    "urdf": Urdf,
+    "urdf": Reader,
     "xacro": Xacro,
     "mjcf": Mjcf,
     "dh": Dh,

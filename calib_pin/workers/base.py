@@ -82,6 +82,13 @@ class Workers:
         """
         raise NotImplementedError
 
+    def require_there(self) -> None:
+        """Look whether results may still come.
+
+        Raises:
+            WorkerLost: If they cannot.
+        """
+
     def map(
         self,
         work: Callable[[_Shared, _Item], _Result],
@@ -173,6 +180,8 @@ class _Flow:
         Each goes alone, when nothing else is under way: who dies dies over this item.
         """
         try:
+            while not wait([future], timeout=SECONDS).done:
+                self.workers.require_there()
             done = future.result()
         except self.workers.died as error:
             if not alone:

@@ -94,9 +94,18 @@ class Cluster(Workers, AbstractContextManager["Cluster"]):
             yield partial(self._executor.submit, run, digest, scattered)
         except Exception as error:
             # Dask may raise anything; what the work itself raised is not lost.
-            if isinstance(error, CalibPinError) or self._client.status == "running":
-                raise
-            raise WorkerLost("the cluster no longer answers") from error
+            if not isinstance(error, CalibPinError):
+                self.require_there()
+            raise
+
+    def require_there(self) -> None:
+        """Look whether the scheduler answers: what is sent to none never ends.
+
+        Raises:
+            WorkerLost: If it does not.
+        """
+        if self._client.status != "running":
+            raise WorkerLost("the cluster no longer answers")
 
 
 async def _greet(address: str) -> None:

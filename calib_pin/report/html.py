@@ -83,7 +83,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     ),
     "identifiability": (
         "Identifiability",
-        ("singular-values", "correlations", "tip-error-by-count"),
+        ("singular-values", "tip-error-by-count"),
     ),
     "parameters": ("Parameters", ("parameter-intervals",)),
     "residuals": ("Noise and statistics", ("residuals", "residuals-by-joint")),

@@ -59,7 +59,7 @@ def in_full(found: Identification) -> Iterator[Line]:
     """Where all combinations stand as formulae, where there are any."""
     if found.groups:
         yield Line(
-            "Combinations in full, by the numbers beside parameters and correlations: "
+            "Combinations in full, by the numbers beside parameters: "
             "identifiability.coupled in calibration.json.",
             "note",
         )

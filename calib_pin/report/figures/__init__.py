@@ -20,7 +20,7 @@ from calib_pin.report.figures.fleet import (
     accuracy_by_configurations,
     errors_in_fleet,
 )
-from calib_pin.report.figures.identifiability import correlations, singular_values
+from calib_pin.report.figures.identifiability import singular_values
 from calib_pin.report.figures.measurement_errors import errors_per_measurement
 from calib_pin.report.figures.plans import (
     criterion_by_count,
@@ -68,7 +68,6 @@ OF_CALIBRATION: tuple[Callable[[CalibrationResult], Drawn | None], ...] = (
     residuals_over_order,
     residuals_by_joint,
     singular_values,
-    correlations,
     parameter_intervals,
     convergence,
     tip_by_count,
@@ -94,7 +93,6 @@ NAMES: Mapping[str, tuple[str, ...]] = {
         "residuals-over-order",
         "residuals-by-joint",
         "singular-values",
-        "correlations",
         "parameter-intervals",
         "convergence",
         "tip-error-by-count",

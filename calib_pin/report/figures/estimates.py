@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,9 +34,6 @@ from calib_pin.validation.result import (
 NAME = 32
 """Letters of a name that has room beside a panel."""
 
-Terms = Sequence[tuple[str, float]]
-"""Names of parameters and their coefficients."""
-
 
 @dataclass(frozen=True)
 class Estimate:
@@ -47,14 +44,12 @@ class Estimate:
         unit: Its unit.
         value: Estimate.
         sigma: Standard deviation.
-        terms: Its parameters and their coefficients.
     """
 
     label: str
     unit: str
     value: float
     sigma: float
-    terms: Terms
 
 
 def of_robot(
@@ -68,34 +63,16 @@ def of_robot(
     """
     own = {parameter.name for parameter in given if not parameter.nuisance}
     place = {parameter.name: k for k, parameter in enumerate(parameters)}
-    found: list[tuple[str, ParameterEstimate | CoupledGroup, Terms]] = [
-        (shortened(p.name, NAME), p, ((p.name, 1.0),))
-        for p in parameters
-        if p.status == "identifiable"
+    known = [p for p in parameters if p.status == "identifiable"]
+    found: list[tuple[str, str, ParameterEstimate | CoupledGroup]] = [
+        *((p.name, shortened(p.name, NAME), p) for p in known),
+        *((g.terms[0][0], f"combination {g.number}", g) for g in groups),
     ]
-    found += [(f"combination {g.number}", g, g.terms) for g in groups]
     return [
-        Estimate(label, of.unit, of.value, of.sigma, terms)
-        for label, of, terms in sorted(found, key=lambda entry: place[entry[2][0][0]])
-        if terms[0][0] in own and of.sigma is not None and math.isfinite(of.sigma)
+        Estimate(label, of.unit, of.value, of.sigma)
+        for first, label, of in sorted(found, key=lambda entry: place[entry[0]])
+        if first in own and of.sigma is not None and math.isfinite(of.sigma)
     ]
-
-
-def correlation(
-    estimates: Sequence[Estimate], places: Mapping[str, int], covariance: Floats
-) -> Floats:
-    """Correlation of n estimates, shape (n, n); NaN for one without a variance.
-
-    The covariance (P, P) has the parameters at their places.
-    """
-    C = np.zeros((len(estimates), len(covariance)))
-    for row, estimate in zip(C, estimates, strict=True):
-        for name, coefficient in estimate.terms:
-            row[places[name]] = coefficient
-    S = C @ covariance @ C.T
-    variance = np.diag(S)
-    sigma = np.sqrt(np.where(variance > 0.0, variance, np.nan))
-    return np.asarray(np.clip(S / np.outer(sigma, sigma), -1.0, 1.0))
 
 
 MOST = 48

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from itertools import product
 from typing import Annotated, ClassVar, Literal
@@ -49,6 +48,9 @@ DICTIONARIES = (
 
 LAST = 999
 """Largest number of a marker in a dictionary."""
+
+MOST_ANGLE = 1.571
+"""Largest angle of planes, a right one with the digits that people write [rad]."""
 
 LEAST_ANGLE = 0.02
 """Least angle between planes that may be stated [rad]: that of parallel ones is no
@@ -412,8 +414,8 @@ class AngleSetup(DistanceSetup):
         Number(
             "rad",
             least=LEAST_ANGLE,
-            most=math.pi / 2,
-            words=f"an angle in rad from {LEAST_ANGLE} to {math.pi / 2}; planes that "
+            most=MOST_ANGLE,
+            words=f"an angle in rad from {LEAST_ANGLE} to {MOST_ANGLE}; planes that "
             "are parallel have a distance",
         ),
     ]

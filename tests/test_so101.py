@@ -214,6 +214,7 @@ def test_a_webcam_tells_all_but_the_roll_which_its_mount_hides(seed, capsys):
     assert "wrist_roll (coupled)" in Path("offsets.csv").read_text()
 
 
+@pytest.mark.slow
 def test_without_encoders_there_are_no_steps(capsys):
     setup = {k: v for k, v in SHEET.items() if k != "encoder_steps"}
     Path("setup.yaml").write_text(yaml.safe_dump(setup))

@@ -127,6 +127,7 @@ def test_beside_a_tracker() -> None:
     assert np.abs(there.errors(found.theta)).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_commands_know_it(capsys: pytest.CaptureFixture[str]) -> None:
     """Simulated, planned, calibrated and evaluated."""
     Path("setup.yaml").write_text(

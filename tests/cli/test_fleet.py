@@ -121,6 +121,7 @@ def test_any_workers_have_the_same_bytes(jobs, run, request, workers):
     assert contents("one") == contents("many")
 
 
+@pytest.mark.slow
 def test_robots_of_a_type_are_a_prior_and_compared(here, run, inside):
     """Robots with one error in common, and one of them with a joint of its own."""
     lines, rng = ["robot,measurements,setup,serial_number"], np.random.default_rng(1)

@@ -161,6 +161,7 @@ def test_meshes_are_found(
     assert len(collisions.pairs) == 1
 
 
+@pytest.mark.slow
 def test_meshes_that_cannot_be_used(
     loaded: Callable[..., Any],
     write: Callable[..., Path],

@@ -644,7 +644,14 @@ def expected(form: str, name: str) -> str:
     return "told" if told else "same"
 
 
-@pytest.mark.parametrize("name", CASES)
+SELDOM = ("inside-offsets", "learned-tip", "reversed", "sags", "warm", "waves")
+"""Cases of kinds that others are of as well."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=[pytest.mark.slow] if n in SELDOM else []) for n in CASES],
+)
 def test_it_moves_as_the_calibration_or_says_how_far_it_is(name: str, tmp_path: Path):
     of, forms = calibrated(CASES[name]), READERS.keys() - {"mjcf"}
     found = {form: outcome(form, of, tmp_path) for form in forms}

@@ -71,8 +71,12 @@ def own_columns(
 def kinds_of(columns: JointColumns, joint: str) -> dict[str, Kind]:
     """Kinds of the column of a joint, which comes first, and of those it adds."""
     column, given = columns.maps[joint]
-    angular = columns.angular
-    return {c: ANGLE if angular[c] else LENGTH for c in (column, *given.coupled)}
+    return {name: kind_of(columns, name) for name in (column, *given.coupled)}
+
+
+def kind_of(columns: JointColumns, name: str) -> Kind:
+    """Kind of a column."""
+    return ANGLE if columns.angular[name] else LENGTH
 
 
 def read_positions(
@@ -128,7 +132,8 @@ def read_positions(
         apart = abs(followed - q)[:, i]
         if chains.revolute[i]:  # A controller may report it within one turn.
             apart = abs(apart - 2.0 * np.pi * np.round(apart / (2.0 * np.pi)))
-        far = stated[joint] & stated[leader] & (apart > MIMICRY)
+        led = stated.get(leader, stated[joint])  # One that leads nothing may lack.
+        far = stated[joint] & led & (apart > MIMICRY)
         if far.any():
             row, name = int(np.argmax(far)), columns.maps[joint][0]
             kind = kinds_of(columns, joint)[name]
@@ -179,7 +184,7 @@ def shown_columns(
     """
     shown = {}
     for name, values in zip(columns.names, columns.values(q).T, strict=True):
-        kind = ANGLE if columns.angular[name] else LENGTH
+        kind = kind_of(columns, name)
         header, unit = column_name(name), "deg" if degrees and kind is ANGLE else ""
         if unit or split_header(name) != (name, None):
             # Other software reads brackets at the end of a name as a unit.
@@ -232,10 +237,12 @@ def spare_positions(
             positions = _all_numbers(table, joint, kind)
             found |= {} if positions is None else {(joint, joint): positions}
     some = table.rows(slice(SOME), table.columns)
+    kinds = {column: kind_of(columns, column) for column, _ in columns.maps.values()}
+    here = {column: _all_numbers(some, column, kind) for column, kind in kinds.items()}
     for name in (name for name in spare if name not in reserved()):
         far = {}
         for joint, (column, _) in columns.maps.items():
-            own, there = _both(some, columns, column, name)
+            own, there = here[column], _all_numbers(some, name, kinds[column])
             if own is not None and there is not None:
                 with np.errstate(over="ignore"):  # What means something else.
                     rms = float(np.sqrt(np.mean((there - own) ** 2)))
@@ -243,20 +250,14 @@ def spare_positions(
         closest = min(far, key=lambda joint: far[joint], default="")
         if closest and 0.0 < far[closest] < NEAR:
             column, given = columns.maps[closest]
-            own, there = _both(table, columns, column, name)
+            own, there = (
+                _all_numbers(table, one, kinds[column]) for one in (column, name)
+            )
             if own is not None and there is not None:
                 position = q[:, chains.joints.index(closest)]
                 moved = given.sign * given.gear * (there - own)
                 found[closest, name] = position + moved
     return found
-
-
-def _both(
-    table: Table, columns: JointColumns, column: str, name: str
-) -> tuple[Floats | None, Floats | None]:
-    """The numbers of a joint's column and of another, see `_all_numbers`."""
-    kind = ANGLE if columns.angular[column] else LENGTH
-    return _all_numbers(table, column, kind), _all_numbers(table, name, kind)
 
 
 def _all_numbers(table: Table, name: str, kind: Kind) -> Floats | None:

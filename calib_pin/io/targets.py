@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from calib_pin.control.joints import Joints
 from calib_pin.errors import OutputError
-from calib_pin.io.columns import ANGLE, LENGTH
 from calib_pin.io.joint_columns import (
+    kind_of,
     own_columns,
     read_positions,
     shown_columns,
@@ -250,7 +250,7 @@ def command_columns(
             texts = targets.table.cells([name])[name]
             result[name] = column.header, [texts[row] for row in rows]
             continue
-        kind = ANGLE if own.angular[name] else LENGTH
+        kind = kind_of(own, name)
         stated = targets.table.numbers(name, kind)[rows]
         factor = kind.units[column.unit or kind.si]
         result[name] = column.header, ((stated + change) / factor).tolist()

@@ -73,7 +73,7 @@ class JointColumns:
         chains = Chains.of(chain)
         maps = _maps(chains, joints)
         turning = dict(zip(chains.joints, chains.revolute.tolist(), strict=True))
-        drives = drives_of(chains)
+        drives = drives_of(chain)
         angular = {column: turning[joint] for joint, (column, _) in maps.items()}
         names = [maps[joint][0] for joint in drives]
         for joint, (_, given) in maps.items():
@@ -131,8 +131,10 @@ class JointColumns:
 
 def drives_of(chain: Chain | Chains) -> list[str]:
     """The joints whose drives move a chain: those that mimic none, and leaders."""
-    leaders = {joint: mimic.leader for joint, mimic in chain.mimics.items()}
-    return [*dict.fromkeys(leaders.get(joint, joint) for joint in chain.joints)]
+    mimics = chain.mimics
+    # With a factor of zero a mimic joint stands still, whatever its leader does.
+    moved = [j for j in chain.joints if j not in mimics or mimics[j].factor]
+    return [*dict.fromkeys(mimics[j].leader if j in mimics else j for j in moved)]
 
 
 def advice(chain: Chain, missing: Sequence[str]) -> str:

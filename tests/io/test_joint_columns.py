@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -120,3 +121,19 @@ def test_positions_are_not_changed_by_a_map_of_other_joints() -> None:
     assert Q.tobytes() == before.tobytes()
     others = [0, 1, 3, 4, 5]
     assert found[:, others].tobytes() == Q[:, others].tobytes()
+
+
+def test_a_mimic_joint_that_stands_still_needs_no_leader(
+    urdf_of: Callable[..., str], chain_of: Callable[..., Any]
+) -> None:
+    still = '<mimic joint="side" multiplier="0" offset="0.2"/>'
+    joints = (
+        {"name": "side", "parent": "base", "child": "beside"},
+        {"name": "still", "parent": "base", "child": "link", "more": still},
+        {"name": "moves", "parent": "link", "child": "tip"},
+    )
+    columns = JointColumns.of(chain_of(urdf_of(*joints), "base", "tip"))
+    assert columns.names == ("moves",)
+    values = np.array([[0.3], [-0.4]])
+    assert columns.positions(values).tolist() == [[0.2, 0.3], [0.2, -0.4]]
+    assert columns.values(columns.positions(values)).tolist() == values.tolist()

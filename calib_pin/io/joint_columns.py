@@ -132,8 +132,8 @@ def read_positions(
         apart = abs(followed - q)[:, i]
         if chains.revolute[i]:  # A controller may report it within one turn.
             apart = abs(apart - 2.0 * np.pi * np.round(apart / (2.0 * np.pi)))
-        led = stated.get(leader, stated[joint])  # One that leads nothing may lack.
-        far = stated[joint] & led & (apart > MIMICRY)
+        # One that leads nothing may lack.
+        far = stated[joint] & stated.get(leader, True) & (apart > MIMICRY)
         if far.any():
             row, name = int(np.argmax(far)), columns.maps[joint][0]
             kind = kinds_of(columns, joint)[name]

@@ -25,11 +25,10 @@ from calib_pin.errors import stated_in
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from calib_pin.kinematics.chains import Chains
-    from calib_pin.validation.calibrated_model import CalibratedModel
+    from calib_pin.observations import Observations
+    from calib_pin.validation.pose_tests import Schedule
+    from calib_pin.validation.result import CalibrationResult
 
 PDF = "acceptance.pdf"
 
@@ -60,9 +59,18 @@ def accept(
         bool,
         options.robot(
             "--register",
-            "Register base and tool of a calibration on these measurements.",
+            "The instrument has moved since the calibration: fit its station, never the "
+            "tool.",
         ),
     ] = False,
+    registration: Annotated[
+        list[Path] | None,
+        options.robot(
+            "--registration FILE",
+            "Measurements of other poses, on which base and tool are registered, or the "
+            "station of a calibration; as those that a column 'set' marks 'train'.",
+        ),
+    ] = None,
     path: Annotated[
         bool,
         options.robot(
@@ -75,12 +83,13 @@ def accept(
 ) -> int:
     """Test how accurately and repeatably a robot reaches poses, as ISO 9283 has it.
 
-    Measurements of the same configuration are visits of one pose. The commanded pose is
-    that of the robot's model: of a URDF with base and tool registered on these
-    measurements; of a calibration that of the calibrated robot, beside the nominal one.
-    'limit' in the setup says what must be reached, 'report' what stands on the printed
-    report; without it both are those of the calibration. A certified test needs the
-    standard itself. Exit status 2: a limit is not reached, or the test does not decide.
+    Measurements of the same configuration are visits of one pose; columns 'pose' and
+    'cycle' number them. The commanded pose is that of the robot's model, with base and
+    tool of a calibration, of the setup ('frames'), or of --registration. Without any
+    of these they are fitted to the visits, and AP is not testable. 'limit' in the setup
+    says what must be reached, 'report' what stands on the printed report; without it
+    both are those of the calibration. A certified test needs the standard itself. Exit
+    status 2: a limit is not reached, or the test does not decide.
     """
     from dataclasses import replace
 
@@ -88,6 +97,7 @@ def accept(
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import encode_table
+    from calib_pin.io.results import read_result
     from calib_pin.report.acceptance_text import acceptance_report
     from calib_pin.report.cover import acceptance_cover
     from calib_pin.report.figures import Judged, acceptance_figures
@@ -99,41 +109,53 @@ def accept(
 
     stated = open_setup(setup, base=base, tip=tip, model=model)
     limit, entries = stated.limit, stated.report
-    subject: Chains | CalibratedModel
+    subject: Chains | CalibrationResult
     doubts: list[str] = []
     require_file(robot, ", or a robot")
     if robot.endswith(".json"):
-        subject, used = open_calibration(
+        model, used = open_calibration(
             robot, setup, stated, doubts.append, "limit", "report"
         )
-        chains = subject.chains
+        subject, chains = read_result(robot), model.chains
         if limit == LimitSetup():
             limit = used.limit
         if entries == ReportSetup():
-            # The day and the temperature of the calibration are not those of the test.
-            entries = replace(used.report, date=None, temperature=None)
+            # These of the calibration are not those of the test.
+            entries = replace(
+                used.report, date=None, temperature=None, load="", speed=""
+            )
     else:
         used = stated
         chains = open_chains(robot, stated, package_dirs=package_dir)
-    require_distinct(measurements)
+    require_distinct([*measurements, *(registration or [])])
     files = []
     if output is not None:
         names = ["acceptance.json", "acceptance.csv", "acceptance.html"]
         files = [
             output / name for name in (*names, *([PDF] if can_write_pdf() else []))
         ]
-    check_outputs(files, [robot, setup, *measurements], force)
+    check_outputs(files, [robot, setup, *measurements, *(registration or [])], force)
     with progress_bar(quiet=quiet) as bar:
         measured, rows = open_measurements(
             measurements, chains, used, quiet=quiet, bar=bar
         )
+        located = None
+        if registration:
+            _, located = open_measurements(registration, chains, used, quiet=quiet)
         if not robot.endswith(".json"):
             subject = measured
         with stated_in(str(measurements[0])):
-            numbers = _numbers(measurements, used.columns, len(rows))
-            found = tested(subject, rows, used, registration=register, numbers=numbers)
+            found = tested(
+                subject,
+                rows,
+                used,
+                registration=register,
+                located=located,
+                schedule=_schedule(measurements, used.columns, rows),
+            )
     for doubt in doubts:
         notice(doubt)
+    found = found.doubted(doubts)
     blocks = [*acceptance_report(found.tests, limit, found.about, path=path)]
     contents = {}
     if output is not None:
@@ -144,7 +166,6 @@ def accept(
             chains.robot,
             dated(entries),
             found.about,
-            doubts=doubts,
             path=path,
             figure=figure,
         )
@@ -169,19 +190,30 @@ def accept(
         say_written([f"wrote {file}" for file in files])
     *_, last = found.tests.values()
     passed = all(status == "pass" for _, status, *_ in judged(last, limit))
-    return 0 if passed and not doubts else 2
+    return 0 if passed and not last.doubts else 2
 
 
-def _numbers(
-    files: list[Path], columns: Mapping[str, str], count: int
-) -> NDArray[np.int64] | None:
-    """Numbers of the poses in a column `pose`, `P5` or `5`, if all visits have one."""
-    import numpy as np
+def _schedule(
+    files: list[Path], columns: Mapping[str, str], rows: Observations
+) -> Schedule:
+    """Poses and cycles in columns `pose`, `P5` or `5`, and `cycle`, if all have one."""
+    from calib_pin.io.table import read_table
+    from calib_pin.validation.pose_tests import Schedule
 
-    from calib_pin.io.measurements import read_names
-
-    names = [name for file in files for name in read_names(file, "pose", columns)]
-    digits = [name.strip().removeprefix("P") for name in names]
-    if len(digits) != count or not all(d.isdecimal() and len(d) < 6 for d in digits):
-        return None
-    return np.array(digits, np.int64)
+    read = [(rows.files[k], int(rows.lines[k])) for k in range(len(rows))]
+    named: dict[str, dict[tuple[str, int], int]] = {"pose": {}, "cycle": {}}
+    count = 0
+    for file in files:
+        table = read_table(file, columns=columns)
+        count += len(table.lines)
+        for column, labels in table.texts(named).items():
+            for line, name in zip(table.lines.tolist(), labels, strict=True):
+                if (digits := name.removeprefix("P")).isdecimal() and len(digits) < 6:
+                    named[column][table.file, line] = int(digits)
+    whole = {k: of for k, of in named.items() if len(of) == count}
+    found = {k: [of[place] for place in read] for k, of in whole.items()}
+    lacking: list[tuple[int, int]] = []
+    if len(whole) == 2:
+        other = whole["pose"].keys() - set(read)
+        lacking = [(whole["pose"][p], whole["cycle"][p]) for p in other]
+    return Schedule(**found, lacking=lacking)

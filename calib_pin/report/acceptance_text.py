@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from math import isfinite, isinf
 
 from calib_pin.report.blocks import Block, Cell, Column, Line, Table, Tone, columns
 from calib_pin.report.tables import amount, quantity
 from calib_pin.setup import LimitSetup
 from calib_pin.units import DISPLAY
-from calib_pin.validation.acceptance import Acceptance, Interval, judged
+from calib_pin.validation.acceptance import (
+    Acceptance,
+    Interval,
+    judged,
+    measured,
+    worst,
+)
 
 TONES: Mapping[str, Tone] = {"pass": "good", "fail": "bad", "undecided": "strong"}
 
@@ -36,6 +43,7 @@ def acceptance_report(
     """
     *_, (_, last) = found.items()
     yield from limit_lines(last, limit, path=path)
+    yield from doubt_lines(last)
     yield Line(about)
     if path:
         yield Table("Path", ROBOTS, [*_paths(found)])
@@ -55,15 +63,18 @@ def acceptance_report(
         "visits.",
         "note",
     )
-    if last.poses[0].angles:
+    if last.poses[0].angle_repeatability:
         yield Table("Orientations", ANGLES, [*_angles(last)])
     if last.distances:
         yield Table("Distances between poses", DISTANCES, [*_distances(last)])
     if last.drift is not None:
-        accuracy, repeatability = (amount(size, "m") for size in last.drift)
+        sizes = zip(("AP", "RP"), last.drift, strict=True)
+        changes = [
+            f"{n} by {amount(size, 'm')}" for n, size in sizes if size is not None
+        ]
         yield Line(
-            "From the first to the last third of the visits AP changes by at most "
-            f"{accuracy}, RP by {repeatability}."
+            "Largest changes from the first to the last third of the visits: "
+            f"{', '.join(changes)}."
         )
 
 
@@ -73,8 +84,36 @@ def limit_lines(
     """Whether each limit is met, by how much, in a sentence each."""
     for name, status, interval, allowed, unit in judged(test, limit):
         tone, name = TONES[status], PATH.get(name, name) if path else name
-        shown = f"{status.upper()}: {name} {_shown(interval, unit)}, the limit is "
-        yield Line(f"{shown}{amount(allowed, unit)}.", tone)
+        shown = f"{amount(interval.value, unit)} ({ends(interval, unit)})"
+        if not isfinite(interval.high):
+            shown = f"is {ends(interval, unit)}"
+        said = (
+            f"{status.upper()}: {name} {shown}, the limit is {amount(allowed, unit)}."
+        )
+        yield Line(said, tone)
+
+
+def doubt_lines(test: Acceptance) -> Iterator[Line]:
+    """Why AP is not testable, and why nothing passes, in a sentence each."""
+    if (bound := test.bound) is not None:
+        said = f"AP is not testable: {bound.fitted} was fitted to these visits"
+        if " and " in bound.fitted:
+            said = said.replace(" was ", " were ")
+        said += f", {bound.unknowns} unknowns of {bound.values} values"
+        if bound.accuracy is None:
+            yield Line(
+                f"{said}: from {bound.least} poses on AP has a lower bound.", "bad"
+            )
+        else:
+            low, rms = amount(bound.accuracy.low, "m"), amount(bound.rms, "m")
+            yield Line(
+                f"{said}. AP of the worst pose is at least {low}; by the degrees of "
+                f"freedom that remain, errors are {rms} rms. Test with a calibration, "
+                "'frames' in the setup, or --registration.",
+                "bad",
+            )
+    for doubt in test.doubts:
+        yield Line(f"No PASS: {doubt.rstrip('.')}.", "bad")
 
 
 POSES = columns("pose", ("visits", "AP", "95 %", "RP", "95 %", "vAP", "unit"))
@@ -104,15 +143,16 @@ def _paths(found: Mapping[str, Acceptance]) -> Iterator[tuple[Cell, ...]]:
         yield (
             Cell(name),
             Cell(str(len(test.poses))),
-            *_cells(test.accuracy, "m"),
-            *_cells(test.repeatability, "m"),
+            *_cells(worst(measured(test)["AP"][0]), "m"),
+            *_cells(worst(measured(test)["RP"][0]), "m"),
             Cell(DISPLAY["m"][0]),
         )
 
 
 def _angles(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
     for pose in test.poses:
-        rows = zip("xyz", pose.angles, pose.angle_repeatability, strict=True)
+        means = pose.angles or [None] * 3
+        rows = zip("xyz", means, pose.angle_repeatability, strict=True)
         for axis, mean, sigma in rows:
             yield (
                 Cell(f"P{pose.pose}" if axis == "x" else ""),
@@ -135,15 +175,15 @@ def _distances(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
         )
 
 
-def _cells(interval: Interval, unit: str) -> tuple[Cell, Cell]:
+def _cells(interval: Interval | None, unit: str) -> tuple[Cell, Cell]:
+    if interval is None:
+        return Cell("-"), Cell("-")
     return quantity(interval.value, unit), Cell(ends(interval, unit))
-
-
-def _shown(interval: Interval, unit: str) -> str:
-    return f"{amount(interval.value, unit)} ({ends(interval, unit)})"
 
 
 def ends(interval: Interval, unit: str) -> str:
     """Both ends of an interval, in the unit in which people read it."""
+    if not isfinite(interval.high):
+        return "not testable" if isinf(interval.high) else "not measured"
     low, high = (quantity(end, unit).text for end in (interval.low, interval.high))
     return f"{low} ... {high}"

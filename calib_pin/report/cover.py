@@ -6,11 +6,12 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
+from math import isfinite
 from pathlib import Path
 
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.kinematics.robot import Robot
-from calib_pin.report.acceptance_text import PATH, TONES, ends, limit_lines
+from calib_pin.report.acceptance_text import PATH, TONES, doubt_lines, ends, limit_lines
 from calib_pin.report.accuracy import verdict
 from calib_pin.report.blocks import Cell, Line, Table, Tone, columns
 from calib_pin.report.figures import Drawn
@@ -18,7 +19,13 @@ from calib_pin.report.tables import amount, quantity
 from calib_pin.report.tiles import Tile, tiles
 from calib_pin.setup import LimitSetup, ReportSetup
 from calib_pin.units import DISPLAY
-from calib_pin.validation.acceptance import Acceptance, judged, measured, worst
+from calib_pin.validation.acceptance import (
+    Acceptance,
+    Interval,
+    judged,
+    measured,
+    worst,
+)
 from calib_pin.validation.result import CalibrationResult
 
 CERTIFIED = (
@@ -105,7 +112,6 @@ def acceptance_cover(
     entries: ReportSetup,
     about: str,
     *,
-    doubts: Sequence[str] = (),
     path: bool = False,
     figure: Drawn | None = None,
 ) -> Cover:
@@ -117,17 +123,14 @@ def acceptance_cover(
         robot: The robot.
         entries: What the user stated, with a date.
         about: The robot, the poses and the frame, in a sentence.
-        doubts: Sentences on why the calibration must not be trusted.
         path: Whether the poses are points of a path.
         figure: The picture.
     """
     *_, (_, last) = found.items()
     statuses = {status for _, status, *_ in judged(last, limit)}
     status = next((s for s in ("fail", "undecided", "pass") if s in statuses), "")
-    if doubts and status == "pass":
-        status = "undecided"
-    said = [Line(f"{doubt.rstrip('.')}.", "bad") for doubt in doubts]
-    if not doubts or status == "fail":
+    said = [*doubt_lines(last)]
+    if not said or status == "fail":
         said.append(Line(SAID[status]))
     said += limit_lines(last, limit, path=path)
     return Cover(
@@ -136,7 +139,10 @@ def acceptance_cover(
         tone=TONES.get(status, "strong"),
         said=said,
         robot=robot.name,
-        facts=_facts(robot, entries, limit, PATH if path else {}),
+        facts=[
+            *_facts(robot, entries, limit, PATH if path else {}),
+            *_conditions(entries),
+        ],
         numbers=_tested(found, limit, path),
         remark=f"{about} {CERTIFIED}",
         figures=[] if figure is None else [figure],
@@ -163,7 +169,11 @@ def calibration_cover(
         tone=line.tone,
         said=said,
         robot=robot.name,
-        facts=_facts(robot, entries, limit),
+        facts=[
+            *_facts(robot, entries, limit),
+            ("instrument", entries.instrument),
+            ("temperature", _temperature(entries)),
+        ],
         numbers=Table("Results", (), ()),
         remark="",
         figures=[figures[name] for name in PICTURES if name in figures],
@@ -179,7 +189,6 @@ def _facts(
     renamed: Mapping[str, str] | None = None,
 ) -> list[tuple[str, str]]:
     """The facts; quantities of limits may have other names."""
-    degrees = entries.temperature
     limits = [
         f"{(renamed or {}).get(name, name)} {size}" for name, size in _limits(limit)
     ]
@@ -192,9 +201,27 @@ def _facts(
         ("date", entries.date or ""),
         ("customer", entries.customer),
         ("operator", entries.operator),
-        ("instrument", entries.instrument),
-        ("temperature", "" if degrees is None else f"{degrees:g} °C"),
     ]
+
+
+def _temperature(entries: ReportSetup) -> str:
+    degrees = entries.temperature
+    return "" if degrees is None else f"{degrees:g} °C"
+
+
+def _conditions(entries: ReportSetup) -> list[tuple[str, str]]:
+    """Conditions of a test, which say so where nobody stated them."""
+    found = {
+        "instrument": entries.instrument,
+        "temperature": _temperature(entries),
+        "load": entries.load,
+        "speed": entries.speed,
+    }
+    return [(name, words or "not stated") for name, words in found.items()]
+
+
+def _value(interval: Interval, unit: str) -> Cell:
+    return quantity(interval.value, unit) if isfinite(interval.high) else Cell("-")
 
 
 def _limits(limit: LimitSetup) -> Iterator[tuple[str, str]]:
@@ -216,9 +243,7 @@ def _tested(found: Mapping[str, Acceptance], limit: LimitSetup, path: bool) -> T
     for key, (intervals, unit) in measured(last).items():
         own = worst(intervals)
         cells = [Cell(QUANTITIES[PATH.get(key, key) if path else key])]
-        cells += [
-            quantity(worst(measured(t)[key][0]).value, unit) for t in found.values()
-        ]
+        cells += [_value(worst(measured(t)[key][0]), unit) for t in found.values()]
         status, allowed = results.get(key, ("", None))
         cells += [
             Cell(ends(own, unit)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,13 @@ from calib_pin.report.figures.canvas import (
 from calib_pin.report.figures.labels import log_axis, log_limits, unit_of
 from calib_pin.report.tables import amount
 from calib_pin.setup import LimitSetup
-from calib_pin.validation.acceptance import Acceptance, Interval, PoseTest
+from calib_pin.validation.acceptance import (
+    Acceptance,
+    Interval,
+    PoseTest,
+    measured,
+    worst,
+)
 
 HEIGHT = 2.5
 """Height of the panels [inch]."""
@@ -66,13 +73,12 @@ def poses_tested(found: Judged) -> Drawn | None:
         entries["limit"] = LIMIT
     key(figure, entries, 0.75)
     *_, last = found.tests.values()
-    worst = ", AT and RT," if found.path else ""
+    at = ", AT and RT," if found.path else ""
     return Drawn(
         "poses-tested",
         f"Accuracy and repeatability by {place}",
-        f"AP and RP of every {place} with 95 % intervals; the worst{worst} are "
-        f"{amount(last.accuracy.value, 'm')} and "
-        f"{amount(last.repeatability.value, 'm')}."
+        f"AP and RP of every {place} with 95 % intervals; the worst{at} are "
+        f"{_worst(last, 'AP')} and {_worst(last, 'RP')}."
         + " A limit is met where all of an interval lies below it."
         * ("limit" in entries),
         figure,
@@ -82,17 +88,20 @@ def poses_tested(found: Judged) -> Drawn | None:
 def _panel(
     axes: Axes,
     tests: Mapping[str, Acceptance],
-    of: Callable[[PoseTest], Interval],
+    of: Callable[[PoseTest], Interval | None],
     limit: float | None,
 ) -> None:
     _, factor = unit_of("m")
     shown = []
     for k, (name, test) in enumerate(tests.items()):
-        places = np.array([p.pose for p in test.poses], float)
+        found = [(p.pose, i) for p in test.poses if (i := of(p)) is not None]
+        if not found:
+            axes.text(0.5, 0.5, "not testable", ha="center", transform=axes.transAxes)
+            continue
+        places = np.array([pose for pose, _ in found], float)
         # Robots stand beside each other, or their intervals would hide each other.
         places += 0.24 * (k - 0.5 * (len(tests) - 1))
-        found = [of(pose) for pose in test.poses]
-        values = factor * np.array([[i.value, i.low, i.high] for i in found])
+        values = factor * np.array([[i.value, i.low, i.high] for _, i in found])
         value, low, high = values.T
         shown += [value, low, high]
         sign = _sign(name)
@@ -109,13 +118,18 @@ def _panel(
     if len(numbers) <= FEW:
         axes.set_xticks(numbers, [f"P{number}" for number in numbers], fontsize=8)
     axes.grid(visible=False, axis="x")
-    everything = np.concatenate(shown)
+    everything = np.concatenate(shown or [np.ones(1)])
     positive = everything[everything > 0.0]
     if len(positive) and positive.max() > 20.0 * positive.min():
         log_axis(axes, "y", log_limits(positive) or (0.1, 1.0))
     else:
         axes.locator_params(axis="y", nbins=6)
         axes.set_ylim(0.0, 1.12 * float(everything.max()) or 1.0)
+
+
+def _worst(test: Acceptance, name: str) -> str:
+    interval = worst(measured(test)[name][0])
+    return amount(interval.value, "m") if isfinite(interval.high) else "not testable"
 
 
 def _name(robot: str) -> str:

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from calib_pin.kinematics.chains import Chains
-    from calib_pin.observations import Observations
-    from calib_pin.validation.pose_tests import Schedule
     from calib_pin.validation.result import CalibrationResult
 
 PDF = "acceptance.pdf"
@@ -59,18 +57,9 @@ def accept(
         bool,
         options.robot(
             "--register",
-            "The instrument has moved since the calibration: fit its station, never the "
-            "tool.",
+            "Fit the station of a calibration anew, never its tool.",
         ),
     ] = False,
-    registration: Annotated[
-        list[Path] | None,
-        options.robot(
-            "--registration FILE",
-            "Measurements of other poses, on which base and tool are registered, or the "
-            "station of a calibration; as those that a column 'set' marks 'train'.",
-        ),
-    ] = None,
     path: Annotated[
         bool,
         options.robot(
@@ -85,11 +74,12 @@ def accept(
 
     Measurements of the same configuration are visits of one pose; columns 'pose' and
     'cycle' number them. The commanded pose is that of the robot's model, with base and
-    tool of a calibration, of the setup ('frames'), or of --registration. Without any
-    of these they are fitted to the visits, and AP is not testable. 'limit' in the setup
-    says what must be reached, 'report' what stands on the printed report; without it
-    both are those of the calibration. A certified test needs the standard itself. Exit
-    status 2: a limit is not reached, or the test does not decide.
+    tool of a calibration, or of the setup ('frames'), or registered on measurements
+    that a column 'set' marks 'train' beside visits marked 'validate'. Otherwise they
+    are fitted to the visits, and AP is not testable. 'limit' in the setup says what
+    must be reached, 'report' what stands on the printed report; without it both are
+    those of the calibration. A certified test needs the standard itself. Exit status 2:
+    a limit is not reached, or the test does not decide.
     """
     from dataclasses import replace
 
@@ -127,32 +117,23 @@ def accept(
     else:
         used = stated
         chains = open_chains(robot, stated, package_dirs=package_dir)
-    require_distinct([*measurements, *(registration or [])])
+    require_distinct(measurements)
     files = []
     if output is not None:
         names = ["acceptance.json", "acceptance.csv", "acceptance.html"]
         files = [
             output / name for name in (*names, *([PDF] if can_write_pdf() else []))
         ]
-    check_outputs(files, [robot, setup, *measurements, *(registration or [])], force)
+    check_outputs(files, [robot, setup, *measurements], force)
     with progress_bar(quiet=quiet) as bar:
         measured, rows = open_measurements(
             measurements, chains, used, quiet=quiet, bar=bar
         )
-        located = None
-        if registration:
-            _, located = open_measurements(registration, chains, used, quiet=quiet)
         if not robot.endswith(".json"):
             subject = measured
         with stated_in(str(measurements[0])):
-            found = tested(
-                subject,
-                rows,
-                used,
-                registration=register,
-                located=located,
-                schedule=_schedule(measurements, used.columns, rows),
-            )
+            named = _named(measurements, used.columns)
+            found = tested(subject, rows, used, registration=register, named=named)
     for doubt in doubts:
         notice(doubt)
     found = found.doubted(doubts)
@@ -193,27 +174,17 @@ def accept(
     return 0 if passed and not last.doubts else 2
 
 
-def _schedule(
-    files: list[Path], columns: Mapping[str, str], rows: Observations
-) -> Schedule:
-    """Poses and cycles in columns `pose`, `P5` or `5`, and `cycle`, if all have one."""
+def _named(
+    files: list[Path], columns: Mapping[str, str]
+) -> dict[str, dict[tuple[str, int], int]]:
+    """Numbers in columns `pose`, `P5` or `5`, and `cycle`, by file and line."""
     from calib_pin.io.table import read_table
-    from calib_pin.validation.pose_tests import Schedule
 
-    read = [(rows.files[k], int(rows.lines[k])) for k in range(len(rows))]
     named: dict[str, dict[tuple[str, int], int]] = {"pose": {}, "cycle": {}}
-    count = 0
-    for file in files:
-        table = read_table(file, columns=columns)
-        count += len(table.lines)
-        for column, labels in table.texts(named).items():
-            for line, name in zip(table.lines.tolist(), labels, strict=True):
-                if (digits := name.removeprefix("P")).isdecimal() and len(digits) < 6:
+    for table in (read_table(file, columns=columns) for file in files):
+        for column, names in table.texts(named).items():
+            for line, name in zip(table.lines.tolist(), names, strict=True):
+                digits = name.removeprefix("P")
+                if digits.isdecimal() and len(digits) < 6:
                     named[column][table.file, line] = int(digits)
-    whole = {k: of for k, of in named.items() if len(of) == count}
-    found = {k: [of[place] for place in read] for k, of in whole.items()}
-    lacking: list[tuple[int, int]] = []
-    if len(whole) == 2:
-        other = whole["pose"].keys() - set(read)
-        lacking = [(whole["pose"][p], whole["cycle"][p]) for p in other]
-    return Schedule(**found, lacking=lacking)
+    return named

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from math import isfinite, isinf
+from math import isfinite, nan
 
 from calib_pin.report.blocks import Block, Cell, Column, Line, Table, Tone, columns
-from calib_pin.report.tables import amount, quantity
+from calib_pin.report.tables import amount, known, quantity
 from calib_pin.setup import LimitSetup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.acceptance import (
@@ -21,6 +21,9 @@ TONES: Mapping[str, Tone] = {"pass": "good", "fail": "bad", "undecided": "strong
 
 PATH = {"AP": "AT", "RP": "RT"}
 """Names of the worst pose's values along a path."""
+
+REMEDY = "Base and tool must be of a calibration, of the setup, or of other poses."
+"""Advice where they were fitted to the visits."""
 
 SHOWN = 12
 """Pairs of poses whose distance is shown: those that err most."""
@@ -63,18 +66,15 @@ def acceptance_report(
         "visits.",
         "note",
     )
-    if last.poses[0].angle_repeatability:
+    if last.poses[0].angles:
         yield Table("Orientations", ANGLES, [*_angles(last)])
     if last.distances:
         yield Table("Distances between poses", DISTANCES, [*_distances(last)])
-    if last.drift is not None:
-        sizes = zip(("AP", "RP"), last.drift, strict=True)
-        changes = [
-            f"{n} by {amount(size, 'm')}" for n, size in sizes if size is not None
-        ]
+    if last.drift is not None and not last.untestable:
+        accuracy, repeatability = (amount(size, "m") for size in last.drift)
         yield Line(
-            "Largest changes from the first to the last third of the visits: "
-            f"{', '.join(changes)}."
+            "From the first to the last third of the visits AP changes by at most "
+            f"{accuracy}, RP by {repeatability}."
         )
 
 
@@ -84,34 +84,14 @@ def limit_lines(
     """Whether each limit is met, by how much, in a sentence each."""
     for name, status, interval, allowed, unit in judged(test, limit):
         tone, name = TONES[status], PATH.get(name, name) if path else name
-        shown = f"{amount(interval.value, unit)} ({ends(interval, unit)})"
-        if not isfinite(interval.high):
-            shown = f"is {ends(interval, unit)}"
-        said = (
-            f"{status.upper()}: {name} {shown}, the limit is {amount(allowed, unit)}."
-        )
-        yield Line(said, tone)
+        shown = f"{status.upper()}: {name} {_shown(interval, unit)}, the limit is "
+        yield Line(f"{shown}{amount(allowed, unit)}.", tone)
 
 
 def doubt_lines(test: Acceptance) -> Iterator[Line]:
     """Why AP is not testable, and why nothing passes, in a sentence each."""
-    if (bound := test.bound) is not None:
-        said = f"AP is not testable: {bound.fitted} was fitted to these visits"
-        if " and " in bound.fitted:
-            said = said.replace(" was ", " were ")
-        said += f", {bound.unknowns} unknowns of {bound.values} values"
-        if bound.accuracy is None:
-            yield Line(
-                f"{said}: from {bound.least} poses on AP has a lower bound.", "bad"
-            )
-        else:
-            low, rms = amount(bound.accuracy.low, "m"), amount(bound.rms, "m")
-            yield Line(
-                f"{said}. AP of the worst pose is at least {low}; by the degrees of "
-                f"freedom that remain, errors are {rms} rms. Test with a calibration, "
-                "'frames' in the setup, or --registration.",
-                "bad",
-            )
+    if test.untestable:
+        yield Line(f"AP is not testable: {test.untestable}. {REMEDY}", "bad")
     for doubt in test.doubts:
         yield Line(f"No PASS: {doubt.rstrip('.')}.", "bad")
 
@@ -131,8 +111,8 @@ def _poses(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
         yield (
             Cell(f"P{pose.pose}"),
             Cell(str(pose.visits)),
-            *_cells(pose.accuracy, "m"),
-            *_cells(pose.repeatability, "m"),
+            *cells_of(pose.accuracy, "m"),
+            *cells_of(pose.repeatability, "m"),
             Cell("-") if varies is None else quantity(varies, "m"),
             Cell(DISPLAY["m"][0]),
         )
@@ -143,22 +123,21 @@ def _paths(found: Mapping[str, Acceptance]) -> Iterator[tuple[Cell, ...]]:
         yield (
             Cell(name),
             Cell(str(len(test.poses))),
-            *_cells(worst(measured(test)["AP"][0]), "m"),
-            *_cells(worst(measured(test)["RP"][0]), "m"),
+            *cells_of(worst(measured(test)["AP"][0]), "m"),
+            *cells_of(worst(measured(test)["RP"][0]), "m"),
             Cell(DISPLAY["m"][0]),
         )
 
 
 def _angles(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
     for pose in test.poses:
-        means = pose.angles or [None] * 3
-        rows = zip("xyz", means, pose.angle_repeatability, strict=True)
+        rows = zip("xyz", pose.angles, pose.angle_repeatability, strict=True)
         for axis, mean, sigma in rows:
             yield (
                 Cell(f"P{pose.pose}" if axis == "x" else ""),
                 Cell(axis),
-                *_cells(mean, "rad"),
-                *_cells(sigma, "rad"),
+                *cells_of(mean, "rad"),
+                *cells_of(sigma, "rad"),
                 Cell(DISPLAY["rad"][0]),
             )
 
@@ -169,21 +148,27 @@ def _distances(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
         yield (
             Cell("-".join(f"P{pose}" for pose in pair.poses)),
             quantity(pair.commanded, "m"),
-            *_cells(pair.accuracy, "m"),
-            *_cells(pair.repeatability, "m"),
+            *cells_of(pair.accuracy, "m"),
+            *cells_of(pair.repeatability, "m"),
             Cell(DISPLAY["m"][0]),
         )
 
 
-def _cells(interval: Interval | None, unit: str) -> tuple[Cell, Cell]:
-    if interval is None:
-        return Cell("-"), Cell("-")
-    return quantity(interval.value, unit), Cell(ends(interval, unit))
+def cells_of(interval: Interval, unit: str) -> tuple[Cell, Cell]:
+    """A value and its interval; dashes where there is no upper end."""
+    value = interval.value if isfinite(interval.high) else nan
+    return known(value, unit), Cell(ends(interval, unit))
+
+
+def _shown(interval: Interval, unit: str) -> str:
+    if not isfinite(interval.high):
+        return "is not testable"
+    return f"{amount(interval.value, unit)} ({ends(interval, unit)})"
 
 
 def ends(interval: Interval, unit: str) -> str:
     """Both ends of an interval, in the unit in which people read it."""
     if not isfinite(interval.high):
-        return "not testable" if isinf(interval.high) else "not measured"
+        return "-"
     low, high = (quantity(end, unit).text for end in (interval.low, interval.high))
     return f"{low} ... {high}"

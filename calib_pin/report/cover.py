@@ -6,12 +6,18 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from math import isfinite
 from pathlib import Path
 
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.kinematics.robot import Robot
-from calib_pin.report.acceptance_text import PATH, TONES, doubt_lines, ends, limit_lines
+from calib_pin.report.acceptance_text import (
+    PATH,
+    TONES,
+    cells_of,
+    doubt_lines,
+    ends,
+    limit_lines,
+)
 from calib_pin.report.accuracy import verdict
 from calib_pin.report.blocks import Cell, Line, Table, Tone, columns
 from calib_pin.report.figures import Drawn
@@ -19,13 +25,7 @@ from calib_pin.report.tables import amount, quantity
 from calib_pin.report.tiles import Tile, tiles
 from calib_pin.setup import LimitSetup, ReportSetup
 from calib_pin.units import DISPLAY
-from calib_pin.validation.acceptance import (
-    Acceptance,
-    Interval,
-    judged,
-    measured,
-    worst,
-)
+from calib_pin.validation.acceptance import Acceptance, judged, measured, worst
 from calib_pin.validation.result import CalibrationResult
 
 CERTIFIED = (
@@ -139,10 +139,7 @@ def acceptance_cover(
         tone=TONES.get(status, "strong"),
         said=said,
         robot=robot.name,
-        facts=[
-            *_facts(robot, entries, limit, PATH if path else {}),
-            *_conditions(entries),
-        ],
+        facts=_facts(robot, entries, limit, PATH if path else {}),
         numbers=_tested(found, limit, path),
         remark=f"{about} {CERTIFIED}",
         figures=[] if figure is None else [figure],
@@ -169,11 +166,7 @@ def calibration_cover(
         tone=line.tone,
         said=said,
         robot=robot.name,
-        facts=[
-            *_facts(robot, entries, limit),
-            ("instrument", entries.instrument),
-            ("temperature", _temperature(entries)),
-        ],
+        facts=_facts(robot, entries, limit),
         numbers=Table("Results", (), ()),
         remark="",
         figures=[figures[name] for name in PICTURES if name in figures],
@@ -188,7 +181,15 @@ def _facts(
     limit: LimitSetup,
     renamed: Mapping[str, str] | None = None,
 ) -> list[tuple[str, str]]:
-    """The facts; quantities of limits may have other names."""
+    """The facts; quantities of the limits of a test may have other names."""
+    degrees = entries.temperature
+    conditions = [
+        ("instrument", entries.instrument),
+        ("temperature", "" if degrees is None else f"{degrees:g} °C"),
+    ]
+    if renamed is not None:  # The standard asks for them.
+        conditions += [("load", entries.load), ("speed", entries.speed)]
+        conditions = [(name, words or "not stated") for name, words in conditions]
     limits = [
         f"{(renamed or {}).get(name, name)} {size}" for name, size in _limits(limit)
     ]
@@ -201,27 +202,8 @@ def _facts(
         ("date", entries.date or ""),
         ("customer", entries.customer),
         ("operator", entries.operator),
+        *conditions,
     ]
-
-
-def _temperature(entries: ReportSetup) -> str:
-    degrees = entries.temperature
-    return "" if degrees is None else f"{degrees:g} °C"
-
-
-def _conditions(entries: ReportSetup) -> list[tuple[str, str]]:
-    """Conditions of a test, which say so where nobody stated them."""
-    found = {
-        "instrument": entries.instrument,
-        "temperature": _temperature(entries),
-        "load": entries.load,
-        "speed": entries.speed,
-    }
-    return [(name, words or "not stated") for name, words in found.items()]
-
-
-def _value(interval: Interval, unit: str) -> Cell:
-    return quantity(interval.value, unit) if isfinite(interval.high) else Cell("-")
 
 
 def _limits(limit: LimitSetup) -> Iterator[tuple[str, str]]:
@@ -243,7 +225,8 @@ def _tested(found: Mapping[str, Acceptance], limit: LimitSetup, path: bool) -> T
     for key, (intervals, unit) in measured(last).items():
         own = worst(intervals)
         cells = [Cell(QUANTITIES[PATH.get(key, key) if path else key])]
-        cells += [_value(worst(measured(t)[key][0]), unit) for t in found.values()]
+        worsts = (worst(measured(t)[key][0]) for t in found.values())
+        cells += [cells_of(interval, unit)[0] for interval in worsts]
         status, allowed = results.get(key, ("", None))
         cells += [
             Cell(ends(own, unit)),

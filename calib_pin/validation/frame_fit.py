@@ -6,17 +6,16 @@ size, by the degrees of freedom of the fit, tells how far the frames can be off.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.measured import assumed_sigma
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem, error_table
-from calib_pin.estimation.registration import extended, relocated
-from calib_pin.estimation.registration import registered as about_references
+from calib_pin.estimation.registration import extended, registered, relocated
 from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.system import FRAME
 from calib_pin.kinematics.chains import Chains
@@ -24,73 +23,59 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.parameters import matching
 from calib_pin.setup import Setup
-from calib_pin.validation.acceptance import NOTHING, FrameErrors, ranked
+from calib_pin.validation.acceptance import DRAWS, told
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.model_errors import registered
+from calib_pin.validation.result import CalibrationResult
 
-ROUNDING = 1e-9
-"""Least misfit in assumed deviations: simulated measurements may have none."""
+UNLIKELY = 0.01
+"""Probability of a misfit by chance below which no test passes."""
 
 
-@dataclass(frozen=True)
-class FrameFit:
+class FrameFit(NamedTuple):
     """A robot with base and tool, as far as anything tells them.
 
     Attributes:
         problem: The problem of the measurements that tell them.
         theta: Parameter values, shape (P,).
-        known: Deviations of the parameters by independent ones of size one, (P, r).
-        moved: Parameters that were fitted, by their scales, (P, p).
-        dof: Degrees of freedom that tell the size of deviations.
+        known: Deviations of the parameters by independent ones of size one, (P, r); of
+            a fit that has nothing left a meter and a radian each.
+        dof: Degrees of freedom that tell the size of deviations; zero for such a fit.
     """
 
     problem: Problem
     theta: Floats
     known: Floats
-    moved: Floats
     dof: float = np.inf
 
     @staticmethod
-    def given(problem: Problem, theta: Floats) -> FrameFit:
-        """Frames that are as they are."""
-        none = np.zeros((len(theta), 0))
-        return FrameFit(problem, theta, none, none)
+    def of(model: CalibratedModel, rows: Observations) -> FrameFit:
+        """A model's own frames."""
+        none = np.zeros((len(model.theta), 0))
+        return FrameFit(model.problem(rows), model.theta, none)
 
-    def at(self, rows: Observations, fitted: str = "") -> tuple[Floats, FrameErrors]:
-        """Errors of visits, shape (N, D), predicted minus measured, and of frames.
-
-        Args:
-            rows: The visits, one block.
-            fitted: What was fitted to them.
-        """
-        there = registered(self.problem, self.theta, rows)
-        errors = error_table(there.problem, there.theta)
-        J = derivatives(there.problem, there.theta)
-        own = J @ self.known, J @ self.moved
-        return errors, FrameErrors(*own, self.dof, fitted)
+    @property
+    def unknown(self) -> FrameFit:
+        """The same where nothing tells by how much they are off."""
+        free = self.known.any(axis=1)
+        return self._replace(known=np.diag(self.problem.parameters.scales)[:, free])
 
 
-def stated_frames(chains: Chains, rows: Observations, setup: Setup) -> FrameFit | None:
-    """Frames that a setup states, each value for sure or to a prior; None otherwise."""
-    problem = _frames_alone(chains, rows, setup)
-    parameters = problem.parameters
-    if not np.isfinite(parameters.priors[parameters.free]).all():
-        return None
-    theta = np.zeros(len(parameters))
-    found = FrameFit.given(about_references(problem, theta), theta)
-    return replace(found, known=np.diag(parameters.priors)[:, parameters.free])
+def frames_alone(chains: Chains, rows: Observations, setup: Setup) -> FrameFit:
+    """The nominal robot with frames as a setup states them, and their priors."""
+    bare = replace(setup, parameters=(), learned=None, fixed=(), bounds={}, prior={})
+    names = make_problem(chains, rows, bare).parameters.names
+    fixed = tuple(glob for glob in setup.fixed if matching(glob, names))
+    priors = setup.prior_by_glob.items()
+    prior = {glob: sigma for glob, sigma in priors if matching(glob, names)}
+    problem = make_problem(chains, rows, replace(bare, fixed=fixed, prior=prior))
+    theta, parameters = np.zeros(len(names)), problem.parameters
+    known = np.diag(parameters.priors)[:, parameters.free]
+    return FrameFit(registered(problem, theta), theta, known)
 
 
-def fitted_frames(chains: Chains, rows: Observations, setup: Setup) -> FrameFit:
-    """The nominal robot with frames that are fitted to measurements."""
-    problem = _frames_alone(chains, rows, setup)
-    problem, found = register(problem, np.zeros(len(problem.parameters)))
-    return _fitted(problem, found.x, problem.parameters.free)
-
-
-def refitted_frames(model: CalibratedModel, rows: Observations) -> FrameFit:
-    """A nominal robot with all of its frames fitted to measurements."""
-    problem, found = register(model.problem(rows), model.theta)
+def fitted_frames(problem: Problem, theta: Floats) -> FrameFit:
+    """A robot with all of its frames fitted to the measurements of a problem."""
+    problem, found = register(problem, theta)
     parameters = problem.parameters
     return _fitted(problem, found.x, parameters.free & parameters.nuisance)
 
@@ -98,7 +83,7 @@ def refitted_frames(model: CalibratedModel, rows: Observations) -> FrameFit:
 def fitted_station(model: CalibratedModel, rows: Observations) -> FrameFit:
     """A robot with its tool, whose station is fitted to measurements of one block."""
     problem, theta = extended(model.problem(rows), model.theta, rows)
-    part = problem.parts[rows.keys[0]]
+    part = problem.parts[rows.only.key]
     problem = relocated(problem, theta, part.scope.station)
     free = np.isin(np.arange(len(theta)), part.index[:FRAME])
     basis = np.diag(problem.parameters.scales)[:, free]
@@ -112,48 +97,54 @@ def derivatives(problem: Problem, theta: Floats) -> Floats:
     return np.asarray(J.reshape(len(problem.data), -1, len(theta)))
 
 
-def _frames_alone(chains: Chains, rows: Observations, setup: Setup) -> Problem:
-    """The problem of the nominal robot, whose frames have what the setup knows."""
-    bare = replace(setup, parameters=(), learned=None, fixed=(), bounds={}, prior={})
-    names = make_problem(chains, rows, bare).parameters.names
-    fixed = tuple(glob for glob in setup.fixed if [*matching(glob, names)])
-    priors = setup.prior_by_glob.items()
-    prior = {glob: size for glob, size in priors if [*matching(glob, names)]}
-    return make_problem(chains, rows, replace(bare, fixed=fixed, prior=prior))
-
-
 def _fitted(problem: Problem, theta: Floats, free: NDArray[np.bool_]) -> FrameFit:
     """What measurements tell of free parameters that were fitted to them.
 
-    Measurements of one configuration have the errors of the robot in common: they count
-    as one, their mean.
+    Those of one configuration have the errors of the robot in common, and count as one.
     """
-    part, (label, first) = (
-        problem.parts[problem.data.only.key],
-        ranked(problem.data.groups()),
-    )
-    some = replace(problem, data=problem.data.rows(first))
-    errors = error_table(problem, theta)
-    means = np.zeros((len(first), errors.shape[1]))
-    np.add.at(means, label, errors)
-    means /= np.bincount(label)[:, None]
-    sigma = np.tile(assumed_sigma(part, problem.setup), len(first))
-    scales = problem.parameters.scales[free]
-    J = derivatives(some, theta).reshape(means.size, -1)[:, free] * scales
-    A, e = J / sigma[:, None], means.reshape(-1) / sigma
-    U, s, _ = np.linalg.svd(A, full_matrices=False)
-    U = U[:, s > NOTHING * s.max(initial=0.0)]
-    dof, back = len(e) - U.shape[1], np.diag(problem.parameters.scales)[:, free]
-    if dof == 0:
-        return FrameFit(problem, theta, back, back, 0)
-    e = (e - U @ (U.T @ e)).reshape(means.shape)
-    size = np.ones_like(e)
-    for quantity in part.measurement.quantities:
-        own = e[:, quantity.columns]
-        size[:, quantity.columns] = np.sqrt(np.mean(own**2) * e.size / dof)
-    size = np.maximum(size.reshape(-1), ROUNDING)
+    r, J = problem.linearize_rows(theta)
+    count, scales = len(problem.sigma), problem.parameters.scales[free]
+    A = J[:count, free] * scales
+    share = problem.data.configurations / len(problem.data)
+    dof = round(share * count) - int(np.linalg.matrix_rank(A, 1e-6 * len(A) ** 0.5))
+    back = np.diag(problem.parameters.scales)[:, free]
+    if dof <= 0:
+        return FrameFit(problem, theta, back, 0)
+    square = max(float(r[:count] @ r[:count]) * share / dof, 1e-12)
     # What nothing tells is known to a meter and a radian.
-    prior = np.diag(np.maximum(scales / problem.parameters.priors[free], 1.0))
-    rows = np.concatenate([A / size[:, None], prior])
-    _, s, Vt = np.linalg.svd(np.linalg.qr(rows, mode="r"))
-    return FrameFit(problem, theta, back @ (Vt.T / s), back, dof)
+    prior = np.maximum(scales / problem.parameters.priors[free], 1.0)
+    C = np.linalg.inv(A.T @ A * (share / square) + np.diag(prior**2))
+    return FrameFit(problem, theta, back @ np.linalg.cholesky(C), dof)
+
+
+def misfit(calibration: CalibrationResult, fit: FrameFit) -> tuple[str, bool]:
+    """The misfit of a fitted station beside that to expect, in words.
+
+    And whether chance does not explain it.
+
+    Args:
+        calibration: The calibration, which knows its covariance and its noise.
+        fit: Its station by measurements of one block.
+    """
+    problem, C = fit.problem, np.asarray(calibration.covariance)
+    noise = [n for n in calibration.statistics.noise if n.quantity == "position"]
+    if not np.isfinite(C).all() or not noise:
+        return "which misfit to expect the calibration does not say", False
+    groups = problem.data.groups()
+    labels, first = np.unique(groups, return_index=True)
+    errors = error_table(problem, fit.theta)[:, :3]
+    d = np.concatenate([errors[groups == k].mean(axis=0) for k in labels])
+    J = derivatives(problem, fit.theta)[first, :3].reshape(len(d), -1)
+    names = {name: k for k, name in enumerate(calibration.covariance.rows)}
+    own = [k for k, n in enumerate(problem.parameters.names) if n in names]
+    of = [names[problem.parameters.names[k]] for k in own]
+    S = J[:, own] @ C[np.ix_(of, of)] @ J[:, own].T
+    S += noise[0].estimate ** 2 * np.eye(len(d))
+    Q = np.linalg.qr(J[:, problem.parts[problem.data.only.key].index[:FRAME]])[0]
+    left = np.eye(len(d)) - Q @ Q.T
+    squares = np.maximum(np.linalg.eigvalsh(left @ S @ left), 0.0)
+    draws = np.random.default_rng(0).standard_normal((DRAWS, len(d))) ** 2 @ squares
+    found = float(np.sum((left @ d) ** 2))
+    sizes = [told((square / len(first)) ** 0.5) for square in (found, squares.sum())]
+    said = f"the misfit of the station is {sizes[0]} where {sizes[1]} is expected"
+    return said, float(np.mean(draws >= found)) < UNLIKELY

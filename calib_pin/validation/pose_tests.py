@@ -6,22 +6,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, enumerated
 from calib_pin.estimation.problem import error_table
-from calib_pin.estimation.system import FRAME
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Observations
 from calib_pin.setup import Setup
-from calib_pin.units import DISPLAY
 from calib_pin.validation.acceptance import (
-    DRAWS,
     LEAST,
     Acceptance,
+    FrameErrors,
     acceptance,
     cycles_in_order,
     ranked,
+    told,
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.frame_fit import (
@@ -29,32 +30,18 @@ from calib_pin.validation.frame_fit import (
     derivatives,
     fitted_frames,
     fitted_station,
-    refitted_frames,
-    stated_frames,
+    frames_alone,
+    misfit,
 )
+from calib_pin.validation.model_errors import registered
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.visit_faults import VisitFaults, visit_faults
+from calib_pin.validation.visit_faults import bad_visits, moved_after
 
 MODELS = ("position", "pose")
 """Measurement models that tell where a point is."""
 
-UNLIKELY = 0.01
-"""Probability of a misfit by chance below which no test passes."""
-
-
-@dataclass(frozen=True)
-class Schedule:
-    """The poses and cycles that files name, empty where they name none.
-
-    Attributes:
-        pose: Number of the pose of each visit, shape (N,).
-        cycle: Cycle of each visit, shape (N,).
-        lacking: Pose and cycle, as far as they are named, of visits without a reading.
-    """
-
-    pose: Sequence[int] = ()
-    cycle: Sequence[int] = ()
-    lacking: Sequence[tuple[int, int]] = ()
+NEAR = 0.1
+"""Part of its distance from its own pose within which a visit is at another one."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +51,7 @@ class Tested:
     Attributes:
         tests: The test by the robot that the commanded poses are of, `nominal` before
             `calibrated`.
-        about: The robot, the poses and the frames, in sentences.
+        about: The robot, the poses and the frames, in a sentence.
     """
 
     tests: Mapping[str, Acceptance]
@@ -92,9 +79,9 @@ class Tested:
             ("AP", [pose.accuracy for _, pose in rows]),
             ("RP", [pose.repeatability for _, pose in rows]),
         ):
-            for end, name in (("", "value"), ("_low", "low"), ("_high", "high")):
-                values = ("" if i is None else getattr(i, name) for i in of)
-                table[f"{key}{end} [m]"] = [*values]
+            table[f"{key} [m]"] = [i.value for i in of]
+            table[f"{key}_low [m]"] = [i.low for i in of]
+            table[f"{key}_high [m]"] = [i.high for i in of]
         table["vAP [m]"] = [
             "" if pose.directions is None else pose.directions for _, pose in rows
         ]
@@ -108,279 +95,174 @@ def tested(
     setup: Setup,
     *,
     registration: bool = False,
-    located: Observations | None = None,
-    schedule: Schedule | None = None,
+    named: Mapping[str, Mapping[tuple[str, int], int]] | None = None,
 ) -> Tested:
     """Test a robot on repeated visits of poses.
 
     Args:
         robot: A robot, whose base and tool the setup states, or a calibration, beside
             which the nominal robot is told.
-        rows: The visits, of positions or poses; where some are marked for validation,
-            these alone, and the others are registration measurements.
+        rows: The visits, of positions or poses. Where some are marked for validation,
+            these alone; base and tool, or the station of a calibration, are registered
+            on the others. What nothing tells is fitted to the visits: they have no AP.
         setup: Known quantities of frames and instrument, for a robot.
         registration: Whether a calibrated robot stands before another station.
-        located: Registration measurements: base and tool, or the station of a
-            calibrated robot, are fitted to them. Without any, what is unknown is fitted
-            to the visits, which then have no AP.
-        schedule: The poses and cycles that the files name.
+        named: What files name every visit, read or not, by file and line: its `pose`
+            and its `cycle`, each as far as there are such.
 
     Raises:
         InputError: If they are of something else, no pose was visited often enough, or
-            poses and cycles contradict each other.
+            names contradict each other.
     """
-    named = schedule or Schedule()
     if len(rows.blocks) != 1 or rows.blocks[0].model not in MODELS:
-        told = ", ".join(dict.fromkeys(block.model for block in rows.blocks))
+        listed = ", ".join(dict.fromkeys(block.model for block in rows.blocks))
         raise InputError(
             "an acceptance test needs positions or poses from one station",
-            value=told,
+            value=listed,
             allowed=" or ".join(MODELS),
         )
-    visits, own = rows, np.ones(len(rows), bool)
+    visits, others = rows, None
     if rows.validate.any() and not rows.validate.all():
-        own = rows.validate
-        visits, others = rows.rows(own), rows.rows(~own)
-        located = others if located is None else Observations.of(located, others)
-    if located is not None and located.keys != rows.keys:
-        raise InputError(
-            "registration measurements must be of the kind of the visits",
-            value=", ".join(map(str, located.keys)),
-            allowed=str(rows.keys[0]),
-        )
-    pose, cycle = _labeled(
-        visits,
-        *(np.array(of)[own] if len(of) else None for of in (named.pose, named.cycle)),
-    )
+        visits, others = rows.rows(rows.validate), rows.rows(~rows.validate)
     order = visits.in_order
     if len(time := visits.conditions.time):
         order = np.lexsort((visits.lines, time, visits.files.codes))
-    ordered = [None if of is None else of[order] for of in (pose, cycle)]
     group, _ = ranked(visits.groups()[order])
-    cycle = cycles_in_order(group) if ordered[1] is None else ordered[1]
-    number = group + 1 if ordered[0] is None else ordered[0]
-    faults = visit_faults(visits.only.values[order, :3], group)
-    doubts = [*_missing(number, cycle, named, pose)]
-    doubts += _told(visits, order, number, group, faults)
-    good = np.ones(len(order), bool)
-    good[[*faults.bad]] = False
-    kept = order[good]
-    tests, values = {}, visits.only.values[:, :3]
-    subjects = _subjects(
-        robot,
-        visits,
-        setup,
-        kept=np.sort(kept),
-        registration=registration,
-        located=located,
-    )
-    for name, (frames, fitted) in subjects.frames.items():
-        errors, known = frames.at(visits, fitted)
-        tests[name] = replace(
-            acceptance(
-                values[kept],
-                (values + errors[:, :3])[kept],
-                visits.groups()[kept],
-                -errors[kept, 3:6] if visits.only.model == "pose" else None,
-                number[good],
-                cycle[good],
-                known.rows(kept),
-            ),
-            moved=faults.moved is not None,
-            doubts=(*doubts, *subjects.doubts),
+    number, cycle, doubts = _named(visits, order, group, named or {})
+    attained = visits.only.values[order, :3]
+    bad = bad_visits(attained, group)
+    good = ~np.isin(np.arange(len(order)), bad)
+    places = [f"{visits.source(k)} (P{p})" for k, p in zip(order, number, strict=True)]
+    doubts += _misplaced(attained, number, good, places)
+    moved = moved_after(attained[good], group[good])
+    if moved is not None:
+        at = places[np.flatnonzero(good)[moved]]
+        doubts += [f"the instrument was moved before {at}; test both parts alone"]
+    kept = visits.rows(np.sort(order[good]))
+    frames, fitted, how = _frames(robot, kept, others, setup, registration)
+    tests = {}
+    for name, (fit, beyond) in frames.items():
+        there = registered(fit.problem, fit.theta, visits)
+        errors = error_table(there.problem, there.theta)[order][good]
+        effects = derivatives(there.problem, there.theta)[order][good] @ fit.known
+        test = acceptance(
+            attained[good],
+            attained[good] + errors[:, :3],
+            group[good],
+            -errors[:, 3:6] if errors.shape[1] > 3 else None,
+            number[good],
+            cycle[good],
+            FrameErrors(effects, np.inf if fitted else fit.dof, fitted),
         )
-    poses = f"{len(kept)} visits of {len(tests[name].poses)} poses"
-    return Tested(tests, f"{subjects.robot}: {poses}; {subjects.about}.")
+        tests[name] = replace(test, moved=moved is not None, doubts=(*doubts, *beyond))
+    chains = robot if isinstance(robot, Chains) else robot.model.chains
+    about = (
+        f"{chains.robot.name}: {len(kept)} visits of {len(test.poses)} poses; {how}."
+    )
+    return Tested(tests, about)
 
 
-@dataclass(frozen=True)
-class _Subjects:
-    """Robots to be tested.
-
-    Attributes:
-        robot: Name of the robot.
-        frames: Each robot with its frames, and what of these was fitted to the visits.
-        about: Where the frames come from.
-        doubts: Why they must not be trusted.
-    """
-
-    robot: str
-    frames: Mapping[str, tuple[FrameFit, str]]
-    about: str
-    doubts: tuple[str, ...] = ()
-
-
-def _subjects(
+def _frames(
     robot: Chains | CalibrationResult,
     visits: Observations,
+    others: Observations | None,
     setup: Setup,
-    *,
-    kept: Indices,
     registration: bool,
-    located: Observations | None,
-) -> _Subjects:
-    good = visits.rows(kept)
-    own = "" if located is None else f"{len(located)} measurements of their own"
+) -> tuple[dict[str, tuple[FrameFit, tuple[str, ...]]], str, str]:
+    """Robots with frames and doubts; what visits were fitted, and where frames are of.
+
+    The first frames that are known are taken: registered ones before stated ones.
+    """
+    own = "" if others is None else f"registered on {len(others)} other measurements"
     if isinstance(robot, Chains):
-        found, how, fitted = stated_frames(robot, visits, setup), "as stated", ""
-        if located is not None:
-            found, how = fitted_frames(robot, located, setup), f"registered on {own}"
-        if found is None or found.dof == 0:
-            found, how = fitted_frames(robot, good, setup), "fitted to these visits"
-            fitted = "base and tool"
-        return _Subjects(
-            robot.robot.name, {"robot": (found, fitted)}, f"base and tool {how}"
-        )
-    name, reference = robot.model.chains.robot.name, robot.reference
-    nominal = FrameFit.given(reference.problem(visits), reference.theta)
-    calibrated = FrameFit.given(robot.model.problem(visits), robot.model.theta)
-    if len(robot.fitted.rows.blocks) == 1 and np.isfinite(robot.fitted.before).all():
-        nominal = refitted_frames(reference, robot.fitted.rows)
-    about, fitted, doubts = "base and tool as calibrated", "", ()
-    new = visits.keys[0] not in robot.model.parts
-    if registration or new or located is not None:
-        on = good if located is None else located
+        fit, how = frames_alone(robot, visits if others is None else others, setup), own
+        if others is not None:
+            fit = fitted_frames(fit.problem, fit.theta)
+        if fit.dof == 0 or not np.isfinite(fit.known).all():
+            fit, how = frames_alone(robot, visits, setup), "fitted to these visits"
+            fit = fitted_frames(fit.problem, fit.theta).unknown
+        fitted = f"base and tool were {how}" if how.endswith("visits") else ""
+        return {"robot": (fit, ())}, fitted, f"base and tool {how or 'as stated'}"
+    nominal = FrameFit.of(robot.reference, visits)
+    calibrated = FrameFit.of(robot.model, visits)
+    seen, fitted, how = robot.fitted.rows, "", "base and tool as calibrated"
+    if len(seen.blocks) == 1 and np.isfinite(robot.fitted.before).all():
+        reference = robot.reference
+        nominal = fitted_frames(reference.problem(seen), reference.theta)
+    beyond: tuple[str, ...] = ()
+    if registration or others is not None or visits.keys[0] not in robot.model.parts:
         model = CalibratedModel.create(nominal.problem, nominal.theta)
+        on = visits if others is None else others
         nominal, calibrated = (fitted_station(m, on) for m in (model, robot.model))
-        fitted = "the station" if located is None or calibrated.dof == 0 else ""
-        said, beyond = _expected(robot, calibrated)
-        doubts = (said,) if beyond else ()
-        to = f"registered on {own}" if own else "fitted to these visits"
-        about = f"tool as calibrated, station {to}; {said}"
-    frames = {"nominal": (nominal, fitted), "calibrated": (calibrated, fitted)}
-    about += "; of the nominal robot as registered on the calibration's measurements"
-    return _Subjects(name, frames, about, doubts)
+        said, unlikely = misfit(robot, calibrated)
+        beyond = (said,) if unlikely else ()
+        if others is None or calibrated.dof == 0:
+            nominal, calibrated = nominal.unknown, calibrated.unknown
+            fitted = "the station was fitted to these visits"
+        how = f"tool as calibrated, station {own or 'fitted to these visits'}; {said}"
+    how += "; nominal: base and tool by the nominal robot on the same measurements"
+    return {"nominal": (nominal, ()), "calibrated": (calibrated, beyond)}, fitted, how
 
 
-def _labeled(
-    visits: Observations, pose: Indices | None, cycle: Indices | None
-) -> tuple[Indices | None, Indices | None]:
-    """Poses and cycles as the files name them.
+def _named(
+    visits: Observations,
+    order: Indices,
+    group: Indices,
+    named: Mapping[str, Mapping[tuple[str, int], int]],
+) -> tuple[Indices, Indices, list[str]]:
+    """Number of the pose and cycle of each visit in their order, and what is missing.
 
     Raises:
         InputError: If a configuration has two names, or a name two configurations, or a
             pose has two visits in a cycle.
     """
-    group, files = visits.groups(), visits.files.codes
-    named: dict[int, int] = {}
-    first: dict[int, int] = {}
-    there: dict[tuple[int, int], int] = {}
-    apart = False
-    for row in visits.in_order.tolist():
-        if pose is not None:
-            p = int(pose[row])
-            same = named.setdefault(int(group[row]), row)
-            other = first.setdefault(p, row)
-            if pose[same] != p:
-                said = f"the configuration of P{p} is that of P{pose[same]} in line"
-                raise visits.error(row, f"{said} {visits.lines[same]}", column="pose")
-            if group[other] != group[row]:
-                said = f"P{p} has another configuration in line"
-                raise visits.error(row, f"{said} {visits.lines[other]}", column="pose")
-        if cycle is not None:
-            twin = there.setdefault((int(group[row]), int(cycle[row])), row)
-            apart |= files[twin] != files[row]
-            if twin != row and files[twin] == files[row]:
-                said = f"cycle {cycle[row]} has this pose in line {visits.lines[twin]}"
-                raise visits.error(row, f"{said} already", column="cycle")
-    if cycle is not None and apart:  # Each file counts its own cycles.
-        cycle = cycle + files * int(cycle.max())
-    return pose, cycle
-
-
-def _missing(
-    number: Indices, cycle: Indices, named: Schedule, pose: Indices | None
-) -> Iterator[str]:
-    """Which visits of the schedule there are not, in sentences by pose."""
-    cycles = sorted({*cycle.tolist(), *(c for _, c in named.lacking)})
-    poses = {*number.tolist(), *(p for p, _ in named.lacking)}
-    if pose is not None and max(poses) <= 2 * len(poses):
+    places = [(visits.files[k], int(visits.lines[k])) for k in order]
+    pose, turn = (named.get(column, {}) for column in ("pose", "cycle"))
+    whole = [all(place in of for place in places) for of in (pose, turn)]
+    number = np.array([pose[p] for p in places]) if whole[0] else group + 1
+    cycle = np.array([turn[p] for p in places]) if whole[1] else cycles_in_order(group)
+    poses, cycles = {*number.tolist()}, {*cycle.tolist()}
+    if whole[0]:
+        poses |= {*pose.values()}
+    if whole[0] and max(poses) <= 2 * len(poses):
         poses |= {*range(1, max(poses))}
+    if whole[1]:
+        cycles |= {*turn.values()}
+    seen: dict[tuple[object, ...], tuple[int, int]] = {}
+    for row, g, p, c in zip(order.tolist(), group, number, cycle, strict=True):
+        for column, key, value, said in (
+            ("pose", (g,), p, f"the configuration of P{p} has another name"),
+            ("pose", (p, "P"), g, f"P{p} has another configuration"),
+            ("cycle", (g, c, visits.files[row]), row, f"cycle {c} has had P{p}"),
+        ):
+            first, there = seen.setdefault((column, *key), (int(value), row))
+            if first != value:
+                reason = f"{said} in line {visits.lines[there]}"
+                raise visits.error(row, reason, column=column)
+    if len({*zip(group, cycle, strict=True)}) < len(cycle):
+        # Every file counts its own cycles.
+        cycle = cycle + visits.files.codes[order] * int(cycle.max())
+        cycles = {*cycle.tolist()}
+    doubts = []
     for p in sorted(poses):
         there = {*cycle[number == p].tolist()}
-        if gone := [c for c in cycles if c not in there]:
-            said = f"P{p} has {len(there)} of {len(cycles)} visits"
-            few = f"; {LEAST} are the least" if len(there) < LEAST else ""
-            yield f"{said}: none in cycle {_spans(gone)}{few}"
+        if gone := sorted(cycles - there):
+            few = f" ({LEAST} are the least)" if len(there) < LEAST else ""
+            doubts.append(
+                f"P{p} has {len(there)} of {len(cycles)} visits{few}, none in cycles "
+                + enumerated(map(str, gone))
+            )
+    return number, cycle, doubts
 
 
-def _spans(numbers: Sequence[int]) -> str:
-    """Ascending numbers, those that follow one another as `2 to 6`."""
-    ends = [[n, n] for n in numbers]
-    for k in range(len(ends) - 1, 0, -1):
-        if ends[k][0] == ends[k - 1][1] + 1:
-            ends[k - 1][1] = ends.pop(k)[1]
-    return enumerated([str(a) if a == b else f"{a} to {b}" for a, b in ends])
-
-
-def _told(
-    visits: Observations,
-    order: Indices,
-    number: Indices,
-    group: Indices,
-    faults: VisitFaults,
+def _misplaced(
+    attained: Floats, number: Indices, good: NDArray[np.bool_], places: Sequence[str]
 ) -> Iterator[str]:
-    """The faults among visits in their order, in sentences."""
-    called = dict(zip(group.tolist(), number.tolist(), strict=True))
-    named = [
-        f"{visits.source(row)} (P{p})"
-        for row, p in zip(order.tolist(), number.tolist(), strict=True)
-    ]
-    places = {(int(group[k]), to): k for k, to in faults.bad.items()}
-    for k, to in faults.bad.items():
-        own = int(group[k])
-        other = places.get((to, own), k) if to != own else k
-        if other != k and places[own, to] == k:
-            if k < other:
-                yield f"{named[k]} and {named[other]}: their values are exchanged"
-        elif to != own:
-            yield f"{named[k]}: the values are those of P{called[to]}"
-        else:
-            away = _length(faults.away[k])
-            yield f"{named[k]}: {away} from the other visits of its pose"
-    if faults.moved is not None:
-        yield (
-            f"the instrument was moved before {named[faults.moved]}, which shifts "
-            f"visits by {_length(faults.step)}: test those before and after alone"
-        )
-
-
-def _expected(robot: CalibrationResult, frames: FrameFit) -> tuple[str, bool]:
-    """The misfit of a station beside that which the calibration expects, in words.
-
-    And whether chance does not explain it.
-    """
-    problem, theta, C = frames.problem, frames.theta, np.asarray(robot.covariance)
-    noise = [n for n in robot.statistics.noise if n.quantity == "position"]
-    if not np.isfinite(C).all() or not noise:
-        return "the calibration does not say which misfit to expect", False
-    names = {name: k for k, name in enumerate(robot.covariance.rows)}
-    rows, base = problem.data, problem.parts[problem.data.only.key].index[:FRAME]
-    pose, first = ranked(rows.groups())
-    visits = [rows.only.values[pose == k, :3] for k in range(len(first))]
-    d = error_table(problem, theta)[:, :3]
-    d = np.array([d[pose == k].mean(axis=0) for k in range(len(first))]).reshape(-1)
-    J = derivatives(problem, theta)[first, :3].reshape(len(d), -1)
-    own = [k for k, n in enumerate(problem.parameters.names) if n in names]
-    of_fit = [names[problem.parameters.names[k]] for k in own]
-    S = J[:, own] @ C[np.ix_(of_fit, of_fit)] @ J[:, own].T
-    # Errors that no parameter describes are those of a pose, not of a visit.
-    unmodeled = noise[0].estimate if noise[0].unmodeled is None else noise[0].unmodeled
-    S += unmodeled**2 * np.eye(len(d))
-    for k, x in enumerate(visits):
-        if len(x) > 1:
-            S[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += np.cov(x.T) / len(x)
-    Q = np.linalg.qr(J[:, base])[0]
-    left = np.eye(len(d)) - Q @ Q.T
-    variances = np.maximum(np.linalg.eigvalsh(left @ S @ left), 0.0)
-    draws = np.random.default_rng(0).standard_normal((DRAWS, len(d))) ** 2 @ variances
-    found, by = float(np.sum((left @ d) ** 2)), len(first)
-    expected = float(np.sqrt(variances.sum() / by))
-    beyond = float(np.mean(draws >= found)) < UNLIKELY
-    said = f"the misfit of the station is {_length((found / by) ** 0.5)} where "
-    return f"{said}{_length(expected)} is expected", beyond
-
-
-def _length(size: float) -> str:
-    unit, factor = DISPLAY["m"]
-    return f"{factor * size:.3g} {unit}"
+    """Which visits are left out, and why, in sentences."""
+    means = {p: attained[good & (number == p)].mean(axis=0) for p in set(number[good])}
+    for k in np.flatnonzero(~good).tolist():
+        away = {p: float(np.linalg.norm(attained[k] - m)) for p, m in means.items()}
+        near, own = min(away, key=away.__getitem__), away[number[k]]
+        other = f", at P{near}" if away[near] < NEAR * own else ""
+        said = f"{told(own)} from the other visits of its pose{other}"
+        yield f"{places[k]} is left out: {said}"

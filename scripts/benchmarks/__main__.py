@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 
 from benchmarks import (
+    acceptance,
     accuracy,
     camera,
     candidates,
@@ -54,6 +55,7 @@ BENCHMARKS = {
     "findings": findings.main,
     "fleet-prior": fleet_prior.main,
     "accuracy": accuracy.main,
+    "acceptance": acceptance.main,
 }
 
 

@@ -14,6 +14,10 @@ from calib_pin.io.measurements import encode_table
 from tests.cli.files import document
 
 LIMITS = "tip: tool\nlimit: {position: 5.0e-4, repeatability: 2.0e-4}\n"
+FRAMES = """frames:
+  base: {xyz: [0, 0, 0], rpy: [0, 0, 0], estimate: false}
+  tool: {xyz: [0, 0, 0], rpy: [0, 0, 0], estimate: false}
+"""
 REPORT = "report: {serial_number: KR 7, customer: ACME, date: 2026-11-23}\n"
 ACCEPT = "accept arm.urdf visits.csv --setup limits.yaml"
 CALIBRATE = "calibrate arm.urdf rows.csv --setup setup.yaml -o c"
@@ -30,7 +34,7 @@ def visits(here) -> None:
     table = dict(zip(chain.joints, q.T, strict=True))
     table |= dict(zip("xyz", points.T, strict=True))
     Path("visits.csv").write_bytes(encode_table(table, []))
-    Path("limits.yaml").write_text(LIMITS)
+    Path("limits.yaml").write_text(LIMITS + FRAMES)
 
 
 def pages(file: str) -> list[str]:
@@ -43,7 +47,7 @@ def pages(file: str) -> list[str]:
 
 def test_a_robot_is_tested(visits, run):
     """What is accepted is told by the status."""
-    Path("limits.yaml").write_text(LIMITS + REPORT)
+    Path("limits.yaml").write_text(LIMITS + FRAMES + REPORT)
     result = run(f"{ACCEPT} -o out")
     assert result.status == 2
     lines = result.out.splitlines()
@@ -58,18 +62,22 @@ def test_a_robot_is_tested(visits, run):
     assert float(rows[2].split(",")[3]) == poses[0]["accuracy"]["value"]
     page = Path("out/acceptance.html").read_text()
     assert "KR 7" in page and page.count("FAIL: AP") == 1
-    Path("limits.yaml").write_text(LIMITS.replace("5.0e-4", "0.1"))
+    Path("limits.yaml").write_text(LIMITS.replace("5.0e-4", "0.1") + FRAMES)
     assert run(ACCEPT).status == 0
 
 
 def test_a_calibration_is_tested_beside_the_nominal_robot(visits, run, fails):
-    """Of a setup that it has already nothing is passed over in silence."""
+    """A setup may say what it says; all else is named."""
     accept = "accept done/calibration.json visits.csv --register --setup limits.yaml"
-    fails(accept, "limits.yaml")
-    Path("limits.yaml").write_text(LIMITS.partition("\n")[2])
+    fails(accept, "limits.yaml", "base_frame, tool_frame")
+    Path("limits.yaml").write_text(LIMITS)
     result = run(accept)
+    assert result.status == 2
     assert "Poses, nominal" in result.out and "Poses, calibrated" in result.out
     assert "0.5000 mm" in result.out and result.err == ""
+    # Five poses hold the station, but never the tool.
+    assert "the station was fitted to these visits, 6 unknowns of 15" in spaced(result)
+    assert "the misfit of the station is " in spaced(result)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +106,7 @@ def test_a_path_is_its_worst_point(visits, run):
 
 @pytest.mark.needs("pdf")
 def test_it_is_written_for_a_customer(visits, run):
-    Path("limits.yaml").write_text(LIMITS + REPORT)
+    Path("limits.yaml").write_text(LIMITS + FRAMES + REPORT)
     run(f"{ACCEPT} -o out")
     first, *annex = pages("out/acceptance.pdf")
     for words in ("FAIL", "KR 7", "ACME", "2026-11-23", "AP 0.5000 mm, RP 0.2000 mm"):

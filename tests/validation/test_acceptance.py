@@ -134,5 +134,3 @@ def test_poses_have_the_numbers_of_the_file() -> None:
     assert [pose.pose for pose in test.poses] == [1, 2, 5]
     assert [pose.accuracy.value for pose in test.poses] == [3.0, 1.0, 0.0]
     assert {pair.poses for pair in test.distances} == {(1, 2), (1, 5), (2, 5)}
-    with pytest.raises(InputError, match="'pose'"):
-        acceptance(x, np.zeros((9, 3)), group, numbers=np.ones(9, int))

@@ -88,20 +88,17 @@ def poses_tested(found: Judged) -> Drawn | None:
 def _panel(
     axes: Axes,
     tests: Mapping[str, Acceptance],
-    of: Callable[[PoseTest], Interval | None],
+    of: Callable[[PoseTest], Interval],
     limit: float | None,
 ) -> None:
     _, factor = unit_of("m")
     shown = []
     for k, (name, test) in enumerate(tests.items()):
-        found = [(p.pose, i) for p in test.poses if (i := of(p)) is not None]
-        if not found:
-            axes.text(0.5, 0.5, "not testable", ha="center", transform=axes.transAxes)
-            continue
-        places = np.array([pose for pose, _ in found], float)
+        places = np.array([p.pose for p in test.poses], float)
         # Robots stand beside each other, or their intervals would hide each other.
         places += 0.24 * (k - 0.5 * (len(tests) - 1))
-        values = factor * np.array([[i.value, i.low, i.high] for _, i in found])
+        found = [of(pose) for pose in test.poses]
+        values = factor * np.array([[i.value, i.low, i.high] for i in found])
         value, low, high = values.T
         shown += [value, low, high]
         sign = _sign(name)
@@ -118,7 +115,10 @@ def _panel(
     if len(numbers) <= FEW:
         axes.set_xticks(numbers, [f"P{number}" for number in numbers], fontsize=8)
     axes.grid(visible=False, axis="x")
-    everything = np.concatenate(shown or [np.ones(1)])
+    everything = np.concatenate(shown)
+    everything = everything[np.isfinite(everything)]
+    if np.isnan(value).any():
+        axes.text(0.5, 0.5, "not testable", ha="center", transform=axes.transAxes)
     positive = everything[everything > 0.0]
     if len(positive) and positive.max() > 20.0 * positive.min():
         log_axis(axes, "y", log_limits(positive) or (0.1, 1.0))

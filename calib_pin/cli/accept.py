@@ -103,10 +103,10 @@ def accept(
     doubts: list[str] = []
     require_file(robot, ", or a robot")
     if robot.endswith(".json"):
-        model, used = open_calibration(
+        calibrated, used = open_calibration(
             robot, setup, stated, doubts.append, "limit", "report"
         )
-        subject, chains = read_result(robot), model.chains
+        subject, chains = read_result(robot), calibrated.chains
         if limit == LimitSetup():
             limit = used.limit
         if entries == ReportSetup():
@@ -133,10 +133,11 @@ def accept(
             subject = measured
         with stated_in(str(measurements[0])):
             named = _named(measurements, used.columns)
-            found = tested(subject, rows, used, registration=register, named=named)
+            found = tested(
+                subject, rows, used, registration=register, named=named, doubts=doubts
+            )
     for doubt in doubts:
         notice(doubt)
-    found = found.doubted(doubts)
     blocks = [*acceptance_report(found.tests, limit, found.about, path=path)]
     contents = {}
     if output is not None:

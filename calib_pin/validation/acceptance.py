@@ -332,7 +332,7 @@ def mean(values: Floats, effect: Floats | None = None, dof: float = np.inf) -> I
     """
     n, m = len(values), float(values.mean())
     common = 0.0 if effect is None else np.linalg.norm(effect)
-    few, many = stats.t.ppf(0.5 + 0.5 * LEVEL, [n - 1, dof])
+    few, many = (float(stats.t.ppf(0.5 + 0.5 * LEVEL, k)) for k in (n - 1, dof))
     half = float(np.hypot(few * values.std(ddof=1) / n**0.5, many * common))
     return Interval(m, m - half, m + half)
 

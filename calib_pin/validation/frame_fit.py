@@ -23,7 +23,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.parameters import matching
 from calib_pin.setup import Setup
-from calib_pin.validation.acceptance import DRAWS, told
+from calib_pin.validation.acceptance import DRAWS, ranked, told
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult
 
@@ -57,7 +57,8 @@ class FrameFit(NamedTuple):
     def unknown(self) -> FrameFit:
         """The same where nothing tells by how much they are off."""
         free = self.known.any(axis=1)
-        return self._replace(known=np.diag(self.problem.parameters.scales)[:, free])
+        scales = np.diag(self.problem.parameters.scales)
+        return self._replace(known=scales[:, free], dof=np.inf)
 
 
 def frames_alone(chains: Chains, rows: Observations, setup: Setup) -> FrameFit:
@@ -130,10 +131,8 @@ def misfit(calibration: CalibrationResult, fit: FrameFit) -> tuple[str, bool]:
     noise = [n for n in calibration.statistics.noise if n.quantity == "position"]
     if not np.isfinite(C).all() or not noise:
         return "which misfit to expect the calibration does not say", False
-    groups = problem.data.groups()
-    labels, first = np.unique(groups, return_index=True)
-    errors = error_table(problem, fit.theta)[:, :3]
-    d = np.concatenate([errors[groups == k].mean(axis=0) for k in labels])
+    _, first = ranked(problem.data.groups())
+    d = error_table(problem, fit.theta)[first, :3].reshape(-1)
     J = derivatives(problem, fit.theta)[first, :3].reshape(len(d), -1)
     names = {name: k for k, name in enumerate(calibration.covariance.rows)}
     own = [k for k, n in enumerate(problem.parameters.names) if n in names]

@@ -16,7 +16,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Observations
 from calib_pin.setup import Setup
 from calib_pin.validation.acceptance import (
-    LEAST,
     Acceptance,
     FrameErrors,
     acceptance,
@@ -40,6 +39,11 @@ from calib_pin.validation.visit_faults import bad_visits, moved_after
 MODELS = ("position", "pose")
 """Measurement models that tell where a point is."""
 
+Names = Mapping[str, Mapping[tuple[str, int], int]]
+"""Numbers in the columns `pose` and `cycle` by file and line."""
+
+TO_VISITS = "fitted to these visits"
+
 NEAR = 0.1
 """Part of its distance from its own pose within which a visit is at another one."""
 
@@ -56,14 +60,6 @@ class Tested:
 
     tests: Mapping[str, Acceptance]
     about: str
-
-    def doubted(self, doubts: Sequence[str]) -> Tested:
-        """The same with further doubts before those of the tests."""
-        tests = {
-            name: replace(test, doubts=(*doubts, *test.doubts))
-            for name, test in self.tests.items()
-        }
-        return replace(self, tests=tests)
 
     def table(self) -> dict[str, Sequence[object]]:
         """A table by robot and pose, in SI units."""
@@ -95,7 +91,8 @@ def tested(
     setup: Setup,
     *,
     registration: bool = False,
-    named: Mapping[str, Mapping[tuple[str, int], int]] | None = None,
+    named: Names | None = None,
+    doubts: Sequence[str] = (),
 ) -> Tested:
     """Test a robot on repeated visits of poses.
 
@@ -109,6 +106,7 @@ def tested(
         registration: Whether a calibrated robot stands before another station.
         named: What files name every visit, read or not, by file and line: its `pose`
             and its `cycle`, each as far as there are such.
+        doubts: Why no limit passes whatever the visits are, in sentences.
 
     Raises:
         InputError: If they are of something else, no pose was visited often enough, or
@@ -128,20 +126,22 @@ def tested(
     if len(time := visits.conditions.time):
         order = np.lexsort((visits.lines, time, visits.files.codes))
     group, _ = ranked(visits.groups()[order])
-    number, cycle, doubts = _named(visits, order, group, named or {})
+    number, cycle, missing = _named(visits, order, group, named or {})
     attained = visits.only.values[order, :3]
     bad = bad_visits(attained, group)
     good = ~np.isin(np.arange(len(order)), bad)
     places = [f"{visits.source(k)} (P{p})" for k, p in zip(order, number, strict=True)]
-    doubts += _misplaced(attained, number, good, places)
+    doubts = [*doubts, *missing, *_misplaced(attained, number, good, places)]
     moved = moved_after(attained[good], group[good])
     if moved is not None:
         at = places[np.flatnonzero(good)[moved]]
         doubts += [f"the instrument was moved before {at}; test both parts alone"]
     kept = visits.rows(np.sort(order[good]))
-    frames, fitted, how = _frames(robot, kept, others, setup, registration)
+    frames, fitted, how, further = _frames(robot, kept, others, setup, registration)
+    doubts += further
     tests = {}
-    for name, (fit, beyond) in frames.items():
+    for name, fit in frames.items():
+        fit = fit.unknown if fitted else fit
         there = registered(fit.problem, fit.theta, visits)
         errors = error_table(there.problem, there.theta)[order][good]
         effects = derivatives(there.problem, there.theta)[order][good] @ fit.known
@@ -152,9 +152,9 @@ def tested(
             -errors[:, 3:6] if errors.shape[1] > 3 else None,
             number[good],
             cycle[good],
-            FrameErrors(effects, np.inf if fitted else fit.dof, fitted),
+            FrameErrors(effects, fit.dof, fitted),
         )
-        tests[name] = replace(test, moved=moved is not None, doubts=(*doubts, *beyond))
+        tests[name] = replace(test, moved=moved is not None, doubts=tuple(doubts))
     chains = robot if isinstance(robot, Chains) else robot.model.chains
     about = (
         f"{chains.robot.name}: {len(kept)} visits of {len(test.poses)} poses; {how}."
@@ -168,47 +168,45 @@ def _frames(
     others: Observations | None,
     setup: Setup,
     registration: bool,
-) -> tuple[dict[str, tuple[FrameFit, tuple[str, ...]]], str, str]:
-    """Robots with frames and doubts; what visits were fitted, and where frames are of.
+) -> tuple[dict[str, FrameFit], str, str, list[str]]:
+    """Robots, what of them was fitted to the visits, where frames are of, and doubts.
 
-    The first frames that are known are taken: registered ones before stated ones.
+    Registered frames come before stated ones.
     """
-    own = "" if others is None else f"registered on {len(others)} other measurements"
+    on, fitted, own = others or visits, "", "as stated"
+    if others is not None:
+        own = f"registered on {len(others)} other measurements"
     if isinstance(robot, Chains):
-        fit, how = frames_alone(robot, visits if others is None else others, setup), own
-        if others is not None:
+        fit = frames_alone(robot, on, setup)
+        if others is not None or not np.isfinite(fit.known).all():
             fit = fitted_frames(fit.problem, fit.theta)
-        if fit.dof == 0 or not np.isfinite(fit.known).all():
-            fit, how = frames_alone(robot, visits, setup), "fitted to these visits"
-            fit = fitted_frames(fit.problem, fit.theta).unknown
-        fitted = f"base and tool were {how}" if how.endswith("visits") else ""
-        return {"robot": (fit, ())}, fitted, f"base and tool {how or 'as stated'}"
-    nominal = FrameFit.of(robot.reference, visits)
-    calibrated = FrameFit.of(robot.model, visits)
-    seen, fitted, how = robot.fitted.rows, "", "base and tool as calibrated"
-    if len(seen.blocks) == 1 and np.isfinite(robot.fitted.before).all():
-        reference = robot.reference
-        nominal = fitted_frames(reference.problem(seen), reference.theta)
-    beyond: tuple[str, ...] = ()
+            if others is None or fit.dof == 0:
+                own, fitted = TO_VISITS, f"base and tool were {TO_VISITS}"
+        return {"robot": fit}, fitted, f"base and tool {own}", []
+    nominal, calibrated = (
+        FrameFit.of(m, visits) for m in (robot.reference, robot.model)
+    )
+    if len(robot.fitted.rows.blocks) == 1 and np.isfinite(robot.fitted.before).all():
+        seen = robot.reference.problem(robot.fitted.rows)
+        nominal = fitted_frames(seen, robot.reference.theta)
+    how, doubts = "base and tool as calibrated", list[str]()
     if registration or others is not None or visits.keys[0] not in robot.model.parts:
         model = CalibratedModel.create(nominal.problem, nominal.theta)
-        on = visits if others is None else others
         nominal, calibrated = (fitted_station(m, on) for m in (model, robot.model))
         said, unlikely = misfit(robot, calibrated)
-        beyond = (said,) if unlikely else ()
+        doubts += [said] * unlikely
         if others is None or calibrated.dof == 0:
-            nominal, calibrated = nominal.unknown, calibrated.unknown
-            fitted = "the station was fitted to these visits"
-        how = f"tool as calibrated, station {own or 'fitted to these visits'}; {said}"
+            own, fitted = TO_VISITS, f"the station was {TO_VISITS}"
+        how = f"tool as calibrated, station {own}; {said}"
     how += "; nominal: base and tool by the nominal robot on the same measurements"
-    return {"nominal": (nominal, ()), "calibrated": (calibrated, beyond)}, fitted, how
+    return {"nominal": nominal, "calibrated": calibrated}, fitted, how, doubts
 
 
 def _named(
     visits: Observations,
     order: Indices,
     group: Indices,
-    named: Mapping[str, Mapping[tuple[str, int], int]],
+    named: Names,
 ) -> tuple[Indices, Indices, list[str]]:
     """Number of the pose and cycle of each visit in their order, and what is missing.
 
@@ -243,16 +241,14 @@ def _named(
         # Every file counts its own cycles.
         cycle = cycle + visits.files.codes[order] * int(cycle.max())
         cycles = {*cycle.tolist()}
-    doubts = []
-    for p in sorted(poses):
-        there = {*cycle[number == p].tolist()}
-        if gone := sorted(cycles - there):
-            few = f" ({LEAST} are the least)" if len(there) < LEAST else ""
-            doubts.append(
-                f"P{p} has {len(there)} of {len(cycles)} visits{few}, none in cycles "
-                + enumerated(map(str, gone))
-            )
-    return number, cycle, doubts
+    gone = {p: sorted(cycles - {*cycle[number == p].tolist()}) for p in sorted(poses)}
+    missing = [
+        f"P{p} lacks visits in {len(lost)} of {len(cycles)} cycles, "
+        + enumerated(map(str, lost))
+        for p, lost in gone.items()
+        if lost
+    ]
+    return number, cycle, missing
 
 
 def _misplaced(

@@ -40,9 +40,9 @@ def bad_visits(attained: Floats, pose: Indices) -> list[int]:
         attained: Measured positions, shape (N, 3) [m].
         pose: Pose of each visit from 0, shape (N,).
     """
-    count, found = int(pose.max()) + 1, []
+    count, found = int(pose.max()) + 1, list[int]()
     for k in range(count):
-        left, gone, last = np.flatnonzero(pose == k).tolist(), [], 0
+        left, gone, last = np.flatnonzero(pose == k).tolist(), list[int](), 0
         most = len(left) // MOST
         while len(gone) < most and (n := len(left)) > 4:
             d = attained[left] - attained[left].mean(axis=0)

@@ -50,7 +50,7 @@ QUANTITIES = {"position": "AP", "repeatability": "RP", "distance": "AD"}
 
 @cache
 def robot() -> tuple[Chains, tuple[tuple[Floats, Floats], ...], Floats]:
-    """The robot, its joints as origin and axis, and configurations of a planned cube."""
+    """The robot, joints as origin and axis, and configurations of a planned cube."""
     chains = load_chains("space6", tip="tool")
     joints = []
     for joint in ET.fromstring(chains.robot.source).iter("joint"):
@@ -146,16 +146,28 @@ def run(number: int, *, stated: bool) -> Outcome:
     elif fault == "missing":
         kept[at] = False
     sigma = rng.uniform(0.3, 1.0) * np.array([1e-4, 1e-4])
-    setup, located = Setup(base=chain.base, tip=chain.tip), None
+    setup, lines = Setup(base=chain.base, tip=chain.tip), np.arange(2, 2 + len(x))[kept]
+    rows = Measurements(
+        chain.joints,
+        q[names[kept]],
+        "position",
+        x[kept],
+        lines=lines,
+        validate=kept[kept],
+    )
     if stated:
         setup = replace(setup, **known(base, tool, sigma, rng))
     else:
         others = chain.random_configurations(OTHERS, rng)
         seen = points(others, errors) + 2e-5 * rng.standard_normal((OTHERS, 3))
-        located = Observations.of(Measurements(chain.joints, others, "position", seen))
-    rows = Measurements(chain.joints, q[names[kept]], "position", x[kept])
-    plan = Schedule((names[kept] + 1).tolist(), cycle[kept].tolist())
-    found = tested(chains, Observations.of(rows), setup, located=located, schedule=plan)
+        located = Measurements(chain.joints, others, "position", seen)
+        rows = Measurements.concatenate([located, rows])
+    columns = {"pose": names + 1, "cycle": cycle}
+    named = {
+        column: {("", int(line)): int(of[line - 2]) for line in lines}
+        for column, of in columns.items()
+    }
+    found = tested(chains, Observations.of(rows), setup, named=named)
     if not stated:
         # The frames that endless other poses tell: those of a robot's own first and
         # last errors are no errors of it.

@@ -98,7 +98,8 @@ def moved_after(attained: Floats, pose: Indices) -> int | None:
         return None
     place = max(places.tolist(), key=gain)
     best = gain(place)
-    left = (float(r @ r) - best) / free
+    # No scatter is that of rounding.
+    left = max((float(r @ r) - best) / free, 1e-3)
     beaten = left * (3 * n - many.shape[1]) < float(rest @ rest)
     sure = n * stats.f.sf(best / 6.0 / left, 6, free) < CHANCE
     return place if beaten and sure else None

@@ -74,7 +74,6 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
         "Accuracy",
         (
             "errors-per-measurement",
-            "errors-by-block",
             "error-vectors",
             "errors-in-workspace",
             "tip-accuracy-in-workspace",

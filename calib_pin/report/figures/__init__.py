@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from calib_pin.kinematics.shapes import Shape
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.acceptance import Judged, poses_tested
-from calib_pin.report.figures.by_block import errors_by_block
 from calib_pin.report.figures.canvas import COLORS, Drawn, drawing
 from calib_pin.report.figures.cumulative import cumulative_errors
 from calib_pin.report.figures.estimates import parameter_intervals
@@ -62,7 +61,6 @@ __all__ = [
 OF_CALIBRATION: tuple[Callable[[CalibrationResult], Drawn | None], ...] = (
     cumulative_errors,
     errors_per_measurement,
-    errors_by_block,
     error_vectors,
     residuals,
     residuals_over_order,
@@ -86,7 +84,6 @@ NAMES: Mapping[str, tuple[str, ...]] = {
         "robot-errors",
         "cumulative-errors",
         "errors-per-measurement",
-        "errors-by-block",
         "error-vectors",
         "errors-in-workspace",
         "residuals",

@@ -28,9 +28,8 @@ from calib_pin.report.figures.workspace import error_vectors
 from calib_pin.validation.result import CalibrationResult
 from tests.report.results import with_errors, without
 
-# What has a direction is drawn as arrows, the rest in color; there is one block.
-ABSENT = ("errors-in-workspace", "errors-by-block")
-DRAWN = [name for name in NAMES["calibration"] if name not in ABSENT]
+# What has a direction is drawn as arrows, the rest in color.
+DRAWN = [name for name in NAMES["calibration"] if name != "errors-in-workspace"]
 
 
 def words_of(svg: str | bytes) -> str:

@@ -85,7 +85,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
         ("singular-values", "tip-error-by-count"),
     ),
     "parameters": ("Parameters", ("parameter-intervals",)),
-    "residuals": ("Noise and statistics", ("residuals", "residuals-by-joint")),
+    "residuals": ("Noise and statistics", ("residuals-by-joint",)),
     "provenance": ("Provenance", ("convergence",)),
 }
 """Title and figures of each section behind the first screen, by its key.

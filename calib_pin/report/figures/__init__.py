@@ -24,9 +24,7 @@ from calib_pin.report.figures.measurement_errors import errors_per_measurement
 from calib_pin.report.figures.plans import (
     criterion_by_count,
     planned_positions,
-    predicted_deviations,
 )
-from calib_pin.report.figures.residuals import residuals
 from calib_pin.report.figures.residuals_along import (
     residuals_by_joint,
     residuals_over_order,
@@ -62,7 +60,6 @@ OF_CALIBRATION: tuple[Callable[[CalibrationResult], Drawn | None], ...] = (
     cumulative_errors,
     errors_per_measurement,
     error_vectors,
-    residuals,
     residuals_over_order,
     residuals_by_joint,
     singular_values,
@@ -75,7 +72,6 @@ OF_CALIBRATION: tuple[Callable[[CalibrationResult], Drawn | None], ...] = (
 
 OF_PLAN: tuple[Callable[[Plan], Drawn | None], ...] = (
     criterion_by_count,
-    predicted_deviations,
     planned_positions,
 )
 
@@ -86,7 +82,6 @@ NAMES: Mapping[str, tuple[str, ...]] = {
         "errors-per-measurement",
         "error-vectors",
         "errors-in-workspace",
-        "residuals",
         "residuals-over-order",
         "residuals-by-joint",
         "singular-values",
@@ -96,7 +91,7 @@ NAMES: Mapping[str, tuple[str, ...]] = {
         "tip-accuracy-in-workspace",
         "model-ladder",
     ),
-    "plan": ("criterion-by-count", "predicted-deviations", "planned-positions"),
+    "plan": ("criterion-by-count", "planned-positions"),
     "comparison": ("tip-drift",),
     "acceptance": ("poses-tested",),
     "fleet": ("errors-in-fleet",),

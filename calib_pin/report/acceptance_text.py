@@ -162,13 +162,14 @@ def cells_of(interval: Interval, unit: str) -> tuple[Cell, Cell]:
 
 def _shown(interval: Interval, unit: str) -> str:
     if not isfinite(interval.high):
-        return "is not testable"
+        least = f", at least {amount(interval.low, unit)}" * (interval.low > 0.0)
+        return f"is not testable{least}"
     return f"{amount(interval.value, unit)} ({ends(interval, unit)})"
 
 
 def ends(interval: Interval, unit: str) -> str:
     """Both ends of an interval, in the unit in which people read it."""
-    if not isfinite(interval.high):
-        return "-"
     low, high = (quantity(end, unit).text for end in (interval.low, interval.high))
+    if not isfinite(interval.high):
+        return f"from {low}" if interval.low > 0.0 else "-"
     return f"{low} ... {high}"

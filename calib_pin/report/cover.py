@@ -129,15 +129,14 @@ def acceptance_cover(
     *_, (_, last) = found.items()
     statuses = {status for _, status, *_ in judged(last, limit)}
     status = next((s for s in ("fail", "undecided", "pass") if s in statuses), "")
-    said = [*doubt_lines(last)]
-    if not said or status == "fail":
-        said.append(Line(SAID[status]))
-    said += limit_lines(last, limit, path=path)
+    said, doubts = [*limit_lines(last, limit, path=path)], [*doubt_lines(last)]
+    if not doubts or status == "fail":
+        said.insert(0, Line(SAID[status]))
     return Cover(
         title="Acceptance test",
         status=status.upper() or "NO LIMIT STATED",
         tone=TONES.get(status, "strong"),
-        said=said,
+        said=[*said, *doubts],
         robot=robot.name,
         facts=_facts(robot, entries, limit, PATH if path else {}),
         numbers=_tested(found, limit, path),

@@ -198,7 +198,7 @@ def _frames(
         if others is None or calibrated.dof == 0:
             own, fitted = TO_VISITS, f"the station was {TO_VISITS}"
         how = f"tool as calibrated, station {own}; {said}"
-    how += "; nominal: base and tool by the nominal robot on the same measurements"
+    how += " (nominal robot: as registered on the calibration's measurements)"
     return {"nominal": nominal, "calibrated": calibrated}, fitted, how, doubts
 
 
@@ -259,6 +259,6 @@ def _misplaced(
     for k in np.flatnonzero(~good).tolist():
         away = {p: float(np.linalg.norm(attained[k] - m)) for p, m in means.items()}
         near, own = min(away, key=away.__getitem__), away[number[k]]
-        other = f", at P{near}" if away[near] < NEAR * own else ""
+        other = f", where P{near} is" if away[near] < NEAR * own else ""
         said = f"{told(own)} from the other visits of its pose{other}"
         yield f"{places[k]} is left out: {said}"

@@ -193,7 +193,10 @@ def drop(rows) -> None:
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (exchange, ["visits.csv:53 (P2) is left out", "visits.csv:54 (P3)", "at P2"]),
+        (
+            exchange,
+            ["visits.csv:53 (P2) is left out", "visits.csv:54 (P3)", "where P2 is"],
+        ),
         (shift, ["the instrument was moved before visits.csv:79 (P3)"]),
         (drop, ["P3 lacks visits in 4 of 30 cycles, 3, 4, 5, 6", "P5 lacks", "30"]),
     ],

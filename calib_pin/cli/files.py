@@ -230,12 +230,12 @@ def require_joints_only(
 
     keys, plain = sorted(("columns", "joints", "reading", *also)), Setup()
     own = [plain] if known is None else [plain, known]
-    other = [
-        field.name
-        for field in fields(Setup)
-        if field.compare and field.name not in keys
-        if all(getattr(setup, field.name) != getattr(s, field.name) for s in own)
-    ]
+    other = dict.fromkeys(
+        "frames" if key.endswith("_frame") else key
+        for key in (field.name for field in fields(Setup) if field.compare)
+        if key not in keys
+        if all(getattr(setup, key) != getattr(s, key) for s in own)
+    )
     if other:
         raise OptionError(
             f"a calibration has its own {enumerated(other)}",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from math import isfinite, nan
+from math import isfinite
 
 from calib_pin.report.blocks import Block, Cell, Column, Line, Table, Tone, columns
 from calib_pin.report.tables import amount, known, quantity
@@ -155,9 +155,8 @@ def _distances(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
 
 
 def cells_of(interval: Interval, unit: str) -> tuple[Cell, Cell]:
-    """A value and its interval; dashes where there is no upper end."""
-    value = interval.value if isfinite(interval.high) else nan
-    return known(value, unit), Cell(ends(interval, unit))
+    """A value, a dash where there is none, and its interval."""
+    return known(interval.value, unit), Cell(ends(interval, unit))
 
 
 def _shown(interval: Interval, unit: str) -> str:

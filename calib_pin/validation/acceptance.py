@@ -101,11 +101,11 @@ class PoseTest:
     Attributes:
         pose: Number of the pose.
         visits: Number of its visits.
-        accuracy: AP [m].
+        accuracy: AP [m]; unknown where frames were fitted to the visits.
         components: Mean deviation along x, y and z of the measurement frame [m].
         repeatability: RP [m].
         angles: Mean deviation about x, y and z of the tool [rad]; empty without
-            orientations.
+            orientations, unknown where frames were fitted to the visits.
         angle_repeatability: Three standard deviations of each [rad].
         directions: vAP [m]; None where it was not approached from several poses.
     """
@@ -208,7 +208,7 @@ def acceptance(
     poses, distances = [], []
     for k, own in zip(kept, deviations, strict=True):
         effects, dof = frames.effects[first[k]], frames.dof
-        turned = np.zeros((3, 0)) if angles is None else angles[visits[k]].T
+        turned = [] if angles is None else angles[visits[k]].T
         position, turns = effects[:3], effects[3:]
         poses.append(
             PoseTest(
@@ -217,8 +217,10 @@ def acceptance(
                 UNTESTABLE if frames.fitted else mean_distance(own, rng, position, dof),
                 tuple(map(mean, own.T, position, repeat(dof))),
                 repeatability(own, rng),
-                tuple(map(mean, turned, turns, repeat(dof))) if turned.size else (),
-                tuple(three_sigma(column) for column in turned if len(column)),
+                (UNTESTABLE,) * len(turned)
+                if frames.fitted
+                else tuple(map(mean, turned, turns, repeat(dof))),
+                tuple(map(three_sigma, turned)),
                 _directions(own, before[visits[k]]),
             )
         )
@@ -226,12 +228,17 @@ def acceptance(
         _, a, b = np.intersect1d(
             cycles[visits[k]], cycles[visits[m]], return_indices=True
         )
-        if len(a) >= LEAST:
-            rows = np.stack([visits[k][a], visits[m][b]])
-            pair = int(called[k]), int(called[m])
-            distances.append(
-                _distance(pair, attained[rows], commanded[rows], frames, rows)
-            )
+        if len(a) < LEAST:
+            continue
+        one, other = visits[k][a], visits[m][b]
+        apart = commanded[one] - commanded[other]
+        D_c = np.linalg.norm(apart, axis=1)
+        D = np.linalg.norm(attained[one] - attained[other], axis=1)
+        effect = frames.effects[one[0], :3] - frames.effects[other[0], :3]
+        along = apart[0] / (D_c[0] or 1.0)
+        accuracy = mean(D - D_c, along @ effect, frames.dof)
+        pair, distance = (int(called[k]), int(called[m])), float(D_c.mean())
+        distances.append(DistanceTest(pair, len(D), distance, accuracy, three_sigma(D)))
     test = Acceptance(tuple(poses), tuple(distances), _drift(deviations))
     if not frames.fitted:
         return test
@@ -281,7 +288,7 @@ def _bound(
     noise = np.column_stack([_of_mean(own, rng) for own in deviations])
     found = _length(d - U @ (U.T @ d), noise - noise @ U @ U.T)
     low, rms = found.low / len(motions) ** 0.5, found.value * (3.0 / left) ** 0.5
-    return Interval(rms, low, np.inf), (
+    return Interval(np.nan, low, np.inf), (
         f"{said}; AP is at least {told(low)}, and {told(rms)} rms if the fit took the "
         "same from all directions"
     )
@@ -294,21 +301,6 @@ def _directions(deviations: Floats, before: Indices) -> float | None:
     if len(means) < 2:
         return None
     return max(float(np.linalg.norm(a - b)) for a, b in combinations(means, 2))
-
-
-def _distance(
-    poses: tuple[int, int],
-    attained: Floats,
-    commanded: Floats,
-    frames: FrameErrors,
-    rows: Indices,
-) -> DistanceTest:
-    """The test of two poses by their visits in the same cycles, each (2, n, 3)."""
-    D, D_c = (np.linalg.norm(x[0] - x[1], axis=1) for x in (attained, commanded))
-    along = (commanded[0, 0] - commanded[1, 0]) / (D_c[0] or 1.0)
-    effect = along @ (frames.effects[rows[0, 0], :3] - frames.effects[rows[1, 0], :3])
-    accuracy = mean(D - D_c, effect, frames.dof)
-    return DistanceTest(poses, len(D), float(D_c.mean()), accuracy, three_sigma(D))
 
 
 def _drift(deviations: Sequence[Floats]) -> tuple[float, float] | None:

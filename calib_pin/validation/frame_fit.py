@@ -99,7 +99,7 @@ def derivatives(problem: Problem, theta: Floats) -> Floats:
 
 
 def _fitted(problem: Problem, theta: Floats, free: NDArray[np.bool_]) -> FrameFit:
-    """What measurements tell of free parameters that were fitted to them.
+    """Free parameters that were fitted to measurements, and how surely.
 
     Those of one configuration have the errors of the robot in common, and count as one.
     """

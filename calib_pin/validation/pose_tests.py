@@ -215,17 +215,13 @@ def _named(
             pose has two visits in a cycle.
     """
     places = [(visits.files[k], int(visits.lines[k])) for k in order]
-    pose, turn = (named.get(column, {}) for column in ("pose", "cycle"))
-    whole = [all(place in of for place in places) for of in (pose, turn)]
-    number = np.array([pose[p] for p in places]) if whole[0] else group + 1
-    cycle = np.array([turn[p] for p in places]) if whole[1] else cycles_in_order(group)
-    poses, cycles = {*number.tolist()}, {*cycle.tolist()}
-    if whole[0]:
-        poses |= {*pose.values()}
-    if whole[0] and max(poses) <= 2 * len(poses):
+    given = (named.get(column, {}) for column in ("pose", "cycle"))
+    pose, turn = (of if all(p in of for p in places) else {} for of in given)
+    number = np.array([pose[p] for p in places]) if pose else group + 1
+    cycle = np.array([turn[p] for p in places]) if turn else cycles_in_order(group)
+    poses, cycles = {*number, *pose.values()}, {*cycle, *turn.values()}
+    if max(poses) <= 2 * len(poses):
         poses |= {*range(1, max(poses))}
-    if whole[1]:
-        cycles |= {*turn.values()}
     seen: dict[tuple[object, ...], tuple[int, int]] = {}
     for row, g, p, c in zip(order.tolist(), group, number, cycle, strict=True):
         for column, key, value, said in (
@@ -240,13 +236,11 @@ def _named(
     if len({*zip(group, cycle, strict=True)}) < len(cycle):
         # Every file counts its own cycles.
         cycle = cycle + visits.files.codes[order] * int(cycle.max())
-        cycles = {*cycle.tolist()}
-    gone = {p: sorted(cycles - {*cycle[number == p].tolist()}) for p in sorted(poses)}
+        cycles = {*cycle}
     missing = [
-        f"P{p} lacks visits in {len(lost)} of {len(cycles)} cycles, "
-        + enumerated(map(str, lost))
-        for p, lost in gone.items()
-        if lost
+        f"P{p} lacks {len(gone)} of {len(cycles)} cycles: {enumerated(map(str, gone))}"
+        for p in sorted(poses)
+        if (gone := sorted(cycles - {*cycle[number == p]}))
     ]
     return number, cycle, missing
 

@@ -70,7 +70,7 @@ def test_a_robot_is_tested(visits, run):
 def test_a_calibration_is_tested_beside_the_nominal_robot(visits, run, fails):
     """A setup may say what it says; all else is named."""
     accept = "accept done/calibration.json visits.csv --register --setup limits.yaml"
-    fails(accept, "limits.yaml", "base_frame, tool_frame")
+    fails(accept, "limits.yaml", "its own frames")
     Path("limits.yaml").write_text(LIMITS)
     result = run(accept)
     assert result.status == 2
@@ -119,7 +119,7 @@ def test_what_is_fitted_to_visits_says_nothing_of_their_place(visits, run):
     result = run(f"{accept} -o out")
     assert result.status == 2 and "UNDECIDED: AP is not testable" in result.out
     page = " ".join(Path("out/acceptance.html").read_text().split())
-    for words in ("base and tool were fitted to these visits", "P3 lacks visits in 4"):
+    for words in ("base and tool were fitted to these visits", "P3 lacks 4"):
         assert words in said(result) and words in page
     found = document("out/acceptance.json")
     assert [one["status"] for one in found["limits"]] == ["undecided", "undecided"]
@@ -198,7 +198,7 @@ def drop(rows) -> None:
             ["visits.csv:53 (P2) is left out", "visits.csv:54 (P3)", "where P2 is"],
         ),
         (shift, ["the instrument was moved before visits.csv:79 (P3)"]),
-        (drop, ["P3 lacks visits in 4 of 30 cycles, 3, 4, 5, 6", "P5 lacks", "30"]),
+        (drop, ["P3 lacks 4 of 30 cycles: 3, 4, 5, 6", "P5 lacks", "30"]),
     ],
 )
 def test_faulty_and_missing_visits_pass_nothing(visits, run, change, told):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -22,15 +21,8 @@ from calib_pin.report.figures.canvas import (
     panels,
 )
 from calib_pin.report.figures.labels import log_axis, log_limits, unit_of
-from calib_pin.report.tables import amount
 from calib_pin.setup import LimitSetup
-from calib_pin.validation.acceptance import (
-    Acceptance,
-    Interval,
-    PoseTest,
-    measured,
-    worst,
-)
+from calib_pin.validation.acceptance import Acceptance, Interval, PoseTest
 
 HEIGHT = 2.5
 """Height of the panels [inch]."""
@@ -72,13 +64,11 @@ def poses_tested(found: Judged) -> Drawn | None:
     if limit.position is not None or limit.repeatability is not None:
         entries["limit"] = LIMIT
     key(figure, entries, 0.75)
-    *_, last = found.tests.values()
-    at = ", AT and RT," if found.path else ""
+    worst = "; the worst are AT and RT" if found.path else ""
     return Drawn(
         "poses-tested",
         f"Accuracy and repeatability by {place}",
-        f"AP and RP of every {place} with 95 % intervals; the worst{at} are "
-        f"{_worst(last, 'AP')} and {_worst(last, 'RP')}."
+        f"AP and RP of every {place} with 95 % intervals{worst}."
         + " A limit is met where all of an interval lies below it."
         * ("limit" in entries),
         figure,
@@ -125,11 +115,6 @@ def _panel(
     else:
         axes.locator_params(axis="y", nbins=6)
         axes.set_ylim(0.0, 1.12 * float(everything.max()) or 1.0)
-
-
-def _worst(test: Acceptance, name: str) -> str:
-    interval = worst(measured(test)[name][0])
-    return amount(interval.value, "m") if isfinite(interval.high) else "not testable"
 
 
 def _name(robot: str) -> str:

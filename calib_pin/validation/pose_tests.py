@@ -42,7 +42,10 @@ MODELS = ("position", "pose")
 Names = Mapping[str, Mapping[tuple[str, int], int]]
 """Numbers in the columns `pose` and `cycle` by file and line."""
 
-TO_VISITS = "fitted to these visits"
+ELSEWHERE = "the station is not where it was at the calibration; --register fits it"
+
+MOVED = 5.0
+"""Errors of a calibration, by those with another station, from which that is told."""
 
 NEAR = 0.1
 """Part of its distance from its own pose within which a visit is at another one."""
@@ -173,15 +176,16 @@ def _frames(
 
     Registered frames come before stated ones.
     """
-    on, fitted, own = others or visits, "", "as stated"
+    on, fitted, own = others or visits, "", "fitted to these visits"
     if others is not None:
         own = f"registered on {len(others)} other measurements"
     if isinstance(robot, Chains):
         fit = frames_alone(robot, on, setup)
-        if others is not None or not np.isfinite(fit.known).all():
-            fit = fitted_frames(fit.problem, fit.theta)
-            if others is None or fit.dof == 0:
-                own, fitted = TO_VISITS, f"base and tool were {TO_VISITS}"
+        if others is None and np.isfinite(fit.known).all():
+            return {"robot": fit}, "", "base and tool as stated", []
+        fit = fitted_frames(fit.problem, fit.theta)
+        if others is None or fit.dof == 0:
+            fitted = f"base and tool were {own}"
         return {"robot": fit}, fitted, f"base and tool {own}", []
     nominal, calibrated = (
         FrameFit.of(m, visits) for m in (robot.reference, robot.model)
@@ -196,8 +200,12 @@ def _frames(
         said, unlikely = misfit(robot, calibrated)
         doubts += [said] * unlikely
         if others is None or calibrated.dof == 0:
-            own, fitted = TO_VISITS, f"the station was {TO_VISITS}"
+            fitted = f"the station was {own}"
         how = f"tool as calibrated, station {own}; {said}"
+    else:
+        pair = calibrated, fitted_station(robot.model, visits)
+        sizes = [np.linalg.norm(error_table(f.problem, f.theta)) for f in pair]
+        doubts += [ELSEWHERE] * bool(sizes[0] > MOVED * sizes[1])
     how += " (nominal robot: as registered on the calibration's measurements)"
     return {"nominal": nominal, "calibrated": calibrated}, fitted, how, doubts
 

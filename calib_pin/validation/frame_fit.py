@@ -134,10 +134,9 @@ def misfit(calibration: CalibrationResult, fit: FrameFit) -> tuple[str, bool]:
     _, first = ranked(problem.data.groups())
     d = error_table(problem, fit.theta)[first, :3].reshape(-1)
     J = derivatives(problem, fit.theta)[first, :3].reshape(len(d), -1)
-    names = {name: k for k, name in enumerate(calibration.covariance.rows)}
-    own = [k for k, n in enumerate(problem.parameters.names) if n in names]
-    of = [names[problem.parameters.names[k]] for k in own]
-    S = J[:, own] @ C[np.ix_(of, of)] @ J[:, own].T
+    # Another station has parameters beside those of the calibration, in their order.
+    own = np.isin(problem.parameters.names, calibration.covariance.rows)
+    S = J[:, own] @ C @ J[:, own].T
     S += noise[0].estimate ** 2 * np.eye(len(d))
     Q = np.linalg.qr(J[:, problem.parts[problem.data.only.key].index[:FRAME]])[0]
     left = np.eye(len(d)) - Q @ Q.T

@@ -23,7 +23,6 @@ from calib_pin.validation.acceptance import (
     ranked,
     told,
 )
-from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.frame_fit import (
     FrameFit,
     derivatives,
@@ -187,27 +186,22 @@ def _frames(
         if others is None or fit.dof == 0:
             fitted = f"base and tool were {own}"
         return {"robot": fit}, fitted, f"base and tool {own}", []
-    nominal, calibrated = (
-        FrameFit.of(m, visits) for m in (robot.reference, robot.model)
-    )
-    if len(robot.fitted.rows.blocks) == 1 and np.isfinite(robot.fitted.before).all():
-        seen = robot.reference.problem(robot.fitted.rows)
-        nominal = fitted_frames(seen, robot.reference.theta)
+    models = {"nominal": robot.reference, "calibrated": robot.model}
+    fits = {name: FrameFit.of(model, visits) for name, model in models.items()}
     how, doubts = "base and tool as calibrated", list[str]()
     if registration or others is not None or visits.keys[0] not in robot.model.parts:
-        model = CalibratedModel.create(nominal.problem, nominal.theta)
-        nominal, calibrated = (fitted_station(m, on) for m in (model, robot.model))
-        said, unlikely = misfit(robot, calibrated)
+        fits = {name: fitted_station(model, on) for name, model in models.items()}
+        said, unlikely = misfit(robot, fits["calibrated"])
         doubts += [said] * unlikely
-        if others is None or calibrated.dof == 0:
+        if others is None or fits["calibrated"].dof == 0:
             fitted = f"the station was {own}"
         how = f"tool as calibrated, station {own}; {said}"
     else:
-        pair = calibrated, fitted_station(robot.model, visits)
+        pair = fits["calibrated"], fitted_station(robot.model, visits)
         sizes = [np.linalg.norm(error_table(f.problem, f.theta)) for f in pair]
         doubts += [ELSEWHERE] * bool(sizes[0] > MOVED * sizes[1])
     how += " (nominal robot: as registered on the calibration's measurements)"
-    return {"nominal": nominal, "calibrated": calibrated}, fitted, how, doubts
+    return fits, fitted, how, doubts
 
 
 def _named(

@@ -25,6 +25,7 @@ from calib_pin.estimation.time_course import time_course, with_time_course
 from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.readings import as_stated
 from calib_pin.observations import AT, Measurements, Observations, states_sigmas
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import ReadingSetup, Setup
@@ -120,10 +121,11 @@ def calibrate(
         >>> result.verdict, result.identifiability.structural_rank
         ('good', 34)
     """
-    setup, data = setup_of(setup), Observations.of(measurements)
-    # It has been obeyed when files were read, and says nothing of other files.
+    setup = setup_of(setup)
+    sources = [one for one in (measurements, validation) if one is not None]
+    given = [as_stated(Observations.of(one), setup.reading) for one in sources]
+    # It has been obeyed now, and says nothing of other files.
     setup = replace(setup, reading=ReadingSetup())
-    given = [data] if validation is None else [data, Observations.of(validation)]
     chains, (data, *more) = fitting(chains, setup, *given)
     further = more[0] if more else None
     encoder_steps(setup, chains.joints)

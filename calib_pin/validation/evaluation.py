@@ -17,6 +17,7 @@ from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.registration import extended
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.readings import as_stated
 from calib_pin.observations import Measurements, Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
@@ -62,7 +63,8 @@ def evaluate(
         InputError: If the measurements do not fit the model.
     """
     chains, plain = _nominal(robot, setup)
-    chains, (rows,) = fitting(chains, plain, Observations.of(measurements))
+    rows = as_stated(Observations.of(measurements), plain.reading)
+    chains, (rows,) = fitting(chains, plain, rows)
     outside = 0
     if not isinstance(robot, CalibratedModel):
         robot = chains

@@ -174,10 +174,16 @@ def finding(case: Case, found: Explanation) -> Iterator[Finding]:
     lines = setup_lines(case, found.faults)
     quantity = case.fit.problem.layout.quantities[0]
     unit, factor = DISPLAY[quantity.unit]
+    scale = merged(fault.reading for fault in found.faults).scale
+    if quantity.unit == "m" and not found.fitted:  # Errors are in the unit of the file.
+        found = replace(found, before=scale * found.before, after=scale * found.after)
     sizes = [f"{factor * size:.3g} {unit}" for size in (found.before, found.after)]
     robot = "of a fit" if found.fitted else "of the nominal robot"
     fall = f"fall from {sizes[0]} to" if np.isfinite(found.before) else "are"
     clear = found.after < FITTED * found.before and not found.harmless
+    remedy = f"state in the setup file: {written(lines)}"
+    if [*lines.get("reading", ())] == ["scale"] and not any(case.data.files.distinct):
+        remedy = f"multiply values by {scale:g}"
     for fault in found.faults:
         yield Finding(
             fault.code,
@@ -190,7 +196,7 @@ def finding(case: Case, found: Explanation) -> Iterator[Finding]:
                 "log_likelihood_ratio": found.ratio,
                 "tried": float(found.tried),
             },
-            fault.advice or f"state in the setup file: {written(lines)}",
+            fault.advice or remedy,
             {} if fault.advice else lines,
             fault.figure,
         )

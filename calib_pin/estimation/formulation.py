@@ -38,6 +38,7 @@ from calib_pin.parameterizations import (
     frame_pose,
     needed_conditions,
     outside_urdf,
+    parameterization,
     required_keys,
 )
 from calib_pin.parameterizations.drift import InstrumentDrift
@@ -76,7 +77,10 @@ def setup_of(setup: Stated) -> Setup:
     """A setup; also by the keys of a file of one, and the defaults for None."""
     if isinstance(setup, Mapping):
         setup = upper("read_setup", setup)
-    return setup if isinstance(setup, Setup) else Setup()
+    found = setup if isinstance(setup, Setup) else Setup()
+    for name in found.parameters:
+        parameterization(name, found)
+    return found
 
 
 def fitting(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from functools import cache, wraps
 from inspect import signature
 from types import NoneType, UnionType
@@ -41,6 +41,9 @@ _DTYPES: Mapping[Any, Any] = {
     NDArray[np.int64]: np.dtype(np.int64),
     NDArray[np.float64]: np.dtype(float),
 }
+
+SECTION = "__pydantic_config__"
+"""Attribute of the sections of a setup alone."""
 
 
 class Brief:
@@ -105,8 +108,9 @@ def settle(given: Any) -> None:
     kind: Any = type(given)
     for name, hint in _hints(kind).items():
         value = getattr(given, name)
-        kind = value.dtype if isinstance(value, np.ndarray) else type(value)
-        if kind != _DTYPES.get(hint, hint):
+        found = value.dtype if isinstance(value, np.ndarray) else type(value)
+        plain = found == _DTYPES.get(hint, hint) and not hasattr(value, SECTION)
+        if not plain and value is not getattr(kind, name, MISSING):
             object.__setattr__(given, name, taken(name, value, hint))
 
 
@@ -136,6 +140,8 @@ def _taken(value: Any, hint: Any) -> Any:
         for constraint in hint.__metadata__:
             # Some are known only where a file is read, and some are none.
             with suppress(NotImplementedError, AttributeError):
+                if getattr(constraint, "rising", False):  # Programs may hold a joint.
+                    constraint = replace(constraint, rising=False)
                 return constraint.check(_listed(value))
         return _taken(value, inner[0])
     if kind in (typing.Union, UnionType):
@@ -154,9 +160,11 @@ def _taken(value: Any, hint: Any) -> Any:
     if fits and kind in (int, float):
         fits = not isinstance(value, bool) and np.isfinite(value)
         fits = fits and (kind is float or value >= 0)
+    if hasattr(kind, SECTION):  # What a section extends is taken as well.
+        fits |= issubclass(kind, type(value))
     if not fits:
         raise ValueError(words)
-    if hasattr(kind, "__pydantic_config__"):  # A section of a setup.
+    if hasattr(value, SECTION):
         settle(value)
     if kind is Mapping:
         return {_taken(k, inner[0]): _taken(v, inner[1]) for k, v in value.items()}

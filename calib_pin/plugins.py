@@ -17,19 +17,11 @@ from calib_pin.errors import CalibPinError, require_known
 
 T = TypeVar("T")
 
-UPPER = {
-    "brief": "report.text",
-    "figures": "report.figures",
-    "load_chains": "io.urdf",
-    "read_setup": "io.setup",
-}
-"""Modules of functions that lower layers call by name."""
 
-
-def upper(name: str, *args: Any, **options: Any) -> Any:
-    """Call a function of an upper layer, see `UPPER`."""
-    module = import_module(f"calib_pin.{UPPER[name]}")
-    return getattr(module, name)(*args, **options)
+def upper(module: str, name: str, *args: Any, **options: Any) -> Any:
+    """Call a function of an upper layer, by the name of its module in the package."""
+    function = getattr(import_module(f"calib_pin.{module}"), name)
+    return function(*args, **options)
 
 
 FAMILIES = {

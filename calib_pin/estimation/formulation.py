@@ -24,15 +24,16 @@ from calib_pin.estimation.scopes import prefixed, scopes
 from calib_pin.estimation.system import Part, assembled
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.robot_types import robot_type
-from calib_pin.measurement_models import measurement_model, require_values
+from calib_pin.measurement_models import measurement_model
+from calib_pin.measurement_models.catalog import require_values
 from calib_pin.measurement_models.references import Plane, ReferenceObject
 from calib_pin.observations import (
     BlockKey,
     Labels,
     Measurements,
     Observations,
-    of_joints,
 )
+from calib_pin.observations.blocks import of_joints
 from calib_pin.parameterizations import (
     NOTHING,
     frame_pose,
@@ -76,7 +77,7 @@ def make_problem(
 def setup_of(setup: Stated) -> Setup:
     """A setup; also by the keys of a file of one, and the defaults for None."""
     if isinstance(setup, Mapping):
-        setup = upper("read_setup", setup)
+        setup = upper("io.setup", "read_setup", setup)
     found = setup if isinstance(setup, Setup) else Setup()
     for name in found.parameters:
         parameterization(name, found)
@@ -98,6 +99,9 @@ def fitting(
     if not set(names) <= set(chains.names):
         chains = chains.named(tuple(names))
     for data in measured:
+        if sorted(data.joints) != sorted(chains.joints):
+            reason = "the joints are not those of the chains"
+            raise data.error(0, reason, allowed=", ".join(chains.joints))
         for block in data.blocks:
             require_values(block)
     return chains, [of_joints(data, chains.joints) for data in measured]

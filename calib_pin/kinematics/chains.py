@@ -101,7 +101,7 @@ class Chains:
         if isinstance(chain, str | Path):
             of = setup or RobotSetup()
             ends = {"base": of.base, "tip": of.tip, "stated": of.chains}
-            found: Chains = upper("load_chains", chain, **ends)
+            found: Chains = upper("io.urdf", "load_chains", chain, **ends)
             return found
         if isinstance(chain, Chains):
             return chain

@@ -17,11 +17,7 @@ from calib_pin.measurement_models.base import (
     Linearization,
     MeasurementModel,
 )
-from calib_pin.measurement_models.catalog import (
-    MEASUREMENT_MODELS,
-    declared,
-    require_values,
-)
+from calib_pin.measurement_models.catalog import MEASUREMENT_MODELS, declared
 from calib_pin.measurement_models.declaration import (
     Declaration,
     Inference,
@@ -45,7 +41,6 @@ __all__ = [
     "Quantity",
     "declared",
     "measurement_model",
-    "require_values",
 ]
 
 

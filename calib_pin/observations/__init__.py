@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from calib_pin.observations.blocks import (
     Observations,
     fitted_and_held_out,
-    of_joints,
     states_sigmas,
     with_directions,
 )
@@ -41,7 +40,6 @@ __all__ = [
     "approached",
     "fitted_and_held_out",
     "grouped",
-    "of_joints",
     "states_sigmas",
     "trusted",
     "with_directions",

@@ -37,11 +37,10 @@ _CLASSES = {
     float: int | float | np.number,
 }
 _DTYPES: Mapping[Any, Any] = {
-    NDArray[np.bool_]: np.dtype(bool),
-    NDArray[np.int64]: np.dtype(np.int64),
-    NDArray[np.float64]: np.dtype(float),
+    NDArray[np.bool_]: bool,
+    NDArray[np.int64]: np.int64,
+    NDArray[np.float64]: float,
 }
-
 SECTION = "__pydantic_config__"
 """Attribute of the sections of a setup alone."""
 

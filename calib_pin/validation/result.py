@@ -182,7 +182,7 @@ class Printed:
 
     def __repr__(self) -> str:
         """The first lines of the report."""
-        return str(upper("brief", self))
+        return str(upper("report.text", "brief", self))
 
 
 @dataclass(frozen=True, repr=False)
@@ -317,7 +317,7 @@ class Tables:
 
     def figures(self) -> dict[str, Any]:
         """The figures of the report by name, as matplotlib figures."""
-        found: dict[str, Any] = upper("figures", self)
+        found: dict[str, Any] = upper("report.figures", "figures", self)
         return found
 
     def _repr_html_(self) -> str:

@@ -51,61 +51,50 @@ def measured(k: SimpleNamespace, **changes: Any) -> Measurements:
 
 
 def calibrated(k: SimpleNamespace, *args: Any, **options: Any) -> Any:
-    given = (*args, k.chain, k.rows, OFFSETS)[: max(len(args), 3)]
     given = (*args, *(k.chain, k.rows, OFFSETS)[len(args) :])
     return calib_pin.calibrate(*given, **{"validate": False} | options)
 
 
+def of(k: SimpleNamespace, **changes: Any) -> Any:
+    return calibrated(k, k.chain, measured(k, **changes))
+
+
+def by(k: SimpleNamespace, setup: Any = OFFSETS, **changes: Any) -> Any:
+    setup = replace(setup, **changes) if changes else setup
+    return calibrated(k, k.chain, k.rows, setup)
+
+
 WRONG: dict[str, Callable[[SimpleNamespace], object]] = {
     "no robot": lambda k: calibrated(k, 5),
-    "unknown robot": lambda k: calibrated(k, "no_such_robot"),
     "arrays": lambda k: calibrated(k, k.chain, (k.q, k.y)),
-    "two columns": lambda k: calibrated(k, k.chain, measured(k, values=k.y[:, :2])),
-    "unknown model": lambda k: calibrated(k, k.chain, measured(k, model="positions")),
-    "other joints": lambda k: calibrated(
-        k, k.chain, measured(k, joints=[*k.joints[:6], "elbow"])
-    ),
-    "zero quaternion": lambda k: calibrated(
-        k, k.chain, measured(k, model="pose", values=np.zeros((30, 7)))
-    ),
-    "sigma of one axis": lambda k: calibrated(
-        k, k.chain, measured(k, sigma=np.full((30, 1), 1e-4))
-    ),
-    "one word as setup": lambda k: calibrated(k, k.chain, k.rows, "joint-offset"),
-    "unknown key": lambda k: calibrated(k, k.chain, k.rows, {"parametres": []}),
-    "unknown word": lambda k: calibrated(k, k.chain, k.rows, {"parameters": ["x"]}),
-    "parameters unknown": lambda k: calibrated(
-        k, k.chain, k.rows, Setup(parameters="x")
-    ),
+    "two columns": lambda k: of(k, values=k.y[:, :2]),
+    "unknown model": lambda k: of(k, model="positions"),
+    "other joints": lambda k: of(k, joints=[*k.joints[:6], "elbow"]),
+    "zero quaternion": lambda k: of(k, model="pose", values=np.zeros((30, 7))),
+    "sigma of one axis": lambda k: of(k, sigma=np.full((30, 1), 1e-4)),
+    "one word as setup": lambda k: by(k, "joint-offset"),
+    "unknown key": lambda k: by(k, {"parametres": []}),
+    "unknown word": lambda k: by(k, {"parameters": ["x"]}),
+    "parameters unknown": lambda k: by(k, Setup(parameters="x")),
     "holdout in percent": lambda k: calibrated(k, holdout=20.0),
     "holdout as text": lambda k: calibrated(k, holdout="0.2"),
-    "validate": lambda k: calibrated(k, validate="yes"),
-    "use": lambda k: calibrated(k, ladder=True, use="far"),
     "seed": lambda k: calibrated(k, seed=-1),
-    "broken seed": lambda k: calibrated(k, seed=0.5),
-    "progress": lambda k: calibrated(k, progress=True),
     "start": lambda k: calibrated(k, start="calibration.json"),
     "process noise": lambda k: calibrated(k, process_noise=[1e-5]),
-    "orientation of arrays": lambda k: calibrated(
-        k, k.chain, k.rows, {"reading": {"orientation": {"columns": "quaternion"}}}
+    "orientation of arrays": lambda k: by(
+        k, {"reading": {"orientation": {"columns": "quaternion"}}}
     ),
     "q of five joints": lambda k: k.chain.poses(np.zeros((1, 5))),
     "q as words": lambda k: k.chain.poses(["a"] * 7),
     "ragged q": lambda k: k.chain.jacobian([[0.0], [0.0, 1.0]]),
     "q of three axes": lambda k: k.chain.regressor(np.zeros((2, 7, 1))),
     "no q": lambda k: k.chain.gravity_torques(None, (0.0, 0.0, -9.81)),
-    "count": lambda k: k.chain.random_configurations(-1, k.rng),
     "seed for rng": lambda k: k.chain.random_configurations(3, 0),
     "chain of a name": lambda k: calib_pin.Chain("pa10"),
     "no link": lambda k: calib_pin.load_chain("pa10", tip=3),
-    "no name": lambda k: calib_pin.load_chain(None),
-    "names": lambda k: calib_pin.load_chains("pa10", names=[1]),
-    "no file": lambda k: calib_pin.robot_file("pa10", "none.csv"),
     "model at five joints": lambda k: k.robot.poses(np.zeros(5)),
     "predict": lambda k: k.result.predict(np.zeros((2, 6))),
-    "joints as numbers": lambda k: measured(k, joints=range(7)),
     "no joints": lambda k: measured(k, joints=7),
-    "values of other rows": lambda k: measured(k, values=k.y[:9]),
     "values as words": lambda k: measured(k, values=np.full((30, 3), "x")),
     "negative sigma": lambda k: measured(k, sigma=-1e-4),
     "sigma as text": lambda k: measured(k, sigma="0.1 mm"),
@@ -113,14 +102,11 @@ WRONG: dict[str, Callable[[SimpleNamespace], object]] = {
     "validate as numbers": lambda k: measured(k, validate=[0.5] * 30),
     "few targets": lambda k: measured(k, target=["a", "b"]),
     "a number as target": lambda k: measured(k, target=range(30)),
-    "model as number": lambda k: measured(k, model=3),
     "blocks": lambda k: Observations((k.q,)),
     "no blocks": lambda k: Observations(()),
-    "loss": lambda k: calibrated(k, k.chain, k.rows, replace(OFFSETS, loss="x")),
-    "learned": lambda k: calibrated(k, k.chain, k.rows, replace(OFFSETS, learned="x")),
-    "solver": lambda k: calibrated(
-        k, k.chain, k.rows, replace(OFFSETS, solver=SolverSetup("x"))
-    ),
+    "loss": lambda k: by(k, loss="x"),
+    "learned": lambda k: by(k, learned="x"),
+    "solver": lambda k: by(k, solver=SolverSetup("x")),
     "gravity": lambda k: Setup(gravity=9.81),
     "gravity in mm": lambda k: Setup(gravity=(0.0, 0.0, -9810.0)),
     "noise": lambda k: Setup(noise={"position": -1e-4}),
@@ -135,23 +121,15 @@ WRONG: dict[str, Callable[[SimpleNamespace], object]] = {
     "evaluate": lambda k: calib_pin.evaluate(k.result, k.rows),
     "register": lambda k: calib_pin.evaluate(k.model, k.rows, registration=1),
     "plan none": lambda k: calib_pin.plan(k.chain, "position", 0),
-    "plan many": lambda k: calib_pin.plan(k.chain, "position", 10.5),
-    "criterion": lambda k: calib_pin.plan(k.chain, "position", 9, criterion="O9"),
     "collisions": lambda k: calib_pin.plan(k.chain, "position", 9, collisions=True),
     "targets of points": lambda k: calib_pin.compensate(k.robot, k.y, k.q),
-    "start of others": lambda k: calib_pin.compensate(k.robot, k.T, k.q[:3]),
     "compensate a model": lambda k: calib_pin.compensate(k.model, k.T),
     "frame": lambda k: calib_pin.compensate(k.robot, k.T, k.q, frame="world"),
     "true errors": lambda k: calib_pin.simulate(k.problem, {}, k.rng, count=5),
     "few true errors": lambda k: calib_pin.simulate(k.problem, [0], k.rng, count=5),
-    "no rng": lambda k: calib_pin.draw_errors(k.problem.parameters, 1),
     "no result": lambda k: calib_pin.compare(k.result, k.model),
-    "format a model": lambda k: calib_pin.format_report(k.model),
     "urdf of a result": lambda k: calib_pin.write_urdf(k.result, "x.urdf"),
-    "read a number": lambda k: calib_pin.read_result(3),
     "read nothing": lambda k: calib_pin.read_setup(None),
-    "read for a name": lambda k: calib_pin.read_measurements("x.csv", k.q),
-    "write arrays": lambda k: calib_pin.write_measurements("x.csv", k.y),
     "clearance": lambda k: calib_pin.load_collisions(k.chain, clearance="1 mm"),
     "family": lambda k: calib_pin.register("models", "x", object),
     "member": lambda k: calib_pin.register("dialects", "x", object()),
@@ -177,9 +155,9 @@ def test_clear_arguments_are_taken() -> None:
     for found in (
         calibrated(k, k.chain, listed),
         calibrated(k, "pa10"),
-        calibrated(k, k.chain, k.rows, Setup(parameters="joint-offset")),
-        calibrated(k, k.chain, k.rows, {"parameters": ["joint-offset"]}),
-        calibrated(k, k.chain, measured(k, joints=k.joints[::-1], q=k.q[:, ::-1])),
+        by(k, Setup(parameters="joint-offset")),
+        by(k, {"parameters": ["joint-offset"]}),
+        of(k, joints=k.joints[::-1], q=k.q[:, ::-1]),
         calibrated(k, k.chain, measured(k, values=1e3 * k.y), reading),
         pickle.loads(pickle.dumps(calib_pin.calibrate))(
             k.chain, [k.rows][0], OFFSETS, validate=False
@@ -198,7 +176,7 @@ def test_clear_arguments_are_taken() -> None:
 @pytest.mark.slow
 def test_arrays_in_mm_are_told_what_to_do() -> None:
     k = known()
-    found = calibrated(k, k.chain, measured(k, values=1e3 * k.y))
+    found = of(k, values=1e3 * k.y)
     assert found.reason.endswith("; multiply values by 0.001")
     (after,) = (f.evidence["rms_after"] for f in found.findings if f.code == "unit")
     assert f"{1e3 * float(after):.3g} mm" in found.reason and float(after) < 0.1

@@ -109,6 +109,8 @@ def settle(given: Any) -> None:
         value = getattr(given, name)
         found = value.dtype if isinstance(value, np.ndarray) else type(value)
         plain = found == _DTYPES.get(hint, hint) and not hasattr(value, SECTION)
+        if found is tuple:  # Of names, mostly.
+            plain = {*map(type, value)} == {*get_args(hint)[:1]}
         if not plain and value is not getattr(kind, name, MISSING):
             object.__setattr__(given, name, taken(name, value, hint))
 

@@ -331,7 +331,7 @@ class BoardSetup(Section):
     rows: Count
     square: Length
     marker: Length | None = None
-    dictionary: Annotated[str, OneOf(DICTIONARIES)] | None = None
+    dictionary: Annotated[str | None, OneOf(DICTIONARIES)] = None
     gap: Length | None = None
     first: Annotated[
         int, Checked(_index, {"type": "integer", "minimum": 0, "maximum": LAST})

@@ -79,6 +79,7 @@ WRONG: dict[str, Callable[[SimpleNamespace], object]] = {
     "holdout in percent": lambda k: calibrated(k, holdout=20.0),
     "holdout as text": lambda k: calibrated(k, holdout="0.2"),
     "seed": lambda k: calibrated(k, seed=-1),
+    "workers": lambda k: calibrated(k, workers=4),
     "start": lambda k: calibrated(k, start="calibration.json"),
     "process noise": lambda k: calibrated(k, process_noise=[1e-5]),
     "orientation of arrays": lambda k: by(

@@ -161,6 +161,7 @@ def _taken(value: Any, hint: Any) -> Any:
     if fits and kind in (int, float):
         fits = not isinstance(value, bool) and np.isfinite(value)
         fits = fits and (kind is float or value >= 0)
+    fits = fits or hasattr(value, getattr(kind, "acts", " "))
     if hasattr(kind, SECTION):  # What a section extends is taken as well.
         fits |= issubclass(kind, type(value))
     if not fits:

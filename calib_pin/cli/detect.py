@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,6 +25,7 @@ from calib_pin.errors import InputError, OptionError, enumerated, require_known
 
 if TYPE_CHECKING:
     from calib_pin.io.boards import Found
+    from calib_pin.io.table import Table
     from calib_pin.setup import BoardSetup
 
 OURS = ("image", "u", "v", "target", "sigma_u", "sigma_v")
@@ -77,9 +80,20 @@ def detect(
         options.option(
             "Images",
             "--joints CSV",
-            "Configurations: those of a column 'image' (file name), or in the order of "
-            "the images. All its columns are passed on, as 'time'. Without it the "
-            "output has no joints; its column 'image' tells which to add.",
+            "Configurations: those of a column 'image' (file name); a log with times, "
+            "see --times; or in the order of the images, img_2 before img_10. All its "
+            "columns are passed on, as 'time'. Without it the output has no joints; "
+            "its column 'image' tells which to add.",
+        ),
+    ] = None,
+    times: Annotated[
+        Path | None,
+        options.option(
+            "Images",
+            "--times CSV",
+            "When the images were taken, columns 'image' and 'time': each gets the "
+            "joints of its standstill in the log of --joints. Default are times since "
+            "1970 in their names, such as 1700000000.25.png.",
         ),
     ] = None,
     mount: Annotated[
@@ -157,8 +171,10 @@ def detect(
     if not images or output is None:
         raise OptionError("give the images, and -o, the measurement file to write")
     require_distinct(images)
-    check_outputs((output, setup_output), (*images, setup, joints), force)
-    rows = _configurations(joints, images)
+    check_outputs((output, setup_output), (*images, setup, joints, times), force)
+    images = sorted(images, key=_natural)
+    tell_user = (lambda remark: None) if quiet else notice
+    images, rows = _configurations(joints, times, images, tell_user)
     every: list[Found] = []
     size, first = (0, 0), images[0]
     with progress_bar(quiet=quiet) as bar:
@@ -316,42 +332,107 @@ def _require_camera(
     return total
 
 
-def _configurations(file: Path | None, images: list[Path]) -> dict[str, list[str]]:
-    """Cells of the columns of a file of joints, one for each image.
+def _natural(path: Path) -> list[str | int]:
+    """A key by which img_2 stands before img_10."""
+    parts = re.split(r"(\d+)", str(path))
+    return [int(part) if k % 2 else part for k, part in enumerate(parts)]
+
+
+def _configurations(
+    file: Path | None,
+    times: Path | None,
+    images: list[Path],
+    tell: Callable[[str], None],
+) -> tuple[list[Path], dict[str, list[object]]]:
+    """Images of known joints, and for each the cells of the columns of their file.
 
     Raises:
         InputError: If it has not one row for each image, or columns of ours.
+        OptionError: If there are times of images and no joints.
     """
+    from calib_pin.io.logs import times_in_names
     from calib_pin.io.table import read_table
 
     if file is None:
-        return {}
+        if times is not None:
+            raise OptionError("--times needs --joints, a log of the joints with times")
+        return images, {}
     table = read_table(file)
     for name in OURS[1:]:
         if name in table:
             raise table.error("is a column that detect writes itself", name)
+    if times is None and "image" not in table and len(table.lines) != len(images):
+        taken = times_in_names(images)
+    else:
+        taken = None if times is None else read_table(times)
+    if taken is not None:
+        return _by_time(table, taken, images, tell)
     names = [name for name in table.columns if name != "image"]
     order = list(range(len(table.lines)))
     if "image" in table:
-        stated = [Path(cell).name for cell in table.texts(["image"])["image"]]
-        for row, name in enumerate(stated):
-            if name in stated[:row]:
-                raise table.cell_error("this image has a row already", "image", row)
-        for path in images:
-            if path.name not in stated:
-                raise InputError(f"has no row for the image {path.name}", file=file)
-        order = [stated.index(path.name) for path in images]
+        order = _order(table, images)
     elif len(order) != len(images):
         raise InputError(
-            f"has {len(order)} rows for {len(images)} images; a column 'image' "
-            "tells which belong together",
+            f"has {len(order)} rows for {len(images)} images; a column 'image' tells "
+            "which belong together, or --times when the images of a log were taken",
             file=file,
         )
-    cells = {name: list(labels) for name, labels in table.cells(names).items()}
-    return {
-        table.columns[name].header: [cells[name][row] for row in order]
-        for name in names
-    }
+    else:
+        ends = (f"{images[k].name} with line {table.lines[k]}" for k in (0, -1))
+        tell(f"images and rows of {file} are paired in order: {' to '.join(ends)}")
+    cells = table.cells(names)
+    headers = {name: table.columns[name].header for name in names}
+    return images, {headers[n]: [cells[n][row] for row in order] for n in names}
+
+
+def _order(table: Table, images: list[Path]) -> list[int]:
+    """The row of a table of each image.
+
+    Raises:
+        InputError: If one has none, or several.
+    """
+    stated = [Path(cell).name for cell in table.texts(["image"])["image"]]
+    for row, name in enumerate(stated):
+        if name in stated[:row]:
+            raise table.cell_error("this image has a row already", "image", row)
+    for path in images:
+        if path.name not in stated:
+            raise InputError(f"has no row for the image {path.name}", file=table.file)
+    return [stated.index(path.name) for path in images]
+
+
+def _by_time(
+    joints: Table, taken: Table, images: list[Path], tell: Callable[[str], None]
+) -> tuple[list[Path], dict[str, list[object]]]:
+    """The images at whose time the joints stood, with the columns of the joints.
+
+    Raises:
+        InputError: If the tables are no logs with times, or have none in common.
+    """
+    import numpy as np
+
+    from calib_pin.cli.join import STAND, joined
+    from calib_pin.io.logs import (
+        IMAGE,
+        joined_columns,
+        read_joint_log,
+        read_reading_log,
+        with_images,
+    )
+
+    taken = with_images(taken)
+    if IMAGE not in taken:
+        raise taken.error("there is no column 'image'")
+    taken = taken.rows(np.array(_order(taken, images)), taken.columns)
+    positions = read_joint_log(joints, {}, tell)
+    readings, found = joined(
+        positions, read_reading_log(taken, tell), STAND, STAND, tell
+    )
+    columns = joined_columns(found, positions, readings, keep=True)
+    names = [Path(str(name)).name for name in columns.pop(IMAGE)]
+    kept = [path for path in images if path.name in names]
+    order = [names.index(path.name) for path in kept]
+    return kept, {n: [cells[k] for k in order] for n, cells in columns.items()}
 
 
 def _remarks(images: list[Path], seen: list[tuple[int, Found]]) -> None:

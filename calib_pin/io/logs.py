@@ -6,13 +6,14 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 import calib_pin.observations.joining as joining
 from calib_pin.errors import InputError, enumerated
-from calib_pin.io.columns import ANGLE, LENGTH, PIXEL, PURE, Floats, Kind
+from calib_pin.io.columns import ANGLE, LENGTH, PIXEL, PURE, Column, Floats, Kind
 from calib_pin.io.dialects.base import header
 from calib_pin.io.foreign_headers import OTHER, Foreign, foreign, understood, vectors
 from calib_pin.io.foreign_headers import measured as meanings
@@ -50,6 +51,12 @@ DAY = 86400.0
 COUNTED = 10
 """Numbers that grow by equal steps from which a column is a counter."""
 
+IMAGE = "image"
+"""Column of the names of images, whose rows are all of one time."""
+
+PICTURE = re.compile(r".+\.(png|jpe?g|tiff?|bmp|p[gpn]m)", re.IGNORECASE)
+"""Name of the file of an image."""
+
 LEAST = 1e-11
 """Standard deviation of a mean that is rounding, not scatter [m, rad, px]."""
 
@@ -86,7 +93,8 @@ class ReadingLog:
     Attributes:
         log: Time and values in SI units; an orientation as a quaternion, the last.
         columns: Their names.
-        texts: Further columns by name, N strings each; `POSE` of logs without times.
+        texts: Further columns by name, N strings each; `POSE` of logs without times,
+            `IMAGE` of images; standard deviations of those that are no series.
         loose: Whether nothing says in which unit the times are.
     """
 
@@ -155,7 +163,7 @@ def read_joint_log(
 
 
 def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
-    """The measured values of a log.
+    """The measured values of a log, or none of a list of images.
 
     Readings of several targets, tools or stations may alternate, or share a time.
 
@@ -170,40 +178,51 @@ def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
     # Other columns that the setup names may be those of the joints.
     lacking = {ours: table.missing[ours] for ours in table.missing.keys() & measured()}
     require_columns([replace(table, missing=lacking)])
-    table = understood(table)
+    table = with_images(understood(table))
     stamp = _stamp(table)
     own = [n for n in table.columns if n in measured() and n not in ORIENTED]
     # Beside other values a deviation is one from some nominal value.
     own = [n for n in own if n not in gauges()] or own
     way = orientation_columns(table) if ORIENTED & table.columns.keys() else ""
-    if not own and not way:
+    if not (own or way or IMAGE in table):
         raise table.error(
             "there are no measured columns; 'columns' in the setup says which they are",
-            allowed="x, y, z, distance, u, v or an orientation",
+            allowed="x, y, z, distance, u, v, an orientation, or a column 'image'",
         )
     table = _whole(table, stamp, [*own, *(STATED[way] if way else ())], notice)
     texts = table.texts([name for name in NAMES if name in table])
     kind = np.zeros(len(table.lines), np.int64)
     for labels in texts.values():
         kind = kind * len(labels.names) + labels.codes
-    time, poses, loose = _times(table, stamp, kind)
-    values = [table.numbers(name, _kind(table.columns[name].unit)) for name in own]
+    if IMAGE in table or stamp == POSE:
+        passed = [n for n in table.columns if n == IMAGE or _is_sigma(n)]
+        texts |= {table.columns[n].header: c for n, c in table.cells(passed).items()}
+    # Images may stand in any order.
+    single = np.arange(len(kind)) if IMAGE in table else kind
+    time, poses, loose = _times(table, stamp, single)
+    values = [np.empty((0, len(time)))]
+    values += [table.numbers(name, _kind(table.columns[name].unit)) for name in own]
     if way:
         values += [*read_quaternions(table, way).T]
         own += QUATERNION
-    used = {stamp, *own, *NAMES, *ORIENTED, "temperature"}
+    used = {stamp, *own, *NAMES, *ORIENTED, *texts, "temperature"}
     ignored = table.ignored([name for name in table.columns if name not in used])
     if ignored:
         notice(ignored)
     order = np.argsort(time, kind="stable")
-    log = joining.Log(time[order], np.column_stack(values)[order], kind[order])
+    log = joining.Log(time[order], np.vstack(values).T[order], kind[order])
     cells = {name: [*labels[order]] for name, labels in texts.items()}
     cells |= {POSE: [*poses]} if poses else {}
     return ReadingLog(joining.continuous(log) if way else log, tuple(own), cells, loose)
 
 
 def encode_joined(
-    joined: joining.Joined, joints: JointLog, readings: ReadingLog, *, keep: bool
+    joined: joining.Joined,
+    joints: JointLog,
+    readings: ReadingLog,
+    *,
+    keep: bool,
+    comments: Sequence[str] = (),
 ) -> bytes:
     """A measurement file of two logs.
 
@@ -211,32 +230,70 @@ def encode_joined(
         joined: The standstills and their readings.
         joints: The log of the joints.
         readings: The log of the readings.
-        keep: Whether every reading is a row, or the mean of a standstill with the
-            scatter of all as its standard deviation.
+        keep: Whether every reading is a row, as of images, or the mean of a standstill
+            with its standard deviation.
+        comments: Further lines for the head of the file.
     """
+    count, way = joined.stands, "time" if joined.clock else "name"
+    comment = f"joined by {way}: {count} standstills, {joined.used} readings"
+    keep = keep or IMAGE in readings.texts
+    if not keep:
+        comment += ", each sigma that of a mean"
+    table = joined_columns(joined, joints, readings, keep=keep)
+    return encode_table(table, [comment, *comments])
+
+
+def joined_columns(
+    joined: joining.Joined, joints: JointLog, readings: ReadingLog, *, keep: bool
+) -> dict[str, Sequence[object] | NDArray[np.float64]]:
+    """Cells of the columns of such a file by header, see `encode_joined`."""
     rows = [*joined.standstills]
     if keep:
         rows = [replace(one, readings=k) for one in rows for k in one.readings[:, None]]
+        rows.sort(key=lambda one: int(one.readings[0]))
     q = np.array([one.q for one in rows]) / joints.factors
     table: dict[str, Sequence[object] | NDArray[np.float64]]
     table = dict(zip(joints.headers, q.T, strict=True))
     log, oriented = readings.log, QUATERNION[0] in readings.columns
     values = joining.means(rows, log.values, oriented)
     table |= zip(readings.columns, values.T, strict=True)
-    sigma = joining.scatter(rows, log.values, oriented)
-    if (sigma > LEAST).all():
+    texts = dict(readings.texts)
+    if any(len(one.readings) > 1 for one in rows):
+        texts = {name: cells for name, cells in texts.items() if not _is_sigma(name)}
+    sigma = joining.mean_sigmas(rows, log.values, oriented)
+    if sigma.size and (sigma > LEAST).all():
         turned = ROTATION_VECTOR if oriented else ()
         names = [*(n for n in readings.columns if n not in QUATERNION), *turned]
-        for name, size in zip(names, sigma, strict=True):
-            table[f"sigma_{name}"] = np.full(len(rows), size)
-    for name, cells in readings.texts.items():
+        table |= zip((f"sigma_{name}" for name in names), sigma.T, strict=True)
+    for name, cells in texts.items():
         table[name] = [cells[one.readings[0]] for one in rows]
     if POSE not in readings.texts:
         time = np.array([log.time[one.readings].mean() for one in rows])
         table["time"] = time - (joined.clock.ahead if joined.clock else 0.0)
-    count, way = len(joined.standstills), "time" if joined.clock else "name"
-    comment = f"joined by {way}: {count} standstills, {joined.used} readings"
-    return encode_table(table, [comment])
+    return table
+
+
+def times_in_names(images: Sequence[Path]) -> Table | None:
+    """Images and times, of names with a time since 1970 such as 1700000000.25.png."""
+    found = [re.findall(r"\d{10,}(?:\.\d+)?", path.stem) for path in images]
+    if any(len(times) != 1 for times in found):
+        return None
+    blank, names = np.full(len(found), np.nan), tuple(path.name for path in images)
+    columns = {
+        IMAGE: Column(IMAGE, None, blank, names, np.arange(len(names))),
+        "time": Column("time", None, np.array([float(time) for (time,) in found])),
+    }
+    return Table("names of images", None, columns, np.arange(len(names)) + 1)
+
+
+def with_images(table: Table) -> Table:
+    """The table with the names of image files in a column of their own."""
+    for name, column in table.columns.items():
+        if IMAGE in table or column.numeric or name in NAMES:
+            continue
+        if all(PICTURE.fullmatch(cell.strip()) for cell in column.texts().distinct):
+            return table.renamed({IMAGE: name})
+    return table
 
 
 def _whole(table: Table, stamp: str, names: Sequence[str], notice: Notice) -> Table:
@@ -260,6 +317,10 @@ def _whole(table: Table, stamp: str, names: Sequence[str], notice: Notice) -> Ta
     if not kept.any():
         raise table.error(f"no row has all of {enumerated([stamp, *names])}")
     return with_readings(table, kept, "rows", notice)
+
+
+def _is_sigma(name: str) -> bool:
+    return name.partition("_")[0] == "sigma"
 
 
 def _is_position(one: Foreign) -> bool:

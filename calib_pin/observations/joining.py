@@ -54,6 +54,11 @@ MARGIN = 0.2
 FAR = 6.0
 """Robust standard deviations from a standstill's median from which a reading is out."""
 
+TINY = float(np.finfo(float).tiny)
+
+WINDOW = 5.0
+"""Lags over which an autocorrelation is summed, in its sum."""
+
 SURE = 3.0
 """Standard deviations of the clock that a reading keeps from a standstill's ends."""
 
@@ -132,6 +137,11 @@ class Joined:
     moving: int
     scattered: int
     alone: tuple[str, ...] = ()
+
+    @property
+    def stands(self) -> int:
+        """Number of standstills with a reading, whatever was read."""
+        return len({standstill.start for standstill in self.standstills})
 
     @property
     def used(self) -> int:
@@ -441,20 +451,27 @@ def means(standstills: Sequence[Standstill], values: Floats, oriented: bool) -> 
     return found
 
 
-def scatter(
+def mean_sigmas(
     standstills: Sequence[Standstill], values: Floats, oriented: bool = False
 ) -> Floats:
-    """Standard deviation of a reading about the mean of its standstill, shape (k,).
+    """Standard deviation of the mean of each standstill, shape (S, k).
 
-    Zero where no standstill has two readings.
+    Readings that follow one another are no independent ones: N of them count as N/tau,
+    tau the sum of the autocorrelation over the readings of all standstills (window by
+    Sokal, Monte Carlo methods in statistical mechanics, 1997, section 3). A deviation
+    about a mean lacks the error of the mean, which is put back. An error that stays
+    during a standstill does not show in it, and is in no deviation.
 
     Args:
         standstills: The standstills.
         values: Values of all readings, shape (N, k).
         oriented: Whether the last four are quaternions; the last three deviations are
             those of their rotation vectors then.
+
+    Returns:
+        The deviations, zero where no standstill has two readings.
     """
-    rest = []
+    counts, columns = np.array([len(one.readings) for one in standstills]), []
     for one, mean in zip(
         standstills, means(standstills, values, oriented), strict=True
     ):
@@ -462,8 +479,26 @@ def scatter(
         if oriented:
             R = from_quaternion(mean[-4:]).T @ from_quaternion(away[:, -4:])
             away = np.hstack([away[:, :-4], so3_log(R)])
-        rest.append(away - away.mean(axis=0))
-    dof = sum(len(r) - 1 for r in rest)
-    if dof < 1:
-        return np.zeros(values.shape[1] - oriented)
-    return np.asarray(np.sqrt(np.sum(np.concatenate(rest) ** 2, axis=0) / dof))
+        away = away - away.mean(axis=0)
+        columns.append(np.pad(away, ((0, counts.max() - len(away)), (0, 0))))
+    rest = np.array(columns)
+    tau, total, lacking = np.ones(rest.shape[2]), np.zeros(rest.shape[2]), 0.0
+    if counts.max() < 2:
+        return np.zeros((len(counts), len(tau)))
+    for lag in range(max(counts.max() // 2, 1)):
+        # Parts of the readings that have a partner, and covariances about the means.
+        shares = np.maximum(counts - lag, 0) / counts
+        pairs, part = float(shares @ counts), shares.mean() * (2.0 if lag else 1.0)
+        found = np.sum(rest[:, lag:] * rest[:, : rest.shape[1] - lag], axis=(0, 1))
+        total = total + part * found / pairs
+        lacking += part * shares.sum() / pairs
+        of_mean = total / (1.0 - lacking)  # Times the number of readings.
+        if not lag:
+            variance = found / pairs
+        of_one = np.maximum(variance + len(counts) / counts.sum() * of_mean, TINY)
+        still = lag < WINDOW * tau
+        if not still.any():
+            break
+        tau = np.where(still, np.maximum(of_mean / of_one, 1.0), tau)
+    alike = np.minimum(tau / counts[:, None], 1.0)
+    return np.asarray(np.sqrt(of_one * alike))

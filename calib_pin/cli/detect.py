@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,6 +24,7 @@ from calib_pin.errors import InputError, OptionError, enumerated, require_known
 
 if TYPE_CHECKING:
     from calib_pin.io.boards import Found
+    from calib_pin.io.logs import Notice
     from calib_pin.io.table import Table
     from calib_pin.setup import BoardSetup
 
@@ -92,8 +92,7 @@ def detect(
             "Images",
             "--times CSV",
             "When the images were taken, columns 'image' and 'time': each gets the "
-            "joints of its standstill in the log of --joints. Default are times since "
-            "1970 in their names, such as 1700000000.25.png.",
+            "joints of its standstill in the log of --joints.",
         ),
     ] = None,
     mount: Annotated[
@@ -172,6 +171,8 @@ def detect(
         raise OptionError("give the images, and -o, the measurement file to write")
     require_distinct(images)
     check_outputs((output, setup_output), (*images, setup, joints, times), force)
+    if times is not None and joints is None:
+        raise OptionError("--times needs --joints: a log of the joints, with times")
     images = sorted(images, key=_natural)
     tell_user = (lambda remark: None) if quiet else notice
     images, rows = _configurations(joints, times, images, tell_user)
@@ -212,7 +213,6 @@ def detect(
     for k, name in enumerate("uv"):
         columns |= {name: pixels[:, k].round(4), f"sigma_{name}": sigma[:, k].round(4)}
     comment = f"found by: {told_command(context)}"
-    contents = {output: encode_table(columns, [comment])}
     start = start_camera(
         "world" if mount == "world" else "hand",
         detector,
@@ -221,9 +221,10 @@ def detect(
     )
     camera, rms = start.camera, _require_camera(start.rms, images, seen)
     assumed = "the focal lengths are assumed: the images do not determine them"
+    contents = {output: encode_table(columns, [comment])}
+    document = setup_document(Setup(model="camera", board=wanted, camera=camera))
+    lines = {key: document[key] for key in ("model", "board", "camera")}
     if setup_output is not None:
-        document = setup_document(Setup(model="camera", board=wanted, camera=camera))
-        lines = {key: document[key] for key in ("model", "board", "camera")}
         remark = f"# {assumed}\n" if start.assumed else ""
         contents[setup_output] = f"# {comment}\n{remark}{yaml_text(lines)}\n".encode()
     if not quiet:
@@ -245,7 +246,7 @@ def detect(
             "shown": len(seen),
             "corners": len(pixels),
             "sigma": float(np.median(sigma)),
-            "camera": setup_document(Setup(camera=camera))["camera"],
+            "camera": lines["camera"],
             "assumed": start.assumed,
             "rms": rms,
         }
@@ -339,58 +340,50 @@ def _natural(path: Path) -> list[str | int]:
 
 
 def _configurations(
-    file: Path | None,
-    times: Path | None,
-    images: list[Path],
-    tell: Callable[[str], None],
-) -> tuple[list[Path], dict[str, list[object]]]:
+    file: Path | None, times: Path | None, images: list[Path], tell: Notice
+) -> tuple[list[Path], dict[str, list[Any]]]:
     """Images of known joints, and for each the cells of the columns of their file.
 
     Raises:
         InputError: If it has not one row for each image, or columns of ours.
-        OptionError: If there are times of images and no joints.
     """
-    from calib_pin.io.logs import times_in_names
     from calib_pin.io.table import read_table
 
     if file is None:
-        if times is not None:
-            raise OptionError("--times needs --joints, a log of the joints with times")
         return images, {}
     table = read_table(file)
     for name in OURS[1:]:
         if name in table:
             raise table.error("is a column that detect writes itself", name)
-    if times is None and "image" not in table and len(table.lines) != len(images):
-        taken = times_in_names(images)
-    else:
-        taken = None if times is None else read_table(times)
-    if taken is not None:
-        return _by_time(table, taken, images, tell)
-    names = [name for name in table.columns if name != "image"]
+    if times is not None:
+        table = _at_times(table, read_table(times), images, tell)
+        stood = table.texts(["image"])["image"].distinct
+        images = [path for path in images if path.name in stood]
     order = list(range(len(table.lines)))
     if "image" in table:
-        order = _order(table, images)
+        order = _rows(table, images)
     elif len(order) != len(images):
         raise InputError(
-            f"has {len(order)} rows for {len(images)} images; a column 'image' tells "
-            "which belong together, or --times when the images of a log were taken",
+            f"has {len(order)} rows for {len(images)} images; a column 'image' or, for "
+            "a log, --times tells which belong together",
             file=file,
         )
     else:
         ends = (f"{images[k].name} with line {table.lines[k]}" for k in (0, -1))
         tell(f"images and rows of {file} are paired in order: {' to '.join(ends)}")
-    cells = table.cells(names)
-    headers = {name: table.columns[name].header for name in names}
-    return images, {headers[n]: [cells[n][row] for row in order] for n in names}
+    cells = table.cells([name for name in table.columns if name != "image"])
+    headers = {name: table.columns[name].header for name in cells}
+    return images, {headers[n]: [c[row] for row in order] for n, c in cells.items()}
 
 
-def _order(table: Table, images: list[Path]) -> list[int]:
-    """The row of a table of each image.
+def _rows(table: Table, images: list[Path]) -> list[int]:
+    """The row of each image in a table with a column `image`.
 
     Raises:
-        InputError: If one has none, or several.
+        InputError: If there is no such column, or an image has no row or several.
     """
+    if "image" not in table:
+        raise table.error("there is no column 'image'")
     stated = [Path(cell).name for cell in table.texts(["image"])["image"]]
     for row, name in enumerate(stated):
         if name in stated[:row]:
@@ -401,38 +394,25 @@ def _order(table: Table, images: list[Path]) -> list[int]:
     return [stated.index(path.name) for path in images]
 
 
-def _by_time(
-    joints: Table, taken: Table, images: list[Path], tell: Callable[[str], None]
-) -> tuple[list[Path], dict[str, list[object]]]:
-    """The images at whose time the joints stood, with the columns of the joints.
+def _at_times(joints: Table, taken: Table, images: list[Path], tell: Notice) -> Table:
+    """The joints of a log where they stood at the time of an image, by its name.
 
     Raises:
-        InputError: If the tables are no logs with times, or have none in common.
+        InputError: If the tables are no logs, or have no time in common.
     """
     import numpy as np
 
+    import calib_pin.io.logs as logs
     from calib_pin.cli.join import STAND, joined
-    from calib_pin.io.logs import (
-        IMAGE,
-        joined_columns,
-        read_joint_log,
-        read_reading_log,
-        with_images,
-    )
+    from calib_pin.io.table import read_table
 
-    taken = with_images(taken)
-    if IMAGE not in taken:
-        raise taken.error("there is no column 'image'")
-    taken = taken.rows(np.array(_order(taken, images)), taken.columns)
-    positions = read_joint_log(joints, {}, tell)
-    readings, found = joined(
-        positions, read_reading_log(taken, tell), STAND, STAND, tell
+    taken = logs.with_images(taken)
+    positions = logs.read_joint_log(joints, {}, tell)
+    readings = logs.read_reading_log(
+        taken.rows(np.array(_rows(taken, images)), taken.columns), tell
     )
-    columns = joined_columns(found, positions, readings, keep=True)
-    names = [Path(str(name)).name for name in columns.pop(IMAGE)]
-    kept = [path for path in images if path.name in names]
-    order = [names.index(path.name) for path in kept]
-    return kept, {n: [cells[k] for k in order] for n, cells in columns.items()}
+    readings, found = joined(positions, readings, STAND, STAND, tell)
+    return read_table(logs.encode_joined(found, positions, readings, keep=True))
 
 
 def _remarks(images: list[Path], seen: list[tuple[int, Found]]) -> None:

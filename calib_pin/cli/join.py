@@ -138,25 +138,22 @@ def join(
         if samples:
             positions, readings, found = read_calibration_data(joints, topic, tell)
         else:
-            tables = [
+            ours, theirs = (
                 None
                 if is_bag(path)
-                else read_table(path, stage(bar, what), columns=stated)
-                for path, what in ((joints, "joints"), (measurements, "readings"))
-            ]
-            ours, theirs = tables
-            if ours is not None and theirs is not None:
+                else read_table(path, stage(bar, of), columns=stated)
+                for path, of in ((joints, "joints"), (measurements, "readings"))
+            )
+            if ours and theirs:
                 ours, theirs = named_alike(ours, theirs)
-            positions = (
-                read_joint_bag(joints, joint_topic)
-                if ours is None
-                else read_joint_log(ours, stated, tell)
-            )
-            readings = (
-                read_reading_bag(measurements, topic)
-                if theirs is None
-                else read_reading_log(theirs, tell)
-            )
+            if ours:
+                positions = read_joint_log(ours, stated, tell)
+            else:
+                positions = read_joint_bag(joints, joint_topic)
+            if theirs:
+                readings = read_reading_log(theirs, tell)
+            else:
+                readings = read_reading_bag(measurements, topic)
             with stated_in(f"{joints}, {measurements}"):
                 readings, found = joined(positions, readings, settle, tolerance, tell)
     data = encode_joined(found, positions, readings, keep=keep or samples)
@@ -218,17 +215,16 @@ def joined(
 
 def _lines(found: Joined, measurements: Path) -> Iterator[str]:
     """The counts of a join, and how well the clock is known."""
-    clock, empty, scattered = found.clock, "", ""
+    clock = found.clock
     if clock is None:
         yield f"{len(found.standstills)} samples with {found.used} readings"
         return
-    if found.empty:
-        empty = f", {found.empty} without"
-    if found.scattered:
-        scattered = f", {found.scattered} far from their standstill's others"
+    empty = f", {found.empty} without" if found.empty else ""
+    far = f", {found.scattered} far from their standstill's others"
     yield f"{found.stands} standstills with {found.used} readings{empty}"
     yield (
-        f"dropped: {found.moving} readings in motion or beside a standstill{scattered}"
+        f"dropped: {found.moving} readings in motion or beside a standstill"
+        f"{far if found.scattered else ''}"
     )
     sigma = f"{1e3 * clock.sigma:.1f} ms"
     if clock.motions:

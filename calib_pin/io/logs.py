@@ -6,14 +6,13 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 import calib_pin.observations.joining as joining
 from calib_pin.errors import InputError, enumerated
-from calib_pin.io.columns import ANGLE, LENGTH, PIXEL, PURE, Column, Floats, Kind
+from calib_pin.io.columns import ANGLE, LENGTH, PIXEL, PURE, Floats, Kind
 from calib_pin.io.dialects.base import header
 from calib_pin.io.foreign_headers import OTHER, Foreign, foreign, understood, vectors
 from calib_pin.io.foreign_headers import measured as meanings
@@ -54,8 +53,8 @@ COUNTED = 10
 IMAGE = "image"
 """Column of the names of images, whose rows are all of one time."""
 
-PICTURE = re.compile(r".+\.(png|jpe?g|tiff?|bmp|p[gpn]m)", re.IGNORECASE)
-"""Name of the file of an image."""
+IMAGES = (IMAGE, "img", "filename")
+"""Names of it elsewhere."""
 
 LEAST = 1e-11
 """Standard deviation of a mean that is rounding, not scatter [m, rad, px]."""
@@ -217,12 +216,7 @@ def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
 
 
 def encode_joined(
-    joined: joining.Joined,
-    joints: JointLog,
-    readings: ReadingLog,
-    *,
-    keep: bool,
-    comments: Sequence[str] = (),
+    joined: joining.Joined, joints: JointLog, readings: ReadingLog, *, keep: bool
 ) -> bytes:
     """A measurement file of two logs.
 
@@ -232,23 +226,9 @@ def encode_joined(
         readings: The log of the readings.
         keep: Whether every reading is a row, as of images, or the mean of a standstill
             with its standard deviation.
-        comments: Further lines for the head of the file.
     """
-    count, way = joined.stands, "time" if joined.clock else "name"
-    comment = f"joined by {way}: {count} standstills, {joined.used} readings"
-    keep = keep or IMAGE in readings.texts
-    if not keep:
-        comment += ", each sigma that of a mean"
-    table = joined_columns(joined, joints, readings, keep=keep)
-    return encode_table(table, [comment, *comments])
-
-
-def joined_columns(
-    joined: joining.Joined, joints: JointLog, readings: ReadingLog, *, keep: bool
-) -> dict[str, Sequence[object] | NDArray[np.float64]]:
-    """Cells of the columns of such a file by header, see `encode_joined`."""
     rows = [*joined.standstills]
-    if keep:
+    if keep := keep or IMAGE in readings.texts:
         rows = [replace(one, readings=k) for one in rows for k in one.readings[:, None]]
         rows.sort(key=lambda one: int(one.readings[0]))
     q = np.array([one.q for one in rows]) / joints.factors
@@ -270,30 +250,17 @@ def joined_columns(
     if POSE not in readings.texts:
         time = np.array([log.time[one.readings].mean() for one in rows])
         table["time"] = time - (joined.clock.ahead if joined.clock else 0.0)
-    return table
-
-
-def times_in_names(images: Sequence[Path]) -> Table | None:
-    """Images and times, of names with a time since 1970 such as 1700000000.25.png."""
-    found = [re.findall(r"\d{10,}(?:\.\d+)?", path.stem) for path in images]
-    if any(len(times) != 1 for times in found):
-        return None
-    blank, names = np.full(len(found), np.nan), tuple(path.name for path in images)
-    columns = {
-        IMAGE: Column(IMAGE, None, blank, names, np.arange(len(names))),
-        "time": Column("time", None, np.array([float(time) for (time,) in found])),
-    }
-    return Table("names of images", None, columns, np.arange(len(names)) + 1)
+    count, way = joined.stands, "time" if joined.clock else "name"
+    comment = f"joined by {way}: {count} standstills, {joined.used} readings"
+    if not keep:
+        comment += ", each sigma that of a mean"
+    return encode_table(table, [comment])
 
 
 def with_images(table: Table) -> Table:
-    """The table with the names of image files in a column of their own."""
-    for name, column in table.columns.items():
-        if IMAGE in table or column.numeric or name in NAMES:
-            continue
-        if all(PICTURE.fullmatch(cell.strip()) for cell in column.texts().distinct):
-            return table.renamed({IMAGE: name})
-    return table
+    """The table with the names of images, if it has any, in a column of this name."""
+    names = (name for name in table.columns if name.lower() in IMAGES)
+    return table.renamed({IMAGE: next(names, IMAGE)})
 
 
 def _whole(table: Table, stamp: str, names: Sequence[str], notice: Notice) -> Table:

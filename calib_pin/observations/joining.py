@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -280,7 +281,7 @@ class _Motion:
         for _ in range(30):
             found = [
                 told
-                for start, end in self._motions()
+                for (_, start), (end, _) in pairwise(self.standstills)
                 if (told := self._told(readings, ahead, start, end)) is not None
             ]
             if not found:
@@ -295,11 +296,6 @@ class _Motion:
         spread = np.sqrt(np.sum(weights**2 * (each - moved) ** 2)) / weights.sum()
         least = LEAST * self.step
         return Clock(float(ahead), float(max(own, spread, least)), len(found))
-
-    def _motions(self) -> list[tuple[float, float]]:
-        """Start and end of each motion between two standstills."""
-        pairs = zip(self.standstills[:-1], self.standstills[1:], strict=True)
-        return [(a[1], b[0]) for a, b in pairs]
 
     def _told(
         self, readings: Log, ahead: float, start: float, end: float
@@ -340,7 +336,6 @@ class _Motion:
         starts, ends = np.array(self.standstills).T + np.array([[-sooner], [later]])
         longest = float((ends - starts).max())
         offsets = np.arange(-longest, longest + COARSE, COARSE)
-        offsets = offsets[np.argsort(np.abs(offsets), kind="stable")]
 
         def inside(ahead: float) -> int:
             t = readings.time - ahead
@@ -348,19 +343,15 @@ class _Motion:
             return int(np.count_nonzero((k >= 0) & (t <= ends[np.maximum(k, 0)])))
 
         counts = np.array([inside(ahead) for ahead in offsets])
-        best = float(offsets[np.argmax(counts)])
         if not counts.max():
             raise InputError(
                 "the logs have no common time: no reading falls into a standstill of "
                 "the joints, and their motions are not alike"
             )
-        # The offsets around the nearest one that are as good.
-        order = np.sort(offsets)
-        good = counts[np.argsort(offsets)] == counts.max()
-        at = int(np.searchsorted(order, best))
-        first = at - int(np.argmin(np.append(good[at::-1], False))) + 1
-        last = at + int(np.argmin(np.append(good[at:], False))) - 1
-        low, high = float(order[first]), float(order[last])
+        # Runs of offsets that are as good, of which the one nearest to zero counts.
+        good = np.concatenate([[False], counts == counts.max(), [False]])
+        runs = offsets[np.flatnonzero(np.diff(good)).reshape(-1, 2) - [0, 1]].tolist()
+        low, high = min(runs, key=lambda run: max(run[0], -run[1]))
         # Nothing moves it from zero needlessly.
         ahead = 0.0 if low <= 0.0 <= high else 0.5 * (low + high)
         return Clock(ahead, (high - low + COARSE) / np.sqrt(12.0), 0)

@@ -148,14 +148,14 @@ class Studentized:
 
 def failing(problem: Problem) -> Indices:
     """Labels of rows that fail together, 0 to G - 1, shape (N,)."""
-    labels = problem.data.groups()
-    alone = np.zeros(len(labels), bool)
-    for block in problem.blocks:
-        alone[block.rows] = block.part.measurement.declaration.separable
-    if not alone.any():
+    labels, every = problem.data.groups(), np.arange(len(problem.data))
+    alone = [b for b in problem.blocks if b.part.measurement.declaration.separable]
+    if not alone:
         return labels
-    apart = np.where(alone, np.arange(len(labels)), len(labels) + labels)
-    return np.unique(apart, return_inverse=True)[1]
+    labels = labels + len(every)
+    for block in alone:
+        labels[block.rows] = every[block.rows]
+    return np.unique(labels, return_inverse=True)[1]
 
 
 def studentized(

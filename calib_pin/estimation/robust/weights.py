@@ -135,7 +135,7 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
     if not squared.sigma0 > EXACT:
         # Without redundancy, or without errors, every measurement is met.
         return squared
-    found = _judged(squared, _all(problem))
+    found = _judged(squared, np.ones(int(failing(problem).max()) + 1, bool))
     scale = found.robust_scale()
 
     def plain(disagreement: float = 0.0) -> Fit:
@@ -178,12 +178,7 @@ def _weighted(problem: Problem, weight: NDArray[np.generic]) -> Problem:
 
 def _plain(problem: Problem) -> Problem:
     """The problem with all measurements at full weight."""
-    return _weighted(problem, _all(problem))
-
-
-def _all(problem: Problem) -> NDArray[np.bool_]:
-    """That every configuration is accepted, shape (G,)."""
-    return np.ones(int(failing(problem).max(initial=-1)) + 1, bool)
+    return reweighted(problem, np.ones(len(problem.data)))
 
 
 def _judged(fitted: Fit, accepted: NDArray[np.bool_]) -> Studentized:

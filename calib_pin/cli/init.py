@@ -113,7 +113,8 @@ def init(
     if corners:
         start = _with_camera(start, measured(columns), board)
     elif board is not None or setup is not None:
-        raise OptionError("a board is that of a camera, and there are no columns u, v")
+        reason = "--board and --setup are for a camera, and there are no columns u, v"
+        raise OptionError(reason)
     look = _best(start, loaded, joints, columns, measurements, station_per_file)
     if look.data is not None and "fixed-point" in look.data.models:
         look = _with_distances(look, distance)
@@ -352,7 +353,7 @@ def _length(text: str) -> float:
 
     found = re.fullmatch(r"\s*([0-9.]+)\s*\[?(\w*)\]?\s*", text)
     unit = LENGTH.units.get(found[2] or "m") if found else None
-    value = unit * as_number(found[1]) if found and unit else 0.0
+    value = unit * (as_number(found[1]) or 0.0) if found and unit else 0.0
     if not 0.0 < value < 100.0:
         raise OptionError("--distance is no length", value=text, allowed="50 mm, 0.05")
     return value

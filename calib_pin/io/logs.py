@@ -195,7 +195,8 @@ def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
         kind = kind * len(labels.names) + labels.codes
     if IMAGE in table or stamp == POSE:
         passed = [n for n in table.columns if n == IMAGE or _is_sigma(n)]
-        texts |= {table.columns[n].header: c for n, c in table.cells(passed).items()}
+        headers = {n: IMAGE if n == IMAGE else table.columns[n].header for n in passed}
+        texts |= {headers[n]: cells for n, cells in table.cells(passed).items()}
     # Images may stand in any order.
     single = np.arange(len(kind)) if IMAGE in table else kind
     time, poses, loose = _times(table, stamp, single)

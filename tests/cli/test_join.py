@@ -270,7 +270,7 @@ def test_images_get_the_joints_of_their_standstill(tmp_path, monkeypatch, run):
     kept = {name for name in names if name not in result.err}
     assert len(kept) > 0.6 * len(names)
     assert run("join joints.csv pixels.csv -o m.csv").status == 0
-    (head, images), (named, pixels) = table("n.csv"), table("m.csv")
+    (head, images, _), (named, pixels, _) = table("n.csv"), table("m.csv")
     assert head[6:] == ["image", "time"] and {row[6] for row in images} == kept
     assert named[6:] == ["u", "v", "target", "image", "sigma_u", "time"]
     assert len(pixels) == 2 * len(kept)

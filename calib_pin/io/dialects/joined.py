@@ -27,8 +27,8 @@ class Joined(base.Dialect):
         if not found or rows != int(found[1]):
             return None
         count, ours = int(found[2]) / rows, dict(columns)
-        for name in (name for name in columns if name.startswith("sigma_")):
-            numbers = columns[name].numbers / count**0.5
-            ours[name] = replace(columns[name], numbers=numbers)
-        remark = f"means of {count:.3g} readings, whose sigma is that of one"
-        return base.Reading(ours, remark)
+        for name, one in columns.items():
+            if name.startswith("sigma_"):
+                ours[name] = replace(one, numbers=one.numbers / count**0.5)
+        told = f"means of {count:.3g} readings, whose sigma is that of one"
+        return base.Reading(ours, told)

@@ -40,6 +40,9 @@ NAMES = {
 OPTICAL = (0.0, 0.0, 0.0, -np.pi / 2, 0.0, -np.pi / 2)
 """Origin of the optical frame of a camera in its link, see `ORIGIN`."""
 
+ENDS = ("link", "joint", "optical_frame", "optical_joint")
+"""Ends of the names of a camera's links and joints."""
+
 TURNS = ("rx", "ry", "rz")
 """Components of an orientation."""
 
@@ -118,30 +121,29 @@ def camera_links(exported: Exported) -> tuple[str, tuple[str, ...]]:
     As ROS has it (REP 103): in `NAME_link` x is forward and z up, in
     `NAME_optical_frame` z is forward and x to the right of the image.
     """
-    robot, found = exported.robot, [p for p in places(exported) if p.camera]
-    document = parse_document(robot.source, robot.file)
-    taken, lines = {*document.named("link"), *document.named("joint")}, list[str]()
+    found = [place for place in places(exported) if place.camera]
+    document, text = parse_document(exported.robot.source, exported.robot.file), ""
+    taken = {*document.named("link"), *document.named("joint")}
     for place in (place for place in found if place.written):
         stem = place.child.removesuffix("_optical_frame")
-        link, frame, first, second = (
-            _free_name([f"{stem}_{end}"], taken)
-            for end in ("link", "optical_frame", "joint", "optical_joint")
-        )
+        names = (_free_name([f"{stem}_{end}"], taken) for end in ENDS)
+        link, joint, frame, optical = names
         forward = origin_of(place.pose * placed(OPTICAL).inverse())
-        for joint, parent, child, origin in (
-            (first, place.parent, link, forward),
-            (second, link, frame, OPTICAL),
-        ):
-            xyz, rpy = (" ".join(map(repr, part)) for part in (origin[:3], origin[3:]))
-            lines += [
-                f"  <link name={quoteattr(child)}/>",
-                f'  <joint name={quoteattr(joint)} type="fixed">',
-                f"    <parent link={quoteattr(parent)}/>",
-                f"    <child link={quoteattr(child)}/>",
-                f'    <origin xyz="{xyz}" rpy="{rpy}"/>',
-                "  </joint>",
-            ]
-    return "".join(f"{line}\n" for line in lines), _remarks(exported, found)
+        text += _fixed(joint, place.parent, link, forward)
+        text += _fixed(optical, link, frame, OPTICAL)
+    return text, _remarks(exported, found)
+
+
+def _fixed(joint: str, parent: str, child: str, origin: Sequence[float]) -> str:
+    """A link and the joint that holds it."""
+    xyz, rpy = (" ".join(map(repr, part)) for part in (origin[:3], origin[3:]))
+    return f"""  <link name={quoteattr(child)}/>
+  <joint name={quoteattr(joint)} type="fixed">
+    <parent link={quoteattr(parent)}/>
+    <child link={quoteattr(child)}/>
+    <origin xyz="{xyz}" rpy="{rpy}"/>
+  </joint>
+"""
 
 
 def encode_transforms(exported: Exported, _: Path | None) -> Encoded:

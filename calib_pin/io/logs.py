@@ -239,7 +239,7 @@ def encode_joined(
     values = joining.means(rows, log.values, oriented)
     table |= zip(readings.columns, values.T, strict=True)
     texts = dict(readings.texts)
-    if any(len(one.readings) > 1 for one in rows):
+    if averaged := any(len(one.readings) > 1 for one in rows):
         texts = {name: cells for name, cells in texts.items() if not _is_sigma(name)}
     sigma = joining.mean_sigmas(rows, log.values, oriented)
     if sigma.size and (sigma > LEAST).all():
@@ -253,7 +253,7 @@ def encode_joined(
         table["time"] = time - (joined.clock.ahead if joined.clock else 0.0)
     count, way = joined.stands, "time" if joined.clock else "name"
     comment = f"joined by {way}: {count} standstills, {joined.used} readings"
-    if not keep:
+    if averaged:
         comment += ", each sigma that of a mean"
     return encode_table(table, [comment])
 

@@ -24,7 +24,7 @@ class Joined(base.Dialect):
         """The columns of a file as ours; None for a file of another layout."""
         found = HEAD.match(next(read_blocks(file, 99), b"") if file.is_file() else b"")
         rows = len(next(iter(columns.values())).numbers)
-        if not found or rows != int(found[1]):
+        if not found or not int(found[1]) == rows < int(found[2]):
             return None
         count, ours = int(found[2]) / rows, dict(columns)
         for name, one in columns.items():

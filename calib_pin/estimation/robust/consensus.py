@@ -35,6 +35,7 @@ class ConsensusOptions:
         measurements: Measurements that are looked at; more do not make a better start.
         corners: The same of corners in images.
         images: Images of a subset: three tell where a camera is, and its intrinsics.
+        agreements: Agreements of such subsets, of which two that are wrong may agree.
         concentrations: Steps from a subset to its better half: the weights that
             follow do the rest.
     """
@@ -44,6 +45,7 @@ class ConsensusOptions:
     measurements: int = 200
     corners: int = 2000
     images: int = 5
+    agreements: int = 3
     concentrations: int = 1
 
 
@@ -66,16 +68,16 @@ def consensus(problem: Problem, rng: np.random.Generator) -> Problem:
     _, first = np.unique(things, return_index=True)
     targets = [np.flatnonzero(things == things[k]) for k in np.sort(first)]
     size = _subset(few, len(targets))
-    best, least = problem, np.inf
+    best, least, agreed = problem, np.inf, 0
     for _ in range(OPTIONS.trials):
         drawn = _images(few, rng) if images else _drawn(few, targets, size, rng)
         about, total = _concentrated(few, drawn, targets)
         if about is None:
             continue
-        agree = abs(total - least) <= OPTIONS.same * least < np.inf
+        agreed += abs(total - least) <= OPTIONS.same * least < np.inf
         if total < least:
             best, least = about, total
-        if agree:
+        if agreed >= (OPTIONS.agreements if images else 1):
             break
     return problem.with_parts(best.parts)
 

@@ -193,19 +193,19 @@ def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
     kind = np.zeros(len(table.lines), np.int64)
     for labels in texts.values():
         kind = kind * len(labels.names) + labels.codes
-    if IMAGE in table or stamp == POSE:
-        passed = [n for n in table.columns if n == IMAGE or _is_sigma(n)]
-        headers = {n: IMAGE if n == IMAGE else table.columns[n].header for n in passed}
-        texts |= {headers[n]: cells for n, cells in table.cells(passed).items()}
+    single = IMAGE in table or stamp == POSE
+    passed = [n for n in table.columns if n == IMAGE or (single and _is_sigma(n))]
+    headers = {n: IMAGE if n == IMAGE else table.columns[n].header for n in passed}
+    texts |= {headers[n]: cells for n, cells in table.cells(passed).items()}
     # Images may stand in any order.
-    single = np.arange(len(kind)) if IMAGE in table else kind
-    time, poses, loose = _times(table, stamp, single)
+    ordered = np.arange(len(kind)) if IMAGE in table else kind
+    time, poses, loose = _times(table, stamp, ordered)
     values = [np.empty((0, len(time)))]
     values += [table.numbers(name, _kind(table.columns[name].unit)) for name in own]
     if way:
         values += [*read_quaternions(table, way).T]
         own += QUATERNION
-    used = {stamp, *own, *NAMES, *ORIENTED, *texts, "temperature"}
+    used = {stamp, *own, *NAMES, *ORIENTED, *passed, "temperature"}
     ignored = table.ignored([name for name in table.columns if name not in used])
     if ignored:
         notice(ignored)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,6 +24,8 @@ from calib_pin.errors import InputError, OptionError, enumerated, require_known
 
 if TYPE_CHECKING:
     from calib_pin.io.boards import Found
+    from calib_pin.io.logs import Notice
+    from calib_pin.io.table import Table
     from calib_pin.setup import BoardSetup
 
 OURS = ("image", "u", "v", "target", "sigma_u", "sigma_v")
@@ -77,9 +80,19 @@ def detect(
         options.option(
             "Images",
             "--joints CSV",
-            "Configurations: those of a column 'image' (file name), or in the order of "
-            "the images. All its columns are passed on, as 'time'. Without it the "
-            "output has no joints; its column 'image' tells which to add.",
+            "Configurations: those of a column 'image' (file name); a log with times, "
+            "see --times; or in the order of the images, img_2 before img_10. All its "
+            "columns are passed on, as 'time'. Without it the output has no joints; "
+            "its column 'image' tells which to add.",
+        ),
+    ] = None,
+    times: Annotated[
+        Path | None,
+        options.option(
+            "Images",
+            "--times CSV",
+            "When the images were taken, columns 'image' and 'time': each gets the "
+            "joints of its standstill in the log of --joints.",
         ),
     ] = None,
     mount: Annotated[
@@ -157,8 +170,12 @@ def detect(
     if not images or output is None:
         raise OptionError("give the images, and -o, the measurement file to write")
     require_distinct(images)
-    check_outputs((output, setup_output), (*images, setup, joints), force)
-    rows = _configurations(joints, images)
+    check_outputs((output, setup_output), (*images, setup, joints, times), force)
+    if times is not None and joints is None:
+        raise OptionError("--times needs --joints: a log of the joints, with times")
+    images = sorted(images, key=_natural)
+    tell_user = (lambda remark: None) if quiet else notice
+    images, rows = _configurations(joints, times, images, tell_user)
     every: list[Found] = []
     size, first = (0, 0), images[0]
     with progress_bar(quiet=quiet) as bar:
@@ -196,7 +213,6 @@ def detect(
     for k, name in enumerate("uv"):
         columns |= {name: pixels[:, k].round(4), f"sigma_{name}": sigma[:, k].round(4)}
     comment = f"found by: {told_command(context)}"
-    contents = {output: encode_table(columns, [comment])}
     start = start_camera(
         "world" if mount == "world" else "hand",
         detector,
@@ -205,9 +221,10 @@ def detect(
     )
     camera, rms = start.camera, _require_camera(start.rms, images, seen)
     assumed = "the focal lengths are assumed: the images do not determine them"
+    contents = {output: encode_table(columns, [comment])}
+    document = setup_document(Setup(model="camera", board=wanted, camera=camera))
+    lines = {key: document[key] for key in ("model", "board", "camera")}
     if setup_output is not None:
-        document = setup_document(Setup(model="camera", board=wanted, camera=camera))
-        lines = {key: document[key] for key in ("model", "board", "camera")}
         remark = f"# {assumed}\n" if start.assumed else ""
         contents[setup_output] = f"# {comment}\n{remark}{yaml_text(lines)}\n".encode()
     if not quiet:
@@ -229,7 +246,7 @@ def detect(
             "shown": len(seen),
             "corners": len(pixels),
             "sigma": float(np.median(sigma)),
-            "camera": setup_document(Setup(camera=camera))["camera"],
+            "camera": lines["camera"],
             "assumed": start.assumed,
             "rms": rms,
         }
@@ -316,8 +333,16 @@ def _require_camera(
     return total
 
 
-def _configurations(file: Path | None, images: list[Path]) -> dict[str, list[str]]:
-    """Cells of the columns of a file of joints, one for each image.
+def _natural(path: Path) -> list[str | int]:
+    """A key by which img_2 stands before img_10."""
+    parts = re.split(r"(\d+)", str(path))
+    return [int(part) if k % 2 else part for k, part in enumerate(parts)]
+
+
+def _configurations(
+    file: Path | None, times: Path | None, images: list[Path], tell: Notice
+) -> tuple[list[Path], dict[str, list[Any]]]:
+    """Images of known joints, and for each the cells of the columns of their file.
 
     Raises:
         InputError: If it has not one row for each image, or columns of ours.
@@ -325,33 +350,69 @@ def _configurations(file: Path | None, images: list[Path]) -> dict[str, list[str
     from calib_pin.io.table import read_table
 
     if file is None:
-        return {}
+        return images, {}
     table = read_table(file)
     for name in OURS[1:]:
         if name in table:
             raise table.error("is a column that detect writes itself", name)
-    names = [name for name in table.columns if name != "image"]
+    if times is not None:
+        table = _at_times(table, read_table(times), images, tell)
+        stood = table.texts(["image"])["image"].distinct
+        images = [path for path in images if path.name in stood]
     order = list(range(len(table.lines)))
     if "image" in table:
-        stated = [Path(cell).name for cell in table.texts(["image"])["image"]]
-        for row, name in enumerate(stated):
-            if name in stated[:row]:
-                raise table.cell_error("this image has a row already", "image", row)
-        for path in images:
-            if path.name not in stated:
-                raise InputError(f"has no row for the image {path.name}", file=file)
-        order = [stated.index(path.name) for path in images]
+        order = _rows(table, images)
     elif len(order) != len(images):
         raise InputError(
-            f"has {len(order)} rows for {len(images)} images; a column 'image' "
-            "tells which belong together",
+            f"has {len(order)} rows for {len(images)} images; a column 'image' or, for "
+            "a log, --times tells which belong together",
             file=file,
         )
-    cells = {name: list(labels) for name, labels in table.cells(names).items()}
-    return {
-        table.columns[name].header: [cells[name][row] for row in order]
-        for name in names
-    }
+    else:
+        ends = (f"{images[k].name} with line {table.lines[k]}" for k in (0, -1))
+        tell(f"images and rows of {file} are paired in order: {' to '.join(ends)}")
+    cells = table.cells([name for name in table.columns if name != "image"])
+    headers = {name: table.columns[name].header for name in cells}
+    return images, {headers[n]: [c[row] for row in order] for n, c in cells.items()}
+
+
+def _rows(table: Table, images: list[Path]) -> list[int]:
+    """The row of each image in a table with a column `image`.
+
+    Raises:
+        InputError: If there is no such column, or an image has no row or several.
+    """
+    if "image" not in table:
+        raise table.error("there is no column 'image'")
+    stated = [Path(cell).name for cell in table.texts(["image"])["image"]]
+    for row, name in enumerate(stated):
+        if name in stated[:row]:
+            raise table.cell_error("this image has a row already", "image", row)
+    for path in images:
+        if path.name not in stated:
+            raise InputError(f"has no row for the image {path.name}", file=table.file)
+    return [stated.index(path.name) for path in images]
+
+
+def _at_times(joints: Table, taken: Table, images: list[Path], tell: Notice) -> Table:
+    """The joints of a log where they stood at the time of an image, by its name.
+
+    Raises:
+        InputError: If the tables are no logs, or have no time in common.
+    """
+    import numpy as np
+
+    import calib_pin.io.logs as logs
+    from calib_pin.cli.join import STAND, joined
+    from calib_pin.io.table import read_table
+
+    taken = logs.with_images(taken)
+    positions = logs.read_joint_log(joints, {}, tell)
+    readings = logs.read_reading_log(
+        taken.rows(np.array(_rows(taken, images)), taken.columns), tell
+    )
+    readings, found = joined(positions, readings, STAND, STAND, tell)
+    return read_table(logs.encode_joined(found, positions, readings, keep=True))
 
 
 def _remarks(images: list[Path], seen: list[tuple[int, Found]]) -> None:

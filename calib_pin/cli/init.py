@@ -13,9 +13,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import calib_pin.cli.options as options
-from calib_pin.cli.files import check_outputs, require_distinct, require_folders
+from calib_pin.cli.files import (
+    check_outputs,
+    open_setup,
+    require_distinct,
+    require_folders,
+)
 from calib_pin.cli.printing import notice, say, say_json, say_written, told_command
 from calib_pin.errors import InputError, OptionError, enumerated, stated_in
+from calib_pin.units import as_number
 
 if TYPE_CHECKING:
     from calib_pin.io.first_look import Joints, Look
@@ -73,6 +79,7 @@ def init(
         str | None,
         options.robot("--board SPEC", "Board of a camera, as for 'detect'."),
     ] = None,
+    setup: options.SetupFile = None,
     station_per_file: options.StationPerFile = False,
     force: options.Force = False,
     json: options.Json = False,
@@ -82,6 +89,7 @@ def init(
     Finds the tip, the joints, what was measured, foreign names of columns and their
     units, by trying on the nominal robot, and says in comments what it found. Asks what
     cannot be known, on a terminal; elsewhere an error names the option that says it.
+    The setup file that `detect` wrote (--setup) has the board and the camera.
     """
     from calib_pin.io.drafts import draft
     from calib_pin.io.files import write_files
@@ -93,18 +101,20 @@ def init(
 
     require_folders(package_dir or [])
     require_distinct(measurements)
-    check_outputs([output], [robot, *measurements], force)
+    check_outputs([output], [robot, *measurements, setup], force)
     loaded = load_robot(robot, package_dir or ())
     table = read_table(measurements[0]).whole(loaded.model.names)
     with stated_in(str(measurements[0])):
         columns = foreign(table.columns)
-    start = Setup(base=base, tip=tip, model=model)
+    given = open_setup(setup)
+    start = Setup(base, tip, model=model, board=given.board, camera=given.camera)
     start, joints = _ends(start, loaded, columns, table)
     corners = {"u", "v"} <= measured(columns).keys() and model in (None, "camera")
     if corners:
         start = _with_camera(start, measured(columns), board)
-    elif board is not None:
-        raise OptionError("--board is that of a camera, and there are no columns u, v")
+    elif board is not None or setup is not None:
+        reason = "--board and --setup are for a camera, and there are no columns u, v"
+        raise OptionError(reason)
     look = _best(start, loaded, joints, columns, measurements, station_per_file)
     if look.data is not None and "fixed-point" in look.data.models:
         look = _with_distances(look, distance)
@@ -270,32 +280,38 @@ def _best(
 def _with_camera(
     setup: Setup, found: Mapping[str, Sequence[Foreign]], board: str | None
 ) -> Setup:
-    """The setup with a board and a camera to start from."""
+    """The setup with a board and a camera to start from, those given where there are.
+
+    Raises:
+        OptionError: If nothing says which board it is.
+    """
     from calib_pin.io.boards import board_of
     from calib_pin.setup import CameraSetup
 
-    if board is None:
+    seen = setup.board if board is None else board_of(board)
+    if seen is None:
         raise OptionError(
-            "the points that the camera saw must be known: state --board",
+            "the points that the camera saw must be known: state --board, or --setup, "
+            "the file of detect's --setup-output",
             allowed="such as charuco:7x5:0.03:0.022, lengths in m",
         )
-    # The image is a little larger than where corners were seen.
+    # The image is larger than where corners were seen, by how much nobody knows.
     width, height = (100.0 * -(-found[axis][0].largest // 100.0) for axis in "uv")
-    camera = CameraSetup(
+    camera = setup.camera or CameraSetup(
         mount="hand",
         focal=(width, width),
         center=((width - 1.0) / 2.0, (height - 1.0) / 2.0),
         estimate=True,
     )
-    return replace(setup, model="camera", board=board_of(board), camera=camera)
+    return replace(setup, model="camera", board=seen, camera=camera)
 
 
 def _mounts(setup: Setup) -> list[Setup]:
     """The setup with a camera on the hand, and with one that looks at the robot."""
-    if setup.camera is None:
+    if (camera := setup.camera) is None:
         return [setup]
-    world = replace(setup.camera, mount="world")
-    return [setup, replace(setup, camera=world)]
+    ways = (replace(camera, mount="hand"), replace(camera, mount="world"))
+    return [replace(setup, camera=way) for way in ways]
 
 
 def _with_distances(look: Look, stated: str | None) -> Look:
@@ -337,10 +353,7 @@ def _length(text: str) -> float:
 
     found = re.fullmatch(r"\s*([0-9.]+)\s*\[?(\w*)\]?\s*", text)
     unit = LENGTH.units.get(found[2] or "m") if found else None
-    try:
-        value = float(found[1]) * unit if found and unit else 0.0
-    except ValueError:
-        value = 0.0
+    value = unit * (as_number(found[1]) or 0.0) if found and unit else 0.0
     if not 0.0 < value < 100.0:
         raise OptionError("--distance is no length", value=text, allowed="50 mm, 0.05")
     return value

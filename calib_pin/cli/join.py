@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from calib_pin.io.logs import JointLog, ReadingLog
     from calib_pin.observations.joining import Joined
 
+STAND = 0.5
+"""Default of --settle and of --tolerance [s]."""
+
 SECONDS = "a time in seconds, more than 0 and at most 60"
 
 
@@ -61,7 +64,7 @@ def join(
             "Time that the joints stand before a reading counts; default 0.5.",
             options.number(float, "--settle", SECONDS, 1e-3, 60.0),
         ),
-    ] = 0.5,
+    ] = STAND,
     tolerance: Annotated[
         float,
         options.option(
@@ -70,7 +73,7 @@ def join(
             "Longest time without a sample of the joints; default 0.5.",
             options.number(float, "--tolerance", SECONDS, 1e-3, 60.0),
         ),
-    ] = 0.5,
+    ] = STAND,
     topic: Annotated[
         str | None,
         options.option(
@@ -100,9 +103,11 @@ def join(
 
     Readings count where the joints stood still; those in motion are dropped and
     counted. The offset of both clocks is estimated from the motions between, if the
-    instrument measured during some. The standard deviation of a mean is the scatter of
-    single readings. Files without times are joined by the names of points that both
-    have. A bag with CalibrationData (robot_calibration) is given twice.
+    instrument measured during some. The standard deviation of a mean is that of
+    readings that scatter about it, by their autocorrelation. Images, which have a
+    column 'image', stay apart; a list of images and times gets their joints. Files
+    without times are joined by the names of points that both have. A bag with
+    CalibrationData (robot_calibration) is given twice.
     """
     from calib_pin.errors import stated_in
     from calib_pin.io.exchange.rosbag import (
@@ -133,27 +138,24 @@ def join(
         if samples:
             positions, readings, found = read_calibration_data(joints, topic, tell)
         else:
-            tables = [
+            ours, theirs = (
                 None
                 if is_bag(path)
-                else read_table(path, stage(bar, what), columns=stated)
-                for path, what in ((joints, "joints"), (measurements, "readings"))
-            ]
-            ours, theirs = tables
-            if ours is not None and theirs is not None:
+                else read_table(path, stage(bar, of), columns=stated)
+                for path, of in ((joints, "joints"), (measurements, "readings"))
+            )
+            if ours and theirs:
                 ours, theirs = named_alike(ours, theirs)
-            positions = (
-                read_joint_bag(joints, joint_topic)
-                if ours is None
-                else read_joint_log(ours, stated, tell)
-            )
-            readings = (
-                read_reading_bag(measurements, topic)
-                if theirs is None
-                else read_reading_log(theirs, tell)
-            )
+            if ours:
+                positions = read_joint_log(ours, stated, tell)
+            else:
+                positions = read_joint_bag(joints, joint_topic)
+            if theirs:
+                readings = read_reading_log(theirs, tell)
+            else:
+                readings = read_reading_bag(measurements, topic)
             with stated_in(f"{joints}, {measurements}"):
-                readings, found = _joined(positions, readings, settle, tolerance, tell)
+                readings, found = joined(positions, readings, settle, tolerance, tell)
     data = encode_joined(found, positions, readings, keep=keep or samples)
     with write_files({output: data}, force=force):
         if json:
@@ -165,7 +167,7 @@ def join(
     return 0
 
 
-def _joined(
+def joined(
     joints: JointLog,
     readings: ReadingLog,
     settle: float,
@@ -174,11 +176,18 @@ def _joined(
 ) -> tuple[ReadingLog, Joined]:
     """The readings, by the unit of the joints' times, and what joins them.
 
+    Args:
+        joints: The log of the joints.
+        readings: The log of the readings.
+        settle: Time that joints stand before readings count [s].
+        tolerance: Longest time without a sample of the joints [s].
+        tell: Called with sentences about the logs and what was left out.
+
     Raises:
         InputError: If nothing does.
     """
     from calib_pin.errors import InputError, enumerated
-    from calib_pin.io.logs import POSE, TIME
+    from calib_pin.io.logs import IMAGE, POSE, TIME
     from calib_pin.observations.joining import in_one_unit, join, join_by_name
 
     q, values = joints.log, readings.log
@@ -197,22 +206,25 @@ def _joined(
     found = join(q, values, settle, tolerance)
     if not found.standstills:
         raise InputError("no reading falls into a standstill of the joints")
+    if images := readings.texts.get(IMAGE):
+        used = {images[k] for one in found.standstills for k in one.readings}
+        if lost := [name for name in dict.fromkeys(images) if name not in used]:
+            tell(f"the joints do not stand at the time of {enumerated(lost)}: left out")
     return replace(readings, log=values), found
 
 
 def _lines(found: Joined, measurements: Path) -> Iterator[str]:
     """The counts of a join, and how well the clock is known."""
-    clock, empty, scattered = found.clock, "", ""
+    clock = found.clock
     if clock is None:
         yield f"{len(found.standstills)} samples with {found.used} readings"
         return
-    if found.empty:
-        empty = f", {found.empty} without"
-    if found.scattered:
-        scattered = f", {found.scattered} far from their standstill's others"
-    yield f"{len(found.standstills)} standstills with {found.used} readings{empty}"
+    empty = f", {found.empty} without" if found.empty else ""
+    far = f", {found.scattered} far from their standstill's others"
+    yield f"{found.stands} standstills with {found.used} readings{empty}"
     yield (
-        f"dropped: {found.moving} readings in motion or beside a standstill{scattered}"
+        f"dropped: {found.moving} readings in motion or beside a standstill"
+        f"{far if found.scattered else ''}"
     )
     sigma = f"{1e3 * clock.sigma:.1f} ms"
     if clock.motions:
@@ -230,10 +242,10 @@ def _lines(found: Joined, measurements: Path) -> Iterator[str]:
 def _document(found: Joined) -> dict[str, object]:
     """The counts of a join, and the clock of the instrument [s]."""
     if found.clock is None:
-        return {"standstills": len(found.standstills)}
+        return {"standstills": found.stands}
     counts = ("used", "empty", "moving", "scattered")
     return {
-        "standstills": len(found.standstills),
+        "standstills": found.stands,
         "readings": {name: getattr(found, name) for name in counts},
         "clock": asdict(found.clock),
     }

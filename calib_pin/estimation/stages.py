@@ -261,6 +261,9 @@ class _Stages:
             stay = parameters.nuisance | ~parameters.free
             previous = np.where(stay, x, parameters.scales * kept)
         found = self._solver.solve(self._problem, directions, self._nominal, previous)
+        if not np.isfinite(found.result.cost):
+            # Without some directions, points may be behind a camera there.
+            found = self._solver.solve(self._problem, directions, self._nominal, None)
         self.stages.append(self._counted(directions, found))
         return self.last
 

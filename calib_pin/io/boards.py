@@ -29,6 +29,7 @@ from calib_pin.io.board_fit import (
     tags_of,
 )
 from calib_pin.io.files import read_bytes
+from calib_pin.measurement_models.pinhole import Camera
 from calib_pin.observations.corners import corner_sigmas, marker_corners, noise_of
 from calib_pin.setup import BoardSetup, CameraSetup
 from calib_pin.setup.references import DICTIONARIES, TAGS
@@ -507,9 +508,8 @@ def start_camera(
     # The sixth power of the radius is left to the calibration.
     K, flags = None, cv2.CALIB_FIX_K3
     if len(usable) < VIEWS:
-        K = np.array(
-            [[focal[0], 0.0, center[0]], [0.0, focal[1], center[1]], [0, 0, 1]]
-        )
+        K = np.diag([*focal, 1.0])
+        K[:2, 2] = center
         flags += cv2.CALIB_USE_INTRINSIC_GUESS + cv2.CALIB_FIX_ASPECT_RATIO
         flags += cv2.CALIB_FIX_PRINCIPAL_POINT + cv2.CALIB_ZERO_TANGENT_DIST
         flags += cv2.CALIB_FIX_K2
@@ -526,11 +526,8 @@ def start_camera(
     if len(usable) < VIEWS or not (np.isfinite(numbers).all() and sane.all()):
         return Start(assumed, True, rms)
     # A start needs no more digits.
-    fx, fy, cx, cy = (round(float(number), 3) for number in numbers[:4])
-    k_1, k_2, p_1, p_2, k_3 = (round(float(number), 6) for number in numbers[4:])
-    distortion = (k_1, k_2, p_1, p_2, k_3)
-    camera = CameraSetup(mount, (fx, fy), (cx, cy), distortion, size, estimate=True)
-    return Start(camera, False, rms)
+    intrinsics = np.array([*numbers[:4].round(3), *numbers[4:].round(6)])
+    return Start(Camera(mount, intrinsics, size, True).stated(), False, rms)
 
 
 def _turn(grid: Floats) -> float:

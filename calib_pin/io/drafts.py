@@ -42,7 +42,8 @@ GAUGED = (
 COMMENTS = {
     "chains": "The links that the names in the column 'chain' stand for.",
     "board": "The board; its points are known.",
-    "camera": "The camera; a first guess that is estimated.",
+    "camera": "The camera; a first guess that is estimated, but for the size of the "
+    "images, 'size: [width, height]', which export to camera-info needs.",
     "distances": "Known distances [m]: they give the robot its size.",
 }
 """Comments of keys that are written as they are."""
@@ -65,7 +66,7 @@ def _lines(robot: Robot, look: Look, command: str) -> Iterator[str]:
 
     def stated(key: str) -> Iterator[str]:
         if key in document:
-            yield f"\n# {COMMENTS[key]}\n{yaml_text({key: document[key]})}"
+            yield f"\n{_comment(COMMENTS[key])}\n{yaml_text({key: document[key]})}"
 
     yield _comment(f"Setup file of calib-pin, drafted by: {command}")
     yield _comment(f"{len(data)} measurements of {robot.name}. {_fit(look)}")

@@ -50,6 +50,12 @@ DAY = 86400.0
 COUNTED = 10
 """Numbers that grow by equal steps from which a column is a counter."""
 
+IMAGE = "image"
+"""Column of the names of images, whose rows are all of one time."""
+
+IMAGES = (IMAGE, "img", "filename")
+"""Names of it elsewhere."""
+
 LEAST = 1e-11
 """Standard deviation of a mean that is rounding, not scatter [m, rad, px]."""
 
@@ -86,7 +92,8 @@ class ReadingLog:
     Attributes:
         log: Time and values in SI units; an orientation as a quaternion, the last.
         columns: Their names.
-        texts: Further columns by name, N strings each; `POSE` of logs without times.
+        texts: Further columns by name, N strings each; `POSE` of logs without times,
+            `IMAGE` of images; standard deviations of those that are no series.
         loose: Whether nothing says in which unit the times are.
     """
 
@@ -155,7 +162,7 @@ def read_joint_log(
 
 
 def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
-    """The measured values of a log.
+    """The measured values of a log, or none of a list of images.
 
     Readings of several targets, tools or stations may alternate, or share a time.
 
@@ -170,33 +177,40 @@ def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
     # Other columns that the setup names may be those of the joints.
     lacking = {ours: table.missing[ours] for ours in table.missing.keys() & measured()}
     require_columns([replace(table, missing=lacking)])
-    table = understood(table)
+    table = with_images(understood(table))
     stamp = _stamp(table)
     own = [n for n in table.columns if n in measured() and n not in ORIENTED]
     # Beside other values a deviation is one from some nominal value.
     own = [n for n in own if n not in gauges()] or own
     way = orientation_columns(table) if ORIENTED & table.columns.keys() else ""
-    if not own and not way:
+    if not (own or way or IMAGE in table):
         raise table.error(
             "there are no measured columns; 'columns' in the setup says which they are",
-            allowed="x, y, z, distance, u, v or an orientation",
+            allowed="x, y, z, distance, u, v, an orientation, or a column 'image'",
         )
     table = _whole(table, stamp, [*own, *(STATED[way] if way else ())], notice)
     texts = table.texts([name for name in NAMES if name in table])
     kind = np.zeros(len(table.lines), np.int64)
     for labels in texts.values():
         kind = kind * len(labels.names) + labels.codes
-    time, poses, loose = _times(table, stamp, kind)
-    values = [table.numbers(name, _kind(table.columns[name].unit)) for name in own]
+    single = IMAGE in table or stamp == POSE
+    passed = [n for n in table.columns if n == IMAGE or (single and _is_sigma(n))]
+    headers = {n: IMAGE if n == IMAGE else table.columns[n].header for n in passed}
+    texts |= {headers[n]: cells for n, cells in table.cells(passed).items()}
+    # Images may stand in any order.
+    ordered = np.arange(len(kind)) if IMAGE in table else kind
+    time, poses, loose = _times(table, stamp, ordered)
+    values = [np.empty((0, len(time)))]
+    values += [table.numbers(name, _kind(table.columns[name].unit)) for name in own]
     if way:
         values += [*read_quaternions(table, way).T]
         own += QUATERNION
-    used = {stamp, *own, *NAMES, *ORIENTED, "temperature"}
+    used = {stamp, *own, *NAMES, *ORIENTED, *passed, "temperature"}
     ignored = table.ignored([name for name in table.columns if name not in used])
     if ignored:
         notice(ignored)
     order = np.argsort(time, kind="stable")
-    log = joining.Log(time[order], np.column_stack(values)[order], kind[order])
+    log = joining.Log(time[order], np.vstack(values).T[order], kind[order])
     cells = {name: [*labels[order]] for name, labels in texts.items()}
     cells |= {POSE: [*poses]} if poses else {}
     return ReadingLog(joining.continuous(log) if way else log, tuple(own), cells, loose)
@@ -211,32 +225,43 @@ def encode_joined(
         joined: The standstills and their readings.
         joints: The log of the joints.
         readings: The log of the readings.
-        keep: Whether every reading is a row, or the mean of a standstill with the
-            scatter of all as its standard deviation.
+        keep: Whether every reading is a row, as of images, or the mean of a standstill
+            with its standard deviation.
     """
     rows = [*joined.standstills]
-    if keep:
+    if keep := keep or IMAGE in readings.texts:
         rows = [replace(one, readings=k) for one in rows for k in one.readings[:, None]]
+        rows.sort(key=lambda one: int(one.readings[0]))
     q = np.array([one.q for one in rows]) / joints.factors
     table: dict[str, Sequence[object] | NDArray[np.float64]]
     table = dict(zip(joints.headers, q.T, strict=True))
     log, oriented = readings.log, QUATERNION[0] in readings.columns
     values = joining.means(rows, log.values, oriented)
     table |= zip(readings.columns, values.T, strict=True)
-    sigma = joining.scatter(rows, log.values, oriented)
-    if (sigma > LEAST).all():
+    texts = dict(readings.texts)
+    if averaged := any(len(one.readings) > 1 for one in rows):
+        texts = {name: cells for name, cells in texts.items() if not _is_sigma(name)}
+    sigma = joining.mean_sigmas(rows, log.values, oriented)
+    if sigma.size and (sigma > LEAST).all():
         turned = ROTATION_VECTOR if oriented else ()
         names = [*(n for n in readings.columns if n not in QUATERNION), *turned]
-        for name, size in zip(names, sigma, strict=True):
-            table[f"sigma_{name}"] = np.full(len(rows), size)
-    for name, cells in readings.texts.items():
+        table |= zip((f"sigma_{name}" for name in names), sigma.T, strict=True)
+    for name, cells in texts.items():
         table[name] = [cells[one.readings[0]] for one in rows]
     if POSE not in readings.texts:
         time = np.array([log.time[one.readings].mean() for one in rows])
         table["time"] = time - (joined.clock.ahead if joined.clock else 0.0)
-    count, way = len(joined.standstills), "time" if joined.clock else "name"
+    count, way = joined.stands, "time" if joined.clock else "name"
     comment = f"joined by {way}: {count} standstills, {joined.used} readings"
+    if averaged:
+        comment += ", each sigma that of a mean"
     return encode_table(table, [comment])
+
+
+def with_images(table: Table) -> Table:
+    """The table with the names of images, if it has any, in a column of this name."""
+    names = (name for name in table.columns if name.lower() in IMAGES)
+    return table.renamed({IMAGE: next(names, IMAGE)})
 
 
 def _whole(table: Table, stamp: str, names: Sequence[str], notice: Notice) -> Table:
@@ -260,6 +285,10 @@ def _whole(table: Table, stamp: str, names: Sequence[str], notice: Notice) -> Ta
     if not kept.any():
         raise table.error(f"no row has all of {enumerated([stamp, *names])}")
     return with_readings(table, kept, "rows", notice)
+
+
+def _is_sigma(name: str) -> bool:
+    return name.partition("_")[0] == "sigma"
 
 
 def _is_position(one: Foreign) -> bool:

@@ -241,7 +241,7 @@ class Table:
 
 
 def read_table(
-    path: str | Path,
+    path: str | Path | bytes,
     progress: Progress | None = None,
     *,
     columns: Mapping[str, str] = {},
@@ -251,7 +251,7 @@ def read_table(
     Args:
         path: Parquet file, by its first bytes; or CSV with a header: commas,
             semicolons, tabs or blanks separate, and where it is no comma, the decimal
-            mark may be one; see `read_cells`.
+            mark may be one; see `read_cells`. Bytes are those of a file.
         progress: Told the part of the lines that is read, 0 to 1.
         columns: What columns with foreign names are, ours to theirs; theirs may state
             a unit in square brackets.
@@ -281,7 +281,7 @@ def read_table(
     table = replace(table, columns=dict(zip(names, given, strict=True)))
     _check_marks(table, cells.columns)
     table = table.called(columns)
-    if read := reading(table.columns, Path(path)):
+    if read := reading(table.columns, Path(cells.file)):
         remarks = (*table.remarks, f"read as {read.remark}")
         # The setup names columns as the file does, or as they are called then.
         table = replace(table, columns=read.columns, remarks=remarks)

@@ -79,6 +79,7 @@ class CameraModel(DeclaredModel):
         quantities=(Quantity("pixel", "px", slice(0, 2), 0.5),),
         external=True,
         at_once=True,
+        separable=True,
         naming=Naming("point", "every"),
         inference=Inference("pixels", complete=True),
         yardstick="the size of the board's squares ('board' or 'targets')",

@@ -108,6 +108,8 @@ class Declaration:
         at_once: Whether all targets that the instrument sees at a configuration are
             measured there, as the corners of a board are in an image; others have one
             at a time, such as the plane that a beam meets.
+        separable: Whether a target may be wrong while others of its configuration are
+            right, as a corner in an image may; those of others fail together.
         naming: Meaning of `target`.
         inference: How columns show this model; None where only its name does.
         yardstick: Where measured lengths come from; empty where none are measured.
@@ -124,6 +126,7 @@ class Declaration:
     external: bool = False
     tracks: Literal["", "point", "pose"] = ""
     at_once: bool = False
+    separable: bool = False
     naming: Naming = Naming()
     inference: Inference | None = None
     yardstick: str = ""

@@ -96,14 +96,9 @@ class Camera(ReferenceObject):
     @property
     def parameters(self) -> Sequence[Parameter]:
         """`camera.intrinsics.fx|fy|cx|cy|k1|k2|p1|p2|k3`."""
+        stem, free = f"{self.name}.{self.kind}", self.estimate
         return tuple(
-            Parameter(
-                f"{self.name}.{self.kind}.{name}",
-                unit,
-                scale,
-                nuisance=True,
-                free=self.estimate,
-            )
+            Parameter(f"{stem}.{name}", unit, scale, nuisance=True, free=free)
             for name, unit, scale in INTRINSICS
         )
 
@@ -123,14 +118,8 @@ class Camera(ReferenceObject):
     def stated(self) -> CameraSetup:
         """Its intrinsics."""
         f_x, f_y, c_x, c_y, k_1, k_2, p_1, p_2, k_3 = map(float, self.intrinsics)
-        return CameraSetup(
-            self.mount,
-            (f_x, f_y),
-            (c_x, c_y),
-            (k_1, k_2, p_1, p_2, k_3),
-            self.size,
-            self.estimate,
-        )
+        lens, size, free = (k_1, k_2, p_1, p_2, k_3), self.size, self.estimate
+        return CameraSetup(self.mount, (f_x, f_y), (c_x, c_y), lens, size, free)
 
     def rays(self, pixels: Floats) -> Floats:
         """Where pixels look, at depth 1, shape (N, 2); NaN where no point is seen."""

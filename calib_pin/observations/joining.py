@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +54,11 @@ MARGIN = 0.2
 
 FAR = 6.0
 """Robust standard deviations from a standstill's median from which a reading is out."""
+
+TINY = float(np.finfo(float).tiny)
+
+WINDOW = 5.0
+"""Lags over which an autocorrelation is summed, in its sum."""
 
 SURE = 3.0
 """Standard deviations of the clock that a reading keeps from a standstill's ends."""
@@ -132,6 +138,11 @@ class Joined:
     moving: int
     scattered: int
     alone: tuple[str, ...] = ()
+
+    @property
+    def stands(self) -> int:
+        """Number of standstills with a reading, whatever was read."""
+        return len({standstill.start for standstill in self.standstills})
 
     @property
     def used(self) -> int:
@@ -270,7 +281,7 @@ class _Motion:
         for _ in range(30):
             found = [
                 told
-                for start, end in self._motions()
+                for (_, start), (end, _) in pairwise(self.standstills)
                 if (told := self._told(readings, ahead, start, end)) is not None
             ]
             if not found:
@@ -285,11 +296,6 @@ class _Motion:
         spread = np.sqrt(np.sum(weights**2 * (each - moved) ** 2)) / weights.sum()
         least = LEAST * self.step
         return Clock(float(ahead), float(max(own, spread, least)), len(found))
-
-    def _motions(self) -> list[tuple[float, float]]:
-        """Start and end of each motion between two standstills."""
-        pairs = zip(self.standstills[:-1], self.standstills[1:], strict=True)
-        return [(a[1], b[0]) for a, b in pairs]
 
     def _told(
         self, readings: Log, ahead: float, start: float, end: float
@@ -330,7 +336,6 @@ class _Motion:
         starts, ends = np.array(self.standstills).T + np.array([[-sooner], [later]])
         longest = float((ends - starts).max())
         offsets = np.arange(-longest, longest + COARSE, COARSE)
-        offsets = offsets[np.argsort(np.abs(offsets), kind="stable")]
 
         def inside(ahead: float) -> int:
             t = readings.time - ahead
@@ -338,19 +343,15 @@ class _Motion:
             return int(np.count_nonzero((k >= 0) & (t <= ends[np.maximum(k, 0)])))
 
         counts = np.array([inside(ahead) for ahead in offsets])
-        best = float(offsets[np.argmax(counts)])
         if not counts.max():
             raise InputError(
                 "the logs have no common time: no reading falls into a standstill of "
                 "the joints, and their motions are not alike"
             )
-        # The offsets around the nearest one that are as good.
-        order = np.sort(offsets)
-        good = counts[np.argsort(offsets)] == counts.max()
-        at = int(np.searchsorted(order, best))
-        first = at - int(np.argmin(np.append(good[at::-1], False))) + 1
-        last = at + int(np.argmin(np.append(good[at:], False))) - 1
-        low, high = float(order[first]), float(order[last])
+        # Runs of offsets that are as good, of which the one nearest to zero counts.
+        good = np.concatenate([[False], counts == counts.max(), [False]])
+        runs = offsets[np.flatnonzero(np.diff(good)).reshape(-1, 2) - [0, 1]].tolist()
+        low, high = min(runs, key=lambda run: max(run[0], -run[1]))
         # Nothing moves it from zero needlessly.
         ahead = 0.0 if low <= 0.0 <= high else 0.5 * (low + high)
         return Clock(ahead, (high - low + COARSE) / np.sqrt(12.0), 0)
@@ -441,20 +442,27 @@ def means(standstills: Sequence[Standstill], values: Floats, oriented: bool) -> 
     return found
 
 
-def scatter(
+def mean_sigmas(
     standstills: Sequence[Standstill], values: Floats, oriented: bool = False
 ) -> Floats:
-    """Standard deviation of a reading about the mean of its standstill, shape (k,).
+    """Standard deviation of the mean of each standstill, shape (S, k).
 
-    Zero where no standstill has two readings.
+    Readings that follow one another are no independent ones: N of them count as N/tau,
+    tau the sum of the autocorrelation over the readings of all standstills (window by
+    Sokal, Monte Carlo methods in statistical mechanics, 1997, section 3). A deviation
+    about a mean lacks the error of the mean, which is put back. An error that stays
+    during a standstill does not show in it, and is in no deviation.
 
     Args:
         standstills: The standstills.
         values: Values of all readings, shape (N, k).
         oriented: Whether the last four are quaternions; the last three deviations are
             those of their rotation vectors then.
+
+    Returns:
+        The deviations, zero where no standstill has two readings.
     """
-    rest = []
+    counts, columns = np.array([len(one.readings) for one in standstills]), []
     for one, mean in zip(
         standstills, means(standstills, values, oriented), strict=True
     ):
@@ -462,8 +470,26 @@ def scatter(
         if oriented:
             R = from_quaternion(mean[-4:]).T @ from_quaternion(away[:, -4:])
             away = np.hstack([away[:, :-4], so3_log(R)])
-        rest.append(away - away.mean(axis=0))
-    dof = sum(len(r) - 1 for r in rest)
-    if dof < 1:
-        return np.zeros(values.shape[1] - oriented)
-    return np.asarray(np.sqrt(np.sum(np.concatenate(rest) ** 2, axis=0) / dof))
+        away = away - away.mean(axis=0)
+        columns.append(np.pad(away, ((0, counts.max() - len(away)), (0, 0))))
+    rest = np.array(columns)
+    tau, total, lacking = np.ones(rest.shape[2]), np.zeros(rest.shape[2]), 0.0
+    if counts.max() < 2:
+        return np.zeros((len(counts), len(tau)))
+    for lag in range(max(counts.max() // 2, 1)):
+        # Parts of the readings that have a partner, and covariances about the means.
+        shares = np.maximum(counts - lag, 0) / counts
+        pairs, part = float(shares @ counts), shares.mean() * (2.0 if lag else 1.0)
+        found = np.sum(rest[:, lag:] * rest[:, : rest.shape[1] - lag], axis=(0, 1))
+        total = total + part * found / pairs
+        lacking += part * shares.sum() / pairs
+        of_mean = total / (1.0 - lacking)  # Times the number of readings.
+        if not lag:
+            variance = found / pairs
+        of_one = np.maximum(variance + len(counts) / counts.sum() * of_mean, TINY)
+        still = lag < WINDOW * tau
+        if not still.any():
+            break
+        tau = np.where(still, np.maximum(of_mean / of_one, 1.0), tau)
+    alike = np.minimum(tau / counts[:, None], 1.0)
+    return np.asarray(np.sqrt(of_one * alike))

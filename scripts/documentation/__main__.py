@@ -7,6 +7,7 @@ import sys
 
 from documentation import (
     api_reference,
+    board_pictures,
     command_reference,
     format_reference,
     setup_reference,
@@ -36,6 +37,7 @@ def documents() -> dict[str, str]:
         "reference/commands.md": command_reference.text(),
         "reference/formats.md": format_reference.text(),
         "reference/api.md": api_reference.text(),
+        "pictures/boards.svg": board_pictures.text(),
     }
 
 

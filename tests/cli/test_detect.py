@@ -115,6 +115,34 @@ def seen_from(board, count=3, bend=0.0):
         cv2.imwrite(f"{k}.png", image.clip(0, 255).astype(np.uint8))
 
 
+def test_images_and_joints_are_paired(run, fails, tmp_path, monkeypatch):
+    """By the order of their numbers, which is said, or by the times of a log."""
+    monkeypatch.chdir(tmp_path)
+    word = "marker:1x1:0.06"
+    seen_from(board_of(word), 1)
+    for k in (2, 10, 9):
+        Path(f"{k}.png").write_bytes(Path("0.png").read_bytes())
+    Path("joints.csv").write_text("joint1\n0.2\n0.9\n1.0\n")
+    words = f"detect 10.png 2.png 9.png --board {word} -o m.csv --joints"
+    result = run(f"{words} joints.csv")
+    assert "2.png with line 2 to 10.png with line 4" in result.err
+
+    def pairs():
+        lines = Path("m.csv").read_text().splitlines()[2:]
+        return {tuple(line.split(",")[:2]) for line in lines}
+
+    assert pairs() == {("2.png", "0.2"), ("9.png", "0.9"), ("10.png", "1.0")}
+    still = [f"{t},{min(int(t / 2), 2)}" for t in np.arange(0.0, 6.0, 0.1).round(1)]
+    Path("log.csv").write_text("\n".join(["time,joint1", *still]))
+    Path("times.csv").write_text("image,time\n10.png,5.2\n2.png,1.2\n9.png,2.1\n")
+    result = run(f"{words} log.csv --times times.csv --force")
+    assert "stand at the time of 9.png" in result.err
+    assert pairs() == {("2.png", "0.0"), ("10.png", "2.0")}
+    assert "sigma" not in Path("m.csv").read_text().splitlines()[0]
+    fails(f"{words[:-9]} --times times.csv --force", "--times needs --joints")
+    fails(f"{words} log.csv --times log.csv --force", "log.csv", "'image'")
+
+
 LEGACY = "its markers are found, its corners are not: a board of OpenCV before 4.6? add"
 
 

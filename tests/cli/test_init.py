@@ -167,12 +167,17 @@ BOARD = "simulate pa10 --setup camera.yaml --all-targets --seed 3 --noise 0.3"
 
 def test_a_camera_and_its_board():
     Path("camera.yaml").write_text(CAMERA)
-    assert main(f"{BOARD} --count 12 -o a.csv".split()) == 0
+    assert main(f"{BOARD} --count 8 -o a.csv".split()) == 0
     board = "charuco:7x5:0.03:0.022"
     assert main(f"init pa10 a.csv --board {board} -o setup.yaml".split()) == 0
     camera, found = read_setup("setup.yaml").camera, read_setup("setup.yaml").board
-    assert camera is not None and camera.mount == "hand"
+    assert camera is not None and (camera.mount, camera.size) == ("hand", None)
     assert found is not None and (found.columns, found.rows) == (7, 5)
+    # As detect writes it.
+    words = "init pa10 a.csv --setup camera.yaml -o both.yaml"
+    assert main(words.split()) == 0
+    both, given = read_setup("both.yaml"), read_setup("camera.yaml")
+    assert (both.board, both.camera) == (given.board, given.camera)
 
 
 @pytest.mark.slow

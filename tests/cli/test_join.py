@@ -60,6 +60,15 @@ def joined(within: float, **options: Any) -> Measurements:
     return data
 
 
+def of_means(data: Measurements, rows: int, noise: Any) -> None:
+    """Each sigma is that of the mean of independent readings, counted in the head."""
+    head = Path("m.csv").read_text().partition("\n")[0]
+    count = int(head.split()[6]) / rows
+    assert head.endswith("each sigma that of a mean")
+    found = np.mean(1.0 / data.sigma**2, axis=0) ** -0.5
+    assert np.allclose(found, np.array(noise) / np.sqrt(count), rtol=0.25)
+
+
 def poses_of(logs: Recording, time: np.ndarray) -> np.ndarray:
     q = [np.interp(time, logs.joints.time, c) for c in logs.joints.values.T]
     return CHAIN.poses(np.column_stack(q))
@@ -85,7 +94,7 @@ def test_two_logs_become_measurements(logs, run):
     data = joined(3.0)
     assert data.target.distinct == ("SMR1",)
     assert len(data.q) == 12 and data.sigma is not None
-    assert np.allclose(data.sigma, NOISE, rtol=0.2)
+    of_means(data, 12, NOISE)
 
 
 def test_every_reading_can_be_kept(logs, run):
@@ -108,7 +117,7 @@ def test_poses_keep_their_scatter(logs, run):
     assert run("join joints.csv poses.csv -o m.csv").status == 0
     data = read_measurements("m.csv", CHAIN).only
     assert data.model == "pose" and data.sigma is not None
-    assert np.allclose(data.sigma, 3 * [NOISE] + 3 * [1e-4], rtol=0.25)
+    of_means(data, 12, 3 * [NOISE] + 3 * [1e-4])
 
 
 BALLS = {"A": np.zeros(3), "B": np.array([0.1, 0.0, 0.02])}
@@ -134,7 +143,7 @@ def test_points_that_are_read_by_turns_stay_apart(logs, run):
     balls = np.array([BALLS[name] for name in data.target])
     expected = (T[:, :3, :3] @ balls[:, :, None])[:, :, 0] + T[:, :3, 3]
     assert np.abs(data.values - expected).max() < 3.0 * NOISE
-    assert np.allclose(data.sigma, NOISE, rtol=0.2)
+    of_means(data, 24, NOISE)
 
 
 def test_points_with_names_need_no_time(tmp_path, monkeypatch, run):
@@ -241,6 +250,48 @@ def test_a_log_of_the_robot_as_it_is(logs, run):
     Path("setup.yaml").write_text(SETUP.replace("  time: Zeit\n", "") + some)
     assert run("join joints.csv tracker.txt --setup setup.yaml -o n.csv").status == 0
     assert table("n.csv")[0][:4] == [*names[:3], "x"]
+
+
+def test_images_get_the_joints_of_their_standstill(tmp_path, monkeypatch, run):
+    """Corners with their deviations, and a list of images alone, in any order."""
+    monkeypatch.chdir(tmp_path)
+    made = recording(0, still_only=True)
+    written(made)
+    times = made.readings.time
+    names = [f"img_{k}.png" for k in range(len(times))]
+    rows = [f"{names[k]},{times[k]:.4f}" for k in np.argsort(names)]
+    text = "\n".join(["Filename,time", *rows, "late.png,0.01"])
+    Path("images.csv").write_text(text)
+    corners = [f"{row},{c},{c + 0.25},7,0.0{c + 2}" for row in rows for c in range(2)]
+    text = "\n".join(["image,time,target,u,v,sigma_u", *corners])
+    Path("pixels.csv").write_text(text)
+    result = run("join joints.csv images.csv -o n.csv")
+    assert result.status == 0 and "late.png" in result.err
+    kept = {name for name in names if name not in result.err}
+    assert len(kept) > 0.6 * len(names)
+    assert run("join joints.csv pixels.csv -o m.csv").status == 0
+    (head, images, _), (named, pixels, _) = table("n.csv"), table("m.csv")
+    assert head[6:] == ["image", "time"] and {row[6] for row in images} == kept
+    assert named[6:] == ["u", "v", "target", "image", "sigma_u", "time"]
+    assert len(pixels) == 2 * len(kept)
+    for row in images:
+        time, q = times[names.index(row[6])], np.deg2rad(np.array(row[:6], float))
+        columns = made.joints.values.T
+        true = [np.interp(time, made.joints.time, column) for column in columns]
+        assert np.abs(q - true).max() < 1e-4
+        both = [cells for cells in pixels if cells[9] == row[6]]
+        assert [cells[:6] for cells in both] == 2 * [row[:6]]
+        assert [cells[8] + cells[10] for cells in both] == ["00.02", "10.03"]
+
+
+def test_means_that_were_joined_with_the_sigma_of_a_reading(logs, run):
+    """By an older join: of 50 readings in each of 12 standstills."""
+    assert run(JOIN).status == 0
+    data, (_, *lines) = joined(3.0), Path("m.csv").read_text().splitlines()
+    head = "# joined by time: 12 standstills, 600 readings"
+    Path("m.csv").write_text("\n".join([head, *lines]))
+    older = joined(3.0)
+    assert np.allclose(older.sigma * np.sqrt(50), data.sigma, rtol=1e-12)
 
 
 def test_readings_that_do_not_scatter_have_no_sigma(logs, run):

@@ -66,7 +66,7 @@ def causes(
         *_exchanged(problem, theta, out, found, scale),
         *_places(problem, out),
         *_stretches(problem, out),
-        *_configurations(problem, out, found),
+        *_configurations(problem, out),
     ):
         for row in rows:
             result.setdefault(row, cause)
@@ -147,14 +147,14 @@ def _lines(problem: Problem, rows: list[int]) -> str:
 
 
 def _configurations(
-    problem: Problem, out: NDArray[np.bool_], found: Studentized
+    problem: Problem, out: NDArray[np.bool_]
 ) -> Iterator[tuple[list[int], str]]:
-    """Configurations in which more than one measurement was taken."""
-    sizes = np.bincount(found.labels)
-    for label in np.unique(found.labels[out]).tolist():
-        if sizes[label] > 1:
-            rows = np.flatnonzero(found.labels == label).tolist()
-            yield rows, f"configuration of {problem.data.source(rows[0])}"
+    """Configurations in which more than one measurement was taken, all of them out."""
+    labels = problem.data.groups()
+    sizes, lost = np.bincount(labels), np.bincount(labels, out)
+    for label in np.flatnonzero((sizes > 1) & (lost == sizes)).tolist():
+        rows = np.flatnonzero(labels == label).tolist()
+        yield rows, f"configuration of {problem.data.source(rows[0])}"
 
 
 def _exchanged(

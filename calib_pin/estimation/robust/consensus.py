@@ -33,6 +33,9 @@ class ConsensusOptions:
             errors make many minima close to the right one, and the wrong ones are
             far off.
         measurements: Measurements that are looked at; more do not make a better start.
+        corners: The same of corners in images.
+        images: Images of a subset: three tell where a camera is, and its intrinsics.
+        agreements: Agreements of such subsets, of which two that are wrong may agree.
         concentrations: Steps from a subset to its better half: the weights that
             follow do the rest.
     """
@@ -40,6 +43,9 @@ class ConsensusOptions:
     trials: int = 30
     same: float = 0.5
     measurements: int = 200
+    corners: int = 2000
+    images: int = 5
+    agreements: int = 3
     concentrations: int = 1
 
 
@@ -55,20 +61,23 @@ def consensus(problem: Problem, rng: np.random.Generator) -> Problem:
         problem: The problem, with the robot at nominal.
         rng: Random generator of the subsets.
     """
-    few = replace(problem, data=problem.data.sample(OPTIONS.measurements))
+    images = all(b.part.measurement.declaration.separable for b in problem.blocks)
+    count = OPTIONS.corners if images else OPTIONS.measurements
+    few = replace(problem, data=problem.data.sample(count))
     things = few.data.things()
     _, first = np.unique(things, return_index=True)
     targets = [np.flatnonzero(things == things[k]) for k in np.sort(first)]
     size = _subset(few, len(targets))
-    best, least = problem, np.inf
+    best, least, agreed = problem, np.inf, 0
     for _ in range(OPTIONS.trials):
-        about, total = _concentrated(few, _drawn(few, targets, size, rng), targets)
+        drawn = _images(few, rng) if images else _drawn(few, targets, size, rng)
+        about, total = _concentrated(few, drawn, targets)
         if about is None:
             continue
-        agree = abs(total - least) <= OPTIONS.same * least < np.inf
+        agreed += abs(total - least) <= OPTIONS.same * least < np.inf
         if total < least:
             best, least = about, total
-        if agree:
+        if agreed >= (OPTIONS.agreements if images else 1):
             break
     return problem.with_parts(best.parts)
 
@@ -125,6 +134,12 @@ def _drawn(
         _, first = np.unique(labels[order], return_index=True)
         chosen.append(order[np.sort(first)][:size])
     return np.sort(np.concatenate(chosen))
+
+
+def _images(problem: Problem, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Rows of some random images: each tells a pose by all its corners."""
+    chosen = rng.permutation(problem.data.configurations)[: OPTIONS.images]
+    return np.flatnonzero(np.isin(problem.data.groups(), chosen))
 
 
 def _squares(problem: Problem, theta: Floats) -> Floats:

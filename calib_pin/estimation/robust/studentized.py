@@ -5,7 +5,8 @@ error; the higher the leverage, the smaller the residual. With the hat matrix H 
 accepted rows, the whitened residuals `r_g` of an accepted configuration g have the
 covariance `I - H_gg`, and those of one that was not fitted `I + H_gg` (Huber and
 Ronchetti, Robust Statistics, 2009, 7.2). All targets and repetitions of a configuration
-fail together, so it is judged as a whole:
+fail together, so it is judged as a whole, but for the corners in an image, each of
+which is judged for itself:
 
     z_g^2 = r_g^T (I -+ H_gg)^-1 r_g
 
@@ -45,7 +46,8 @@ class Studentized:
     """Normalized residuals of N rows in G configurations and Q quantities.
 
     Attributes:
-        labels: Configuration of each row, shape (N,).
+        labels: Configuration of each row, or the row of an image itself, shape (N,).
+        whole: Configuration in which each of these was measured, shape (G,).
         layout: Row and quantity of each residual component.
         components: Squares of the normalized residuals, independent with unit
             variance if the standard deviations of the rows are right, shape (M,).
@@ -58,6 +60,7 @@ class Studentized:
     """
 
     labels: NDArray[np.int64]
+    whole: NDArray[np.int64]
     layout: Layout
     components: Floats
     configuration: NDArray[np.int64]
@@ -75,7 +78,9 @@ class Studentized:
             components: The squares, shape (M,); infinite where nothing is predicted.
             counts: Degrees of freedom of each, 0 to 1, shape (M,).
         """
-        layout, labels = problem.layout, problem.data.groups()
+        layout, labels = problem.layout, failing(problem)
+        whole = np.zeros(int(labels.max(initial=-1)) + 1, np.int64)
+        whole[labels] = problem.data.groups()
         width = len(layout.components)
         cells, place = _numbered(labels[layout.row] * width + layout.component)
         squares, total = (
@@ -87,12 +92,12 @@ class Studentized:
             # Residuals smaller than the stated sigma do not contradict it.
             least = 1.0 / (problem.units if len(problem.units) else np.ones(width))
         cell = cells // width, cells % width
-        return cls(labels, layout, components, *cell, squares, total, least)
+        return cls(labels, whole, layout, components, *cell, squares, total, least)
 
     @property
     def configurations(self) -> int:
         """Number of configurations G."""
-        return int(self.labels.max(initial=-1)) + 1
+        return len(self.whole)
 
     def robust_scale(self, share: float = 0.5) -> Floats:
         """Scale by the median over configurations, by quantity, shape (Q,).
@@ -141,6 +146,18 @@ class Studentized:
         return _quantiles(counts, tail)
 
 
+def failing(problem: Problem) -> Indices:
+    """Labels of rows that fail together, 0 to G - 1, shape (N,)."""
+    labels, every = problem.data.groups(), np.arange(len(problem.data))
+    alone = [b for b in problem.blocks if b.part.measurement.declaration.separable]
+    if not alone:
+        return labels
+    labels = labels + len(every)
+    for block in alone:
+        labels[block.rows] = every[block.rows]
+    return np.unique(labels, return_inverse=True)[1]
+
+
 def studentized(
     problem: Problem, theta: Floats, basis: Floats, accepted: NDArray[np.bool_]
 ) -> Studentized:
@@ -168,7 +185,7 @@ def studentized(
     fitted = own[accepted[layout.row]]
     B = own @ inverse_root(np.concatenate([fitted, A[count:]]))
     r, counts = np.where(bad, 0.0, r), finite.astype(float)
-    labels = problem.data.groups()[layout.row]
+    labels = failing(problem)[layout.row]
     order = np.argsort(labels, kind="stable")
     sizes = np.bincount(labels)
     begins = np.cumsum(sizes) - sizes

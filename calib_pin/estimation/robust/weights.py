@@ -1,7 +1,8 @@
 """Fits that wrong measurements cannot corrupt.
 
-Every configuration has a weight, for all that is measured in one fails together. The
-weights minimize a truncated cost,
+Every configuration has a weight, for all that is measured in one fails together, but
+for images: each of their corners has one, and with the most of them they are out as a
+whole. The weights minimize a truncated cost,
 
     sum_g min(z_g^2, c^2),
 
@@ -40,6 +41,7 @@ from calib_pin.estimation.robust.causes import causes
 from calib_pin.estimation.robust.consensus import consensus
 from calib_pin.estimation.robust.studentized import (
     Studentized,
+    failing,
     squared_or_infinite,
     studentized,
 )
@@ -76,6 +78,7 @@ class RobustOptions:
         breakdown: Share of configurations beyond which those set aside may as well
             be the right ones. Medians hold up to one half; with four of ten wrong
             a few good ones may go as well.
+        lost: Share of the corners of an image beyond which all of it is wrong.
         size: Expected errors of the robot while the solution is sought, in scales:
             it holds what measurements do not tell, and hardly anything else.
         largest_share: Largest share of configurations that a scale is taken from
@@ -98,6 +101,7 @@ class RobustOptions:
     cut: float = 0.01
     bent: float = 0.1
     breakdown: float = 0.45
+    lost: float = 0.5
     size: float = 5.0
     largest_share: float = 0.8
     longest_step: float = 0.5
@@ -131,7 +135,7 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
     if not squared.sigma0 > EXACT:
         # Without redundancy, or without errors, every measurement is met.
         return squared
-    found = _judged(squared, np.ones(problem.data.configurations, bool))
+    found = _judged(squared, np.ones(int(failing(problem).max()) + 1, bool))
     scale = found.robust_scale()
 
     def plain(disagreement: float = 0.0) -> Fit:
@@ -169,12 +173,12 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
 
 def _weighted(problem: Problem, weight: NDArray[np.generic]) -> Problem:
     """The problem with a weight for each configuration, shape (G,)."""
-    return reweighted(problem, weight.astype(float)[problem.data.groups()])
+    return reweighted(problem, weight.astype(float)[failing(problem)])
 
 
 def _plain(problem: Problem) -> Problem:
     """The problem with all measurements at full weight."""
-    return _weighted(problem, np.ones(problem.data.configurations))
+    return reweighted(problem, np.ones(len(problem.data)))
 
 
 def _judged(fitted: Fit, accepted: NDArray[np.bool_]) -> Studentized:
@@ -182,7 +186,7 @@ def _judged(fitted: Fit, accepted: NDArray[np.bool_]) -> Studentized:
     held, _, moved = fitted.held
     problem = _plain(held)
     basis = problem.parameters.scales[:, None] * moved
-    rows = accepted[problem.data.groups()]
+    rows = accepted[failing(problem)]
     return studentized(problem, fitted.theta, basis, rows)
 
 
@@ -192,7 +196,9 @@ def _passed(found: Studentized, scale: Floats) -> NDArray[np.bool_]:
     tail = (OPTIONS.stated_chance if stated else OPTIONS.chance) / max(
         found.configurations, 1
     )
-    return np.asarray(found.statistic(scale) <= found.limit(tail))
+    passed = np.asarray(found.statistic(scale) <= found.limit(tail))
+    lost = np.bincount(found.whole, ~passed) / np.bincount(found.whole)
+    return np.asarray(passed & (lost <= OPTIONS.lost)[found.whole])
 
 
 def _scale(found: Studentized, accepted: NDArray[np.bool_]) -> Floats:
@@ -324,7 +330,7 @@ def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.boo
     for _ in range(OPTIONS.rounds):
         if accepted.mean() < 1.0 - OPTIONS.breakdown:
             break
-        rows = accepted[problem.data.groups()]
+        rows = accepted[failing(problem)]
         held = _weighted(problem, accepted)
         if held.many:
             held = replace(held, data=held.data.sample(SAMPLE))

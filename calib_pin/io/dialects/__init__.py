@@ -8,6 +8,7 @@ from pathlib import Path
 from calib_pin.io.columns import Column
 from calib_pin.io.dialects.base import Dialect, Heading, Lines, Reading, side_by_side
 from calib_pin.io.dialects.franka import Franka
+from calib_pin.io.dialects.joined import Joined
 from calib_pin.io.dialects.lerobot import LeRobot
 from calib_pin.io.dialects.matrices import Matrices
 from calib_pin.io.dialects.motive import Motive
@@ -45,6 +46,7 @@ DIALECTS: Mapping[str, type[Dialect]] = Members(
         "pandas": Pandas,
         "matrices": Matrices,
         "stamps": Stamps,
+        "joined": Joined,
     },
     _fault,
 )

@@ -37,13 +37,13 @@ ENOUGH = 1e-6
 """Distance of the tool point below which a file holds the whole calibration [m]."""
 
 GEOMETRY, OFFSETS, GAINS = "geometry", "joint offsets", "gains"
-FRAMES, CAMERA = "frames", "camera"
+FRAMES, CAMERA, CAMERA_LINK = "frames", "camera", "camera link"
 """Parts of a calibration that a format may hold."""
 
 MIMIC, PRISMATIC, SEVERAL = "mimic joints", "prismatic joints", "several chains"
 """Properties of a robot that it may hold."""
 
-PARTS = (GEOMETRY, OFFSETS, GAINS, FRAMES, CAMERA)
+PARTS = (GEOMETRY, OFFSETS, GAINS, FRAMES, CAMERA, CAMERA_LINK)
 ROBOTS = (MIMIC, PRISMATIC, SEVERAL)
 """All of both."""
 
@@ -284,7 +284,9 @@ class Format:
         if moves:
             remarks += self._distance(exported, encoded.read)
         if moves and exported.framed:
-            remarks.append(f"{self.name} holds no base and tool frames: see 'tf'")
+            seen = CAMERA_LINK in self.holds and exported.result.model.cameras
+            lacking = "frames but the camera's" if seen else "base and tool frames"
+            remarks.append(f"{self.name} holds no {lacking}: see 'tf'")
         if moves and MIMIC not in self.holds and (mimics := exported.nominal.mimics):
             said = enumerated(
                 f"{name} is {of.factor:g} {of.leader} {of.offset:+g}"

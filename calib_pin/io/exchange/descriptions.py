@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from calib_pin.errors import OptionError
 from calib_pin.io.exchange.base import (
+    CAMERA_LINK,
     RIGID,
     ROBOTS,
     Encoded,
@@ -22,6 +23,7 @@ from calib_pin.io.exchange.base import (
     origin_of,
     require_read,
 )
+from calib_pin.io.exchange.places import camera_links
 from calib_pin.io.urdf_tree import Document, Element, parse_document
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, invert, se3_exp
@@ -176,8 +178,15 @@ def _numbers(element: ElementTree.Element, key: str) -> list[float]:
 
 
 def encode_description(exported: Exported, _: Path | None) -> Encoded:
-    """The corrected URDF itself."""
-    return Encoded(exported.robot.source, read=exported.corrected_poses)
+    """The corrected URDF itself, with links of the cameras that were located."""
+    robot, (links, remarks) = exported.robot, camera_links(exported)
+    document = parse_document(robot.source, robot.file)
+    end = document.data.rfind(b"</")
+    data = document.data[:end] + links.encode() + document.data[end:]
+    data = document.mark + data.decode().encode(document.codec)
+    names = [len(parse_document(d).named("link")) for d in (robot.source, data)]
+    require_read(names[1] - names[0], links.count("<link "), "the cameras")
+    return Encoded(data, remarks, exported.corrected_poses)
 
 
 NAMESPACE = "http://www.ros.org/wiki/xacro"
@@ -206,10 +215,12 @@ def encode_xacro(exported: Exported, _: Path | None) -> Encoded:
     ]
     for name, text in properties.items():
         lines.append(f'  <xacro:property name={quoteattr(name)} value="{text}"/>')
-    data = "\n".join([*lines, "</robot>", ""]).encode()
-    found = {e.get("name"): e.get("value") for e in ElementTree.fromstring(data)}
+    links, remarks = camera_links(exported)
+    data = "\n".join([*lines, f"{links}</robot>", ""]).encode()
+    stated = ElementTree.fromstring(data).iterfind(f"{{{NAMESPACE}}}property")
+    found = {e.get("name"): e.get("value") for e in stated}
     require_read(found, properties, "the origins")
-    return Encoded(data, tuple(renamed), exported.corrected_poses)
+    return Encoded(data, (*renamed, *remarks), exported.corrected_poses)
 
 
 def corrected_origins(exported: Exported) -> dict[str, pin.SE3]:
@@ -227,8 +238,15 @@ def corrected_origins(exported: Exported) -> dict[str, pin.SE3]:
 HELD = (*RIGID, *ROBOTS)
 """Held by a description of the whole robot."""
 
+SEEN = (*HELD, CAMERA_LINK)
+"""The same with its cameras."""
+
 URDF = Format(
-    "urdf", ".urdf", "the corrected URDF alone", encode_description, holds=HELD
+    "urdf",
+    ".urdf",
+    "the corrected URDF, with its camera",
+    encode_description,
+    holds=SEEN,
 )
 MJCF = Format(
     "mjcf", ".xml", "MuJoCo's description of the robot", encode_mjcf, holds=HELD
@@ -236,7 +254,7 @@ MJCF = Format(
 XACRO = Format(
     "xacro",
     ".xacro",
-    "joint origins as properties, to be included",
+    "joint origins as properties, and the camera's links, to be included",
     encode_xacro,
-    holds=HELD,
+    holds=SEEN,
 )

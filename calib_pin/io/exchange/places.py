@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import chain as joined
 from itertools import count
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pinocchio as pin
@@ -15,13 +16,17 @@ import yaml
 from calib_pin.errors import OptionError, enumerated
 from calib_pin.io.exchange.base import (
     CAMERA,
+    CAMERA_LINK,
     FRAMES,
     ROBOTS,
     Encoded,
     Exported,
     Format,
+    origin_of,
+    placed,
     require_read,
 )
+from calib_pin.io.urdf_tree import parse_document
 from calib_pin.measurement_models.pinhole import Camera
 from calib_pin.validation.breakdown import REMEDY
 from calib_pin.validation.frames import frames_of
@@ -31,6 +36,12 @@ NAMES = {
     "tool": ("tool", "measured_point"),
 }
 """Names of the frames that have none of their own, by how they are called here."""
+
+OPTICAL = (0.0, 0.0, 0.0, -np.pi / 2, 0.0, -np.pi / 2)
+"""Origin of the optical frame of a camera in its link, see `ORIGIN`."""
+
+ENDS = ("link", "joint", "optical_frame", "optical_joint")
+"""Ends of the names of a camera's links and joints."""
 
 TURNS = ("rx", "ry", "rz")
 """Components of an orientation."""
@@ -104,6 +115,37 @@ def _free_name(names: Sequence[str], taken: set[str]) -> str:
     return name
 
 
+def camera_links(exported: Exported) -> tuple[str, tuple[str, ...]]:
+    """Links of the cameras whose place is known, as elements of a URDF, and remarks.
+
+    As ROS has it (REP 103): in `NAME_link` x is forward and z up, in
+    `NAME_optical_frame` z is forward and x to the right of the image.
+    """
+    found = [place for place in places(exported) if place.camera]
+    document, text = parse_document(exported.robot.source, exported.robot.file), ""
+    taken = {*document.named("link"), *document.named("joint")}
+    for place in (place for place in found if place.written):
+        stem = place.child.removesuffix("_optical_frame")
+        names = (_free_name([f"{stem}_{end}"], taken) for end in ENDS)
+        link, joint, frame, optical = names
+        forward = origin_of(place.pose * placed(OPTICAL).inverse())
+        text += _fixed(joint, place.parent, link, forward)
+        text += _fixed(optical, link, frame, OPTICAL)
+    return text, _remarks(exported, found)
+
+
+def _fixed(joint: str, parent: str, child: str, origin: Sequence[float]) -> str:
+    """A link and the joint that holds it."""
+    xyz, rpy = (" ".join(map(repr, part)) for part in (origin[:3], origin[3:]))
+    return f"""  <link name={quoteattr(child)}/>
+  <joint name={quoteattr(joint)} type="fixed">
+    <parent link={quoteattr(parent)}/>
+    <child link={quoteattr(child)}/>
+    <origin xyz="{xyz}" rpy="{rpy}"/>
+  </joint>
+"""
+
+
 def encode_transforms(exported: Exported, _: Path | None) -> Encoded:
     """Static transforms as ROS prints them, and the commands that publish them.
 
@@ -173,15 +215,14 @@ def encode_camera(exported: Exported, _: Path | None) -> Encoded:
         reason = f"{enumerated(unknown)} unknown; {REMEDY}"
         raise OptionError(reason, file=exported.file)
     (fx, fy), (cx, cy) = camera.focal, camera.center
-    remarks: tuple[str, ...] = ()
     if camera.size is None:
-        width, height = round(2.0 * cx), round(2.0 * cy)
-        remarks = (
-            f"the setup states no image size: {width} x {height} is twice the "
-            "principal point; state 'camera: {size: [width, height]}'",
+        raise OptionError(
+            "the size of the images is unknown, and ROS refuses a wrong one; state "
+            "'size: [width, height]' [px] under 'camera' in the setup file, and "
+            "calibrate again",
+            file=exported.file,
         )
-    else:
-        width, height = (int(edge) for edge in camera.size)
+    width, height = (int(edge) for edge in camera.size)
     K = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
     document = {
         "image_width": width,
@@ -203,7 +244,7 @@ def encode_camera(exported: Exported, _: Path | None) -> Encoded:
         about = f" in {place.parent}: xyz {x}, quaternion x y z w {turn}"
         told = about if place.written else f": {place.remark}"
         comments.append(f"# optical frame{told}")
-    remarks += _remarks(exported, cameras)
+    remarks = _remarks(exported, cameras)
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
     require_read(yaml.safe_load(text), document, "the numbers of the camera")
     return Encoded("\n".join([*comments, text]).encode(), remarks)
@@ -219,7 +260,7 @@ TF = Format(
     ".yaml",
     "static transforms of base, tools, stations, camera",
     encode_transforms,
-    holds=(FRAMES, *ROBOTS),
+    holds=(FRAMES, CAMERA_LINK, *ROBOTS),
 )
 CAMERA_INFO = Format(
     "camera-info",

@@ -238,6 +238,29 @@ def test_a_configuration_fails_as_a_whole() -> None:
     assert replace(found, rows=rows).causes(values) == told
 
 
+def test_corners_fail_alone_and_images_as_a_whole() -> None:
+    """A corner in each of ten images, and an image of which all corners are off."""
+    study, rng = Study(CASES["camera"]), np.random.default_rng(4)
+    truth = study.truth()
+    found = calib_pin.simulate(
+        study.problem, truth, rng, count=40, per_configuration=True, noise=0.3
+    )
+    images = found.groups()
+    whole = images == 7
+    bad = whole | np.isin(np.arange(len(images)), np.unique(images, True)[1][10:20])
+    values = found.only.values + 25.0 * bad[:, None]
+    spoiled = Job(
+        study, truth, Observations.of(replace(found.only, values=values)), bad
+    )
+    fitted = spoiled.fit()
+    assert spoiled.named(fitted).tolist() == bad.tolist()
+    clean = replace(spoiled, rows=found)
+    assert spoiled.ahead(fitted) < 1.3 * spoiled.ahead(clean.fit())
+    told = {o.row: o.cause for o in fitted.robust.outliers}
+    assert all(told[k].startswith("configuration of") for k in np.flatnonzero(whole))
+    assert not any("configuration" in told[k] for k in np.flatnonzero(bad & ~whole))
+
+
 def test_unknown_loss() -> None:
     with pytest.raises(OptionError) as error:
         job("position", 0.0, 1).fit("hubert")

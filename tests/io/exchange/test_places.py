@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
+import yourdfpy
 
 import calib_pin
 from calib_pin.errors import OptionError
@@ -133,25 +135,65 @@ def test_nothing_known_is_refused(scara, calibrated_robot, refused):
         FORMATS["tf"].encode(of(found), None)
 
 
-@pytest.mark.parametrize("mount", ["hand", "world"])
-def test_a_camera_is_told_with_its_place(mount, refused):
-    camera = CameraSetup(
+def looking(mount: str, **camera: Any) -> CalibratedModel:
+    """A nominal robot with a camera whose place is stated."""
+    seen = CameraSetup(
         mount=mount,
         focal=(800.0, 805.0),
         center=(640.0, 360.0),
         distortion=(0.01, -0.02, 0.0, 0.0, 0.0),
-        size=(1280, 720),
+        **{"size": (1280, 720), **camera},
     )
     setup = Setup(
-        camera=camera,
+        camera=seen,
         targets={"c": PointSetup(xyz=(0.0, 0.0, 0.0), estimate=False)},
         parameters=("joint-offset",),
-        base_frame=FrameSetup(xyz=(0.0, 0.0, 1.5), rpy=(np.pi, 0.0, 0.0)),
-        tool_frame=FrameSetup(xyz=(0.0, 0.0, 0.05), rpy=(0.0, 0.0, 0.0)),
+        base_frame=FrameSetup(xyz=(0.0, 0.1, 1.5), rpy=(3.0, 0.2, 0.0)),
+        tool_frame=FrameSetup(xyz=(0.0, 0.0, 0.05), rpy=(0.1, 0.0, -0.3)),
     )
     chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
     problem = nominal_problem(chain, "camera", setup)
-    model = CalibratedModel.create(problem, np.zeros(len(problem.parameters)))
+    return CalibratedModel.create(problem, np.zeros(len(problem.parameters)))
+
+
+@pytest.mark.parametrize("form", ["urdf", "xacro"])
+@pytest.mark.parametrize("mount", ["hand", "world"])
+def test_a_camera_stands_in_the_description(mount, form, tmp_path):
+    """Where the calibration found it, as yourdfpy reads the file."""
+    model = looking(mount)
+
+    def encoded(**unknown: Any) -> Encoded:
+        parts = {"verdict": "no-gain", "geometry": None}
+        return FORMATS[form].encode(of_model(model, **parts, **unknown), None)
+
+    if form == "urdf":
+        data = encoded().data
+    else:
+        xacro = pytest.importorskip("xacro")
+        (tmp_path / "camera.xacro").write_bytes(encoded().data)
+        include = f'<xacro:include filename="{tmp_path}/camera.xacro"/></robot>'
+        body = model.chains.robot.source.decode().replace("</robot>", include)
+        (tmp_path / "robot.xacro").write_text(body)
+        data = xacro.process_file(tmp_path / "robot.xacro").toxml().encode()
+    robot = yourdfpy.URDF.load(io.BytesIO(data), load_meshes=False)
+    link, pose = "base_link", model.of().error.base.inverse()
+    if mount == "hand":
+        link, pose = "tool0", model.of().tool
+    q = model.chains.random_configurations(1, np.random.default_rng(0))[0]
+    robot.update_cfg(dict(zip(model.chains.joints, q, strict=True)))
+    found = robot.get_transform("camera_optical_frame", link)
+    assert np.abs(found - pose.homogeneous).max() < 1e-12
+    # x of the link looks along z of the optical frame, its z is up.
+    turned = robot.get_transform("camera_optical_frame", "camera_link")[:3, :3]
+    assert np.abs(turned - [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]).max() < 1e-12
+    vague = encoded(unknown_of=lambda *_: ("z",))
+    assert b"camera_link" not in vague.data
+    assert f"z of {link} -> camera unknown" in vague.remarks
+
+
+@pytest.mark.parametrize("mount", ["hand", "world"])
+def test_a_camera_is_told_with_its_place(mount, refused):
+    model = looking(mount)
 
     def encoded(**unknown: Any) -> Encoded:
         return FORMATS["camera-info"].encode(of_model(model, **unknown), None)
@@ -171,3 +213,6 @@ def test_a_camera_is_told_with_its_place(mount, refused):
     assert yaml.safe_load(vague.data) == told
     with refused(OptionError, reason="camera.intrinsics.fx unknown", file="out"):
         encoded(unknown=("camera.intrinsics.fx", "base.frame.x"))
+    sizeless = of_model(looking(mount, size=None))
+    with refused(OptionError, reason="size: [width, height]", file="out"):
+        FORMATS["camera-info"].encode(sizeless, None)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib_pin.errors import InputError, RobotError, nearest
-from calib_pin.io.columns import NO_READING, Floats
+from calib_pin.io.columns import NO_READING, Column, Floats, closest
 from calib_pin.io.condition_columns import read_conditions
 from calib_pin.io.foreign_headers import check_gauges
 from calib_pin.io.inferred_model import infer_model
@@ -18,6 +18,7 @@ from calib_pin.io.joint_columns import (
     read_positions,
     spare_columns,
     spare_positions,
+    steps_in,
 )
 from calib_pin.io.measured_columns import (
     NAMES,
@@ -105,6 +106,7 @@ def read_blocks(
     names["chain"] = names["chain"].map(lambda name: name or unnamed)
     every, chains = chains, _named_chains(table, chains, names["chain"])
     table, columns = own_columns(table, chains, joints)
+    table = _of_sheet(table, asked, notice)
     if "model" in table:
         _check_models(table, names["model"])
     else:
@@ -125,7 +127,7 @@ def read_blocks(
     conditions, stating = read_conditions(table, chains.joints)
     further = spare_positions(table, chains, columns, q, spare)
     conditions = replace(conditions, payload=names["payload"], spare=further)
-    parts = []
+    parts, steps = [], steps_in(table, columns)
     for key, rows in blocks.items():
         own, texts, held = table, names, conditions
         if len(blocks) > 1:
@@ -137,7 +139,7 @@ def read_blocks(
         part, read_here = _read_block(
             own, chains, key, q[rows], texts, held, spare, orientation
         )
-        parts.append(part)
+        parts.append(replace(part, steps=steps))
         used |= read_here | stating
     unread = [name for name in spare if name not in used | OURS]
     if any(declared(part.model).contact for part in parts):
@@ -146,6 +148,20 @@ def read_blocks(
     if ignored and notice is not None:
         notice(ignored)
     return parts
+
+
+def _of_sheet(
+    table: Table, asked: Sequence[str], notice: Callable[[str], None] | None
+) -> Table:
+    """A file with z = 0 where it states x and y alone: points of a sheet."""
+    hidden = "z" in table.missing or closest("z", [*table.columns])
+    plain = {"x", "y"} <= table.columns.keys() and "z" not in table and not hidden
+    if not plain or ORIENTED & table.columns.keys() or {*asked} - {"position"}:
+        return table
+    if notice is not None:
+        notice(f"{table.file}: no column z: x, y of a sheet, z = 0")
+    z = Column("z", None, np.zeros(len(table.lines)))
+    return replace(table, columns={**table.columns, "z": z})
 
 
 def check_names(data: Observations) -> None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError, enumerated
 from calib_pin.io.cells import read_cells
 from calib_pin.io.columns import (
+    ANGLE,
     UNITS,
     Column,
     Floats,
@@ -30,6 +31,7 @@ from calib_pin.io.columns import (
 from calib_pin.io.dialects import reading, side_by_side
 from calib_pin.observations import Labels
 from calib_pin.progress import Progress
+from calib_pin.units import steps_of
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,8 @@ class Table:
                 both = f"'{taken[name]}' and '{ours}'"
                 raise self.error(f"'columns' in the setup takes {both} from it", name)
             # A unit that the file writes in its own way may be stated in ours.
-            if own in UNITS and unit not in (None, own):
+            known = own in UNITS or own in ANGLE.units
+            if known and unit not in (None, own):
                 reason = f"the header says [{own}], 'columns' in the setup [{unit}]"
                 raise self.error(reason, name)
             taken[name] = ours
@@ -181,7 +184,34 @@ class Table:
             allowed = "a positive number" if positive else "a finite number"
             raise self.cell_error(reason, name, row, allowed)
         factor = 1.0 if column.unit is None else kind.units[column.unit]
+        if steps := steps_of(column.unit or ""):
+            return (column.numbers - self._zero(name, *steps)) * factor
         return column.numbers if factor == 1.0 else column.numbers * factor
+
+    def _zero(self, name: str, turn: float, zero: float | None) -> float:
+        """The steps at which a joint is at zero, by default half a turn.
+
+        Raises:
+            InputError: If nobody says where, and not all positions are those of a turn.
+        """
+        numbers = self.columns[name].numbers
+        outside = (numbers < 0.0) | (numbers > turn)
+        if zero is None and outside.any():
+            raise self.cell_error(
+                f"a servo counts from 0 to {turn:g}; say at which step its joint is at "
+                f"zero, such as {self.in_unit(name, f'steps/{turn:g}@0')}",
+                name,
+                int(np.argmax(outside)),
+                f"0 to {turn:g}",
+            )
+        return turn / 2.0 if zero is None else zero
+
+    def in_unit(self, name: str, unit: str) -> str:
+        """How the unit of a column is stated, in the header or in the setup."""
+        theirs = self.columns[name].theirs
+        if theirs in ("", name):
+            return f"'{name} [{unit}]'"
+        return f"'columns: {{{name}: {theirs} [{unit}]}}'"
 
     def implausible(
         self, name: str, row: int, value: float, kind: Kind, why: str = ""
@@ -208,11 +238,10 @@ class Table:
             smaller = kind.smaller[smaller]
         reason = f"{value:.6g} {kind.si} looks like the wrong unit"
         reason += f", {why}" if why else ""
-        if smaller and column.theirs in ("", name):
-            reason += f"; write the header as '{name} [{smaller}]'"
-        elif smaller:
-            stated = f"{{{name}: {column.theirs} [{smaller}]}}"
-            reason += f"; state in the setup 'columns: {stated}'"
+        if smaller:
+            own = column.theirs in ("", name)
+            how = "write the header as" if own else "state in the setup"
+            reason += f"; {how} {self.in_unit(name, smaller)}"
         return self.cell_error(reason, name, row, ", ".join(kind.units))
 
     def check_size(

@@ -16,6 +16,7 @@ import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, require_distinct, require_folders
 from calib_pin.cli.printing import notice, say, say_json, say_written, told_command
 from calib_pin.errors import InputError, OptionError, enumerated, stated_in
+from calib_pin.units import as_number
 
 if TYPE_CHECKING:
     from calib_pin.io.first_look import Joints, Look
@@ -113,10 +114,8 @@ def init(
         raise OptionError("--distance is that of sockets (fixed-point)")
     if look.hand_set:
         prior = {"*.joint-offset.q": round(HAND_SET, 3)}
-        parameters = ("joint-offset",)
-        look = replace(
-            look, setup=replace(look.setup, parameters=parameters, prior=prior)
-        )
+        setup = replace(look.setup, parameters=("joint-offset",), prior=prior)
+        look = replace(look, setup=setup)
     text = draft(loaded, look, told_command(context))
     for remark in look.remarks:
         notice(remark)
@@ -343,11 +342,8 @@ def _length(text: str) -> float:
     from calib_pin.io.columns import LENGTH
 
     found = re.fullmatch(r"\s*([0-9.]+)\s*\[?(\w*)\]?\s*", text)
-    unit = LENGTH.units.get(found[2] or "m") if found else None
-    try:
-        value = float(found[1]) * unit if found and unit else 0.0
-    except ValueError:
-        value = 0.0
+    value = as_number(found[1]) if found else None
+    value = (value or 0.0) * LENGTH.units.get(found[2] or "m", 0.0) if found else 0.0
     if not 0.0 < value < 100.0:
         raise OptionError("--distance is no length", value=text, allowed="50 mm, 0.05")
     return value

@@ -6,7 +6,7 @@ import math
 import re
 from array import array
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import compress, count
@@ -173,17 +173,15 @@ COUNTERS = {1023: "steps/1228.8@512", 4095: STEPS}
 degrees (Dynamixel AX), those of 12 bits by a whole turn."""
 
 
-def counted(columns: Iterable[Floats]) -> str:
-    """The unit of joints whose numbers servos count; empty for others.
+def counted(numbers: Floats) -> str:
+    """The unit of joints that servos have counted, shape (N,); empty for others.
 
-    Whole numbers that are none of degrees, for they go beyond a turn.
+    Whole numbers that are none of degrees, for half of them are beyond a turn.
     """
-    numbers = np.concatenate([np.zeros(0), *columns])
-    numbers = numbers[np.isfinite(numbers)]
-    most = numbers.max(initial=0.0)
-    if most <= 360.0 or numbers.min() < 0.0 or (numbers % 1.0).any():
+    numbers = np.append(numbers[np.isfinite(numbers)], 0.0)
+    if np.median(numbers) <= 360.0 or numbers.min() < 0.0 or (numbers % 1.0).any():
         return ""
-    return next((unit for top, unit in COUNTERS.items() if most <= top), "")
+    return next((unit for top, unit in COUNTERS.items() if numbers.max() <= top), "")
 
 
 TEXTS = 1 << 8

@@ -19,8 +19,8 @@ SHOWN = 6
 """Links and columns that a comment names."""
 
 FAMILIES = (
-    "Six errors at every joint, the usual choice. Others: joint-offset for zeros alone; "
-    "transmission, compliance beside it for gears and loads."
+    "Six errors at every joint, the usual choice. Others: joint-offset for zeros "
+    "alone; transmission, compliance beside it for gears and loads."
 )
 
 HAND_SET = (

@@ -74,8 +74,9 @@ FEWEST = 3
 FEW = 10
 """Measurements for each joint and frame up to which they are few for six errors."""
 
-ROUGH = 0.01
-"""Part of its motion by which no nominal arm of a factory is off."""
+ROUGH, SMALL = 0.01, 0.2
+"""Part of its motion by which few nominal arms of a factory are off, and the scatter of
+the points of a small arm, rms [m]."""
 
 DATE = 1e11
 """Numbers from here on are dates with their digits in a row, and no seconds."""
@@ -141,15 +142,17 @@ class Look:
     def hand_set(self) -> str:
         """How it shows that zeros were set by hand, as a servo's; empty if nothing."""
         columns = self.joints.columns
-        units = {joint: self.units.get(joint, columns[joint].unit) for joint in columns}
-        if any(steps_of(unit or "") for unit in units.values()):
+        units = {j: self.units.get(j, of.unit) or "" for j, of in columns.items()}
+        if any(map(steps_of, units.values())):
             return "the joints are counted in steps of servos"
-        degrees = [columns[j].column.numbers for j, unit in units.items() if unit == "deg"]
-        if degrees and not np.nan_to_num(np.concatenate(degrees) % 1.0).any():
+        degrees = [columns[j].column.numbers for j in units if units[j] == "deg"]
+        if degrees and not np.nansum(np.array(degrees) % 1.0):
             return "the joints were read in whole degrees"
         few = self.data is not None and len(self.data) < FEW * (len(columns) + 2)
-        rough = "the nominal robot is off by a hundredth of its motion and more"
-        return f"{rough}, in few measurements" if few and self.share > ROUGH else ""
+        size = next(iter(self.errors.values()), inf)
+        if few and self.share > ROUGH and size < SMALL * self.share:
+            return "few measurements of a small arm, which is off by 1 % of its motion"
+        return ""
 
 
 def likely_tip(links: Sequence[str], robot: Robot) -> list[str]:
@@ -333,7 +336,8 @@ def readings(
     # A joint that stands still, as a gripper in percent, tells no unit.
     far = {j for j in turning if free[j].moves and free[j].largest > TURNED}
     angles = [turning, far] if far else [far, turning]
-    steps = counted(free[joint].column.numbers for joint in turning)
+    numbers = [np.zeros(0), *(free[joint].column.numbers for joint in turning)]
+    steps = counted(np.concatenate(numbers))
     angles = [turning] if steps else angles
     none = set[str]()
     slides = [none, free.keys() - turning]

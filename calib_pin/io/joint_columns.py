@@ -14,7 +14,6 @@ from calib_pin.io.columns import (
     Floats,
     Kind,
     closest,
-    counted,
     split_header,
 )
 from calib_pin.io.measured_columns import reserved
@@ -27,7 +26,6 @@ from calib_pin.kinematics.joint_space import FREE_TRAVEL
 from calib_pin.kinematics.tree import turns
 from calib_pin.observations import Labels
 from calib_pin.setup import JointMap
-from calib_pin.units import steps_of
 
 MIMICRY = 1e-3
 """Largest distance of a joint from where the one that it mimics takes it [rad, m]:
@@ -111,7 +109,6 @@ def read_positions(
         needed = {"": frozenset[str]().union(*needed.values())}
         chain_of = Labels.all("", count)
     _check_present(table, chains, columns, needed)
-    _check_counted(table, columns)
     q, stated = np.zeros((count, len(chains.joints))), {}
     for i, joint in enumerate(chains.joints):
         kinds = kinds_of(columns, joint)
@@ -166,17 +163,6 @@ def _positions(
             position = given.sign * given.gear * position + given.offset
     _check_unit(table, column, kinds[column], given, position, limits)
     return position
-
-
-def steps_in(table: Table, columns: JointColumns) -> dict[str, float]:
-    """Steps of a turn by joint, of those whose columns servos count."""
-    units = {
-        joint: table.columns[column].unit or ""
-        for joint, (column, _) in columns.maps.items()
-        if column in table
-    }
-    found = {joint: steps_of(unit) for joint, unit in units.items()}
-    return {joint: steps[0] for joint, steps in found.items() if steps}
 
 
 def shown_columns(
@@ -315,29 +301,6 @@ def _check_present(
     own = [joint for joint, column in maps if column in missing]
     hint = hint or advice(chains[chain or chains.names[0]], own) or ELSEWHERE
     raise table.error(f"{what} is missing{also}{hint}", first)
-
-
-def _check_counted(table: Table, columns: JointColumns) -> None:
-    """Refuse steps of servos that are called radians or degrees."""
-    turning = {
-        column: table.columns[column].numbers
-        for column, _ in columns.maps.values()
-        if column in table and columns.angular[column]
-        if table.columns[column].unit in (None, "rad", "deg")
-    }
-    unit = counted(turning.values())
-    for name, numbers in turning.items() if unit else ():
-        row = int(np.nanargmax(numbers))
-        factor = ANGLE.units[table.columns[name].unit or ANGLE.si]
-        if factor * numbers[row] > ANGLE.largest:
-            _, zero = steps_of(unit) or (0.0, None)
-            raise table.cell_error(
-                "joints are in whole numbers, as servos count their steps; state the "
-                f"unit of each like {table.in_unit(name, unit)}, where the joint is "
-                f"at zero at {zero or 2048:g}, or by 'calib-pin init'",
-                name,
-                row,
-            )
 
 
 def _check_unit(

@@ -18,7 +18,6 @@ from calib_pin.io.joint_columns import (
     read_positions,
     spare_columns,
     spare_positions,
-    steps_in,
 )
 from calib_pin.io.measured_columns import (
     NAMES,
@@ -52,6 +51,7 @@ from calib_pin.observations import (
 )
 from calib_pin.progress import Progress
 from calib_pin.setup import WORLD, JointMap, OrientationSetup
+from calib_pin.units import steps_of
 
 OURS = {"image", "pose", "cycle"}
 """Columns that our commands write for people, or for one another."""
@@ -127,7 +127,11 @@ def read_blocks(
     conditions, stating = read_conditions(table, chains.joints)
     further = spare_positions(table, chains, columns, q, spare)
     conditions = replace(conditions, payload=names["payload"], spare=further)
-    parts, steps = [], steps_in(table, columns)
+    units = {
+        j: table.columns[c].unit for j, (c, _) in columns.maps.items() if c in table
+    }
+    steps = {j: n[0] for j, u in units.items() if (n := steps_of(u or ""))}
+    parts = []
     for key, rows in blocks.items():
         own, texts, held = table, names, conditions
         if len(blocks) > 1:
@@ -159,7 +163,7 @@ def _of_sheet(
     if not plain or ORIENTED & table.columns.keys() or {*asked} - {"position"}:
         return table
     if notice is not None:
-        notice(f"{table.file}: no column z: x, y of a sheet, z = 0")
+        notice(f"{table.file}: no z: a sheet, z = 0, which may not tell up from down")
     z = Column("z", None, np.zeros(len(table.lines)))
     return replace(table, columns={**table.columns, "z": z})
 

@@ -25,6 +25,7 @@ from calib_pin.io.columns import (
     GrowingColumn,
     Kind,
     closest,
+    counted,
     split_header,
     what_is_wrong,
 )
@@ -175,43 +176,26 @@ class Table:
         if column.unit is not None and column.unit not in kind.units:
             allowed = ", ".join(kind.units) or "no unit"
             raise self.error(f"unit '{column.unit}' does not fit here", name, allowed)
+        turn, zero = steps_of(column.unit or "") or (0.0, 0.0)
         good = np.isfinite(column.numbers)
         if positive:
             good &= column.numbers > 0.0
+        if zero is None:
+            good &= (column.numbers >= 0.0) & (column.numbers <= turn)
         if not good.all():
             row = int(np.argmin(good))
             reason = what_is_wrong(column.text(row), float(column.numbers[row]))
             allowed = "a positive number" if positive else "a finite number"
+            if zero is None and np.isfinite(column.numbers[row]):
+                reason = "no position of a servo within a turn"
+                allowed = (
+                    f"0 to {turn:g}, or zero in the unit, such as steps/{turn:g}@0"
+                )
             raise self.cell_error(reason, name, row, allowed)
         factor = 1.0 if column.unit is None else kind.units[column.unit]
-        if steps := steps_of(column.unit or ""):
-            return (column.numbers - self._zero(name, *steps)) * factor
+        if turn:
+            return (column.numbers - (turn / 2.0 if zero is None else zero)) * factor
         return column.numbers if factor == 1.0 else column.numbers * factor
-
-    def _zero(self, name: str, turn: float, zero: float | None) -> float:
-        """The steps at which a joint is at zero, by default half a turn.
-
-        Raises:
-            InputError: If nobody says where, and not all positions are those of a turn.
-        """
-        numbers = self.columns[name].numbers
-        outside = (numbers < 0.0) | (numbers > turn)
-        if zero is None and outside.any():
-            raise self.cell_error(
-                f"a servo counts from 0 to {turn:g}; say at which step its joint is at "
-                f"zero, such as {self.in_unit(name, f'steps/{turn:g}@0')}",
-                name,
-                int(np.argmax(outside)),
-                f"0 to {turn:g}",
-            )
-        return turn / 2.0 if zero is None else zero
-
-    def in_unit(self, name: str, unit: str) -> str:
-        """How the unit of a column is stated, in the header or in the setup."""
-        theirs = self.columns[name].theirs
-        if theirs in ("", name):
-            return f"'{name} [{unit}]'"
-        return f"'columns: {{{name}: {theirs} [{unit}]}}'"
 
     def implausible(
         self, name: str, row: int, value: float, kind: Kind, why: str = ""
@@ -238,10 +222,17 @@ class Table:
             smaller = kind.smaller[smaller]
         reason = f"{value:.6g} {kind.si} looks like the wrong unit"
         reason += f", {why}" if why else ""
-        if smaller:
-            own = column.theirs in ("", name)
-            how = "write the header as" if own else "state in the setup"
-            reason += f"; {how} {self.in_unit(name, smaller)}"
+        if kind is ANGLE and column.unit is None and counted(column.numbers):
+            plain = [c.numbers for c in self.columns.values() if c.unit is None]
+            smaller = counted(np.concatenate([n for n in plain if counted(n)]))
+            reason += (
+                "; joints in whole numbers as servos count them, zero in the middle"
+            )
+        if smaller and column.theirs in ("", name):
+            reason += f"; write the header as '{name} [{smaller}]'"
+        elif smaller:
+            stated = f"{{{name}: {column.theirs} [{smaller}]}}"
+            reason += f"; state in the setup 'columns: {stated}'"
         return self.cell_error(reason, name, row, ", ".join(kind.units))
 
     def check_size(

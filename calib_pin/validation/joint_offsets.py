@@ -28,6 +28,7 @@ class FoundOffset:
         steps: Steps of its encoder per unit; None where they are not stated.
         status: That of the parameter, or of one less known that it is coupled to.
         within: Frames or instruments that the offset cannot be told from.
+        reverses: A sentence where the joint turns back as its column goes on.
     """
 
     joint: str
@@ -38,6 +39,7 @@ class FoundOffset:
     steps: float | None
     status: str
     within: tuple[str, ...]
+    reverses: str = ""
 
 
 def encoder_steps(setup: Setup, joints: Sequence[str]) -> Mapping[str, float]:
@@ -60,6 +62,17 @@ def encoder_steps(setup: Setup, joints: Sequence[str]) -> Mapping[str, float]:
     return found
 
 
+def told_reversed(columns: JointColumns) -> dict[str, str]:
+    """A sentence by joint that turns back as its column goes on."""
+    factors = {j: given.sign * given.gear for j, (_, given) in columns.maps.items()}
+    return {
+        joint: f"{joint} is reversed: q = -{f'{-factor:g} '.removeprefix('1 ')}"
+        "(reading + offset)"
+        for joint, factor in factors.items()
+        if factor < 0.0
+    }
+
+
 def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
     """The offsets of the columns of all joints that have one as a parameter."""
     model = result.model
@@ -71,6 +84,7 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
     estimates = {p.name: p for p in result.parameters if p.status != "fixed"}
     absorbed = {e.of[0]: e.within for e in result.robot_errors if e.within}
     place, found = result.covariance.rows.index, []
+    reverses = told_reversed(columns)
     for row, joint, column in zip(weights, columns.joints, columns.names, strict=True):
         name = "{}.joint-offset.q"
         parts = {
@@ -100,6 +114,7 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
                 steps=steps[joint] / (2.0 * np.pi) if stepped else None,
                 status=status,
                 within=absorbed.get(joint, ()),
+                reverses=reverses.get(joint, ""),
             )
         )
     return tuple(found)

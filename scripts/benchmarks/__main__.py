@@ -28,6 +28,7 @@ from benchmarks import (
     report,
     round_trips,
     rows,
+    servo,
     startup,
     verdict,
 )
@@ -37,6 +38,7 @@ BENCHMARKS = {
     "startup": startup.main,
     "evolution": evolution.main,
     "rows": rows.main,
+    "servo": servo.main,
     "jobs": jobs.main,
     "learned": learned.main,
     "camera": camera.main,

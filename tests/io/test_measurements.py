@@ -584,7 +584,7 @@ REFUSED = [
     (f"{J},x,y,z,distance\n0,0,0,1,2,3,4\n", 1, None, None, "--model"),
     (f"{J},u,v,x,y,z,target\n0,0,0,1,2,3,4,5,m\n", 1, None, None, "--model"),
     (f"{J},u\n0,0,0,1\n", 1, "v", None, "'camera'"),
-    (f"{J},x,y\n0,0,0,1,2\n", 1, "z", None, "'position'"),
+    (f"{J},x,z\n0,0,0,1,2\n", 1, "y", None, "'position'"),
     (f"{J},x,y,z (mm)\n0,0,0,1,2,3\n", 1, "z", None, "'z (mm)'"),
     (f"{J},rx,ry,rz\n0,0,0,0,0,0\n", 1, "x", None, "'pose'"),
     (f"{J},x,y,z,qx,qy,qz\n0,0,0,1,2,3,0,0,0\n", 1, "qw", None),

@@ -59,7 +59,7 @@ class LeRobot(base.Dialect):
         }
         largest = max(np.abs(np.nan_to_num(n)).max() for n in numbers.values())
         unit, remark = ("deg", "degrees") if largest > RADIANS else (None, "rad")
-        if steps := counted(numbers.values()):
+        if steps := counted(np.concatenate([*numbers.values()])):
             unit, remark = steps, "steps of its motors"
         ranges = _ranges(file, joints) if unit and largest <= 100.0 else None
         if ranges:

@@ -178,8 +178,9 @@ def counted(numbers: Floats) -> str:
 
     Whole numbers that are none of degrees, for half of them are beyond a turn.
     """
-    numbers = np.append(numbers[np.isfinite(numbers)], 0.0)
-    if np.median(numbers) <= 360.0 or numbers.min() < 0.0 or (numbers % 1.0).any():
+    numbers = numbers[np.isfinite(numbers)]
+    whole = not (numbers % 1.0).any() and numbers.min(initial=0.0) >= 0.0
+    if not len(numbers) or not whole or np.median(numbers) <= 360.0:
         return ""
     return next((unit for top, unit in COUNTERS.items() if numbers.max() <= top), "")
 

@@ -163,7 +163,7 @@ def _of_sheet(
     if not plain or ORIENTED & table.columns.keys() or {*asked} - {"position"}:
         return table
     if notice is not None:
-        notice(f"{table.file}: no z: a sheet, z = 0, which may not tell up from down")
+        notice(f"{table.file}: no z: a sheet, z = 0, on which the robot stands")
     z = Column("z", None, np.zeros(len(table.lines)))
     return replace(table, columns={**table.columns, "z": z})
 

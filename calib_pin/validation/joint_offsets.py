@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.errors import OptionError, nearest
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.parameterizations.base import owner
-from calib_pin.parameters import matching
+from calib_pin.parameters import by_joint
 from calib_pin.setup import Setup
 from calib_pin.validation.result import CalibrationResult
 
@@ -48,18 +47,8 @@ def encoder_steps(setup: Setup, joints: Sequence[str]) -> Mapping[str, float]:
     Raises:
         OptionError: If a name or glob of the setup is no joint.
     """
-    found: dict[str, float] = {}
-    for pattern, steps in setup.encoder_steps.items():
-        positions = matching(pattern, joints)
-        if not positions:
-            raise OptionError(
-                f"there is no joint '{pattern}'{nearest(pattern, joints)}",
-                file=setup.file or None,
-                column="encoder_steps",
-                allowed=", ".join(joints),
-            )
-        found |= {joints[k]: steps for k in positions}
-    return found
+    stated = setup.encoder_steps.items()
+    return by_joint(stated, joints, "encoder_steps", setup.file or None)
 
 
 def told_reversed(columns: JointColumns) -> dict[str, str]:

@@ -123,9 +123,7 @@ def calibrate(
     setup = replace(setup, reading=ReadingSetup())
     further = None if validation is None else Observations.of(validation)
     chains = chains_of(chains, data, *([] if further is None else [further]))
-    steps = {
-        j: n for b in data.blocks for j, n in b.steps.items() if j in chains.joints
-    }
+    steps = {j: n for j, n in data.conditions.steps.items() if j in chains.joints}
     setup = replace(setup, encoder_steps={**steps, **setup.encoder_steps})
     encoder_steps(setup, chains.joints)
     training, held, method = split(data, setup, further, holdout, seed)

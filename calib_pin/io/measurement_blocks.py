@@ -131,7 +131,7 @@ def read_blocks(
         j: table.columns[c].unit for j, (c, _) in columns.maps.items() if c in table
     }
     steps = {j: n[0] for j, u in units.items() if (n := steps_of(u or ""))}
-    parts = []
+    conditions, parts = replace(conditions, steps=steps), []
     for key, rows in blocks.items():
         own, texts, held = table, names, conditions
         if len(blocks) > 1:
@@ -143,7 +143,7 @@ def read_blocks(
         part, read_here = _read_block(
             own, chains, key, q[rows], texts, held, spare, orientation
         )
-        parts.append(replace(part, steps=steps))
+        parts.append(part)
         used |= read_here | stating
     unread = [name for name in spare if name not in used | OURS]
     if any(declared(part.model).contact for part in parts):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -132,7 +132,6 @@ class Measurements(SourcedRows):
         tool: Name of what was mounted; empty for the only one.
         orientation: How the file states orientations, such as `quaternion`; empty where
             there is no file, or files state them in several ways.
-        steps: Steps of a turn by joint, of those whose columns count steps.
 
     Raises:
         InputError: If the shapes disagree or a number is not finite.
@@ -154,7 +153,6 @@ class Measurements(SourcedRows):
     station: str = ""
     tool: str = ""
     orientation: str = ""
-    steps: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Fill the optional columns and check shapes and values."""

@@ -137,7 +137,7 @@ def test_steps_of_a_servo(write, chain, unit, steps, turned):
     rows = "".join(f"0,{step},0,1\n" for step in steps)
     data = read(write(f"lift,elbow [{unit}],wrist,distance\n{rows}"), chain)
     np.testing.assert_allclose(data.q[:, 1], np.pi * np.array(turned), atol=1e-12)
-    assert data.steps == {"elbow": float(unit[6:].split("@")[0])}
+    assert data.conditions.steps == {"elbow": float(unit[6:].split("@")[0])}
 
 
 def test_points_of_a_sheet_have_no_height(write, chain):

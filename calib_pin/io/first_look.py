@@ -142,7 +142,7 @@ class Look:
     def hand_set(self) -> str:
         """How it shows that zeros were set by hand, as a servo's; empty if nothing."""
         columns = self.joints.columns
-        units = {j: self.units.get(j, of.unit) or "" for j, of in columns.items()}
+        units = {j: self.units.get(j, of.unit or "") for j, of in columns.items()}
         if any(map(steps_of, units.values())):
             return "the joints are counted in steps of servos"
         degrees = [columns[j].column.numbers for j in units if units[j] == "deg"]

@@ -48,5 +48,5 @@ def test_the_judge(row: str, said: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_beginner(tmp_path: Path) -> None:
-    assert run(4, tmp_path)[2].startswith("right")
+def test_a_beginner_with_a_mirrored_arm(tmp_path: Path) -> None:
+    assert run(41, tmp_path)[2].startswith("right")

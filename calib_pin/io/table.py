@@ -225,9 +225,9 @@ class Table:
         if kind is ANGLE and column.unit is None and counted(column.numbers):
             plain = [c.numbers for c in self.columns.values() if c.unit is None]
             smaller = counted(np.concatenate([n for n in plain if counted(n)]))
-            reason += (
-                "; joints in whole numbers as servos count them, zero in the middle"
-            )
+            reason += "; whole numbers of all joints are steps, zero in the middle"
+        if kind is ANGLE and np.nanmax(np.abs(column.numbers)) == 100.0:
+            reason += "; -100 to 100 of a range: [steps/N@0], N = 819200 / range"
         if smaller and column.theirs in ("", name):
             reason += f"; write the header as '{name} [{smaller}]'"
         elif smaller:

@@ -128,6 +128,8 @@ def calibrate(
     setup = replace(setup, reading=ReadingSetup())
     chains, (data, *more) = fitting(chains, setup, *given)
     further = more[0] if more else None
+    steps = {j: n for j, n in data.conditions.steps.items() if j in chains.joints}
+    setup = replace(setup, encoder_steps={**steps, **setup.encoder_steps})
     encoder_steps(setup, chains.joints)
     training, held, method = split(data, setup, further, holdout, seed)
     _require_ends(chains, setup, training, held)

@@ -10,12 +10,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cached_property, lru_cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError, nearest
 from calib_pin.kinematics.spatial import Floats
+
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True)
@@ -224,6 +227,37 @@ def matching(pattern: str, names: Sequence[str]) -> list[int]:
     if pattern in names:  # The name of a joint may hold brackets.
         return [k for k, name in enumerate(names) if name == pattern]
     return [k for k, name in enumerate(names) if fnmatchcase(name, pattern)]
+
+
+def by_joint(
+    stated: Iterable[tuple[str, Value]],
+    joints: Sequence[str],
+    column: str,
+    file: str | None = None,
+) -> dict[str, Value]:
+    """Values by joint, of those by names or globs; later ones win.
+
+    Args:
+        stated: Names or globs, each with its value.
+        joints: The joints that there are.
+        column: Key of the setup file that states them, for messages.
+        file: The setup file.
+
+    Raises:
+        OptionError: If one means no joint.
+    """
+    result = dict[str, Value]()
+    for pattern, value in stated:
+        found = matching(pattern, joints)
+        if not found:
+            raise OptionError(
+                f"no joint of the robot matches '{pattern}'{nearest(pattern, joints)}",
+                file=file,
+                column=column,
+                allowed=", ".join(joints),
+            )
+        result |= {joints[k]: value for k in found}
+    return result
 
 
 @lru_cache(maxsize=64)

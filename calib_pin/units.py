@@ -17,6 +17,8 @@ DISPLAY = {
 }
 """Unit and factor that people read, by SI unit."""
 
+_STEPS = re.compile(r"steps/(\d+\.?\d*)(?:@([-+]?\d+\.?\d*))?", re.ASCII)
+
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 _NOT_FINITE = re.compile(r"[-+]?\.?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
 
@@ -33,3 +35,19 @@ def as_number(text: str) -> float | None:
     if _NUMBER.fullmatch(text):
         return float(text)
     return float(text.replace(".", "")) if _NOT_FINITE.fullmatch(text) else None
+
+
+def steps_of(unit: str) -> tuple[float, float | None] | None:
+    """Steps of a turn, and the position at which a joint is at zero; None for no steps.
+
+    A servo counts from 0, and stands at zero in the middle of a turn unless its unit
+    says where: None for the middle.
+
+    Examples:
+        >>> steps_of("steps/4096"), steps_of("steps/1228.8@512"), steps_of("deg")
+        ((4096.0, None), (1228.8, 512.0), None)
+    """
+    found = _STEPS.fullmatch(unit)
+    if found is None or not float(found[1]):
+        return None
+    return float(found[1]), None if found[2] is None else float(found[2])

@@ -97,6 +97,7 @@ def init(
     from calib_pin.io.setup import setup_document
     from calib_pin.io.table import read_table
     from calib_pin.io.urdf import load_robot
+    from calib_pin.parameterizations.placement import HAND_SET
     from calib_pin.setup import Setup
 
     require_folders(package_dir or [])
@@ -120,6 +121,10 @@ def init(
         look = _with_distances(look, distance)
     elif distance is not None:
         raise OptionError("--distance is that of sockets (fixed-point)")
+    if look.hand_set:
+        prior = {"*.joint-offset.q": round(HAND_SET, 3)}
+        setup = replace(look.setup, parameters=("joint-offset",), prior=prior)
+        look = replace(look, setup=setup)
     text = draft(loaded, look, told_command(context))
     for remark in look.remarks:
         notice(remark)

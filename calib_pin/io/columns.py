@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import nearest
 from calib_pin.observations.labels import Labels
 from calib_pin.setup.values import LARGEST_ANGLE, LARGEST_LENGTH
-from calib_pin.units import as_number
+from calib_pin.units import as_number, steps_of
 
 
 def read_numbers(cells: Sequence[str]) -> NDArray[np.float64]:
@@ -132,15 +132,33 @@ class Kind:
     largest: float
 
 
+class _Angles(dict[str, float]):
+    """Factors of units of angles, those of steps of any size among them."""
+
+    def __contains__(self, unit: object) -> bool:
+        return super().__contains__(unit) or bool(steps_of(str(unit)))
+
+    def __missing__(self, unit: str) -> float:
+        if (steps := steps_of(unit)) is None:
+            raise KeyError(unit)
+        return 2.0 * np.pi / steps[0]
+
+
 LENGTH = Kind(
     "m",
     {"m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
     {"m": "mm", "in": "mm", "mm": "um"},
     LARGEST_LENGTH,
 )
+STEPS = "steps/4096"
+"""The usual steps of a servo."""
+
 ANGLE = Kind(
     "rad",
-    {"rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3, "gon": np.pi / 200.0},
+    _Angles(
+        {"rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3, "gon": np.pi / 200.0}
+        | {STEPS: 2.0 * np.pi / 4096.0}
+    ),
     {"rad": "deg", "deg": "mrad"},
     LARGEST_ANGLE,
 )
@@ -149,6 +167,22 @@ PURE = Kind("", {}, {}, np.inf)
 
 UNITS = {*ANGLE.units, *LENGTH.units, *PIXEL.units}
 """Units as calib-pin writes them."""
+
+COUNTERS = {1023: "steps/1228.8@512", 4095: STEPS}
+"""Units of servos by the largest position that they count: those of 10 bits turn by 300
+degrees (Dynamixel AX), those of 12 bits by a whole turn."""
+
+
+def counted(numbers: Floats) -> str:
+    """The unit of joints that servos have counted, shape (N,); empty for others.
+
+    Whole numbers that are none of degrees, for half of them are beyond a turn.
+    """
+    numbers = numbers[np.isfinite(numbers)]
+    whole = not (numbers % 1.0).any() and numbers.min(initial=0.0) >= 0.0
+    if not len(numbers) or not whole or np.median(numbers) <= 360.0:
+        return ""
+    return next((unit for top, unit in COUNTERS.items() if numbers.max() <= top), "")
 
 
 TEXTS = 1 << 8

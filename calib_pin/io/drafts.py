@@ -18,9 +18,15 @@ WIDTH = 88
 SHOWN = 6
 """Links and columns that a comment names."""
 
-FAMILIES = """
-# Six errors at every joint, the usual choice. Others: joint-offset for zeros alone;
-#   transmission, compliance beside it for gears and loads."""
+FAMILIES = (
+    "Six errors at every joint, the usual choice. Others: joint-offset for zeros "
+    "alone; transmission, compliance beside it for gears and loads."
+)
+
+HAND_SET = (
+    "The zeros of the joints alone: {}. From 100 measurements on try placement: six "
+    "errors at every joint."
+)
 
 EXTERNAL = """
 # The instrument may stand anywhere, and the target may sit anywhere
@@ -41,6 +47,7 @@ GAUGED = (
 
 COMMENTS = {
     "chains": "The links that the names in the column 'chain' stand for.",
+    "prior": "Zeros that were set by hand are off by about 5 degrees [rad].",
     "board": "The board; its points are known.",
     "camera": "The camera; a first guess that is estimated, but for the size of the "
     "images, 'size: [width, height]', which export to camera-info needs.",
@@ -89,8 +96,10 @@ def _lines(robot: Robot, look: Look, command: str) -> Iterator[str]:
     yield "\n" + _comment(f"Measured: {helps}.")
     if any(declared(b.model).contact and b.values.shape[1] for b in data.blocks):
         yield _comment(GAUGED)
-    yield f"model: {'+'.join(data.models)}{FAMILIES}"
+    yield f"model: {'+'.join(data.models)}"
+    yield _comment(HAND_SET.format(why) if (why := look.hand_set) else FAMILIES)
     yield yaml_text({"parameters": document["parameters"]})
+    yield from stated("prior")
     if "columns" in document:
         yield "\n# Our names of columns, and those of the file with their units."
         if look.joints.order:

@@ -18,7 +18,7 @@ import numpy as np
 
 from calib_pin.errors import CalibPinError, InputError
 from calib_pin.estimation.problem import Problem, distinct_values, error_table
-from calib_pin.io.columns import ANGLE, LENGTH
+from calib_pin.io.columns import ANGLE, LENGTH, counted
 from calib_pin.io.foreign_headers import (
     GAUGED,
     VECTORS,
@@ -40,6 +40,7 @@ from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.tree import turns
 from calib_pin.observations import Observations
 from calib_pin.setup import Setup
+from calib_pin.units import steps_of
 from calib_pin.validation.evaluation import prepared
 from calib_pin.validation.findings.case import some_of
 from calib_pin.validation.findings.computed_values import COMPUTED, spread
@@ -69,6 +70,13 @@ which a reading is none: a robot is off by a tenth at most, a wrong reading by a
 
 FEWEST = 3
 """Joints that are found without their names."""
+
+FEW = 10
+"""Measurements for each joint and frame up to which they are few for six errors."""
+
+ROUGH, SMALL = 0.01, 0.2
+"""Part of its motion by which few nominal arms of a factory are off, and the scatter of
+the points of a small arm, rms [m]."""
 
 DATE = 1e11
 """Numbers from here on are dates with their digits in a row, and no seconds."""
@@ -129,6 +137,22 @@ class Look:
     def fits(self) -> bool:
         """Whether the nominal robot moves as the measurements say."""
         return self.share < FITS
+
+    @property
+    def hand_set(self) -> str:
+        """How it shows that zeros were set by hand, as a servo's; empty if nothing."""
+        columns = self.joints.columns
+        units = {j: self.units.get(j, of.unit or "") for j, of in columns.items()}
+        if any(map(steps_of, units.values())):
+            return "the joints are counted in steps of servos"
+        degrees = [columns[j].column.numbers for j in units if units[j] == "deg"]
+        if degrees and not np.nansum(np.array(degrees) % 1.0):
+            return "the joints were read in whole degrees"
+        few = self.data is not None and len(self.data) < FEW * (len(columns) + 2)
+        size = next(iter(self.errors.values()), inf)
+        if few and self.share > ROUGH and size < SMALL * self.share:
+            return "few measurements of a small arm, which is off by 1 % of its motion"
+        return ""
 
 
 def likely_tip(links: Sequence[str], robot: Robot) -> list[str]:
@@ -312,6 +336,9 @@ def readings(
     # A joint that stands still, as a gripper in percent, tells no unit.
     far = {j for j in turning if free[j].moves and free[j].largest > TURNED}
     angles = [turning, far] if far else [far, turning]
+    numbers = [np.zeros(0), *(free[joint].column.numbers for joint in turning)]
+    steps = counted(np.concatenate(numbers))
+    angles = [turning] if steps else angles
     none = set[str]()
     slides = [none, free.keys() - turning]
     for way, degrees, millimeters, length in product(
@@ -325,7 +352,7 @@ def readings(
         for ours, one in [*joints.items(), *way.items()]:
             unit = one.unit
             if ours in degrees:
-                unit = units.setdefault(ours, "deg")
+                unit = units.setdefault(ours, steps or "deg")
             if ours in millimeters or (one in unstated and length == "mm"):
                 unit = units.setdefault(ours, "mm")
             foreign = one.name != ours or (unit is not None and one.column.unit is None)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib_pin.errors import InputError
-from calib_pin.io.columns import ANGLE, LENGTH, Column, split_header
+from calib_pin.io.columns import ANGLE, LENGTH, STEPS, Column, split_header
 from calib_pin.io.measured_columns import reserved
 from calib_pin.io.table import Table
 
@@ -147,7 +147,7 @@ class Foreign:
 
     def stated(self, unit: str | None) -> str:
         """How `columns` in a setup file names it with a unit."""
-        if self.column.unit in (*ANGLE.units, *LENGTH.units):
+        if self.column.unit in ANGLE.units or self.column.unit in LENGTH.units:
             return self.name  # Its header says so already.
         return self.column.header if unit is None else f"{self.name} [{unit}]"
 
@@ -191,7 +191,7 @@ def require_units(columns: Iterable[Foreign]) -> None:
             raise InputError(
                 f"the unit '{one.column.unit}' is not known",
                 column=one.name,
-                allowed=", ".join(UNITS),
+                allowed=", ".join((*UNITS, STEPS)),
             )
 
 
@@ -233,6 +233,8 @@ def _spaced(text: str) -> str:
 
 def _unit(text: str) -> str | None:
     text = text.strip().lower()
+    if text in ANGLE.units:
+        return text
     return next((unit for unit, ways in UNITS.items() if text in ways), None)
 
 
@@ -254,8 +256,10 @@ def measured(columns: Sequence[Foreign]) -> dict[str, list[Foreign]]:
                 found[ours].setdefault(stem, one)
     for vector in VECTORS:
         stems = [*found[vector[0]]]
-        whole = [stem for stem in stems if all(stem in found[v] for v in vector)]
-        for ours in vector:
+        # Points of a sheet have no z.
+        needed = [v for v in vector if v != "z" or found[v]]
+        whole = [stem for stem in stems if all(stem in found[v] for v in needed)]
+        for ours in needed:
             found[ours] = {stem: found[ours][stem] for stem in whole}
     return {ours: [*choices.values()] for ours, choices in found.items() if choices}
 
@@ -342,7 +346,7 @@ def vectors(
     stems = [stem and PLACES.sub("", stem).strip() for stem in stems]
     result = []
     for k, stem in enumerate(stems):
-        position = {axis: found[axis][k] for axis in VECTORS[0]}
+        position = {axis: found[axis][k] for axis in VECTORS[0] if axis in found}
         orientation = dict[str, Foreign]()
         for names in turned:
             of = [_stem(one, names[0]) for one in found[names[0]]]

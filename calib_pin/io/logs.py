@@ -29,6 +29,7 @@ from calib_pin.io.measurements import encode_table
 from calib_pin.io.table import Table, require_columns, with_readings
 from calib_pin.measurement_models.declaration import QUATERNION, ROTATION_VECTOR
 from calib_pin.setup import STATED
+from calib_pin.units import steps_of
 
 TIME = Kind("s", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, {}, np.inf)
 
@@ -154,6 +155,8 @@ def read_joint_log(
     table = _whole(table, stamp, names, notice)
     units = [table.columns[name].unit for name in names]
     kinds = [*map(_kind, units)]
+    # Steps of servos are told in radians.
+    units = [None if steps_of(unit or "") else unit for unit in units]
     factors = [k.units.get(u or "", 1.0) for k, u in zip(kinds, units, strict=True)]
     time, poses, loose = _times(table, stamp)
     log = joining.Log(time, np.column_stack([*map(table.numbers, names, kinds)]))
@@ -296,7 +299,8 @@ def _is_position(one: Foreign) -> bool:
     numbers = one.column.numbers[np.isfinite(one.column.numbers)]
     if not one.column.numeric or OTHER.search(one.words) or STAMPS.search(one.words):
         return False
-    if one.column.unit not in (None, *ANGLE.units, *LENGTH.units):
+    unit = one.column.unit or "rad"
+    if unit not in ANGLE.units and unit not in LENGTH.units:
         return False
     steps = np.unique(np.diff(numbers))
     return not (len(steps) == 1 and steps[0] > 0.0 and len(numbers) > COUNTED)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib_pin.errors import InputError, RobotError, nearest
-from calib_pin.io.columns import NO_READING, Floats
+from calib_pin.io.columns import NO_READING, Column, Floats, closest
 from calib_pin.io.condition_columns import read_conditions
 from calib_pin.io.foreign_headers import check_gauges
 from calib_pin.io.inferred_model import infer_model
@@ -51,6 +51,7 @@ from calib_pin.observations import (
 )
 from calib_pin.progress import Progress
 from calib_pin.setup import WORLD, JointMap, OrientationSetup
+from calib_pin.units import steps_of
 
 OURS = {"image", "pose", "cycle"}
 """Columns that our commands write for people, or for one another."""
@@ -105,6 +106,7 @@ def read_blocks(
     names["chain"] = names["chain"].map(lambda name: name or unnamed)
     every, chains = chains, _named_chains(table, chains, names["chain"])
     table, columns = own_columns(table, chains, joints)
+    table = _of_sheet(table, asked, notice)
     if "model" in table:
         _check_models(table, names["model"])
     else:
@@ -125,7 +127,11 @@ def read_blocks(
     conditions, stating = read_conditions(table, chains.joints)
     further = spare_positions(table, chains, columns, q, spare)
     conditions = replace(conditions, payload=names["payload"], spare=further)
-    parts = []
+    units = {
+        j: table.columns[c].unit for j, (c, _) in columns.maps.items() if c in table
+    }
+    steps = {j: n[0] for j, u in units.items() if (n := steps_of(u or ""))}
+    conditions, parts = replace(conditions, steps=steps), []
     for key, rows in blocks.items():
         own, texts, held = table, names, conditions
         if len(blocks) > 1:
@@ -146,6 +152,20 @@ def read_blocks(
     if ignored and notice is not None:
         notice(ignored)
     return parts
+
+
+def _of_sheet(
+    table: Table, asked: Sequence[str], notice: Callable[[str], None] | None
+) -> Table:
+    """A file with z = 0 where it states x and y alone: points of a sheet."""
+    hidden = "z" in table.missing or closest("z", [*table.columns])
+    plain = {"x", "y"} <= table.columns.keys() and "z" not in table and not hidden
+    if not plain or ORIENTED & table.columns.keys() or {*asked} - {"position"}:
+        return table
+    if notice is not None:
+        notice(f"{table.file}: no z: a sheet, z = 0, on which the robot stands")
+    z = Column("z", None, np.zeros(len(table.lines)))
+    return replace(table, columns={**table.columns, "z": z})
 
 
 def check_names(data: Observations) -> None:

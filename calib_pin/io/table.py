@@ -18,18 +18,21 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError, enumerated
 from calib_pin.io.cells import read_cells
 from calib_pin.io.columns import (
+    ANGLE,
     UNITS,
     Column,
     Floats,
     GrowingColumn,
     Kind,
     closest,
+    counted,
     split_header,
     what_is_wrong,
 )
 from calib_pin.io.dialects import reading, side_by_side
 from calib_pin.observations import Labels
 from calib_pin.progress import Progress
+from calib_pin.units import steps_of
 
 
 @dataclass(frozen=True)
@@ -142,7 +145,8 @@ class Table:
                 both = f"'{taken[name]}' and '{ours}'"
                 raise self.error(f"'columns' in the setup takes {both} from it", name)
             # A unit that the file writes in its own way may be stated in ours.
-            if own in UNITS and unit not in (None, own):
+            known = own in UNITS or own in ANGLE.units
+            if known and unit not in (None, own):
                 reason = f"the header says [{own}], 'columns' in the setup [{unit}]"
                 raise self.error(reason, name)
             taken[name] = ours
@@ -172,15 +176,25 @@ class Table:
         if column.unit is not None and column.unit not in kind.units:
             allowed = ", ".join(kind.units) or "no unit"
             raise self.error(f"unit '{column.unit}' does not fit here", name, allowed)
+        turn, zero = steps_of(column.unit or "") or (0.0, 0.0)
         good = np.isfinite(column.numbers)
         if positive:
             good &= column.numbers > 0.0
+        if zero is None:
+            good &= (column.numbers >= 0.0) & (column.numbers <= turn)
         if not good.all():
             row = int(np.argmin(good))
             reason = what_is_wrong(column.text(row), float(column.numbers[row]))
             allowed = "a positive number" if positive else "a finite number"
+            if zero is None and np.isfinite(column.numbers[row]):
+                reason = "no position of a servo within a turn"
+                allowed = (
+                    f"0 to {turn:g}, or zero in the unit, such as steps/{turn:g}@0"
+                )
             raise self.cell_error(reason, name, row, allowed)
         factor = 1.0 if column.unit is None else kind.units[column.unit]
+        if turn:
+            return (column.numbers - (turn / 2.0 if zero is None else zero)) * factor
         return column.numbers if factor == 1.0 else column.numbers * factor
 
     def implausible(
@@ -208,6 +222,12 @@ class Table:
             smaller = kind.smaller[smaller]
         reason = f"{value:.6g} {kind.si} looks like the wrong unit"
         reason += f", {why}" if why else ""
+        if kind is ANGLE and column.unit is None and counted(column.numbers):
+            plain = [c.numbers for c in self.columns.values() if c.unit is None]
+            smaller = counted(np.concatenate([n for n in plain if counted(n)]))
+            reason += "; whole numbers of all joints are steps, zero in the middle"
+        if kind is ANGLE and np.nanmax(np.abs(column.numbers)) == 100.0:
+            reason += "; -100 to 100 of a range: [steps/N@0], N = 819200 / range"
         if smaller and column.theirs in ("", name):
             reason += f"; write the header as '{name} [{smaller}]'"
         elif smaller:

@@ -251,7 +251,6 @@ def command_columns(
             result[name] = column.header, [texts[row] for row in rows]
             continue
         kind = kind_of(own, name)
-        stated = targets.table.numbers(name, kind)[rows]
-        factor = kind.units[column.unit or kind.si]
-        result[name] = column.header, ((stated + change) / factor).tolist()
+        change = change / kind.units[column.unit or kind.si]
+        result[name] = column.header, (column.numbers[rows] + change).tolist()
     return result

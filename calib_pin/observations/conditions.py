@@ -35,6 +35,7 @@ class Conditions:
         spare: Further positions by joint and column of the file, each of shape (N,)
             [rad, m]: of joints that are no part of the chains, and of joints whose
             positions another column states as well.
+        steps: Steps of a turn by joint, of those whose columns count steps.
         source: How directions are known: by the `order` of rows, by their `time`, or
             from `columns`; empty where they are not.
 
@@ -49,6 +50,7 @@ class Conditions:
     temperature: Floats = field(default_factory=lambda: np.zeros(0))
     time: Floats = field(default_factory=lambda: np.zeros(0))
     spare: Mapping[tuple[str, str], Floats] = field(default_factory=dict)
+    steps: Mapping[str, float] = field(default_factory=dict)
     source: Source = ""
 
     def __post_init__(self) -> None:
@@ -143,6 +145,7 @@ class Conditions:
             np.concatenate(directions) if width else np.zeros((0, 0), np.int8),
             **stated,
             spare=spare,
+            steps={joint: n for part in parts for joint, n in part.steps.items()},
             source=min(sources, key=SOURCES.index, default=""),
         )
 

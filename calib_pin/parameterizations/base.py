@@ -160,6 +160,8 @@ class Parameterization(ABC):
         effects: Components that act as random effects unless they are estimated.
         conditions: What the measurements must state, `direction`, `temperature` or
             `time`, for the parameters to mean anything.
+        turn: Expected turn of an origin by its parameters, where they are all that
+            turn it [rad].
     """
 
     name: ClassVar[str]
@@ -168,6 +170,7 @@ class Parameterization(ABC):
     requires: ClassVar[tuple[str, ...]] = ()
     effects: ClassVar[Effects | None] = None
     conditions: ClassVar[tuple[str, ...]] = ()
+    turn: ClassVar[float] = ANGLE_SCALE
 
     def __init_subclass__(cls) -> None:
         """Name the parameters after the parameterization unless stated."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,6 +14,10 @@ from calib_pin.parameterizations.base import (
     Screw,
     drives,
 )
+
+HAND_SET = math.radians(5.0)
+"""Expected error of a zero that is set by hand [rad]: the teeth of a servo's spline are
+14 to 17 degrees apart."""
 
 UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
@@ -71,10 +76,12 @@ class JointOffset(Parameterization):
     """`<joint>.joint-offset.q`: a screw along the joint's own motion.
 
     It commutes with the motion, so `M_j Exp(S theta) J(q) = M_j J(q + theta)`. Mimic
-    joints move with the offset of their leader.
+    joints move with the offset of their leader. A servo is screwed on by hand, and so
+    its zero may be off by several degrees.
     """
 
     name = "joint-offset"
+    turn = HAND_SET
 
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """One screw at every moving joint."""

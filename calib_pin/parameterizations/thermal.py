@@ -9,7 +9,6 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from calib_pin.errors import OptionError, nearest
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations.conditions import UNSTATED, Conditions
@@ -20,7 +19,7 @@ from calib_pin.parameterizations.base import (
     Screw,
     owner,
 )
-from calib_pin.parameters import Parameter, matching
+from calib_pin.parameters import Parameter, by_joint
 from calib_pin.setup import Setup
 
 EXPANSION = 2e-5
@@ -93,19 +92,8 @@ class _Growth(Parameterization):
 
     def _owners(self, joints: Sequence[str]) -> dict[str, str]:
         """Material by joint; later entries win."""
-        result: dict[str, str] = {}
-        for material, patterns in self.materials.items():
-            for pattern in patterns:
-                found = matching(pattern, joints)
-                if not found:
-                    raise OptionError(
-                        f"no joint of the robot matches '{pattern}'"
-                        f"{nearest(pattern, joints)}",
-                        column="thermal.materials",
-                        allowed=", ".join(joints),
-                    )
-                result.update({joints[k]: owner(material) for k in found})
-        return result
+        stated = [(p, owner(m)) for m, of in self.materials.items() for p in of]
+        return by_joint(stated, joints, "thermal.materials")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import OptionError, nearest
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations.conditions import UNSTATED, Conditions
@@ -21,7 +20,7 @@ from calib_pin.parameterizations.base import (
     Screw,
     drives,
 )
-from calib_pin.parameters import matching
+from calib_pin.parameters import by_joint
 from calib_pin.setup import Setup
 
 GAIN_SCALE = 1e-3
@@ -79,7 +78,8 @@ class Transmission(Parameterization):
         Raises:
             OptionError: If a gear ratio belongs to no joint of the robot.
         """
-        ratios = _ratios(self.gear_ratios, list(chain.robot.model.names)[1:])
+        joints = list(chain.robot.model.names)[1:]
+        ratios = by_joint(self.gear_ratios.items(), joints, "gear_ratios")
         parts: list[tuple[Drive, str, str, float, float, float]] = []
         for drive in drives(chain):
             unit = drive.unit
@@ -145,18 +145,3 @@ class _Waves:
                 np.sin(self.frequency[k] * of_drive + self.phase[k], out=of_drive)
             np.multiply(factor, of_drive, out=result[k])
         return result.T
-
-
-def _ratios(stated: Mapping[str, float], joints: Sequence[str]) -> dict[str, float]:
-    """Gear ratio by joint; later entries win."""
-    result: dict[str, float] = {}
-    for pattern, ratio in stated.items():
-        found = matching(pattern, joints)
-        if not found:
-            raise OptionError(
-                f"no joint of the robot matches '{pattern}'{nearest(pattern, joints)}",
-                column="gear_ratios",
-                allowed=", ".join(joints),
-            )
-        result.update({joints[k]: ratio for k in found})
-    return result

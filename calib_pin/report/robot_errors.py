@@ -53,6 +53,8 @@ def offsets(
     for offset in found:
         if offset.sigma is None:
             yield Line(_unknown(offset, suggestions), "strong")
+        if offset.reverses:
+            yield Line(f"{offset.reverses}.", "strong")
 
 
 def _offset(offset: FoundOffset, stepped: bool) -> list[Cell]:
@@ -70,6 +72,7 @@ def _offset(offset: FoundOffset, stepped: bool) -> list[Cell]:
     name = offset.joint
     if offset.column != name:
         name = f"{name} (column {offset.column})"
+    way += ", reversed" * bool(offset.reverses)
     return [Cell(name), *cells, Cell(way)]
 
 

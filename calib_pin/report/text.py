@@ -103,8 +103,8 @@ def report(
         yield from moves(result)
     yield from beyond(result)
     yield from outliers(result)
-    yield from offsets(result, suggestions)
     if details:
+        yield from offsets(result, suggestions)
         yield from expected(result)
         yield from noise(result)
         yield from statistics(result)
@@ -125,3 +125,5 @@ def report(
     if not alone:
         yield from held(result.robot_errors)
     yield from listed("at a bound", result.solver.at_bounds)
+    # Last on the terminal: what is to be typed in.
+    yield from offsets(result, suggestions)

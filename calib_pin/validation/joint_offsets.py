@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.errors import OptionError, nearest
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.parameterizations.base import owner
-from calib_pin.parameters import matching
+from calib_pin.parameters import by_joint
 from calib_pin.setup import Setup
 from calib_pin.validation.result import CalibrationResult
 
@@ -28,6 +27,7 @@ class FoundOffset:
         steps: Steps of its encoder per unit; None where they are not stated.
         status: That of the parameter, or of one less known that it is coupled to.
         within: Frames or instruments that the offset cannot be told from.
+        reverses: A sentence where the joint turns back as its column goes on.
     """
 
     joint: str
@@ -38,6 +38,7 @@ class FoundOffset:
     steps: float | None
     status: str
     within: tuple[str, ...]
+    reverses: str = ""
 
 
 def encoder_steps(setup: Setup, joints: Sequence[str]) -> Mapping[str, float]:
@@ -46,18 +47,19 @@ def encoder_steps(setup: Setup, joints: Sequence[str]) -> Mapping[str, float]:
     Raises:
         OptionError: If a name or glob of the setup is no joint.
     """
-    found: dict[str, float] = {}
-    for pattern, steps in setup.encoder_steps.items():
-        positions = matching(pattern, joints)
-        if not positions:
-            raise OptionError(
-                f"there is no joint '{pattern}'{nearest(pattern, joints)}",
-                file=setup.file or None,
-                column="encoder_steps",
-                allowed=", ".join(joints),
-            )
-        found |= {joints[k]: steps for k in positions}
-    return found
+    stated = setup.encoder_steps.items()
+    return by_joint(stated, joints, "encoder_steps", setup.file or None)
+
+
+def told_reversed(columns: JointColumns) -> dict[str, str]:
+    """A sentence by joint that turns back as its column goes on."""
+    factors = {j: given.sign * given.gear for j, (_, given) in columns.maps.items()}
+    return {
+        joint: f"{joint} is reversed: q = -{f'{-factor:g} '.removeprefix('1 ')}"
+        "(reading + offset)"
+        for joint, factor in factors.items()
+        if factor < 0.0
+    }
 
 
 def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
@@ -71,6 +73,7 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
     estimates = {p.name: p for p in result.parameters if p.status != "fixed"}
     absorbed = {e.of[0]: e.within for e in result.robot_errors if e.within}
     place, found = result.covariance.rows.index, []
+    reverses = told_reversed(columns)
     for row, joint, column in zip(weights, columns.joints, columns.names, strict=True):
         name = "{}.joint-offset.q"
         parts = {
@@ -100,6 +103,7 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
                 steps=steps[joint] / (2.0 * np.pi) if stepped else None,
                 status=status,
                 within=absorbed.get(joint, ()),
+                reverses=reverses.get(joint, ""),
             )
         )
     return tuple(found)

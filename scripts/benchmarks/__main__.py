@@ -31,6 +31,7 @@ from benchmarks import (
     report,
     round_trips,
     rows,
+    servo,
     startup,
     verdict,
 )
@@ -40,6 +41,7 @@ BENCHMARKS = {
     "startup": startup.main,
     "evolution": evolution.main,
     "rows": rows.main,
+    "servo": servo.main,
     "jobs": jobs.main,
     "learned": learned.main,
     "camera": camera.main,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from calib_pin.io.exchange import FORMATS
-from calib_pin.io.exchange.base import PARTS, ROBOTS
+from calib_pin.io.exchange.base import PARTS, ROBOTS, SIGNS
 
 INTRODUCTION = """\
 # Formats of `export`
@@ -21,7 +21,7 @@ has no drive, and so no offset of its own; a coupled column has that which its j
 needs. This page is made by `scripts/document` from the formats.
 """
 
-HELD = (*PARTS, *ROBOTS)
+HELD = (*PARTS, *ROBOTS, SIGNS)
 """All that a format may hold."""
 
 

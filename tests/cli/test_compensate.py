@@ -74,20 +74,23 @@ def test_the_real_robot_gets_there(model, positions, run):
     assert errors[1].min() > 5e-4
 
 
-def test_starts_and_their_units(model, run):
-    T = model.poses(Q)
-    start = np.degrees(Q + 0.02)
+@pytest.mark.parametrize(
+    ("unit", "turn", "zero"), [("deg", 360.0, 0.0), ("steps/4096@100", 4096.0, 100.0)]
+)
+def test_starts_and_their_units(model, run, unit, turn, zero):
+    T, turn = model.poses(Q), turn / (2.0 * np.pi)
+    start = zero + turn * (Q + 0.02)
     rows = np.hstack([start, T[:, :3, 3]])
-    heads = ",".join(f"{name} [deg]" for name in JOINTS)
+    heads = ",".join(f"{name} [{unit}]" for name in JOINTS)
     write("targets.csv", f"{heads},x,y,z", rows)
     result = run(RUN)
     assert (result.status, result.err) == (0, "")
     header, _, _ = table("commands.csv")
-    assert header == [*(f"{name} [deg]" for name in JOINTS), "row"]
-    found = np.radians(numbers("commands.csv")[:, :4])
+    assert header == [*(f"{name} [{unit}]" for name in JOINTS), "row"]
+    found = (numbers("commands.csv")[:, :4] - zero) / turn
     np.testing.assert_allclose(model.poses(found)[:, :3, 3], T[:, :3, 3], atol=1e-9)
     # The closest ones, which are closer than those the targets were made with.
-    moved = np.linalg.norm(found - np.radians(start), axis=1)
+    moved = np.linalg.norm(found - (start - zero) / turn, axis=1)
     assert (moved < 0.04).all()
 
 

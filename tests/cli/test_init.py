@@ -69,6 +69,28 @@ REAL = {
 }
 
 
+@pytest.mark.parametrize(
+    ("factor", "zero", "unit", "why"),
+    [
+        (4096 / 360, 2048, "steps/4096", "steps of servos"),
+        (1.0, 0, "deg", "whole degrees"),
+    ],
+)
+def test_an_arm_of_servos(measured, run, factor, zero, unit, why):
+    """Its zeros are looked for, and expected to be off by degrees."""
+    chain, q = calib_pin.load_chain("space6"), measured[:, :6] / 2.0
+    points = 1e3 * chain.poses(q)[:, :3, 3]
+    rows = np.round(np.hstack([zero + factor * np.degrees(q), points]))
+    foreign([*JOINTS, *"xyz"], rows)
+    draft = run(INIT)
+    assert why in draft.out and "off by about 5 degrees" in draft.out
+    setup = read_setup("setup.yaml")
+    assert setup.columns["joint_1"] == f"joint_1 [{unit}]"
+    assert setup.columns["x"] == "x [mm]"
+    assert setup.parameters == ("joint-offset",)
+    assert setup.prior == {"*.joint-offset.q": 0.087}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", REAL)
 def test_real_measurements(name, data_folder):

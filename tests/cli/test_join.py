@@ -85,7 +85,15 @@ def logs(tmp_path, monkeypatch) -> Recording:
     return made
 
 
-def test_two_logs_become_measurements(logs, run):
+@pytest.mark.parametrize("turn", [360, 4096])
+def test_two_logs_become_measurements(logs, run, turn):
+    if turn != 360:  # A servo counts them.
+        header, *lines = Path("joints.csv").read_text().splitlines()
+        rows = np.array([[*map(float, line.split(","))] for line in lines])
+        rows[:, 1:] = 100.0 + rows[:, 1:] * turn / 360.0
+        with Path("joints.csv").open("w") as file:
+            print(header.replace("[deg]", f"[steps/{turn}@100]"), file=file)
+            np.savetxt(file, rows, "%.6f", delimiter=",")
     result = run(JOIN)
     assert result.status == 0
     assert result.err == ""

@@ -50,6 +50,7 @@ URDF = """<robot name="r">
 
 
 J = "lift,elbow,wrist"
+STEPS = "lift,elbow [steps/4096],wrist,distance\n"
 CHAINS = ("", "left_hand", "touch", "world")
 
 
@@ -121,6 +122,30 @@ def test_columns_in_any_order_with_units(write, chain):
     np.testing.assert_allclose(data.sigma, [[1e-4] * 3, [2e-4] * 3], rtol=1e-12)
     assert data.target == ("ball", "")
     assert data.validate.tolist() == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("unit", "steps", "turned"),
+    [
+        ("steps/4096", (0, 2048, 3072), (-1.0, 0.0, 0.5)),
+        ("steps/1228.8@512", (204.8, 512, 1023.488), (-0.5, 0.0, 0.8325)),
+        ("steps/1024@0", (-512, 0, 2048), (-1.0, 0.0, 4.0)),
+    ],
+)
+def test_steps_of_a_servo(write, chain, unit, steps, turned):
+    """A turn has so many; half of it is zero unless the unit says where zero is."""
+    rows = "".join(f"0,{step},0,1\n" for step in steps)
+    data = read(write(f"lift,elbow [{unit}],wrist,distance\n{rows}"), chain)
+    np.testing.assert_allclose(data.q[:, 1], np.pi * np.array(turned), atol=1e-12)
+    assert data.conditions.steps == {"elbow": float(unit[6:].split("@")[0])}
+
+
+def test_points_of_a_sheet_have_no_height(write, chain):
+    said = list[str]()
+    file = write(f"{J},x [mm],y [mm]\n0,0,0,100,200\n")
+    data = read(file, chain, notice=said.append)
+    assert (data.model, data.values.tolist()) == ("position", [[0.1, 0.2, 0.0]])
+    assert len(said) == 1 and "z = 0" in said[0]
 
 
 def test_names_match_exactly(write, refused, chain_of):
@@ -577,6 +602,12 @@ REFUSED = [
     (f"{J},distance [cm]\n0,0,0,1\n", 1, "distance", None, "'cm'"),
     (f"{J},x,y,z,qx [m],qy,qz,qw\n0,0,0,0,0,0,0,0,0,1", 1, "qx", None),
     (f"{J},distance,sigma [deg]\n0,0,0,1,1\n", 1, "sigma", None, "'deg'"),
+    ("lift,elbow [ticks],wrist,distance\n0,0,0,1\n", 1, "elbow", None, "'ticks'"),
+    (f"{STEPS}0,-5,0,1\n", 2, "elbow", "-5", "turn"),
+    (f"{STEPS}0,9,0,1\n0,4097,0,1\n", 3, "elbow", "4097", "turn"),
+    ("lift,elbow,wrist,distance\n0,2917,9,1\n", 2, "elbow", "2917", "[steps/4096]"),
+    ("lift,elbow,wrist,distance\n0,-100,9,1\n", 2, "elbow", "-100", "[steps/N@0]"),
+    ("lift,elbow,wrist,distance\n0,700,9,1\n", 2, "elbow", "700", "[steps/1228.8@5"),
     (f"{J},distance,target [m]\n0,0,0,1,1\n", 1, "target", None),
     # Which model?
     (f"{J},note\n0,0,0,a\n", 1, None, None, "x, y, z"),
@@ -584,7 +615,7 @@ REFUSED = [
     (f"{J},x,y,z,distance\n0,0,0,1,2,3,4\n", 1, None, None, "--model"),
     (f"{J},u,v,x,y,z,target\n0,0,0,1,2,3,4,5,m\n", 1, None, None, "--model"),
     (f"{J},u\n0,0,0,1\n", 1, "v", None, "'camera'"),
-    (f"{J},x,y\n0,0,0,1,2\n", 1, "z", None, "'position'"),
+    (f"{J},x,z\n0,0,0,1,2\n", 1, "y", None, "'position'"),
     (f"{J},x,y,z (mm)\n0,0,0,1,2,3\n", 1, "z", None, "'z (mm)'"),
     (f"{J},rx,ry,rz\n0,0,0,0,0,0\n", 1, "x", None, "'pose'"),
     (f"{J},x,y,z,qx,qy,qz\n0,0,0,1,2,3,0,0,0\n", 1, "qw", None),

@@ -19,7 +19,7 @@ import numpy as np
 
 import calib_pin.io.dialects.base as base
 from calib_pin.errors import InputError
-from calib_pin.io.columns import Column
+from calib_pin.io.columns import Column, counted
 from calib_pin.io.files import TEXT, read_bytes
 
 MOTOR = re.compile(
@@ -59,6 +59,8 @@ class LeRobot(base.Dialect):
         }
         largest = max(np.abs(np.nan_to_num(n)).max() for n in numbers.values())
         unit, remark = ("deg", "degrees") if largest > RADIANS else (None, "rad")
+        if steps := counted(np.concatenate([*numbers.values()])):
+            unit, remark = steps, "steps of its motors"
         ranges = _ranges(file, joints) if unit and largest <= 100.0 else None
         if ranges:
             name, half = ranges

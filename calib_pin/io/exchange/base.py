@@ -16,6 +16,7 @@ from calib_pin.io.calibrated_model import encode_urdf
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import owner
@@ -28,6 +29,7 @@ from calib_pin.validation.joint_errors import (
     in_base,
     joint_errors,
 )
+from calib_pin.validation.joint_offsets import told_reversed
 from calib_pin.validation.result import CalibrationResult
 
 EXACT = 1e-9
@@ -39,6 +41,9 @@ ENOUGH = 1e-6
 GEOMETRY, OFFSETS, GAINS = "geometry", "joint offsets", "gains"
 FRAMES, CAMERA, CAMERA_LINK = "frames", "camera", "camera link"
 """Parts of a calibration that a format may hold."""
+
+SIGNS = "directions of columns"
+"""Whether a column counts as its joint turns, or the other way."""
 
 MIMIC, PRISMATIC, SEVERAL = "mimic joints", "prismatic joints", "several chains"
 """Properties of a robot that it may hold."""
@@ -146,6 +151,12 @@ class Exported:
     def corrected_poses(self, chain: Chain, q: Floats) -> Floats:
         """Tip poses of the corrected chain of a nominal one, (N, n) -> (N, 4, 4)."""
         return self.corrected(chain).poses(q)
+
+    @cached_property
+    def reverses(self) -> Mapping[str, str]:
+        """A sentence by joint that turns back as its column goes on."""
+        joints = self.result.model.setup.joints
+        return told_reversed(JointColumns.of(self.chains, joints))
 
     @cached_property
     def configurations(self) -> Floats:
@@ -293,6 +304,9 @@ class Format:
                 for name, of in mimics.items()
             )
             remarks.append(f"{self.name} holds no mimic joints: {said}")
+        if moves and SIGNS not in self.holds and exported.reverses:
+            said = enumerated(f"{joint} is reversed" for joint in exported.reverses)
+            remarks.append(f"{self.name} holds no {SIGNS}: {said}")
         if others := whole.names[1:] if whole is not exported else ():
             said = f"'{exported.name}', not {enumerated(others)} (--chain)"
             remarks.append(f"{self.name} holds one chain: {said}")

@@ -26,6 +26,7 @@ from calib_pin.io.exchange.base import (
     OFFSETS,
     ROBOTS,
     SEVERAL,
+    SIGNS,
     Encoded,
     Exported,
     Format,
@@ -37,7 +38,7 @@ from calib_pin.io.urdf_tree import parse_document
 from calib_pin.units import DISPLAY, as_number
 from calib_pin.validation.joint_offsets import FoundOffset, encoder_steps, joint_offsets
 
-HEADERS = "joint column offset sigma unit steps status offset_si unit_si"
+HEADERS = "joint column offset sigma unit steps status offset_si unit_si sign"
 
 USE = (
     "A joint is where its column reads plus the offset: add each offset to what the "
@@ -81,11 +82,14 @@ def encode_offsets(exported: Exported, _: Path | None) -> Encoded:
                 sigma = f"{factor * estimate.sigma:.6f}"
             else:  # A zero would pass for a result.
                 shown, steps, exact, offsets[k] = "", "", "", 0.0
-        rows.append([joint, column, shown, sigma, unit, steps, status, exact, si])
+        sign = "-1" if joint in exported.reverses else "+1"
+        cells = [joint, column, shown, sigma, unit, steps, status, exact, si, sign]
+        rows.append(cells)
     table = dict(zip(HEADERS.split(), zip(*rows, strict=True), strict=True))
     left = doubts(known)
-    data = encode_table(table, [*USE, *left])
-    lines = data.decode().splitlines()[len([*USE, *left]) :]
+    comments = [*USE, *exported.reverses.values(), *left]
+    data = encode_table(table, comments)
+    lines = data.decode().splitlines()[len(comments) :]
     require_read([*csv.reader(lines)], [HEADERS.split(), *rows], "the offsets")
     return Encoded(data, left, replace(found, offsets=offsets).poses)
 
@@ -290,7 +294,7 @@ JOINT_OFFSETS = Format(
     ".csv",
     "offsets of the joints, to be typed into a controller",
     encode_offsets,
-    holds=(OFFSETS, *ROBOTS),
+    holds=(OFFSETS, SIGNS, *ROBOTS),
 )
 LEROBOT = Format(
     "lerobot",

@@ -17,7 +17,7 @@ from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.progress import Progress
 from calib_pin.setup import Setup
-from calib_pin.validation.findings.quick_fit import QuickFit, located
+from calib_pin.validation.findings.quick_fit import QuickFit, below_sheet, located
 from calib_pin.validation.summaries import ToolAccuracy
 
 MEASUREMENTS = 300
@@ -190,7 +190,7 @@ class Case:
 
     def _errors(self, table: Floats) -> float:
         problem = self.fit.problem
-        sizes = [0.0]
+        sizes = [np.inf if below_sheet(problem) else 0.0]
         for quantity in problem.layout.quantities:
             squares = np.sort(quantity.errors(table) ** 2)
             usual = squares[: int(np.ceil((1.0 - SOME) * len(squares)))]

@@ -32,7 +32,7 @@ from calib_pin.validation.findings.hypotheses import (
     Hypothesis,
     read_so,
 )
-from calib_pin.validation.findings.quick_fit import QuickFit, located
+from calib_pin.validation.findings.quick_fit import QuickFit, below_sheet, located
 from calib_pin.validation.findings.setup_lines import merged
 
 ROWS = 60
@@ -357,7 +357,8 @@ class _Search:
             fit = QuickFit.of(problem, thorough=thorough)
         except (CalibPinError, np.linalg.LinAlgError):
             return np.inf
-        return fit.rms if fit.redundant and np.isfinite(fit.rms) else np.inf
+        usable = fit.redundant and np.isfinite(fit.rms) and not below_sheet(fit.problem)
+        return fit.rms if usable else np.inf
 
 
 def _rank(tried: tuple[float, tuple[Hypothesis, ...]]) -> float:
@@ -402,6 +403,8 @@ def _trimmed(problem: Problem, bound: float, scale: float) -> float:
     size = np.inf
     for again in (False, True):
         problem = located(problem)
+        if below_sheet(problem):
+            return np.inf
         table = error_table(problem, zero)
         table[np.isinf(table)] = 1e6
         squares = np.nanmean((table / sigma) ** 2, axis=1)

@@ -27,6 +27,7 @@ from calib_pin.estimation.statistics.systematic import sampled
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import INSTRUMENT
+from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.findings.case import Case
@@ -248,7 +249,8 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
             factor = float(np.sqrt(linear.misfit(smaller) / least))
             break
     place = int(np.argmax(sizes.max(axis=1)))
-    move, turn = sizes[place] * (LENGTH_SCALE, ANGLE_SCALE)
+    expected = _expected_turn(case.setup)
+    move, turn = sizes[place] * (LENGTH_SCALE, expected)
     chains = [part.error.chain for part in fitted.problem.by_chain.values()]
     names = [(*c.joints, c.tip_joint or c.tip) for c in chains]
     name = [name for of_chain in names for name in of_chain][place]
@@ -263,14 +265,12 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
             "error" if sizes.max() > OPTIONS.implausible else "warning",
             f"{said}, although with no more than "
             f"{1e3 * OPTIONS.large * LENGTH_SCALE:.0f} mm and "
-            f"{np.degrees(OPTIONS.large * ANGLE_SCALE):.1f} deg the remaining errors "
+            f"{np.degrees(OPTIONS.large * expected):.1f} deg the remaining errors "
             f"are only {max(factor, 1.0):.2f} times as large",
             {**evidence, "errors_without": factor},
             "measure more configurations, or estimate fewer parameters",
         )
         return
-    if fitted.problem.setup.parameters == ("joint-offset",):
-        return  # No origin has moved, and the report tells every offset.
     check = "check this origin in the URDF, and how the joint is mounted"
     left, joint, offset = offset_within(
         case, x, lambda x: float(_sizes(fitted, x).max())
@@ -306,18 +306,24 @@ def _frames(
     return ()
 
 
+def _expected_turn(setup: Setup) -> float:
+    """Expected turn of an origin [rad], that of the strictest of the families."""
+    families = [PARAMETERIZATIONS[name] for name in setup.parameters]
+    return min((f.turn for f in families if f.geometric), default=ANGLE_SCALE)
+
+
 def _sizes(fitted: Fit, x: Floats) -> Floats:
     """Moves and turns of every joint's origin and the tip's, shape (n + 1, 2).
 
     In expected sizes, for scaled parameters x of shape (P,); chain by chain.
     """
     problem = fitted.problem
-    theta = x * problem.parameters.scales
+    theta, turn = x * problem.parameters.scales, _expected_turn(problem.setup)
     return np.array(
         [
             (
                 np.linalg.norm(M.translation) / LENGTH_SCALE,
-                np.linalg.norm(pin.log3(M.rotation)) / ANGLE_SCALE,
+                np.linalg.norm(pin.log3(M.rotation)) / turn,
             )
             for part in problem.by_chain.values()
             for M in part.error.corrections(part.values(theta)[0])[1:-1]

@@ -35,6 +35,9 @@ ROUGH = 1e-3
 LOCATING = 10
 """Most steps in which frames are fitted in a trial: of a robot six are enough."""
 
+FLAT = 0.03
+"""Heights of points of a sheet, as parts of its size."""
+
 STEP = 1e-7
 """Step of differences by joint positions [rad, m]: the motion that a fit can absorb is
 known far better than that by which others are told."""
@@ -58,6 +61,21 @@ def located(problem: Problem, thorough: bool = False) -> Problem:
         return problem
     basis = nuisance_basis(problem.parameters)
     return problem.rebased(refine(problem, zero, basis, ROUGH, LOCATING).x)[0]
+
+
+def below_sheet(problem: Problem) -> bool:
+    """Whether a robot hangs upside down from the sheet whose points it touches.
+
+    Points of a plane do not tell a robot from its mirror image, some of whose joints
+    are reversed; where z = 0 the robot stands on them, unless a guess says otherwise.
+    """
+    base = problem.setup.base_frame
+    if {*problem.data.models} != {"position"} or base.estimate is False or base.rpy:
+        return False
+    points = np.vstack([block.data.values for block in problem.blocks])
+    flat = np.abs(points[:, 2]).max() < FLAT * np.ptp(points[:, :2], axis=0).max()
+    up = [part.error.base.rotation[2, 2] for part in problem.by_chain.values()]
+    return bool(flat and max(up) < -0.5)
 
 
 @dataclass(frozen=True)

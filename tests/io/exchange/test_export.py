@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.exchange import FORMATS, Exported
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
+from calib_pin.report.text import format_report
 from calib_pin.setup import FrameSetup, JointMap, Setup
 from calib_pin.simulation import draw_errors, simulate
 
@@ -172,6 +174,24 @@ def test_a_motor_takes_its_offset(offsets, tmp_path):
         moved = b["homing_offset"] - a["homing_offset"]
         assert b["range_min"] + moved >= a["range_min"]
         assert b["range_max"] + moved <= a["range_max"]
+
+
+def test_reversed_joints_are_told_by_every_export(offsets, tmp_path):
+    """In the table, by the report, and by formats that have no place for it."""
+    text = FORMATS["joint-offsets"].encode(offsets, None).data.decode()
+    lines = [line for line in text.splitlines() if line[:1] != "#"]
+    assert [row["sign"] for row in csv.DictReader(lines)] == ["-1"] * 5
+    told = format_report(offsets.result)
+    for joint in JOINTS:
+        assert f"# {joint} is reversed: q = -(reading + offset)" in text
+        assert f"{joint} is reversed: q = -(reading + offset)." in told
+    # Last, where people look for what is to be typed in.
+    assert told.index("Joint offsets") > told.index("Identifiability")
+    (tmp_path / "own.json").write_text(motors())
+    for name in ("lerobot", "ros2-control", "urdf", "xacro", "mjcf", "dh"):
+        template = tmp_path / "own.json" if name == "lerobot" else None
+        remarks = FORMATS[name].encode(offsets, template).remarks
+        assert any("elbow_flex is reversed" in remark for remark in remarks), name
 
 
 def motors(**changes: dict[str, int]) -> str:

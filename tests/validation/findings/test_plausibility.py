@@ -151,6 +151,20 @@ def test_errors_of_the_gears_move_no_joint_by_centimeters() -> None:
     assert float(finding.evidence["errors_without"]) < 4.0
 
 
+def test_zeros_of_servos_are_no_wonder() -> None:
+    """Eight degrees are what is looked for, if the zeros are all that is."""
+    rng = np.random.default_rng(0)
+    setup = replace(FRAMES, parameters=("joint-offset",))
+    problem = nominal_problem(ARM, "position", setup)
+    robot = problem.parameters.free & ~problem.parameters.nuisance
+    theta = np.where(robot, np.radians(8.0), 0.0)
+    rows = simulate(problem, theta, rng, count=30, noise=1e-3).only
+    assert not found(replace(rows, sigma=None), setup)
+    # As a part of whole placements they are looked at as before.
+    both = replace(setup, parameters=("joint-offset", "placement"))
+    assert found(replace(rows, sigma=None), both)
+
+
 REAL = {
     "ur10_tmac/train.csv": ("example:ur10_robot", "tool0"),
     "talos_left_arm/measurements.csv": (

@@ -32,6 +32,7 @@ from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.candidate_scores import USES
 from calib_pin.validation.findings import explained
 from calib_pin.validation.findings.case import Others
+from calib_pin.validation.findings.older_calibration import older_calibration
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.joint_offsets import encoder_steps
 from calib_pin.validation.judgement import Judgement, judge, quantity_errors
@@ -176,8 +177,8 @@ def calibrate(
     tell = named(progress, "joint readings")
     judgement = judge(chains, model, fitted, held_out, seed, tell, others)
     if begun is not None:
-        findings = (*begun.findings, *judgement.findings)
-        judgement = replace(judgement, findings=findings)
+        findings = older_calibration(begun.recalibration, *judgement.accuracies.values())
+        judgement = replace(judgement, findings=(*findings, *judgement.findings))
     files = [*data.files.distinct, *(further.files.distinct if further else ())]
     return _result(
         model,

@@ -3,30 +3,39 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.robot_rows import RobotRows, robot_rows
+from calib_pin.estimation.robot_rows import robot_rows
 from calib_pin.estimation.statistics.innovations import (
     Cause,
     Explanation,
     Sparse,
     explained,
 )
+from calib_pin.estimation.tip_accuracy import SAMPLES, without_frames
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.parameterizations.base import expected_size
+from calib_pin.parameters import Parameter, ParameterSet
 from calib_pin.setup import JointPrior
 from calib_pin.validation.joint_changes import Change, changes, drifts
-from calib_pin.validation.older_calibration import EXPECTED, NOISE, wider
+from calib_pin.validation.older_calibration import NOISE, wider
+from calib_pin.validation.older_frames import shared_frames
+from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import DriftSize, Jump, NoiseSize
 
 REMEMBERED = 50.0
 """Errors that a drift is worth at most: in a year it may be another one."""
 
-BEYOND = 4.0
-"""Drift, in expected sizes, from which it is none: the robot has been changed."""
+MOST = {"geometry": 4e-5, "joint offsets": 1.2e-4}
+"""Drift from which it is none: the robot has been changed."""
+
+KNOWN = 1e-5
+"""Standard deviation of a frame that is known [m, rad]."""
 
 SURE = 30.0
 """Evidence for a sudden change by that for none from which it is told.
@@ -34,9 +43,19 @@ SURE = 30.0
 By chance as much comes about in at most one of 30 calibrations (Markov's inequality,
 which is wide: of 704 simulated weeks without a change one was told to have one)."""
 
-CHANCES = {"offset": 1.0, "placement": 0.05, "robot": 0.05}
+CLOSE = 9.0
+"""Chi-square by which one simple change may explain less than another, and is not told
+from it: three standard deviations."""
+
+CHANCES = {"offset": 1.0, "base": 1.0, "tool": 1.0, "placement": 0.05, "robot": 0.05}
 """How likely kinds of sudden changes are beside each other: a joint that was hit slips
-on its axis first of all."""
+on its axis first of all, and instruments and tools are set up anew."""
+
+FRAMES = ("base", "tool")
+"""Changes of frames."""
+
+SIMPLE = ("offset", *FRAMES)
+"""Changes of one thing, which few measurements tell from each other."""
 
 JUMPS = 4
 """Most causes beside drift and noise that are told, sudden changes and wrong
@@ -44,6 +63,9 @@ measurements."""
 
 SIZES = np.geomspace(0.03, 10.0, 16)
 """Sizes of sudden changes, in expected sizes of errors: from 30 um and 90 urad on."""
+
+FAR = np.geomspace(0.03, 1e4, 24)
+"""The same of frames, which may be anywhere."""
 
 WRONG = np.geomspace(3.0, 1e4, 16)
 """Errors of measurements that are wrong, in standard deviations."""
@@ -57,36 +79,58 @@ class Found:
     """Causes of the differences from a prediction.
 
     Attributes:
+        explanation: The innovations with these causes.
         drifts: How far the robot drifts, as far as is known now.
         jumps: Sudden changes by name, the surest first.
-        sizes: Their sizes, in expected sizes of errors, and those of joints that may
-            have been hit instead.
+        sizes: Their sizes, in expected sizes of errors, and those of changes that may
+            have come about instead.
     """
 
+    explanation: Explanation
     drifts: tuple[DriftSize, ...]
     jumps: Mapping[str, Jump]
     sizes: Mapping[str, float]
+
+    def beside(self, first: Explanation, kinds: Collection[str]) -> Explanation:
+        """The first explanation, with the sudden changes of some kinds beside it."""
+        names = {name for name, jump in self.jumps.items() if jump.kind in kinds}
+        causes = (c for c in self.explanation.causes if c.name in names)
+        return replace(first, causes=(*first.causes, *causes))
 
 
 @dataclass(frozen=True)
 class Comparison:
     """New measurements beside what an older calibration predicts.
 
+    Its state are the errors of the robot, and the frames of stations and tools that
+    both have, as they are unless something was moved.
+
     Attributes:
+        problem: The problem of the new measurements.
+        theta: Parameter values about which it is linearized, shape (P,).
         older: The older calibration.
-        scales: Scales of its parameters, shape (K,).
-        told: What the measurements tell of these.
-        covariance: Of the scaled parameters, shape (K, K).
+        state: The S parameters of the state.
+        robot: Those of them that are errors of the robot, shape (S,).
+        mean: Their values by the older calibration, in scales, shape (S,).
+        covariance: Of these, shape (S, S).
+        told: What the measurements tell of the state, with a row for each part of a
+            frame that is known now and was not: W, shape (r, S), and values, (r,).
+        measured: Number of the rows that are of measurements; they come first.
         noise: Values that tell the noise.
-        drifting: How the scaled parameters drift, shape (K, k), by the names of drifts.
+        drifting: How the state drifts, shape (S, k), by the names of drifts.
         sudden: What may have changed at once, by name.
         wrong: What may be wrong of the measurements.
     """
 
+    problem: Problem
+    theta: Floats
     older: JointPrior
-    scales: Floats
-    told: RobotRows
+    state: tuple[Parameter, ...]
+    robot: NDArray[np.bool_]
+    mean: Floats
     covariance: Floats
+    told: tuple[Floats, Floats]
+    measured: int
     noise: float
     drifting: Mapping[str, Floats]
     sudden: Mapping[str, Change]
@@ -97,6 +141,7 @@ class Comparison:
         problem: Problem,
         theta: Floats,
         older: JointPrior,
+        start: CalibrationResult,
         noise: Sequence[NoiseSize],
     ) -> Comparison:
         """The comparison of the measurements of a problem, robot and frames at theta.
@@ -105,26 +150,78 @@ class Comparison:
             problem: The problem, without a prior.
             theta: Parameter values, shape (P,).
             older: The errors of the robot as the older calibration knew them.
+            start: The older calibration.
             noise: The noise as it is known.
         """
-        problem = replace(problem, units=_factors(problem, noise))
-        told = robot_rows(problem, theta, ())
-        parameters = problem.parameters
-        scales = parameters.scales[told.robot]
-        rows, groups = problem.layout.row, problem.data.groups()
+        problem, theta = problem.rebased(theta)
+        of_robot = problem.parameters.free & ~problem.parameters.nuisance
+        frames = shared_frames(start.model, problem)
+        values = {p.name: p.mean for p in older.parameters}
+        values |= {name: value for frame in frames for name, value in frame.values}
+        given = ParameterSet(
+            tuple(
+                replace(p, nuisance=False, scale=expected_size(p.unit))
+                if p.nuisance and p.name in values
+                else p
+                for p in problem.given
+            )
+        )
+        problem = replace(problem, given=given, units=_factors(problem, noise))
+        rows = robot_rows(problem, theta, ())
+        place = {p.name: k for k, p in enumerate(start.parameters)}
+        sure = np.diag(start.covariance) == 0.0
+        own = [p for p, of in zip(problem.parameters, rows.robot, strict=True) if of]
+        known = [
+            p
+            for p in problem.parameters
+            if p.name in values and not p.free and not sure[place[p.name]]
+        ]
+        state, index = (*own, *known), [place[p.name] for p in (*own, *known)]
+        scales = np.array([p.scale for p in state])
+        names = {p.name for p, of in zip(given, of_robot, strict=True) if of}
+        robot = np.array([p.name in names for p in state])
+        told, count, extra = rows.values, len(rows.values), len(known)
+        W = np.zeros((count + extra, len(state)))
+        W[:count, : len(own)] = rows.rows
+        W[count:, len(own) :] = np.diag(scales[len(own) :] / KNOWN)
+        groups = problem.data.groups()
         labels = np.unique(groups)
+
+        def whole(directions: Floats) -> Floats:
+            result = np.zeros((len(state), directions.shape[1]))
+            result[robot] = directions
+            return result
+
+        sudden = {
+            name: replace(change, directions=whole(change.directions))
+            for name, change in changes(problem, of_robot).items()
+        }
+        every = np.eye(len(state))
+        for frame in frames:
+            named = {name for name, _ in frame.values}
+            moved = [k for k, p in enumerate(state) if p.name in named]
+            if moved:
+                change = Change(frame.owner, frame.kind, every[:, moved])
+                sudden[f"{frame.kind} {frame.owner}"] = change
+        along = np.vstack([rows.along, np.zeros((extra, rows.along.shape[1]))])
         return Comparison(
+            problem=problem,
+            theta=theta,
             older=older,
-            scales=scales,
-            told=told,
-            covariance=np.array(older.covariance) / np.outer(scales, scales),
+            state=state,
+            robot=robot,
+            mean=np.array([values[p.name] for p in state]) / scales,
+            covariance=np.asarray(start.covariance)[np.ix_(index, index)]
+            / np.outer(scales, scales),
+            told=(W, np.append(told, np.zeros(extra))),
+            measured=count,
             noise=min(max(sum(one.worth for one in noise), 1.0), NOISE),
-            drifting=drifts(problem, told.robot),
-            sudden=changes(problem, told.robot),
+            drifting={n: whole(d) for n, d in drifts(problem, of_robot).items()},
+            sudden=sudden,
             wrong=tuple(
                 Sparse(
                     f"measurement {k}",
-                    told.along[:, groups[rows] == k],
+                    along[:, groups[problem.layout.row] == k],
                     WRONG,
                     1.0 / len(labels),
                 )
@@ -133,52 +230,64 @@ class Comparison:
         )
 
     @property
-    def sparse(self) -> tuple[Sparse, ...]:
-        """Causes that are there or not: of the robot, and of the measurements."""
-        kinds = Counter(change.kind for change in self.sudden.values())
+    def scales(self) -> Floats:
+        """Scales of the state, shape (S,)."""
+        return np.array([p.scale for p in self.state])
+
+    def sparse(self, kinds: Collection[str]) -> tuple[Sparse, ...]:
+        """Causes that are there or not: changes of some kinds, wrong measurements."""
+        counts = Counter(change.kind for change in self.sudden.values())
         of_robot = (
             Sparse(
                 name,
-                self.told.rows @ change.directions,
-                SIZES,
-                CHANCES[change.kind] / kinds[change.kind],
+                self.told[0] @ change.directions,
+                FAR if change.kind in FRAMES else SIZES,
+                CHANCES[change.kind] / counts[change.kind],
             )
             for name, change in self.sudden.items()
+            if change.kind in kinds
         )
-        noisier = Sparse("noisier", np.eye(len(self.told.values)), NOISIER)
-        return (*of_robot, *self.wrong, noisier)
+        return (*of_robot, *self.wrong, Sparse("noisier", self._noise, NOISIER))
+
+    @property
+    def _noise(self) -> Floats:
+        """The noise of the measurements, shape (r, measured)."""
+        return np.eye(len(self.told[1]))[:, : self.measured]
 
     def explanation(self, expected: Sequence[DriftSize]) -> Explanation:
         """The innovations, with drift and noise as they are expected."""
-        W, K = self.told.rows, len(self.told.values)
-        usual = {drift.name: drift.size for drift in EXPECTED}
-        mean = np.array([p.mean for p in self.older.parameters]) / self.scales
-        return Explanation(
-            self.told.values - W @ mean,
-            W @ self.covariance @ W.T,
-            (
-                *(
-                    Cause(
-                        d.name,
-                        W @ self.drifting[d.name],
-                        d.size,
-                        d.worth,
-                        max(BEYOND * usual.get(d.name, 0.0), d.size),
-                    )
-                    for d in expected
-                ),
-                Cause("noise", np.eye(K), 1.0, self.noise, np.inf),
-            ),
+        W, values = self.told
+        known = W @ self.covariance @ W.T
+        known += np.eye(len(W)) - self._noise @ self._noise.T
+        drifting = (
+            Cause(
+                d.name,
+                W @ self.drifting[d.name],
+                d.size,
+                d.worth,
+                max(MOST.get(d.name, 0.0), d.size),
+            )
+            for d in expected
         )
+        noise = Cause("noise", self._noise, 1.0, self.noise, np.inf)
+        return Explanation(values - W @ self.mean, known, (*drifting, noise))
 
     def explained(self, first: Explanation, expected: Sequence[DriftSize]) -> Found:
         """Drift, noise, sudden changes and wrong measurements that explain it best.
+
+        All of a joint or of the robot explains nearly everything: it is compared with
+        the best of few simple changes.
 
         Args:
             first: The innovations, see `explanation`.
             expected: The drift that it expects.
         """
-        found, sparse, rivals = explained(first, self.sparse, SURE, JUMPS)
+        simple = explained(first, self.sparse(SIMPLE), SURE, JUMPS)
+        best = simple
+        if simple.causes:
+            whole = explained(first, self.sparse(CHANCES), SURE, JUMPS)
+            best = max(simple, whole, key=lambda found: found.evidence)
+        found = best.explanation
         _, told = found.fitted()
         drifts = tuple(
             replace(drift, size=cause.size, worth=min(drift.worth + count, REMEMBERED))
@@ -186,14 +295,41 @@ class Comparison:
             else drift
             for drift, cause, count in zip(expected, found.causes, told, strict=False)
         )
-        jumps = [cause for cause in sparse if cause.name in self.sudden]
-        offsets = {name for name, c in self.sudden.items() if c.kind == "offset"}
-        instead = [cause for cause in rivals if cause.name in offsets]
-        return Found(
-            drifts,
-            {cause.name: self._jump(found, cause) for cause in jumps},
-            {cause.name: cause.size for cause in (*jumps, *instead)},
-        )
+        jumps = [cause for cause in best.causes if cause.name in self.sudden]
+        taken = {cause.name for cause in jumps}
+        sizes = {cause.name: cause.size for cause in jumps}
+        named = {}
+        for cause in jumps:
+            rivals = {
+                c.name: c
+                for c in (*best.rivals[cause.name], *self._inseparable(found, cause))
+                if c.name not in taken and self._simple(c.name)
+            }
+            sizes = {name: c.size for name, c in rivals.items()} | sizes
+            instead = tuple(map(self._label, rivals))
+            named[cause.name] = replace(self._jump(found, cause), instead=instead)
+        return Found(found, drifts, named, sizes)
+
+    def _simple(self, name: str) -> bool:
+        return name in self.sudden and self.sudden[name].kind in SIMPLE
+
+    def _label(self, name: str) -> str:
+        """A change in words."""
+        change = self.sudden[name]
+        if change.kind in FRAMES:
+            return f"{change.kind} '{change.joint}'" if change.joint else change.kind
+        return f"joint '{change.joint}'"
+
+    def _inseparable(self, found: Explanation, cause: Cause) -> Iterator[Cause]:
+        """Changes that explain a simple one as well, if they may have any size."""
+        if not self._simple(cause.name):
+            return
+        without = found.without(cause.name)
+        limit = without.misfit(cause.effects) + CLOSE
+        for name, change in self.sudden.items():
+            effects = self.told[0] @ change.directions
+            if self._simple(name) and without.misfit(effects) <= limit:
+                yield Cause(name, effects, cause.size, np.inf)
 
     def _jump(self, found: Explanation, cause: Cause) -> Jump:
         """A sudden change as the innovations tell it."""
@@ -206,10 +342,49 @@ class Comparison:
                 change.joint, "offset", change.unit, size * float(effects[0]), sigma
             )
         moved = change.directions @ effects * self.scales
-        lengths = np.array([p.unit == "m" for p in self.older.parameters])
-        angles = np.array([p.unit == "rad" for p in self.older.parameters])
-        shift, turn = (float(np.linalg.norm(moved[of])) for of in (lengths, angles))
+        shift, turn = (
+            float(np.linalg.norm([x for x, p in pairs if p.unit == unit]))
+            for unit in ("m", "rad")
+            for pairs in [list(zip(moved, self.state, strict=True))]
+        )
         return Jump(change.joint, change.kind, "m", shift, np.nan, turn)
+
+    def after(self, found: Found) -> tuple[Floats, Floats]:
+        """The state in scales by these measurements as well, and its covariance."""
+        W, causes = self.told[0], found.explanation
+        ways = {**self.drifting, **{n: c.directions for n, c in self.sudden.items()}}
+        C = self.covariance.copy()
+        for cause in causes.causes:
+            if cause.name in ways:
+                half = cause.size * ways[cause.name]
+                C += half @ half.T
+        gain = np.linalg.solve(causes.covariance, W @ C).T
+        return self.mean + gain @ causes.values, C - gain @ W @ C
+
+    def robot_after(self, found: Found) -> Floats:
+        """The errors of the robot by these measurements as well, shape (K,)."""
+        return np.asarray((self.after(found)[0] * self.scales)[self.robot])
+
+    def tool_error(self, found: Found, seed: int = 0) -> float:
+        """Expected error of the tool by the older calibration now, rms [m].
+
+        Over the workspace, displacements of base and tool left aside.
+        """
+        part = self.problem.moving
+        q = part.error.chain.random_configurations(SAMPLES, np.random.default_rng(seed))
+        _, J = part.error.jacobian(q, self.theta[part.of_error])
+        place = {p.name: k for k, p in enumerate(self.problem.given)}
+        column = {k: i for i, k in enumerate(part.of_error)}
+        mean, covariance = self.after(found)
+        squares, vectors = np.linalg.eigh(covariance)
+        half = vectors * np.sqrt(np.maximum(squares, 0.0))
+        moved = np.column_stack([mean - self.mean, half]) * self.scales[:, None]
+        own = np.zeros((J.shape[2], moved.shape[1]))
+        for k in np.flatnonzero(self.robot):
+            if (at := column.get(place[self.state[k].name])) is not None:
+                own[at] = moved[k]
+        twists = without_frames(J @ own, J)[:, :3]
+        return float(np.sqrt(np.sum(twists**2) / len(q)))
 
     def prior(self, found: Found) -> JointPrior:
         """The prior of the new calibration, wider by drift and sudden changes."""
@@ -219,7 +394,8 @@ class Comparison:
             for name, size in found.sizes.items()
         )
         drifted = ((drift.size, self.drifting[drift.name]) for drift in found.drifts)
-        return wider(self.older, self.scales, [*drifted, *sudden])
+        effects = [(size, way[self.robot]) for size, way in (*drifted, *sudden)]
+        return wider(self.older, self.scales[self.robot], effects)
 
 
 def _factors(problem: Problem, noise: Sequence[NoiseSize]) -> Floats:

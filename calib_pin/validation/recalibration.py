@@ -13,6 +13,7 @@ is a single joint that accounts for nearly all.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +21,6 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError
 from calib_pin.estimation.directions import nuisance_basis
-from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.registration import registered
@@ -30,7 +30,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.setup import JointPrior, Setup
 from calib_pin.validation.accuracy import Accuracy
-from calib_pin.validation.findings.older_calibration import older_calibration
 from calib_pin.validation.joint_changes import changes, drifts
 from calib_pin.validation.older_calibration import (
     expected_drifts,
@@ -39,7 +38,7 @@ from calib_pin.validation.older_calibration import (
     require_usable,
     wider,
 )
-from calib_pin.validation.older_predictions import Comparison
+from calib_pin.validation.older_predictions import FRAMES, Comparison
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import Recalibration, RecalibrationStep
 
@@ -51,6 +50,10 @@ SOME = 300
 """Measurements that are compared; more do not make it clearer."""
 
 
+ROUNDS = 3
+"""Rounds in which sudden changes are sought about what the one before has found."""
+
+
 @dataclass(frozen=True)
 class Started:
     """The beginning of a calibration by an older one.
@@ -58,12 +61,10 @@ class Started:
     Attributes:
         setup: The setup with the older calibration as prior.
         recalibration: How the older one has predicted the new measurements.
-        findings: What that says of the robot.
     """
 
     setup: Setup
     recalibration: Recalibration
-    findings: tuple[Finding, ...]
 
 
 @serial_blas
@@ -104,11 +105,28 @@ def started(
     stated = replace(setup, prior={}, noise={**known, **setup.noise})
     problem = make_problem(chains, data.sample(SOME), stated)
     older = older_prior(problem.given, problem.parameters.free, start, known)
-    there, theta = _registered(problem, older)
-    compared = Comparison.of(there, theta, older, noise)
-    expected = expected_drifts(start, process_noise)
-    first = compared.explanation(expected)
-    found = compared.explained(first, expected)
+    expected, names = expected_drifts(start, process_noise), older.names
+    values = np.array([p.mean for p in older.parameters])
+    begun: tuple[Problem, Floats] | None = None
+    before: set[str] = set()
+    for _ in range(ROUNDS):
+        there, theta = _registered(problem, dict(zip(names, values, strict=True)))
+        compared = Comparison.of(there, theta, older, start, noise)
+        first = compared.explanation(expected)
+        begun = begun or (there, theta)
+        found = compared.explained(first, expected)
+        if before == (before := set(found.jumps)):
+            break
+        # A change of a degree is seen well only from near where the robot is now.
+        values = compared.robot_after(found)
+    there, theta = begun
+    first = found.beside(first, FRAMES)
+    workspace = start.accuracy.workspace
+    promised, beside = (
+        (np.nan, 0.0)
+        if workspace is None
+        else (workspace.calibrated[0], workspace.unmodeled[0])
+    )
     step = RecalibrationStep(
         start=start.provenance.file,
         created=start.provenance.created,
@@ -118,8 +136,10 @@ def started(
         noise=noise,
         drifts=found.drifts,
         jumps=tuple(found.jumps.values()),
+        promised=float(promised),
+        error=float(np.hypot(compared.tool_error(found), beside)),
     )
-    before = () if start.recalibration is None else start.recalibration.steps
+    steps = () if start.recalibration is None else start.recalibration.steps
     table = error_table(there, theta)
     recalibration = Recalibration(
         tuple(
@@ -127,13 +147,9 @@ def started(
             for quantity in there.layout.quantities
             if len(sizes := quantity.errors(table))
         ),
-        (*before, step),
+        (*steps, step),
     )
-    return Started(
-        replace(setup, prior=compared.prior(found)),
-        recalibration,
-        tuple(older_calibration(recalibration)),
-    )
+    return Started(replace(setup, prior=compared.prior(found)), recalibration)
 
 
 def expected_setup(
@@ -170,9 +186,10 @@ def expected_setup(
     return replace(setup, prior=wider(older, given.scales[robot], drifted))
 
 
-def _registered(problem: Problem, older: JointPrior) -> tuple[Problem, Floats]:
-    """A problem about frames and instrument that suit the older robot, and values."""
-    values = {p.name: p.mean for p in older.parameters}
+def _registered(
+    problem: Problem, values: Mapping[str, float]
+) -> tuple[Problem, Floats]:
+    """A problem about frames and instrument that suit a robot, and values."""
     theta = problem.parameters.vector(values)
     there = registered(problem, theta)
     # Stations are not eliminated here: what they absorb is projected out later.

@@ -286,15 +286,17 @@ class NoiseSize:
 
 @dataclass(frozen=True)
 class Jump:
-    """A sudden change of the robot since the older calibration.
+    """A sudden change since the older calibration.
 
     Attributes:
-        name: The joint; empty for the whole robot.
-        kind: `offset` of the joint, `placement` for all of its errors, or `robot`.
+        name: The joint, station or tool; empty for the whole robot or the only one.
+        kind: `offset` of the joint, `placement` for all of its errors, `robot`, or the
+            frame, `base` or `tool`.
         unit: Unit of the offset, rad or m; of others m.
-        change: The offset, or how far the origin of the joint has moved.
+        change: The offset, or how far the origin of the joint or frame has moved.
         sigma: Standard deviation of the offset; NaN for others.
         turn: How far the joint has turned beside [rad]; zero for an offset.
+        instead: What may have changed instead; measurements do not tell them apart.
     """
 
     name: str
@@ -303,6 +305,7 @@ class Jump:
     change: float
     sigma: float
     turn: float = 0.0
+    instead: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -319,6 +322,8 @@ class RecalibrationStep:
         noise: The noise of every quantity, as far as it was known before.
         drifts: How far the robot drifts, as far as is known now.
         jumps: Sudden changes, the surest first.
+        promised: Error of the tool that the older one expected over the workspace [m].
+        error: The same, as these measurements show it.
     """
 
     start: str
@@ -329,6 +334,8 @@ class RecalibrationStep:
     noise: tuple[NoiseSize, ...]
     drifts: tuple[DriftSize, ...]
     jumps: tuple[Jump, ...]
+    promised: float = math.nan
+    error: float = math.nan
 
 
 @dataclass(frozen=True)

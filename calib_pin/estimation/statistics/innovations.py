@@ -17,7 +17,7 @@ come about in at most one of k cases (Markov's inequality, as `E[L_1/L_0] = 1`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -145,6 +145,16 @@ class Explanation:
         pairs = zip(self.causes, sizes.tolist(), strict=True)
         return tuple(replace(cause, size=size) for cause, size in pairs)
 
+    def misfit(self, effects: Floats) -> float:
+        """Chi-square of the innovations with effects of any size, shape (r, k)."""
+        by = np.linalg.solve(self.covariance, np.column_stack([self.values, effects]))
+        square, along = float(self.values @ by[:, 0]), effects.T @ by[:, 0]
+        return square - float(along @ np.linalg.pinv(effects.T @ by[:, 1:]) @ along)
+
+    def without(self, name: str) -> Explanation:
+        """The same without a cause."""
+        return replace(self, causes=tuple(c for c in self.causes if c.name != name))
+
     def evidence(self, cause: Sparse) -> tuple[float, float]:
         """Logarithm of the mean likelihood with a cause, and its likeliest size."""
         EE = cause.effects @ cause.effects.T
@@ -165,10 +175,29 @@ class Explanation:
         return result
 
 
+@dataclass(frozen=True)
+class Found:
+    """Sparse causes that the evidence is sure of.
+
+    Attributes:
+        explanation: The innovations with all causes of their likeliest sizes.
+        causes: The sparse ones among these, in the order in which they were accepted.
+        rivals: Others by the cause beside which the evidence does not rule them out.
+        evidence: Logarithm of the evidence by that without sparse causes.
+    """
+
+    explanation: Explanation
+    causes: tuple[Cause, ...]
+    rivals: Mapping[str, tuple[Cause, ...]]
+    evidence: float
+
+
 def explained(
     first: Explanation, causes: Sequence[Sparse], sure: float, most: int
-) -> tuple[Explanation, tuple[Cause, ...], tuple[Cause, ...]]:
+) -> Found:
     """Innovations with the sparse causes that the evidence is sure of, one by one.
+
+    One that those accepted after it have made needless is dropped again.
 
     Args:
         first: The innovations with the causes that always act, of expected sizes.
@@ -176,31 +205,40 @@ def explained(
         sure: Ratio of the evidence for a cause, times its chance, from which it is
             accepted.
         most: Most sparse causes.
-
-    Returns:
-        The innovations with all causes of their likeliest sizes; the sparse ones among
-        these, in the order in which they were accepted; and their rivals, of which the
-        evidence is not as sure that they are not meant.
     """
     found: list[Cause] = []
-    rivals: dict[str, Cause] = {}
+    rivals: dict[str, tuple[Cause, ...]] = {}
+    evidence = 0.0
     for _ in range(most):
-        now, _ = replace(first, causes=(*first.causes, *found)).fitted()
-        base = now.likelihood + first.expected(now)
         taken = {cause.name for cause in found}
         left = [cause for cause in causes if cause.name not in taken]
         if not left:
             break
-        better = _best(first, found, now, left)
+        base, better = _gains(first, found, left)
         gain, cause = max(better, key=lambda pair: pair[0])
         if gain - base < np.log(sure):
             break
+        near = (c for g, c in better if gain - g < np.log(sure) and c is not cause)
+        rivals[cause.name] = tuple(near)
         found.append(cause)
-        rivals |= {other.name: other for g, other in better if gain - g < np.log(sure)}
+        evidence += gain - base
+    by_name = {cause.name: cause for cause in causes}
+    for cause in found[:-1]:
+        others = [other for other in found if other is not cause]
+        base, ((gain, _),) = _gains(first, others, [by_name[cause.name]])
+        if gain - base < np.log(sure):
+            found, evidence = others, evidence - (gain - base)
     result, _ = replace(first, causes=(*first.causes, *found)).fitted()
-    accepted = {cause.name for cause in found}
-    others = (cause for name, cause in rivals.items() if name not in accepted)
-    return result, tuple(found), tuple(others)
+    return Found(result, tuple(found), rivals, evidence)
+
+
+def _gains(
+    first: Explanation, found: Sequence[Cause], causes: Sequence[Sparse]
+) -> tuple[float, list[tuple[float, Cause]]]:
+    """The evidence beside causes that were found, without and with a further one."""
+    now, _ = replace(first, causes=(*first.causes, *found)).fitted()
+    base = now.likelihood + first.expected(now)
+    return base, _best(first, found, now, causes)
 
 
 def _best(

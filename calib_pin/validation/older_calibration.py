@@ -19,7 +19,7 @@ from calib_pin.setup.population import ExpectedParameter
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import DriftSize, NoiseSize
 
-EXPECTED = (DriftSize("geometry", 2e-6, 2.0), DriftSize("joint offsets", 5e-6, 2.0))
+EXPECTED = (DriftSize("geometry", 1e-5, 2.0), DriftSize("joint offsets", 3e-5, 2.0))
 """Drift between two calibrations that is expected where nothing is known yet."""
 
 NOISE = 300.0

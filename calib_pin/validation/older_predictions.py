@@ -90,6 +90,7 @@ class Found:
     drifts: tuple[DriftSize, ...]
     jumps: Mapping[str, Jump]
     sizes: Mapping[str, float]
+    still: float
 
     def beside(self, first: Explanation, kinds: Collection[str]) -> Explanation:
         """The first explanation, with the sudden changes of some kinds beside it."""
@@ -272,7 +273,9 @@ class Comparison:
         noise = Cause("noise", self._noise, 1.0, self.noise, np.inf)
         return Explanation(values - W @ self.mean, known, (*drifting, noise))
 
-    def explained(self, first: Explanation, expected: Sequence[DriftSize]) -> Found:
+    def explained(
+        self, first: Explanation, expected: Sequence[DriftSize], still: float
+    ) -> Found:
         """Drift, noise, sudden changes and wrong measurements that explain it best.
 
         All of a joint or of the robot explains nearly everything: it is compared with
@@ -281,6 +284,7 @@ class Comparison:
         Args:
             first: The innovations, see `explanation`.
             expected: The drift that it expects.
+            still: Logarithm of the evidence so far that the robot does not drift.
         """
         simple = explained(first, self.sparse(SIMPLE), SURE, JUMPS)
         best = simple
@@ -288,6 +292,12 @@ class Comparison:
             whole = explained(first, self.sparse(CHANCES), SURE, JUMPS)
             best = max(simple, whole, key=lambda found: found.evidence)
         found = best.explanation
+        names = {drift.name for drift in expected}
+        alone = first.without(names)
+        quiet, _ = found.without(names).fitted()
+        still += quiet.likelihood + alone.expected(quiet)
+        still -= found.likelihood + first.expected(found)
+        drifting = still <= 0.0 or not np.isfinite(expected[0].worth)
         _, told = found.fitted()
         drifts = tuple(
             replace(drift, size=cause.size, worth=min(drift.worth + count, REMEMBERED))
@@ -295,6 +305,7 @@ class Comparison:
             else drift
             for drift, cause, count in zip(expected, found.causes, told, strict=False)
         )
+        found = found if drifting else quiet
         jumps = [cause for cause in best.causes if cause.name in self.sudden]
         taken = {cause.name for cause in jumps}
         sizes = {cause.name: cause.size for cause in jumps}
@@ -308,7 +319,7 @@ class Comparison:
             sizes = {name: c.size for name, c in rivals.items()} | sizes
             instead = tuple(map(self._label, rivals))
             named[cause.name] = replace(self._jump(found, cause), instead=instead)
-        return Found(found, drifts, named, sizes)
+        return Found(found, drifts, named, sizes, still)
 
     def _simple(self, name: str) -> bool:
         return name in self.sudden and self.sudden[name].kind in SIMPLE
@@ -324,7 +335,7 @@ class Comparison:
         """Changes that explain a simple one as well, if they may have any size."""
         if not self._simple(cause.name):
             return
-        without = found.without(cause.name)
+        without = found.without({cause.name})
         limit = without.misfit(cause.effects) + CLOSE
         for name, change in self.sudden.items():
             effects = self.told[0] @ change.directions
@@ -393,7 +404,11 @@ class Comparison:
             (max(size, 1.0), self.sudden[name].directions)
             for name, size in found.sizes.items()
         )
-        drifted = ((drift.size, self.drifting[drift.name]) for drift in found.drifts)
+        drifted = (
+            (cause.size, self.drifting[cause.name])
+            for cause in found.explanation.causes
+            if cause.name in self.drifting
+        )
         effects = [(size, way[self.robot]) for size, way in (*drifted, *sudden)]
         return wider(self.older, self.scales[self.robot], effects)
 

@@ -107,6 +107,7 @@ def started(
     older = older_prior(problem.given, problem.parameters.free, start, known)
     expected, names = expected_drifts(start, process_noise), older.names
     values = np.array([p.mean for p in older.parameters])
+    still = 0.0 if start.recalibration is None else start.recalibration.last.still
     begun: tuple[Problem, Floats] | None = None
     before: set[str] = set()
     for _ in range(ROUNDS):
@@ -114,7 +115,7 @@ def started(
         compared = Comparison.of(there, theta, older, start, noise)
         first = compared.explanation(expected)
         begun = begun or (there, theta)
-        found = compared.explained(first, expected)
+        found = compared.explained(first, expected, still)
         if before == (before := set(found.jumps)):
             break
         # A change of a degree is seen well only from near where the robot is now.
@@ -136,6 +137,7 @@ def started(
         noise=noise,
         drifts=found.drifts,
         jumps=tuple(found.jumps.values()),
+        still=found.still,
         promised=float(promised),
         error=float(np.hypot(compared.tool_error(found), beside)),
     )

@@ -322,6 +322,8 @@ class RecalibrationStep:
         noise: The noise of every quantity, as far as it was known before.
         drifts: How far the robot drifts, as far as is known now.
         jumps: Sudden changes, the surest first.
+        still: Logarithm of the evidence, by all such calibrations, that it does not
+            drift; where it is positive no drift is expected.
         promised: Error of the tool that the older one expected over the workspace [m].
         error: The same, as these measurements show it.
     """
@@ -334,6 +336,7 @@ class RecalibrationStep:
     noise: tuple[NoiseSize, ...]
     drifts: tuple[DriftSize, ...]
     jumps: tuple[Jump, ...]
+    still: float = 0.0
     promised: float = math.nan
     error: float = math.nan
 

@@ -17,7 +17,7 @@ come about in at most one of k cases (Markov's inequality, as `E[L_1/L_0] = 1`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -151,9 +151,10 @@ class Explanation:
         square, along = float(self.values @ by[:, 0]), effects.T @ by[:, 0]
         return square - float(along @ np.linalg.pinv(effects.T @ by[:, 1:]) @ along)
 
-    def without(self, name: str) -> Explanation:
-        """The same without a cause."""
-        return replace(self, causes=tuple(c for c in self.causes if c.name != name))
+    def without(self, names: Collection[str]) -> Explanation:
+        """The same without some causes."""
+        causes = tuple(cause for cause in self.causes if cause.name not in names)
+        return replace(self, causes=causes)
 
     def evidence(self, cause: Sparse) -> tuple[float, float]:
         """Logarithm of the mean likelihood with a cause, and its likeliest size."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -147,11 +147,16 @@ def _calibrated(
     csv, html = files = [output / name for name in FILES]
     orders = Orders(Path.cwd(), output, pages, resume)
     _check(orders, asked, [*files, output / PRIOR], table, force or resume)
-    found: list[Outcome] = []
-    for outcome in workers.map(calibrate_job, orders, asked, lost_job):
-        found.append(outcome)
-        if bar is not None:
-            bar(f"{len(found)} of {len(asked)}", len(found) / len(asked))
+    done: dict[str, Outcome] = {}
+    for wave in _waves(orders, asked):
+        pairs = zip(
+            wave, workers.map(calibrate_job, orders, wave, lost_job), strict=True
+        )
+        for job, outcome in pairs:
+            done[job.name] = outcome
+            if bar is not None:
+                bar(f"{len(done)} of {len(asked)}", len(done) / len(asked))
+    found = [done[job.name] for job in asked]
     rows = _compared(orders, asked, [row for row, _ in found], workers, bar)
     if bar is not None:
         bar("types", None)
@@ -182,6 +187,21 @@ def _calibrated(
         written = [f"wrote {folders} folders to {output}"]
         say_written([*written, *(f"wrote {file}" for file in contents)])
     return 0 if all(row.trusted for row in ordered) else 2
+
+
+def _waves(orders: Orders, jobs: Sequence[Job]) -> Iterator[list[Job]]:
+    """The jobs, each behind that which it goes on from."""
+    from calib_pin.cli.fleet_jobs import needed
+
+    by_folder = {orders.folder(job.name).resolve(): job.name for job in jobs}
+    before = {job.name: by_folder.get(needed(orders, job)) for job in jobs}
+    left = list(jobs)
+    while left:
+        names = {job.name for job in left}
+        # Where each waits for another one, none can be: they fail with their reason.
+        wave = [job for job in left if before[job.name] not in names] or left
+        yield wave
+        left = [job for job in left if job not in wave]
 
 
 def _check(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,8 +14,10 @@ from calib_pin.cli.results import write_results
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError, OptionError, one_line
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.io.results import DOCUMENT, REPORT, read_document
+from calib_pin.io.results import DOCUMENT, REPORT, document_file, read_document
+from calib_pin.setup.printing import DATE
 from calib_pin.validation.fleet import Drift, FleetRow, fleet_row, with_drift
+from calib_pin.validation.older_calibration import require_serial
 
 if TYPE_CHECKING:
     from calib_pin.estimation.statistics.population_prior import RobotEvidence
@@ -147,11 +149,12 @@ def compare_job(orders: Orders, pair: Successor) -> FleetRow:
         return replace(row, drift=Drift(name), reason=reason)
 
 
-def _request(job: Job) -> Request:
+def _request(orders: Orders, job: Job) -> Request:
     """The calibration that a job asks for.
 
     Raises:
-        InputError: If no measurement file has a name of those with a *.
+        InputError: If no measurement file has a name of those with a *, or there is no
+            calibration to go on from.
     """
     stated = job.stated
     files: list[Path] = []
@@ -161,25 +164,68 @@ def _request(job: Job) -> Request:
         if not found:
             raise InputError("no file has such a name", file=file)
         files += found
+    values = {
+        field.name: getattr(stated, field.name)
+        for field in fields(Request)
+        if hasattr(stated, field.name)
+    }
+    for key in ("setup", "validation"):
+        values[key] = None if values[key] is None else Path(values[key])
     return Request(
-        robot=stated.robot,
-        measurements=tuple(files),
-        setup=None if stated.setup is None else Path(stated.setup),
-        base=stated.base,
-        tip=stated.tip,
-        model=stated.model,
-        parameters=stated.parameters,
-        learned=stated.learned,
-        validation=None if stated.validation is None else Path(stated.validation),
-        holdout=stated.holdout,
-        seed=stated.seed,
+        **values
+        | {
+            "measurements": tuple(files),
+            "package_dir": tuple(map(Path, stated.package_dir)),
+            "use": stated.use or ("both" if stated.model_ladder else None),
+            "start": start_of(orders, job),
+        }
     )
+
+
+def start_of(orders: Orders, job: Job) -> Path | None:
+    """The older calibration that a job goes on from; None where it does not.
+
+    Raises:
+        InputError: If there is none before of its serial number.
+    """
+    from calib_pin.io.jobs import PREVIOUS, folder_name
+
+    stated = job.stated
+    if stated.start != PREVIOUS:
+        return None if stated.start is None else Path(stated.start)
+    if stated.previous is not None:
+        return Path(stated.previous)
+    if job.before:
+        return orders.folder(job.before)
+    serial, found = folder_name(stated.serial_number), list[Path]()
+    for path in sorted(orders.output.glob(f"*/{DOCUMENT}")):
+        name, day = path.parent.name, path.parent.name.removeprefix(f"{serial}-")
+        before = DATE.fullmatch(day) and (stated.date is None or day < stated.date)
+        if name != job.name and (name == serial or before):
+            found.append(path.parent)
+    if not found:
+        raise InputError(
+            f"'start: {PREVIOUS}', and there is no earlier calibration of serial "
+            f"number '{stated.serial_number}' in the table or in {orders.output}"
+        )
+    return found[-1]
+
+
+def needed(orders: Orders, job: Job) -> Path | None:
+    """The folder that a job goes on from, in full; None for none."""
+    try:
+        start = start_of(orders, job)
+    except InputError:  # The job will say so.
+        return None
+    return None if start is None else document_file(start).resolve().parent
 
 
 def _calibrated(orders: Orders, job: Job) -> None:
     """Calibrate, and write the folder of the results."""
-    request, folder = _request(job), orders.folder(job.name)
+    request, folder = _request(orders, job), orders.folder(job.name)
     given = opened(request, folder, force=True)
+    if given.older is not None:
+        require_serial(given.older, job.stated.serial_number)
     found = calibrated(given, request.words(folder), page=orders.pages)
     assert given.files is not None
     with write_results(found.result, given.files, found.contents, force=True):
@@ -194,13 +240,17 @@ def _finished(orders: Orders, job: Job) -> CalibrationResult | None:
     from calib_pin.io.files import read_bytes, sha256
     from calib_pin.io.results import read_result
 
-    request, folder = _request(job), orders.folder(job.name)
+    request, folder = _request(orders, job), orders.folder(job.name)
     try:
         document = read_document(folder / DOCUMENT)
         used = [*document["measurements"]["files"], *_stated(document)]
         there = all(sha256(read_bytes(f["file"])) == f["sha256"] for f in used)
         words = tuple(document["provenance"]["command"])
         complete = REPORT in document["files"] or not orders.pages
+        if request.start is not None:
+            begun = document["recalibration"]["steps"][-1]["created"]
+            started = read_document(document_file(request.start))
+            there &= begun == started["provenance"]["created"]
         if not there or not complete or words != request.words(folder):
             return None
         result = read_result(folder)

@@ -54,8 +54,14 @@ on its axis first of all, and instruments and tools are set up anew."""
 FRAMES = ("base", "tool")
 """Changes of frames."""
 
+SAME = 1e-4
+"""Part of what a change does by which another one differs at least."""
+
 SIMPLE = ("offset", *FRAMES)
 """Changes of one thing, which few measurements tell from each other."""
+
+NOISE_GREW = "noisier"
+"""Another instrument, with more noise."""
 
 JUMPS = 4
 """Most causes beside drift and noise that are told, sudden changes and wrong
@@ -236,7 +242,7 @@ class Comparison:
         return np.array([p.scale for p in self.state])
 
     def sparse(self, kinds: Collection[str]) -> tuple[Sparse, ...]:
-        """Causes that are there or not: changes of some kinds, wrong measurements."""
+        """Causes of some kinds that are there or not, and wrong measurements."""
         counts = Counter(change.kind for change in self.sudden.values())
         of_robot = (
             Sparse(
@@ -248,7 +254,8 @@ class Comparison:
             for name, change in self.sudden.items()
             if change.kind in kinds
         )
-        return (*of_robot, *self.wrong, Sparse("noisier", self._noise, NOISIER))
+        noisier = Sparse(NOISE_GREW, self._noise, NOISIER)
+        return (*of_robot, *self.wrong, *([noisier] if NOISE_GREW in kinds else []))
 
     @property
     def _noise(self) -> Floats:
@@ -278,19 +285,18 @@ class Comparison:
     ) -> Found:
         """Drift, noise, sudden changes and wrong measurements that explain it best.
 
-        All of a joint or of the robot explains nearly everything: it is compared with
-        the best of few simple changes.
+        All of a joint or of the robot explains nearly everything, and so does noise:
+        what has been found with them is compared with the best of few simple changes.
 
         Args:
             first: The innovations, see `explanation`.
             expected: The drift that it expects.
             still: Logarithm of the evidence so far that the robot does not drift.
         """
-        simple = explained(first, self.sparse(SIMPLE), SURE, JUMPS)
-        best = simple
-        if simple.causes:
-            whole = explained(first, self.sparse(CHANCES), SURE, JUMPS)
-            best = max(simple, whole, key=lambda found: found.evidence)
+        best = explained(first, self.sparse(SIMPLE), SURE, JUMPS)
+        for kinds in ((*SIMPLE, NOISE_GREW), (*CHANCES, NOISE_GREW)):
+            tried = explained(first, self.sparse(kinds), SURE, JUMPS)
+            best = max(best, tried, key=lambda found: found.evidence)
         found = best.explanation
         names = {drift.name for drift in expected}
         alone = first.without(names)
@@ -318,7 +324,9 @@ class Comparison:
             }
             sizes = {name: c.size for name, c in rivals.items()} | sizes
             instead = tuple(map(self._label, rivals))
-            named[cause.name] = replace(self._jump(found, cause), instead=instead)
+            beside = tuple(self._hidden(cause.name, {*taken, *rivals}))
+            jump = self._jump(found, cause)
+            named[cause.name] = replace(jump, instead=instead, beside=beside)
         return Found(found, drifts, named, sizes, still)
 
     def _simple(self, name: str) -> bool:
@@ -341,6 +349,18 @@ class Comparison:
             effects = self.told[0] @ change.directions
             if self._simple(name) and without.misfit(effects) <= limit:
                 yield Cause(name, effects, cause.size, np.inf)
+
+    def _hidden(self, name: str, others: Collection[str]) -> Iterator[str]:
+        """Joints whose offset moves the tool as a frame that has moved does."""
+        if self.sudden[name].kind not in FRAMES:
+            return
+        E = self.told[0] @ self.sudden[name].directions
+        for other, change in self.sudden.items():
+            if change.kind == "offset" and other not in others:
+                moved = self.told[0] @ change.directions
+                rest = moved - E @ np.linalg.lstsq(E, moved, rcond=None)[0]
+                if np.linalg.norm(rest) <= SAME * np.linalg.norm(moved):
+                    yield self._label(other)
 
     def _jump(self, found: Explanation, cause: Cause) -> Jump:
         """A sudden change as the innovations tell it."""

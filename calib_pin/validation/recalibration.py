@@ -50,6 +50,10 @@ SOME = 300
 """Measurements that are compared; more do not make it clearer."""
 
 
+CALM = float(np.log(10.0))
+"""Logarithm of the evidence, before there is any, that a robot does not drift from one
+calibration to the next by what measurements show."""
+
 ROUNDS = 3
 """Rounds in which sudden changes are sought about what the one before has found."""
 
@@ -107,7 +111,7 @@ def started(
     older = older_prior(problem.given, problem.parameters.free, start, known)
     expected, names = expected_drifts(start, process_noise), older.names
     values = np.array([p.mean for p in older.parameters])
-    still = 0.0 if start.recalibration is None else start.recalibration.last.still
+    still = CALM if start.recalibration is None else start.recalibration.last.still
     begun: tuple[Problem, Floats] | None = None
     before: set[str] = set()
     for _ in range(ROUNDS):

@@ -296,7 +296,8 @@ class Jump:
         change: The offset, or how far the origin of the joint or frame has moved.
         sigma: Standard deviation of the offset; NaN for others.
         turn: How far the joint has turned beside [rad]; zero for an offset.
-        instead: What may have changed instead; measurements do not tell them apart.
+        instead: Changes that may have come about instead, which nothing separates.
+        beside: Joints whose offset may have changed as well: nothing would show.
     """
 
     name: str
@@ -306,6 +307,7 @@ class Jump:
     sigma: float
     turn: float = 0.0
     instead: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -213,7 +213,7 @@ def run(number: int) -> Month:
         kind=kind,
         stated=known,
         changed=changed,
-        told=tuple((_name(jump), *jump.instead) for jump in step.jumps),
+        told=tuple((_name(jump), *jump.instead, *jump.beside) for jump in step.jumps),
         code=codes[0],
         promised=older.accuracy.workspace.calibrated[0],
         older=_error(truth, older, q),

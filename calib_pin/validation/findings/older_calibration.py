@@ -101,7 +101,9 @@ def _words(jump: Jump) -> str:
     sizes = [(jump.change, "m"), (jump.turn, "rad")]
     moved = " and ".join(_shown(size, unit) for size, unit in sizes if size > 0.0)
     other = ", or this is another robot of the type" if jump.kind == "robot" else ""
-    return f"{of} has moved by {moved}{instead}{other}"
+    beside = " and ".join(jump.beside)
+    beside = f" (the offset of {beside} would not show beside it)" if beside else ""
+    return f"{of} has moved by {moved}{instead}{beside}{other}"
 
 
 def _shown(size: float, unit: str) -> str:

@@ -35,12 +35,17 @@ class RobotRows:
         values: c, shape (r,).
         along: How each measured value enters these, shape (r, M): the M whitened
             residuals of the problem times it are `W theta - c`.
+        rest: Sum of squares of the whitened residuals that are noise alone, which no
+            parameter explains.
+        redundancy: Number of these.
     """
 
     robot: NDArray[np.bool_]
     rows: Floats
     values: Floats
     along: Floats
+    rest: float
+    redundancy: int
 
 
 def robot_rows(
@@ -69,7 +74,11 @@ def robot_rows(
     half = np.linalg.cholesky(_noise(problem, theta, components, basis, U))
     of_values = U[: len(problem.layout.row)].T
     told = (np.linalg.solve(half, part) for part in (rows, values, of_values))
-    return RobotRows(robot, *told)
+    left = system[:, -1] - U @ (U.T @ system[:, -1])
+    absorbed = parameters.free & parameters.nuisance
+    known = int(A.any(axis=1).sum()) - np.linalg.matrix_rank(A[:, absorbed])
+    redundancy = max(int(known) - len(values), 0)
+    return RobotRows(robot, *told, float(left @ left), redundancy)
 
 
 def _noise(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.robot_rows import robot_rows
+from calib_pin.estimation.robot_rows import RobotRows, robot_rows
 from calib_pin.estimation.statistics.innovations import (
     Cause,
     Explanation,
@@ -60,8 +60,8 @@ SAME = 1e-4
 SIMPLE = ("offset", *FRAMES)
 """Changes of one thing, which few measurements tell from each other."""
 
-NOISE_GREW = "noisier"
-"""Another instrument, with more noise."""
+NOISE_NAME, NOISE_GREW = "noise", "noisier"
+"""Causes: the noise as it is known, and more of it by another instrument."""
 
 JUMPS = 4
 """Most causes beside drift and noise that are told, sudden changes and wrong
@@ -72,6 +72,9 @@ SIZES = np.geomspace(0.03, 10.0, 16)
 
 FAR = np.geomspace(0.03, 1e4, 24)
 """The same of frames, which may be anywhere."""
+
+GROWN = 2.0
+"""Noise by what was known of it beyond which a part of it is something else."""
 
 WRONG = np.geomspace(3.0, 1e4, 16)
 """Errors of measurements that are wrong, in standard deviations."""
@@ -97,6 +100,7 @@ class Found:
     jumps: Mapping[str, Jump]
     sizes: Mapping[str, float]
     still: float
+    noise: float
 
     def beside(self, first: Explanation, kinds: Collection[str]) -> Explanation:
         """The first explanation, with the sudden changes of some kinds beside it."""
@@ -123,7 +127,8 @@ class Comparison:
         told: What the measurements tell of the state, with a row for each part of a
             frame that is known now and was not: W, shape (r, S), and values, (r,).
         measured: Number of the rows that are of measurements; they come first.
-        noise: Values that tell the noise.
+        noise: The noise by what was known of it, and the values that tell it.
+        redundancy: Those of them that are of the new measurements.
         drifting: How the state drifts, shape (S, k), by the names of drifts.
         sudden: What may have changed at once, by name.
         wrong: What may be wrong of the measurements.
@@ -138,7 +143,8 @@ class Comparison:
     covariance: Floats
     told: tuple[Floats, Floats]
     measured: int
-    noise: float
+    noise: tuple[float, float]
+    redundancy: int
     drifting: Mapping[str, Floats]
     sudden: Mapping[str, Change]
     wrong: tuple[Sparse, ...]
@@ -222,7 +228,8 @@ class Comparison:
             / np.outer(scales, scales),
             told=(W, np.append(told, np.zeros(extra))),
             measured=count,
-            noise=min(max(sum(one.worth for one in noise), 1.0), NOISE),
+            noise=_noise(noise, rows),
+            redundancy=rows.redundancy,
             drifting={n: whole(d) for n, d in drifts(problem, of_robot).items()},
             sudden=sudden,
             wrong=tuple(
@@ -277,7 +284,7 @@ class Comparison:
             )
             for d in expected
         )
-        noise = Cause("noise", self._noise, 1.0, self.noise, np.inf)
+        noise = Cause(NOISE_NAME, self._noise, *self.noise, np.inf)
         return Explanation(values - W @ self.mean, known, (*drifting, noise))
 
     def explained(
@@ -327,7 +334,17 @@ class Comparison:
             beside = tuple(self._hidden(cause.name, {*taken, *rivals}))
             jump = self._jump(found, cause)
             named[cause.name] = replace(jump, instead=instead, beside=beside)
-        return Found(found, drifts, named, sizes, still)
+        return Found(found, drifts, named, sizes, still, self._grown(found))
+
+    def _grown(self, found: Explanation) -> float:
+        """The noise by what was known: as all show it, or more as these do by chance."""
+        k = [cause.name for cause in found.causes].index(NOISE_NAME)
+        size, told = found.causes[k].size, max(found.fitted()[1][k], 1.0)
+        _, worth = self.noise
+        alone = ((worth + told) * size**2 - worth + self.redundancy) / (
+            told + self.redundancy
+        )
+        return float(np.sqrt(max(size**2, alone)))
 
     def _simple(self, name: str) -> bool:
         return name in self.sudden and self.sudden[name].kind in SIMPLE
@@ -430,7 +447,18 @@ class Comparison:
             if cause.name in self.drifting
         )
         effects = [(size, way[self.robot]) for size, way in (*drifted, *sudden)]
-        return wider(self.older, self.scales[self.robot], effects)
+        noise = {n: found.noise * sigma for n, sigma in self.older.noise.items()}
+        older = replace(self.older, noise=noise)
+        return wider(older, self.scales[self.robot], effects)
+
+
+def _noise(noise: Sequence[NoiseSize], rows: RobotRows) -> tuple[float, float]:
+    """The noise by what was known of it, and the values that tell it."""
+    worth, count = sum(one.worth for one in noise), rows.redundancy
+    worth = min(max(worth, 1.0), NOISE)
+    # Wrong measurements are sought by themselves.
+    rest = min(rows.rest, GROWN**2 * count)
+    return float(np.sqrt((worth + rest) / (worth + count))), worth + count
 
 
 def _factors(problem: Problem, noise: Sequence[NoiseSize]) -> Floats:

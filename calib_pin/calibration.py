@@ -177,7 +177,9 @@ def calibrate(
     tell = named(progress, "joint readings")
     judgement = judge(chains, model, fitted, held_out, seed, tell, others)
     if begun is not None:
-        findings = older_calibration(begun.recalibration, *judgement.accuracies.values())
+        findings = older_calibration(
+            begun.recalibration, *judgement.accuracies.values()
+        )
         judgement = replace(judgement, findings=(*findings, *judgement.findings))
     files = [*data.files.distinct, *(further.files.distinct if further else ())]
     return _result(

@@ -148,12 +148,9 @@ def _calibrated(
     orders = Orders(Path.cwd(), output, pages, resume)
     _check(orders, asked, [*files, output / PRIOR], table, force or resume)
     done: dict[str, Outcome] = {}
-    for wave in _waves(orders, asked):
-        pairs = zip(
-            wave, workers.map(calibrate_job, orders, wave, lost_job), strict=True
-        )
-        for job, outcome in pairs:
-            done[job.name] = outcome
+    for wave in _waves(asked):
+        for outcome in workers.map(calibrate_job, orders, wave, lost_job):
+            done[outcome.row.job] = outcome
             if bar is not None:
                 bar(f"{len(done)} of {len(asked)}", len(done) / len(asked))
     found = [done[job.name] for job in asked]
@@ -189,19 +186,13 @@ def _calibrated(
     return 0 if all(row.trusted for row in ordered) else 2
 
 
-def _waves(orders: Orders, jobs: Sequence[Job]) -> Iterator[list[Job]]:
-    """The jobs, each behind that which it goes on from."""
-    from calib_pin.cli.fleet_jobs import needed
-
-    by_folder = {orders.folder(job.name).resolve(): job.name for job in jobs}
-    before = {job.name: by_folder.get(needed(orders, job)) for job in jobs}
+def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
+    """The jobs; one with a start comes behind that before of its serial number."""
     left = list(jobs)
     while left:
         names = {job.name for job in left}
-        # Where each waits for another one, none can be: they fail with their reason.
-        wave = [job for job in left if before[job.name] not in names] or left
-        yield wave
-        left = [job for job in left if job not in wave]
+        yield [j for j in left if not (j.stated.start and j.before in names)]
+        left = [j for j in left if j.stated.start and j.before in names]
 
 
 def _check(

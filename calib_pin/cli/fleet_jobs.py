@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from calib_pin.estimation.statistics.population_prior import RobotEvidence
     from calib_pin.io.jobs import Job
     from calib_pin.validation.result import CalibrationResult
+
+
+LAST = "9999"
+"""Behind all days."""
 
 
 @dataclass(frozen=True)
@@ -164,22 +168,14 @@ def _request(orders: Orders, job: Job) -> Request:
         if not found:
             raise InputError("no file has such a name", file=file)
         files += found
-    values = {
-        field.name: getattr(stated, field.name)
-        for field in fields(Request)
-        if hasattr(stated, field.name)
-    }
+    names = Request.__dataclass_fields__
+    values = {key: value for key, value in vars(stated).items() if key in names}
     for key in ("setup", "validation"):
         values[key] = None if values[key] is None else Path(values[key])
-    return Request(
-        **values
-        | {
-            "measurements": tuple(files),
-            "package_dir": tuple(map(Path, stated.package_dir)),
-            "use": stated.use or ("both" if stated.model_ladder else None),
-            "start": start_of(orders, job),
-        }
-    )
+    values["measurements"] = tuple(files)
+    values["package_dir"] = tuple(map(Path, stated.package_dir))
+    use = stated.use or ("both" if stated.model_ladder else None)
+    return Request(**{**values, "use": use, "start": start_of(orders, job)})
 
 
 def start_of(orders: Orders, job: Job) -> Path | None:
@@ -197,27 +193,18 @@ def start_of(orders: Orders, job: Job) -> Path | None:
         return Path(stated.previous)
     if job.before:
         return orders.folder(job.before)
-    serial, found = folder_name(stated.serial_number), list[Path]()
-    for path in sorted(orders.output.glob(f"*/{DOCUMENT}")):
-        name, day = path.parent.name, path.parent.name.removeprefix(f"{serial}-")
-        before = DATE.fullmatch(day) and (stated.date is None or day < stated.date)
-        if name != job.name and (name == serial or before):
-            found.append(path.parent)
+    folders, found = orders.output.glob(f"*/{DOCUMENT}"), list[str]()
+    serial = folder_name(stated.serial_number)
+    for name in (path.parent.name for path in folders):
+        day = DATE.fullmatch(name.removeprefix(f"{serial}-"))
+        if name == serial or (day and day[0] < (stated.date or LAST)):
+            found.append(name)
     if not found:
         raise InputError(
             f"'start: {PREVIOUS}', and there is no earlier calibration of serial "
             f"number '{stated.serial_number}' in the table or in {orders.output}"
         )
-    return found[-1]
-
-
-def needed(orders: Orders, job: Job) -> Path | None:
-    """The folder that a job goes on from, in full; None for none."""
-    try:
-        start = start_of(orders, job)
-    except InputError:  # The job will say so.
-        return None
-    return None if start is None else document_file(start).resolve().parent
+    return orders.folder(max(found))
 
 
 def _calibrated(orders: Orders, job: Job) -> None:

@@ -123,11 +123,7 @@ def planned_before(setup: Setup, older: CalibrationResult | None) -> Setup:
     if older is None:
         return setup
     models = dict.fromkeys(k.model for k in older.model.parts if k.chain != WORLD)
-    before = replace(calibrated_setup(older.model), model="+".join(models))
-    empty = Empty()
-    taken = {
-        name: getattr(before, name)
-        for name in PLANNED
-        if getattr(setup, name) == getattr(empty, name)
-    }
+    before = vars(calibrated_setup(older.model)) | {"model": "+".join(models)}
+    given, empty = vars(setup), vars(Empty())
+    taken = {name: before[name] for name in PLANNED if given[name] == empty[name]}
     return replace(setup, **taken)

@@ -73,12 +73,11 @@ def robot_rows(
     basis[robot] = Vt[shown].T
     half = np.linalg.cholesky(_noise(problem, theta, components, basis, U))
     of_values = U[: len(problem.layout.row)].T
-    told = (np.linalg.solve(half, part) for part in (rows, values, of_values))
+    W, c, along = (np.linalg.solve(half, part) for part in (rows, values, of_values))
     left = system[:, -1] - U @ (U.T @ system[:, -1])
-    absorbed = parameters.free & parameters.nuisance
-    known = int(A.any(axis=1).sum()) - np.linalg.matrix_rank(A[:, absorbed])
-    redundancy = max(int(known) - len(values), 0)
-    return RobotRows(robot, *told, float(left @ left), redundancy)
+    absorbed = A[:, parameters.free & parameters.nuisance]
+    count = int(A.any(axis=1).sum() - np.linalg.matrix_rank(absorbed)) - len(values)
+    return RobotRows(robot, W, c, along, float(left @ left), max(count, 0))
 
 
 def _noise(

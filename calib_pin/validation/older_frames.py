@@ -2,58 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import pinocchio as pin
 
-from calib_pin.estimation.system import FRAME, Part, System
+from calib_pin.estimation.system import FRAME, System
 from calib_pin.kinematics.spatial import so3_log
 
+Frame = tuple[str, str]
+"""`base` or `tool`, and the station or the tool; empty for the only one."""
 
-@dataclass(frozen=True)
-class SharedFrame:
-    """A frame that both have.
 
-    Attributes:
-        kind: `base` or `tool`.
-        owner: The station or the tool; empty for the only one.
-        values: Its parameters about the new frame where the older one stood, each with
-            its name [m, rad].
+def shared_frames(older: System, new: System) -> Mapping[Frame, Mapping[str, float]]:
+    """The frames that two systems have, about their solutions.
+
+    Of each the values [m, rad] of its parameters about the new frame, by their names,
+    where the older one stood.
     """
-
-    kind: str
-    owner: str
-    values: tuple[tuple[str, float], ...]
-
-
-def shared_frames(older: System, new: System) -> tuple[SharedFrame, ...]:
-    """The frames by the same names in two systems, about their solutions."""
-    before, result = _frames(older), []
-    for name, (kind, pose, names) in _frames(new).items():
-        if name in before:
-            moved = pose.actInv(before[name][1])
+    before, result = _frames(older), dict[Frame, Mapping[str, float]]()
+    for frame, (pose, names) in _frames(new).items():
+        if frame in before:
+            moved = pose.actInv(before[frame][0])
             # Positions alone do not tell how a tool is turned, and move it nowhere.
-            values = (*moved.translation, *so3_log(moved.rotation))
-            owner, _, of = name.rpartition(".")
-            alone = f"{owner}.{of}" in ("base.frame", "tool.frame")
-            pairs = tuple(zip(names, map(float, values), strict=True))
-            result.append(SharedFrame(kind, "" if alone else owner, pairs))
-    return tuple(result)
+            values = (*moved.translation.tolist(), *so3_log(moved.rotation).tolist())
+            result[frame] = dict(zip(names, values, strict=True))
+    return result
 
 
-def _frames(system: System) -> Mapping[str, tuple[str, pin.SE3, tuple[str, ...]]]:
-    """Kind, pose and names of the parameters of every frame by its name."""
-    found: dict[str, tuple[str, pin.SE3, tuple[str, ...]]] = {}
+def _frames(system: System) -> Mapping[Frame, tuple[pin.SE3, tuple[str, ...]]]:
+    """Pose and names of the parameters of every frame."""
+    found: dict[Frame, tuple[pin.SE3, tuple[str, ...]]] = {}
     for part in system.parts.values():
-        for name, *frame in _ends(part):
-            found.setdefault(name, tuple(frame))
+        scope, count = part.scope, len(part.error.screws)
+        names = tuple(p.name for p in part.parameters[:count])
+        tool = part.error.tool * scope.offset.inverse()
+        for kind, name, pose, own in (
+            ("base", scope.station, part.error.base, names[:FRAME]),
+            ("tool", scope.tool, tool, names[-FRAME:]),
+        ):
+            owner = "" if name == f"{kind}.frame" else name.rpartition(".")[0]
+            found.setdefault((kind, owner), (pose, own))
     return found
-
-
-def _ends(part: Part) -> Iterator[tuple[str, str, pin.SE3, tuple[str, ...]]]:
-    count, scope = len(part.error.screws), part.scope
-    names = tuple(p.name for p in part.parameters[:count])
-    yield scope.station, "base", part.error.base, names[:FRAME]
-    tool = part.error.tool * scope.offset.inverse()
-    yield scope.tool, "tool", tool, names[-FRAME:]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +20,7 @@ from calib_pin.estimation.statistics.innovations import (
 from calib_pin.estimation.tip_accuracy import SAMPLES, without_frames
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
-from calib_pin.parameters import Parameter, ParameterSet
+from calib_pin.parameters import ParameterSet
 from calib_pin.setup import JointPrior
 from calib_pin.validation.joint_changes import Change, changes, drifts
 from calib_pin.validation.older_calibration import NOISE, wider
@@ -93,6 +93,8 @@ class Found:
         jumps: Sudden changes by name, the surest first.
         sizes: Their sizes, in expected sizes of errors, and those of changes that may
             have come about instead.
+        still: Logarithm of the evidence that the robot does not drift.
+        noise: The noise by what was known of it.
     """
 
     explanation: Explanation
@@ -102,34 +104,28 @@ class Found:
     still: float
     noise: float
 
-    def beside(self, first: Explanation, kinds: Collection[str]) -> Explanation:
-        """The first explanation, with the sudden changes of some kinds beside it."""
-        names = {name for name, jump in self.jumps.items() if jump.kind in kinds}
-        causes = (c for c in self.explanation.causes if c.name in names)
-        return replace(first, causes=(*first.causes, *causes))
-
 
 @dataclass(frozen=True)
 class Comparison:
     """New measurements beside what an older calibration predicts.
 
-    Its state are the errors of the robot, and the frames of stations and tools that
-    both have, as they are unless something was moved.
+    That is of the errors of the robot, and of the frames of stations and tools that
+    both have: they are as they were, unless something was moved.
 
     Attributes:
-        problem: The problem of the new measurements.
+        problem: The problem, frames among the errors of its robot.
         theta: Parameter values about which it is linearized, shape (P,).
         older: The older calibration.
-        state: The S parameters of the state.
-        robot: Those of them that are errors of the robot, shape (S,).
-        mean: Their values by the older calibration, in scales, shape (S,).
-        covariance: Of these, shape (S, S).
-        told: What the measurements tell of the state, with a row for each part of a
-            frame that is known now and was not: W, shape (r, S), and values, (r,).
-        measured: Number of the rows that are of measurements; they come first.
+        robot: The errors of the robot among the parameters, shape (P,).
+        mean: What the older calibration knew, in scales, shape (P,).
+        covariance: Of that, shape (P, P).
+        rows: W, what measurements see of the parameters in scales, and below that the
+            frames which are known now and were not, shape (r, P).
+        values: Their values, shape (r,).
+        measured: Noise of the measurements in the rows, shape (r, m).
         noise: The noise by what was known of it, and the values that tell it.
         redundancy: Those of them that are of the new measurements.
-        drifting: How the state drifts, shape (S, k), by the names of drifts.
+        drifting: How the parameters drift, shape (P, k), by the names of drifts.
         sudden: What may have changed at once, by name.
         wrong: What may be wrong of the measurements.
     """
@@ -137,12 +133,12 @@ class Comparison:
     problem: Problem
     theta: Floats
     older: JointPrior
-    state: tuple[Parameter, ...]
     robot: NDArray[np.bool_]
     mean: Floats
     covariance: Floats
-    told: tuple[Floats, Floats]
-    measured: int
+    rows: Floats
+    values: Floats
+    measured: Floats
     noise: tuple[float, float]
     redundancy: int
     drifting: Mapping[str, Floats]
@@ -167,75 +163,56 @@ class Comparison:
             noise: The noise as it is known.
         """
         problem, theta = problem.rebased(theta)
-        of_robot = problem.parameters.free & ~problem.parameters.nuisance
+        robot = problem.parameters.free & ~problem.parameters.nuisance
         frames = shared_frames(start.model, problem)
-        values = {p.name: p.mean for p in older.parameters}
-        values |= {name: value for frame in frames for name, value in frame.values}
+        known = {p.name: p.mean for p in older.parameters}
+        known |= {name: x for moved in frames.values() for name, x in moved.items()}
         given = ParameterSet(
             tuple(
                 replace(p, nuisance=False, scale=expected_size(p.unit))
-                if p.nuisance and p.name in values
+                if p.nuisance and p.name in known
                 else p
                 for p in problem.given
             )
         )
         problem = replace(problem, given=given, units=_factors(problem, noise))
-        rows = robot_rows(problem, theta, ())
-        place = {p.name: k for k, p in enumerate(start.parameters)}
-        sure = np.diag(start.covariance) == 0.0
-        own = [p for p, of in zip(problem.parameters, rows.robot, strict=True) if of]
-        known = [
-            p
-            for p in problem.parameters
-            if p.name in values and not p.free and not sure[place[p.name]]
-        ]
-        state, index = (*own, *known), [place[p.name] for p in (*own, *known)]
-        scales = np.array([p.scale for p in state])
-        names = {p.name for p, of in zip(given, of_robot, strict=True) if of}
-        robot = np.array([p.name in names for p in state])
-        told, count, extra = rows.values, len(rows.values), len(known)
-        W = np.zeros((count + extra, len(state)))
-        W[:count, : len(own)] = rows.rows
-        W[count:, len(own) :] = np.diag(scales[len(own) :] / KNOWN)
+        parameters, scales = problem.parameters, problem.parameters.scales
+        place = {name: k for k, name in enumerate(parameters.names)}
+        here = [place[p.name] for p in start.parameters if p.name in known]
+        there = [k for k, p in enumerate(start.parameters) if p.name in known]
+        C = np.zeros((len(scales), len(scales)))
+        C[np.ix_(here, here)] = np.asarray(start.covariance)[np.ix_(there, there)]
+        C /= np.outer(scales, scales)
+        told = robot_rows(problem, theta, ())
+        count = len(told.values)
+        stated = np.diag(scales / KNOWN)[~parameters.free & (np.diag(C) > 0.0)]
+        W = np.vstack([np.zeros((count, len(scales))), stated])
+        W[:count, told.robot] = told.rows
+        measured, unit = np.eye(len(W))[:, :count], np.eye(len(scales))
         groups = problem.data.groups()
         labels = np.unique(groups)
-
-        def whole(directions: Floats) -> Floats:
-            result = np.zeros((len(state), directions.shape[1]))
-            result[robot] = directions
-            return result
-
-        sudden = {
-            name: replace(change, directions=whole(change.directions))
-            for name, change in changes(problem, of_robot).items()
+        moves = {
+            f"{kind} {name}": Change(name, kind, unit[:, [place[n] for n in moved]])
+            for (kind, name), moved in frames.items()
         }
-        every = np.eye(len(state))
-        for frame in frames:
-            named = {name for name, _ in frame.values}
-            moved = [k for k, p in enumerate(state) if p.name in named]
-            if moved:
-                change = Change(frame.owner, frame.kind, every[:, moved])
-                sudden[f"{frame.kind} {frame.owner}"] = change
-        along = np.vstack([rows.along, np.zeros((extra, rows.along.shape[1]))])
         return Comparison(
             problem=problem,
             theta=theta,
             older=older,
-            state=state,
             robot=robot,
-            mean=np.array([values[p.name] for p in state]) / scales,
-            covariance=np.asarray(start.covariance)[np.ix_(index, index)]
-            / np.outer(scales, scales),
-            told=(W, np.append(told, np.zeros(extra))),
-            measured=count,
-            noise=_noise(noise, rows),
-            redundancy=rows.redundancy,
-            drifting={n: whole(d) for n, d in drifts(problem, of_robot).items()},
-            sudden=sudden,
+            mean=np.array([known.get(name, 0.0) for name in place]) / scales,
+            covariance=C,
+            rows=W,
+            values=measured @ told.values,
+            measured=measured,
+            noise=_noise(noise, told),
+            redundancy=told.redundancy,
+            drifting=drifts(problem, robot),
+            sudden={**changes(problem, robot), **moves},
             wrong=tuple(
                 Sparse(
                     f"measurement {k}",
-                    along[:, groups[problem.layout.row] == k],
+                    measured @ told.along[:, groups[problem.layout.row] == k],
                     WRONG,
                     1.0 / len(labels),
                 )
@@ -243,49 +220,33 @@ class Comparison:
             ),
         )
 
-    @property
-    def scales(self) -> Floats:
-        """Scales of the state, shape (S,)."""
-        return np.array([p.scale for p in self.state])
-
     def sparse(self, kinds: Collection[str]) -> tuple[Sparse, ...]:
         """Causes of some kinds that are there or not, and wrong measurements."""
         counts = Counter(change.kind for change in self.sudden.values())
         of_robot = (
             Sparse(
                 name,
-                self.told[0] @ change.directions,
+                self.rows @ change.directions,
                 FAR if change.kind in FRAMES else SIZES,
                 CHANCES[change.kind] / counts[change.kind],
             )
             for name, change in self.sudden.items()
             if change.kind in kinds
         )
-        noisier = Sparse(NOISE_GREW, self._noise, NOISIER)
+        noisier = Sparse(NOISE_GREW, self.measured, NOISIER)
         return (*of_robot, *self.wrong, *([noisier] if NOISE_GREW in kinds else []))
-
-    @property
-    def _noise(self) -> Floats:
-        """The noise of the measurements, shape (r, measured)."""
-        return np.eye(len(self.told[1]))[:, : self.measured]
 
     def explanation(self, expected: Sequence[DriftSize]) -> Explanation:
         """The innovations, with drift and noise as they are expected."""
-        W, values = self.told
-        known = W @ self.covariance @ W.T
-        known += np.eye(len(W)) - self._noise @ self._noise.T
+        W, M = self.rows, self.measured
+        known = W @ self.covariance @ W.T + np.eye(len(W)) - M @ M.T
         drifting = (
-            Cause(
-                d.name,
-                W @ self.drifting[d.name],
-                d.size,
-                d.worth,
-                max(MOST.get(d.name, 0.0), d.size),
-            )
+            Cause(d.name, W @ self.drifting[d.name], d.size, d.worth, max(most, d.size))
             for d in expected
+            for most in [MOST.get(d.name, 0.0)]
         )
-        noise = Cause(NOISE_NAME, self._noise, *self.noise, np.inf)
-        return Explanation(values - W @ self.mean, known, (*drifting, noise))
+        noise = Cause(NOISE_NAME, M, *self.noise, np.inf)
+        return Explanation(self.values - W @ self.mean, known, (*drifting, noise))
 
     def explained(
         self, first: Explanation, expected: Sequence[DriftSize], still: float
@@ -300,17 +261,13 @@ class Comparison:
             expected: The drift that it expects.
             still: Logarithm of the evidence so far that the robot does not drift.
         """
-        best = explained(first, self.sparse(SIMPLE), SURE, JUMPS)
-        for kinds in ((*SIMPLE, NOISE_GREW), (*CHANCES, NOISE_GREW)):
-            tried = explained(first, self.sparse(kinds), SURE, JUMPS)
-            best = max(best, tried, key=lambda found: found.evidence)
-        found = best.explanation
+        families = SIMPLE, (*SIMPLE, NOISE_GREW), (*CHANCES, NOISE_GREW)
+        tried = (explained(first, self.sparse(f), SURE, JUMPS) for f in families)
+        found, sparse, _ = max(tried, key=lambda one: one[2])
         names = {drift.name for drift in expected}
-        alone = first.without(names)
-        quiet, _ = found.without(names).fitted()
-        still += quiet.likelihood + alone.expected(quiet)
+        calm, _ = found.without(names).fitted()
+        still += calm.likelihood + first.without(names).expected(calm)
         still -= found.likelihood + first.expected(found)
-        drifting = still <= 0.0 or not np.isfinite(expected[0].worth)
         _, told = found.fitted()
         drifts = tuple(
             replace(drift, size=cause.size, worth=min(drift.worth + count, REMEMBERED))
@@ -318,120 +275,98 @@ class Comparison:
             else drift
             for drift, cause, count in zip(expected, found.causes, told, strict=False)
         )
-        found = found if drifting else quiet
-        jumps = [cause for cause in best.causes if cause.name in self.sudden]
-        taken = {cause.name for cause in jumps}
-        sizes = {cause.name: cause.size for cause in jumps}
-        named = {}
-        for cause in jumps:
-            rivals = {
-                c.name: c
-                for c in (*best.rivals[cause.name], *self._inseparable(found, cause))
-                if c.name not in taken and self._simple(c.name)
-            }
-            sizes = {name: c.size for name, c in rivals.items()} | sizes
-            instead = tuple(map(self._label, rivals))
-            beside = tuple(self._hidden(cause.name, {*taken, *rivals}))
-            jump = self._jump(found, cause)
-            named[cause.name] = replace(jump, instead=instead, beside=beside)
-        return Found(found, drifts, named, sizes, still, self._grown(found))
+        if still > 0.0 and np.isfinite(expected[0].worth):
+            found = calm
+        sudden = [cause for cause in sparse if cause.name in self.sudden]
+        others = {c.name: self._others(found, c, sudden) for c in sudden}
+        sizes = {name: c.size for c in sudden for name in (c.name, *others[c.name][0])}
+        jumps = {c.name: self._jump(found, c, *others[c.name]) for c in sudden}
+        return Found(found, drifts, jumps, sizes, float(still), self._grown(found))
 
     def _grown(self, found: Explanation) -> float:
-        """The noise by what was known: as all show it, or more as these do by chance."""
+        """The noise by what was known: as all show it, or as much more as these do."""
         k = [cause.name for cause in found.causes].index(NOISE_NAME)
-        size, told = found.causes[k].size, max(found.fitted()[1][k], 1.0)
-        _, worth = self.noise
-        alone = ((worth + told) * size**2 - worth + self.redundancy) / (
-            told + self.redundancy
-        )
-        return float(np.sqrt(max(size**2, alone)))
+        square, told = found.causes[k].size ** 2, max(found.fitted()[1][k], 1.0)
+        known = self.noise[1] - self.redundancy
+        told += self.redundancy
+        return float(np.sqrt(max(square, ((known + told) * square - known) / told)))
 
-    def _simple(self, name: str) -> bool:
-        return name in self.sudden and self.sudden[name].kind in SIMPLE
+    def _others(
+        self, found: Explanation, cause: Cause, sudden: Sequence[Cause]
+    ) -> tuple[list[str], list[str]]:
+        """Simple changes that may have come about in place of a simple one.
+
+        And offsets of joints that would not show beside a frame that has moved.
+        """
+        kind, E = self.sudden[cause.name].kind, cause.effects
+        instead, beside = list[str](), list[str]()
+        without = found.without({cause.name})
+        limit = without.misfit(E) + CLOSE
+        taken = {other.name for other in sudden}
+        for name, change in self.sudden.items():
+            if name in taken or not {kind, change.kind} <= set(SIMPLE):
+                continue
+            moved = self.rows @ change.directions
+            rest = moved - E @ np.linalg.lstsq(E, moved, rcond=None)[0]
+            if without.misfit(moved) <= limit:
+                instead.append(name)
+            elif np.linalg.norm(rest) < SAME * np.linalg.norm(moved):
+                beside.append(name)
+        return instead, beside
 
     def _label(self, name: str) -> str:
         """A change in words."""
         change = self.sudden[name]
-        if change.kind in FRAMES:
-            return f"{change.kind} '{change.joint}'" if change.joint else change.kind
-        return f"joint '{change.joint}'"
+        word = change.kind if change.kind in FRAMES else "joint"
+        return f"{word} '{change.joint}'" if change.joint else word
 
-    def _inseparable(self, found: Explanation, cause: Cause) -> Iterator[Cause]:
-        """Changes that explain a simple one as well, if they may have any size."""
-        if not self._simple(cause.name):
-            return
-        without = found.without({cause.name})
-        limit = without.misfit(cause.effects) + CLOSE
-        for name, change in self.sudden.items():
-            effects = self.told[0] @ change.directions
-            if self._simple(name) and without.misfit(effects) <= limit:
-                yield Cause(name, effects, cause.size, np.inf)
-
-    def _hidden(self, name: str, others: Collection[str]) -> Iterator[str]:
-        """Joints whose offset moves the tool as a frame that has moved does."""
-        if self.sudden[name].kind not in FRAMES:
-            return
-        E = self.told[0] @ self.sudden[name].directions
-        for other, change in self.sudden.items():
-            if change.kind == "offset" and other not in others:
-                moved = self.told[0] @ change.directions
-                rest = moved - E @ np.linalg.lstsq(E, moved, rcond=None)[0]
-                if np.linalg.norm(rest) <= SAME * np.linalg.norm(moved):
-                    yield self._label(other)
-
-    def _jump(self, found: Explanation, cause: Cause) -> Jump:
-        """A sudden change as the innovations tell it."""
-        change = self.sudden[cause.name]
+    def _jump(self, found: Explanation, cause: Cause, *others: Sequence[str]) -> Jump:
+        """A sudden change as the innovations tell it, and what it may be instead."""
+        change, parameters = self.sudden[cause.name], self.problem.parameters
         effects, covariance = found.effects(cause)
-        if change.kind == "offset":
-            size = float(change.size)
-            sigma = size * float(covariance[0, 0]) ** 0.5
-            return Jump(
-                change.joint, "offset", change.unit, size * float(effects[0]), sigma
-            )
-        moved = change.directions @ effects * self.scales
+        moved = change.directions @ effects * parameters.scales
         shift, turn = (
-            float(np.linalg.norm([x for x, p in pairs if p.unit == unit]))
+            float(np.linalg.norm(moved[[p.unit == unit for p in parameters]]))
             for unit in ("m", "rad")
-            for pairs in [list(zip(moved, self.state, strict=True))]
         )
-        return Jump(change.joint, change.kind, "m", shift, np.nan, turn)
+        unit, sigma = "m", np.nan
+        if change.kind == "offset":
+            unit, sigma = change.unit, change.size * float(covariance[0, 0]) ** 0.5
+            shift, turn = change.size * float(effects[0]), 0.0
+        words = (tuple(map(self._label, names)) for names in others)
+        return Jump(change.joint, change.kind, unit, shift, sigma, turn, *words)
 
     def after(self, found: Found) -> tuple[Floats, Floats]:
-        """The state in scales by these measurements as well, and its covariance."""
-        W, causes = self.told[0], found.explanation
+        """The parameters in scales by these measurements as well, and covariance."""
+        W, V = self.rows, found.explanation.covariance
         ways = {**self.drifting, **{n: c.directions for n, c in self.sudden.items()}}
         C = self.covariance.copy()
-        for cause in causes.causes:
+        for cause in found.explanation.causes:
             if cause.name in ways:
                 half = cause.size * ways[cause.name]
                 C += half @ half.T
-        gain = np.linalg.solve(causes.covariance, W @ C).T
-        return self.mean + gain @ causes.values, C - gain @ W @ C
+        gain = np.linalg.solve(V, W @ C).T
+        return self.mean + gain @ found.explanation.values, C - gain @ W @ C
 
-    def robot_after(self, found: Found) -> Floats:
-        """The errors of the robot by these measurements as well, shape (K,)."""
-        return np.asarray((self.after(found)[0] * self.scales)[self.robot])
+    def values_after(self, found: Found) -> Mapping[str, float]:
+        """The errors of the robot by these measurements as well, by name."""
+        parameters, (mean, _) = self.problem.parameters, self.after(found)
+        values = zip(parameters.names, mean * parameters.scales, strict=True)
+        return {name: x for (name, x), of in zip(values, self.robot, strict=True) if of}
 
     def tool_error(self, found: Found, seed: int = 0) -> float:
         """Expected error of the tool by the older calibration now, rms [m].
 
         Over the workspace, displacements of base and tool left aside.
         """
-        part = self.problem.moving
+        part, (mean, covariance) = self.problem.moving, self.after(found)
         q = part.error.chain.random_configurations(SAMPLES, np.random.default_rng(seed))
         _, J = part.error.jacobian(q, self.theta[part.of_error])
-        place = {p.name: k for k, p in enumerate(self.problem.given)}
-        column = {k: i for i, k in enumerate(part.of_error)}
-        mean, covariance = self.after(found)
         squares, vectors = np.linalg.eigh(covariance)
         half = vectors * np.sqrt(np.maximum(squares, 0.0))
-        moved = np.column_stack([mean - self.mean, half]) * self.scales[:, None]
-        own = np.zeros((J.shape[2], moved.shape[1]))
-        for k in np.flatnonzero(self.robot):
-            if (at := column.get(place[self.state[k].name])) is not None:
-                own[at] = moved[k]
-        twists = without_frames(J @ own, J)[:, :3]
+        moved = np.column_stack([mean - self.mean, half])
+        moved *= self.problem.parameters.scales[:, None]
+        twists = without_frames(J @ moved[part.index[: J.shape[2]]], J)[:, :3]
         return float(np.sqrt(np.sum(twists**2) / len(q)))
 
     def prior(self, found: Found) -> JointPrior:
@@ -448,8 +383,8 @@ class Comparison:
         )
         effects = [(size, way[self.robot]) for size, way in (*drifted, *sudden)]
         noise = {n: found.noise * sigma for n, sigma in self.older.noise.items()}
-        older = replace(self.older, noise=noise)
-        return wider(older, self.scales[self.robot], effects)
+        scales = self.problem.parameters.scales[self.robot]
+        return wider(replace(self.older, noise=noise), scales, effects)
 
 
 def _noise(noise: Sequence[NoiseSize], rows: RobotRows) -> tuple[float, float]:

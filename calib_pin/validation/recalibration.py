@@ -28,7 +28,7 @@ from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
-from calib_pin.setup import JointPrior, Setup
+from calib_pin.setup import Setup
 from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.joint_changes import changes, drifts
 from calib_pin.validation.older_calibration import (
@@ -109,29 +109,27 @@ def started(
     stated = replace(setup, prior={}, noise={**known, **setup.noise})
     problem = make_problem(chains, data.sample(SOME), stated)
     older = older_prior(problem.given, problem.parameters.free, start, known)
-    expected, names = expected_drifts(start, process_noise), older.names
-    values = np.array([p.mean for p in older.parameters])
+    expected = expected_drifts(start, process_noise)
+    values: Mapping[str, float] = {p.name: p.mean for p in older.parameters}
     still = CALM if start.recalibration is None else start.recalibration.last.still
-    begun: tuple[Problem, Floats] | None = None
+    begun = list[tuple[Problem, Floats]]()
     before: set[str] = set()
     for _ in range(ROUNDS):
-        there, theta = _registered(problem, dict(zip(names, values, strict=True)))
+        there, theta = _registered(problem, values)
         compared = Comparison.of(there, theta, older, start, noise)
         first = compared.explanation(expected)
-        begun = begun or (there, theta)
+        begun.append((there, theta))
         found = compared.explained(first, expected, still)
         if before == (before := set(found.jumps)):
             break
         # A change of a degree is seen well only from near where the robot is now.
-        values = compared.robot_after(found)
-    there, theta = begun
-    first = found.beside(first, FRAMES)
+        values = compared.values_after(found)
+    there, theta = begun[0]
+    # A tracker that was set up anew is no error of the prediction.
+    frames = {name for name, jump in found.jumps.items() if jump.kind in FRAMES}
+    causes = (c for c in found.explanation.causes if c.name in frames)
+    first = replace(first, causes=(*first.causes, *causes))
     workspace = start.accuracy.workspace
-    promised, beside = (
-        (np.nan, 0.0)
-        if workspace is None
-        else (workspace.calibrated[0], workspace.unmodeled[0])
-    )
     step = RecalibrationStep(
         start=start.provenance.file,
         created=start.provenance.created,
@@ -142,8 +140,8 @@ def started(
         drifts=found.drifts,
         jumps=tuple(found.jumps.values()),
         still=found.still,
-        promised=float(promised),
-        error=float(np.hypot(compared.tool_error(found), beside)),
+        promised=np.nan if workspace is None else workspace.calibrated[0],
+        error=compared.tool_error(found),
     )
     steps = () if start.recalibration is None else start.recalibration.steps
     table = error_table(there, theta)
@@ -184,11 +182,12 @@ def expected_setup(
     robot = free & ~given.nuisance
     directions = drifts(start.model, robot)
     drifted = [
-        (d.size, directions[d.name]) for d in expected_drifts(start, process_noise)
+        (d.size, directions[d.name][robot])
+        for d in expected_drifts(start, process_noise)
     ]
     # Which joint was hit, if one was, must show as well.
     hit = [c for c in changes(start.model, robot).values() if c.kind == "offset"]
-    drifted += [(SELDOM**0.5, change.directions) for change in hit]
+    drifted += [(SELDOM**0.5, change.directions[robot]) for change in hit]
     return replace(setup, prior=wider(older, given.scales[robot], drifted))
 
 

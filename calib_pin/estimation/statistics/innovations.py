@@ -17,7 +17,7 @@ come about in at most one of k cases (Markov's inequality, as `E[L_1/L_0] = 1`).
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -176,26 +176,9 @@ class Explanation:
         return result
 
 
-@dataclass(frozen=True)
-class Found:
-    """Sparse causes that the evidence is sure of.
-
-    Attributes:
-        explanation: The innovations with all causes of their likeliest sizes.
-        causes: The sparse ones among these, in the order in which they were accepted.
-        rivals: Others by the cause beside which the evidence does not rule them out.
-        evidence: Logarithm of the evidence by that without sparse causes.
-    """
-
-    explanation: Explanation
-    causes: tuple[Cause, ...]
-    rivals: Mapping[str, tuple[Cause, ...]]
-    evidence: float
-
-
 def explained(
     first: Explanation, causes: Sequence[Sparse], sure: float, most: int
-) -> Found:
+) -> tuple[Explanation, tuple[Cause, ...], float]:
     """Innovations with the sparse causes that the evidence is sure of, one by one.
 
     One that those accepted after it have made needless is dropped again.
@@ -206,52 +189,39 @@ def explained(
         sure: Ratio of the evidence for a cause, times its chance, from which it is
             accepted.
         most: Most sparse causes.
+
+    Returns:
+        The innovations with all causes of their likeliest sizes; the sparse ones among
+        these, in the order in which they were accepted; and the logarithm of the
+        evidence by that without them.
     """
-    found: list[Cause] = []
-    rivals: dict[str, tuple[Cause, ...]] = {}
-    evidence = 0.0
+    found, evidence = list[Cause](), 0.0
     for _ in range(most):
         taken = {cause.name for cause in found}
         left = [cause for cause in causes if cause.name not in taken]
-        if not left:
+        gain, cause = _best(first, found, left)
+        if gain < np.log(sure):
             break
-        base, better = _gains(first, found, left)
-        gain, cause = max(better, key=lambda pair: pair[0])
-        if gain - base < np.log(sure):
-            break
-        near = (c for g, c in better if gain - g < np.log(sure) and c is not cause)
-        rivals[cause.name] = tuple(near)
         found.append(cause)
-        evidence += gain - base
+        evidence += gain
     by_name = {cause.name: cause for cause in causes}
     for cause in found[:-1]:
         others = [other for other in found if other is not cause]
-        base, ((gain, _),) = _gains(first, others, [by_name[cause.name]])
-        if gain - base < np.log(sure):
-            found, evidence = others, evidence - (gain - base)
+        gain, _ = _best(first, others, [by_name[cause.name]])
+        if gain < np.log(sure):
+            found, evidence = others, evidence - gain
     result, _ = replace(first, causes=(*first.causes, *found)).fitted()
-    return Found(result, tuple(found), rivals, evidence)
-
-
-def _gains(
-    first: Explanation, found: Sequence[Cause], causes: Sequence[Sparse]
-) -> tuple[float, list[tuple[float, Cause]]]:
-    """The evidence beside causes that were found, without and with a further one."""
-    now, _ = replace(first, causes=(*first.causes, *found)).fitted()
-    base = now.likelihood + first.expected(now)
-    return base, _best(first, found, now, causes)
+    return result, tuple(found), evidence
 
 
 def _best(
-    first: Explanation,
-    found: Sequence[Cause],
-    now: Explanation,
-    causes: Sequence[Sparse],
-) -> list[tuple[float, Cause]]:
-    """The causes with the most evidence, each with that and its size.
+    first: Explanation, found: Sequence[Cause], causes: Sequence[Sparse]
+) -> tuple[float, Cause]:
+    """The cause with the most evidence, by that without it, and its size.
 
     What always acts may have grown for want of the cause, and is fitted beside it.
     """
+    now, _ = replace(first, causes=(*first.causes, *found)).fitted()
     promise = [now.evidence(cause)[0] + np.log(cause.chance) for cause in causes]
     order = np.argsort(promise)[::-1][:PROMISING]
     result = []
@@ -264,7 +234,8 @@ def _best(
         evidence, size = without.evidence(cause)
         evidence += first.expected(other) + float(np.log(cause.chance))
         result.append((evidence, cause.of(size)))
-    return result
+    gain, cause_ = max(result, key=lambda pair: pair[0])
+    return gain - now.likelihood - first.expected(now), cause_
 
 
 def _likelihoods(v: Floats, V: Floats) -> Floats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.evidence import Finding, Severity
 from calib_pin.units import DISPLAY
 from calib_pin.validation.summaries import Jump, Recalibration, ToolAccuracy
 
@@ -14,9 +14,8 @@ HOLDS = 1.5
 SEPARATE = {
     "base": "state the base frame as known, from fixed points beside the robot",
     "tool": "measure with a tool of known geometry, stated as known",
-    "joint": "measure more configurations",
 }
-"""Measurements that tell changes apart, by the first word of one of them."""
+"""Measurements that tell frames that moved from joints."""
 
 
 def older_calibration(
@@ -34,76 +33,65 @@ def older_calibration(
         f"{name} errors of {_shown(accuracy.rms, unit)} rms"
         for name, unit, accuracy in found.errors
     )
-    moved = [jump for jump in step.jumps if _of_robot(jump)]
-    off = step.error > HOLDS * step.promised
     by = f"it predicts these measurements with {told}, chi-square {step.chi2:.0f} "
     by += f"(expected: {step.dof})"
     if step.promised > 0.0:
-        by += f", and a tool error of {_shown(step.error, 'm')} over the workspace "
+        by += f", and is off by {_shown(step.error, 'm')} over the workspace "
         by += f"(promised: {_shown(step.promised, 'm')})"
     names = {f"joint {k}": j.name or j.kind for k, j in enumerate(step.jumps, 1)}
     sizes = {f"change {k}": j.change for k, j in enumerate(step.jumps, 1)}
+    words, remedy = "; ".join(map(_words, step.jumps)), ""
+    severity: Severity = "info"
+    holds = not step.error > HOLDS * step.promised
+    if holds and all(_aside(jump) for jump in step.jumps):
+        new = accuracies[0].workspace if accuracies else None
+        if new is not None and step.promised < new.calibrated[0]:
+            remedy = "use the older calibration, which promises less than this one: "
+            remedy += f"{_shown(new.calibrated[0], 'm')}"
+        code, verb = "old-calibration-holds", "still holds"
+    else:
+        code, severity = "old-calibration-no-longer-holds", "warning"
+        verb, words = "no longer holds", words or "no single change explains it"
+        remedy = "; ".join(_remedies(step.jumps))
+    message = ": ".join(filter(None, (f"the older calibration{day} {verb}", words)))
     evidence = {"chi2": step.chi2, "dof": float(step.dof), **names, **sizes}
-    words = ", and ".join(map(_words, step.jumps))
-    if moved or off:
-        words = words or "no single change that was tried explains it"
-        yield Finding(
-            "old-calibration-no-longer-holds",
-            "warning",
-            f"the older calibration{day} no longer holds: {words}; {by}",
-            evidence,
-            "; ".join(_remedies(step.jumps)) or "measure more configurations",
-        )
-        return
-    new = accuracies[0].workspace if accuracies else None
-    expected = 0.0 if new is None else new.calibrated[0]
-    yield Finding(
-        "old-calibration-holds",
-        "info",
-        f"the older calibration{day} still holds{': ' + words if words else ''}; {by}",
-        evidence,
-        f"use the older calibration, which promises {_shown(step.promised, 'm')}, "
-        f"rather than this one: {_shown(expected, 'm')}"
-        if step.promised < expected
-        else "",
-    )
+    yield Finding(code, severity, f"{message}; {by}", evidence, remedy)
 
 
-def _of_robot(jump: Jump) -> bool:
-    """Whether a change is, or may be, one of the robot."""
-    return any(not w.startswith(("base", "tool")) for w in (jump.kind, *jump.instead))
+def _aside(jump: Jump) -> bool:
+    """Whether a change is one of a frame, and cannot be one of the robot instead."""
+    return jump.kind in SEPARATE and not any(w.startswith("j") for w in jump.instead)
 
 
 def _remedies(jumps: tuple[Jump, ...]) -> Iterator[str]:
-    kinds = {jump.kind for jump in jumps}
-    if "robot" in kinds:
-        yield "look whether this is another robot of the type, by its serial number"
     yield "look for what was hit, loosened or exchanged"
-    words = dict.fromkeys(w.split(" ")[0] for jump in jumps for w in jump.instead)
-    frames = {j.kind for j in jumps if j.instead} & {"base", "tool"}
-    for word in sorted(frames | words.keys()):
-        yield f"to tell it from {word}s, {SEPARATE[word]}"
+    if any(jump.kind == "robot" for jump in jumps):
+        yield "look whether its serial number is that of another robot"
+    words = {w.split(" ")[0] for j in jumps if j.instead for w in (j.kind, *j.instead)}
+    for word in [word for word in SEPARATE if word in words]:
+        yield f"to tell a {word} that moved from a joint, {SEPARATE[word]}"
+    if not words & SEPARATE.keys():
+        yield "measure more configurations"
 
 
 def _words(jump: Jump) -> str:
     """A sudden change in words."""
-    instead = f" (or instead {' or '.join(jump.instead)})" if jump.instead else ""
+    other = f" (or instead {' or '.join(jump.instead)})" if jump.instead else ""
+    if jump.beside:
+        other += f" (beside it an offset of {' or '.join(jump.beside)} does not show)"
     if jump.kind == "offset":
         unit, factor = DISPLAY[jump.unit]
         value, sigma = factor * abs(jump.change), factor * jump.sigma
-        return (
-            f"the offset of '{jump.name}' has changed by {value:.2g} +- {sigma:.1g} "
-            f"{unit}{instead}"
-        )
+        moved = f"changed by {value:.2g} +- {sigma:.1g} {unit}"
+        return f"the offset of '{jump.name}' has {moved}{other}"
     of = f"'{jump.name}'" if jump.name else "the whole robot"
-    if jump.kind in ("base", "tool"):
-        of = f"the {jump.kind}" + (f" '{jump.name}'" if jump.name else "")
+    if jump.kind in SEPARATE:
+        of = " ".join(filter(None, ("the", jump.kind, jump.name)))
+    elif jump.kind == "robot":
+        other = ", or this is another robot of its type"
     sizes = [(jump.change, "m"), (jump.turn, "rad")]
     moved = " and ".join(_shown(size, unit) for size, unit in sizes if size > 0.0)
-    other = ", or this is another robot of the type" if jump.kind == "robot" else ""
-    beside = " and ".join(jump.beside)
-    beside = f" (the offset of {beside} would not show beside it)" if beside else ""
-    return f"{of} has moved by {moved}{instead}{beside}{other}"
+    return f"{of} has moved by {moved}{other}"
 
 
 def _shown(size: float, unit: str) -> str:

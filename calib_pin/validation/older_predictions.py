@@ -54,7 +54,7 @@ on its axis first of all, and instruments and tools are set up anew."""
 FRAMES = ("base", "tool")
 """Changes of frames."""
 
-SAME = 1e-4
+SAME = 0.01
 """Part of what a change does by which another one differs at least."""
 
 SIMPLE = ("offset", *FRAMES)

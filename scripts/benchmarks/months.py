@@ -140,7 +140,7 @@ class Month:
     Attributes:
         number: Its number.
         kind: What happened.
-        stated: Whether the base, and the tool, were stated as known.
+        stated: Whether base and tool were stated as known, first and in the month.
         changed: Names of what changed.
         told: What was told: for each change its name and those it may be instead.
         code: Code of the finding.
@@ -153,7 +153,7 @@ class Month:
 
     number: int
     kind: str
-    stated: tuple[bool, bool]
+    stated: tuple[bool, ...]
     changed: tuple[str, ...]
     told: tuple[tuple[str, ...], ...]
     code: str
@@ -198,12 +198,14 @@ def run(number: int) -> Month:
     chain = calib_pin.load_chain(robot, base=base, tip=tip)
     truth, noise = drawn(chain, rng), float(rng.uniform(*NOISE))
     known = tuple(bool(one) for one in rng.random(2) < 0.25)
+    # Some have learned by the month where base and tool are.
+    now = tuple(one or bool(other) for one, other in zip(known, rng.random(2) < 0.2))
     first = _measured(chain, truth, rng, int(rng.integers(*FIRST)), noise)
     older = calib_pin.calibrate(chain, first, _setup(truth, known), validate=False)
     changed = _change(chain, truth, rng, kind, known)
     rows = _measured(chain, truth, rng, int(rng.integers(*LATER)), noise)
     newer = calib_pin.calibrate(
-        chain, rows, _setup(truth, known), start=older, validate=False
+        chain, rows, _setup(truth, now), start=older, validate=False
     )
     q = chain.random_configurations(WORKSPACE, stream(number, 22))
     step = newer.recalibration.last
@@ -211,7 +213,7 @@ def run(number: int) -> Month:
     return Month(
         number=number,
         kind=kind,
-        stated=known,
+        stated=known + now,
         changed=changed,
         told=tuple((_name(jump), *jump.instead, *jump.beside) for jump in step.jumps),
         code=codes[0],

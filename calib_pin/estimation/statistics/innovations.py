@@ -199,6 +199,8 @@ def explained(
     for _ in range(most):
         taken = {cause.name for cause in found}
         left = [cause for cause in causes if cause.name not in taken]
+        if not left:
+            break
         gain, cause = _best(first, found, left)
         if gain < np.log(sure):
             break

@@ -304,9 +304,11 @@ class Comparison:
         limit = without.misfit(E) + CLOSE
         taken = {other.name for other in sudden}
         for name, change in self.sudden.items():
-            if name in taken or not {kind, change.kind} <= set(SIMPLE):
-                continue
             moved = self.rows @ change.directions
+            # Nothing that is measured now depends on where a known frame has stood.
+            seen = (self.measured.T @ moved).any()
+            if name in taken or not (seen and {kind, change.kind} <= set(SIMPLE)):
+                continue
             rest = moved - E @ np.linalg.lstsq(E, moved, rcond=None)[0]
             if without.misfit(moved) <= limit:
                 instead.append(name)

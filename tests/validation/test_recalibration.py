@@ -168,6 +168,7 @@ def test_a_known_base_tells_the_first_joint(bench) -> None:
     result = again(bench, data, setup=setup, validate=False)
     (jump,) = result.recalibration.last.jumps
     assert (jump.name, jump.kind) == ("shoulder_pan_joint", "offset")
+    assert jump.instead == ()
     assert jump.change == pytest.approx(5e-3, abs=4.0 * jump.sigma)
     assert "old-calibration-no-longer-holds" in codes(result)
 

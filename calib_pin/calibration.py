@@ -176,13 +176,8 @@ def calibrate(
         )
     tell = named(progress, "joint readings")
     judgement = judge(chains, model, fitted, held_out, seed, tell, others)
-    if begun is not None:
-        findings = older_calibration(
-            begun.recalibration, *judgement.accuracies.values()
-        )
-        judgement = replace(judgement, findings=(*findings, *judgement.findings))
     files = [*data.files.distinct, *(further.files.distinct if further else ())]
-    return _result(
+    result = _result(
         model,
         training,
         fitted,
@@ -194,6 +189,10 @@ def calibrate(
         urdf=_urdf(chains, training, model, held, seed, validate, judgement, workers),
         recalibration=None if begun is None else begun.recalibration,
     )
+    if start is not None:
+        findings = older_calibration(start, result)
+        result = replace(result, findings=(*findings, *result.findings))
+    return result
 
 
 def _result(

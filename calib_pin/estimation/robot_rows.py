@@ -35,17 +35,12 @@ class RobotRows:
         values: c, shape (r,).
         along: How each measured value enters these, shape (r, M): the M whitened
             residuals of the problem times it are `W theta - c`.
-        rest: Sum of squares of the whitened residuals that are noise alone, which no
-            parameter explains.
-        redundancy: Number of these.
     """
 
     robot: NDArray[np.bool_]
     rows: Floats
     values: Floats
     along: Floats
-    rest: float
-    redundancy: int
 
 
 def robot_rows(
@@ -73,11 +68,8 @@ def robot_rows(
     basis[robot] = Vt[shown].T
     half = np.linalg.cholesky(_noise(problem, theta, components, basis, U))
     of_values = U[: len(problem.layout.row)].T
-    W, c, along = (np.linalg.solve(half, part) for part in (rows, values, of_values))
-    left = system[:, -1] - U @ (U.T @ system[:, -1])
-    absorbed = A[:, parameters.free & parameters.nuisance]
-    count = int(A.any(axis=1).sum() - np.linalg.matrix_rank(absorbed)) - len(values)
-    return RobotRows(robot, W, c, along, float(left @ left), max(count, 0))
+    told = (np.linalg.solve(half, part) for part in (rows, values, of_values))
+    return RobotRows(robot, *told)
 
 
 def _noise(

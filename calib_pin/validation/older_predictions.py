@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.robot_rows import RobotRows, robot_rows
+from calib_pin.estimation.robot_rows import robot_rows
 from calib_pin.estimation.statistics.innovations import (
     Cause,
     Explanation,
     Sparse,
     explained,
 )
-from calib_pin.estimation.tip_accuracy import SAMPLES, without_frames
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameters import ParameterSet
@@ -73,9 +72,6 @@ SIZES = np.geomspace(0.03, 10.0, 16)
 FAR = np.geomspace(0.03, 1e4, 24)
 """The same of frames, which may be anywhere."""
 
-GROWN = 2.0
-"""Noise by what was known of it beyond which a part of it is something else."""
-
 WRONG = np.geomspace(3.0, 1e4, 16)
 """Errors of measurements that are wrong, in standard deviations."""
 
@@ -123,8 +119,7 @@ class Comparison:
             frames which are known now and were not, shape (r, P).
         values: Their values, shape (r,).
         measured: Noise of the measurements in the rows, shape (r, m).
-        noise: The noise by what was known of it, and the values that tell it.
-        redundancy: Those of them that are of the new measurements.
+        noise: Values that tell the noise.
         drifting: How the parameters drift, shape (P, k), by the names of drifts.
         sudden: What may have changed at once, by name.
         wrong: What may be wrong of the measurements.
@@ -139,8 +134,7 @@ class Comparison:
     rows: Floats
     values: Floats
     measured: Floats
-    noise: tuple[float, float]
-    redundancy: int
+    noise: float
     drifting: Mapping[str, Floats]
     sudden: Mapping[str, Change]
     wrong: tuple[Sparse, ...]
@@ -205,8 +199,7 @@ class Comparison:
             rows=W,
             values=measured @ told.values,
             measured=measured,
-            noise=_noise(noise, told),
-            redundancy=told.redundancy,
+            noise=min(max(sum(one.worth for one in noise), 1.0), NOISE),
             drifting=drifts(problem, robot),
             sudden={**changes(problem, robot), **moves},
             wrong=tuple(
@@ -245,7 +238,7 @@ class Comparison:
             for d in expected
             for most in [MOST.get(d.name, 0.0)]
         )
-        noise = Cause(NOISE_NAME, M, *self.noise, np.inf)
+        noise = Cause(NOISE_NAME, M, 1.0, self.noise, np.inf)
         return Explanation(self.values - W @ self.mean, known, (*drifting, noise))
 
     def explained(
@@ -281,15 +274,10 @@ class Comparison:
         others = {c.name: self._others(found, c, sudden) for c in sudden}
         sizes = {name: c.size for c in sudden for name in (c.name, *others[c.name][0])}
         jumps = {c.name: self._jump(found, c, *others[c.name]) for c in sudden}
-        return Found(found, drifts, jumps, sizes, float(still), self._grown(found))
-
-    def _grown(self, found: Explanation) -> float:
-        """The noise by what was known: as all show it, or as much more as these do."""
-        k = [cause.name for cause in found.causes].index(NOISE_NAME)
-        square, told = found.causes[k].size ** 2, max(found.fitted()[1][k], 1.0)
-        known = self.noise[1] - self.redundancy
-        told += self.redundancy
-        return float(np.sqrt(max(square, ((known + told) * square - known) / told)))
+        # Beside what all have shown, as much more as these show by chance.
+        more = max(found.square / len(self.values), 1.0) ** 0.5
+        noise = more * next(c.size for c in found.causes if c.name == NOISE_NAME)
+        return Found(found, drifts, jumps, sizes, float(still), noise)
 
     def _others(
         self, found: Explanation, cause: Cause, sudden: Sequence[Cause]
@@ -338,38 +326,18 @@ class Comparison:
         words = (tuple(map(self._label, names)) for names in others)
         return Jump(change.joint, change.kind, unit, shift, sigma, turn, *words)
 
-    def after(self, found: Found) -> tuple[Floats, Floats]:
-        """The parameters in scales by these measurements as well, and covariance."""
+    def after(self, found: Found) -> Mapping[str, float]:
+        """The errors of the robot by these measurements as well, by name."""
         W, V = self.rows, found.explanation.covariance
         ways = {**self.drifting, **{n: c.directions for n, c in self.sudden.items()}}
-        C = self.covariance.copy()
+        gain = np.linalg.solve(V, found.explanation.values) @ W
+        mean = self.mean + self.covariance @ gain
         for cause in found.explanation.causes:
-            if cause.name in ways:
-                half = cause.size * ways[cause.name]
-                C += half @ half.T
-        gain = np.linalg.solve(V, W @ C).T
-        return self.mean + gain @ found.explanation.values, C - gain @ W @ C
-
-    def values_after(self, found: Found) -> Mapping[str, float]:
-        """The errors of the robot by these measurements as well, by name."""
-        parameters, (mean, _) = self.problem.parameters, self.after(found)
-        values = zip(parameters.names, mean * parameters.scales, strict=True)
-        return {name: x for (name, x), of in zip(values, self.robot, strict=True) if of}
-
-    def tool_error(self, found: Found, seed: int = 0) -> float:
-        """Expected error of the tool by the older calibration now, rms [m].
-
-        Over the workspace, displacements of base and tool left aside.
-        """
-        part, (mean, covariance) = self.problem.moving, self.after(found)
-        q = part.error.chain.random_configurations(SAMPLES, np.random.default_rng(seed))
-        _, J = part.error.jacobian(q, self.theta[part.of_error])
-        squares, vectors = np.linalg.eigh(covariance)
-        half = vectors * np.sqrt(np.maximum(squares, 0.0))
-        moved = np.column_stack([mean - self.mean, half])
-        moved *= self.problem.parameters.scales[:, None]
-        twists = without_frames(J @ moved[part.index[: J.shape[2]]], J)[:, :3]
-        return float(np.sqrt(np.sum(twists**2) / len(q)))
+            if (way := ways.get(cause.name)) is not None:
+                mean += cause.size**2 * way @ (way.T @ gain)
+        parameters = self.problem.parameters
+        values = np.array(parameters.names)[self.robot], mean * parameters.scales
+        return dict(zip(values[0].tolist(), values[1][self.robot], strict=True))
 
     def prior(self, found: Found) -> JointPrior:
         """The prior of the new calibration, wider by drift and sudden changes."""
@@ -387,15 +355,6 @@ class Comparison:
         noise = {n: found.noise * sigma for n, sigma in self.older.noise.items()}
         scales = self.problem.parameters.scales[self.robot]
         return wider(replace(self.older, noise=noise), scales, effects)
-
-
-def _noise(noise: Sequence[NoiseSize], rows: RobotRows) -> tuple[float, float]:
-    """The noise by what was known of it, and the values that tell it."""
-    worth, count = sum(one.worth for one in noise), rows.redundancy
-    worth = min(max(worth, 1.0), NOISE)
-    # Wrong measurements are sought by themselves.
-    rest = min(rows.rest, GROWN**2 * count)
-    return float(np.sqrt((worth + rest) / (worth + count))), worth + count
 
 
 def _factors(problem: Problem, noise: Sequence[NoiseSize]) -> Floats:

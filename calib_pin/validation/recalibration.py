@@ -123,13 +123,12 @@ def started(
         if before == (before := set(found.jumps)):
             break
         # A change of a degree is seen well only from near where the robot is now.
-        values = compared.values_after(found)
+        values = compared.after(found)
     there, theta = begun[0]
     # A tracker that was set up anew is no error of the prediction.
     frames = {name for name, jump in found.jumps.items() if jump.kind in FRAMES}
     causes = (c for c in found.explanation.causes if c.name in frames)
     first = replace(first, causes=(*first.causes, *causes))
-    workspace = start.accuracy.workspace
     step = RecalibrationStep(
         start=start.provenance.file,
         created=start.provenance.created,
@@ -140,8 +139,6 @@ def started(
         drifts=found.drifts,
         jumps=tuple(found.jumps.values()),
         still=found.still,
-        promised=np.nan if workspace is None else workspace.calibrated[0],
-        error=compared.tool_error(found),
     )
     steps = () if start.recalibration is None else start.recalibration.steps
     table = error_table(there, theta)

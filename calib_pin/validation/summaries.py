@@ -326,8 +326,6 @@ class RecalibrationStep:
         jumps: Sudden changes, the surest first.
         still: Logarithm of the evidence, by all such calibrations, that it does not
             drift; where it is positive no drift is expected.
-        promised: Error of the tool that the older one expected over the workspace [m].
-        error: The same, as these measurements show it.
     """
 
     start: str
@@ -339,8 +337,6 @@ class RecalibrationStep:
     drifts: tuple[DriftSize, ...]
     jumps: tuple[Jump, ...]
     still: float = 0.0
-    promised: float = math.nan
-    error: float = math.nan
 
 
 @dataclass(frozen=True)

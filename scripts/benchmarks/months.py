@@ -199,7 +199,7 @@ def run(number: int) -> Month:
     truth, noise = drawn(chain, rng), float(rng.uniform(*NOISE))
     known = tuple(bool(one) for one in rng.random(2) < 0.25)
     # Some have learned by the month where base and tool are.
-    now = tuple(one or bool(other) for one, other in zip(known, rng.random(2) < 0.2))
+    now = tuple(one or bool(rng.random() < 0.2) for one in known)
     first = _measured(chain, truth, rng, int(rng.integers(*FIRST)), noise)
     older = calib_pin.calibrate(chain, first, _setup(truth, known), validate=False)
     changed = _change(chain, truth, rng, kind, known)

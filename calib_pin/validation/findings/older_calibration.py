@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calib_pin.estimation.evidence import Finding, Severity
+import numpy as np
+
+from calib_pin.estimation.evidence import Finding
 from calib_pin.units import DISPLAY
-from calib_pin.validation.summaries import Jump, Recalibration, ToolAccuracy
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.summaries import Jump
+from calib_pin.validation.tip_drift import tip_drift
 
 HOLDS = 1.5
 """Error of the tool, by the promised one, up to which an older calibration holds."""
@@ -19,43 +23,55 @@ SEPARATE = {
 
 
 def older_calibration(
-    found: Recalibration, *accuracies: ToolAccuracy
+    older: CalibrationResult, new: CalibrationResult
 ) -> Iterator[Finding]:
     """What has changed since an older calibration, or that it holds.
 
     Args:
-        found: How the calibration went on from it.
-        accuracies: Those of the new calibration by its chains; the first counts.
+        older: The older calibration.
+        new: The one that began with it.
     """
-    step = found.last
+    assert new.recalibration is not None
+    step = new.recalibration.last
+    words = "; ".join(map(_words, step.jumps))
     day = f" of {step.created[:10]}" if step.created else ""
     told = " and ".join(
         f"{name} errors of {_shown(accuracy.rms, unit)} rms"
-        for name, unit, accuracy in found.errors
+        for name, unit, accuracy in new.recalibration.errors
     )
     by = f"it predicts these measurements with {told}, chi-square {step.chi2:.0f} "
     by += f"(expected: {step.dof})"
-    if step.promised > 0.0:
-        by += f", and is off by {_shown(step.error, 'm')} over the workspace "
-        by += f"(promised: {_shown(step.promised, 'm')})"
-    names = {f"joint {k}": j.name or j.kind for k, j in enumerate(step.jumps, 1)}
-    sizes = {f"change {k}": j.change for k, j in enumerate(step.jumps, 1)}
-    words, remedy = "; ".join(map(_words, step.jumps)), ""
-    severity: Severity = "info"
-    holds = not step.error > HOLDS * step.promised
-    if holds and all(_aside(jump) for jump in step.jumps):
-        new = accuracies[0].workspace if accuracies else None
-        if new is not None and step.promised < new.calibrated[0]:
-            remedy = "use the older calibration, which promises less than this one: "
-            remedy += f"{_shown(new.calibrated[0], 'm')}"
-        code, verb = "old-calibration-holds", "still holds"
-    else:
-        code, severity = "old-calibration-no-longer-holds", "warning"
-        verb, words = "no longer holds", words or "no single change explains it"
-        remedy = "; ".join(_remedies(step.jumps))
-    message = ": ".join(filter(None, (f"the older calibration{day} {verb}", words)))
-    evidence = {"chi2": step.chi2, "dof": float(step.dof), **names, **sizes}
-    yield Finding(code, severity, f"{message}; {by}", evidence, remedy)
+    promises = [one.accuracy.workspace for one in (older, new)]
+    promised, expected = (np.nan if p is None else p.calibrated[0] for p in promises)
+    apart = tip_drift(older.model.of(), new.model.of(), base=True, tool=True).position
+    error = float(np.hypot(apart.rms, expected))
+    if np.isfinite(error):
+        by += f", and is off by {_shown(error, 'm')} over the workspace "
+        by += f"(promised: {_shown(promised, 'm')})"
+    evidence: dict[str, float | str] = {"chi2": step.chi2, "dof": step.dof}
+    evidence["error"] = error
+    for k, jump in enumerate(step.jumps, 1):
+        evidence |= {f"joint {k}": jump.name or jump.kind, f"change {k}": jump.change}
+    if error > HOLDS * promised or not all(map(_aside, step.jumps)):
+        words = words or "no single change explains it"
+        yield Finding(
+            "old-calibration-no-longer-holds",
+            "warning",
+            f"the older calibration{day} no longer holds: {words}; {by}",
+            evidence,
+            "; ".join(_remedies(step.jumps)),
+        )
+        return
+    better = (
+        f"use the older one, which promises less than this: {_shown(expected, 'm')}"
+    )
+    yield Finding(
+        "old-calibration-holds",
+        "info",
+        f"the older calibration{day} still holds{': ' + words if words else ''}; {by}",
+        evidence,
+        better if promised < expected else "",
+    )
 
 
 def _aside(jump: Jump) -> bool:
@@ -70,7 +86,7 @@ def _remedies(jumps: tuple[Jump, ...]) -> Iterator[str]:
     words = {w.split(" ")[0] for j in jumps if j.instead for w in (j.kind, *j.instead)}
     for word in [word for word in SEPARATE if word in words]:
         yield f"to tell a {word} that moved from a joint, {SEPARATE[word]}"
-    if not words & SEPARATE.keys():
+    if not jumps or "joint" in words:
         yield "measure more configurations"
 
 

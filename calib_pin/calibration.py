@@ -129,8 +129,7 @@ def calibrate(
     _require_ends(chains, setup, training, held)
     begun = None
     if start is not None or process_noise is not None:
-        begun = started(chains, training, setup, start, process_noise, ladder)
-        setup = begun.setup
+        setup, begun = started(chains, training, setup, start, process_noise, ladder)
     stated = setup
     setup = with_time_course(chains, training, setup, seed)
     if held is not None:
@@ -187,7 +186,7 @@ def calibrate(
         files=tuple(filter(None, dict.fromkeys(files))),
         selection=None if selected is None else selected.selection,
         urdf=_urdf(chains, training, model, held, seed, validate, judgement, workers),
-        recalibration=None if begun is None else begun.recalibration,
+        recalibration=begun,
     )
     if start is not None:
         findings = older_calibration(start, result)

@@ -214,9 +214,8 @@ def _check(
                 "a job cannot have this name", file=table, line=job.line, value=job.name
             )
         if not force and exists(folder := orders.folder(job.name)):
-            raise OptionError(
-                "exists; --resume goes on, --force begins again", file=folder
-            )
+            reason = "exists; --resume goes on, --force begins again"
+            raise OptionError(reason, file=folder)
     check_outputs(files, [table], force)
 
 
@@ -235,10 +234,8 @@ def _compared(
     for job, row in zip(jobs, rows, strict=True):
         if not row.fitted:
             continue
-        if job.stated.previous is not None:
-            pairs.append(
-                Successor(row, (Path(job.stated.previous), job.stated.previous))
-            )
+        if previous := job.stated.previous:
+            pairs.append(Successor(row, (Path(previous), previous)))
         elif job.before and by_name[job.before].fitted:
             pairs.append(Successor(row, (orders.folder(job.before), job.before)))
     for k, row in enumerate(workers.map(compare_job, orders, pairs), 1):

@@ -25,10 +25,6 @@ if TYPE_CHECKING:
     from calib_pin.validation.result import CalibrationResult
 
 
-LAST = "9999"
-"""Behind all days."""
-
-
 @dataclass(frozen=True)
 class Orders:
     """The orders that all jobs of a fleet share.
@@ -197,7 +193,7 @@ def start_of(orders: Orders, job: Job) -> Path | None:
     serial = folder_name(stated.serial_number)
     for name in (path.parent.name for path in folders):
         day = DATE.fullmatch(name.removeprefix(f"{serial}-"))
-        if name == serial or (day and day[0] < (stated.date or LAST)):
+        if name == serial or (day and not (stated.date and day[0] >= stated.date)):
             found.append(name)
     if not found:
         raise InputError(

@@ -185,17 +185,14 @@ def _name(stated: JobSetup, number: int, found: Sequence[tuple[int, JobSetup]]) 
         return f"job-{number:0{len(str(len(found)))}d}"
     alone = sum(other.serial_number == serial for _, other in found) == 1
     dated = not alone or stated.start == PREVIOUS
-    return folder_name(
-        f"{serial}-{stated.date}" if dated and stated.date is not None else serial
-    )
+    return folder_name(f"{serial}-{stated.date}" if dated and stated.date else serial)
 
 
 def _from(folder: Path, stated: JobSetup) -> JobSetup:
     """A job with its files named from here, not from the folder of the table."""
-    keys = ("setup", "validation", "previous", "start")
+    keys = ["setup", "validation", "previous"]
+    keys += [] if stated.start == PREVIOUS else ["start"]
     files = {key: getattr(stated, key) for key in keys}
-    if stated.start == PREVIOUS:
-        files["start"] = None
     placed: dict[str, Any] = {k: str(folder / f) for k, f in files.items() if f}
     # A robot may be a bundled one, and a xacro file has its arguments behind it.
     there = (folder / stated.robot.split(" ")[0]).exists()

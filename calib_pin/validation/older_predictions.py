@@ -7,7 +7,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.robot_rows import robot_rows
@@ -101,7 +100,6 @@ class Found:
     noise: float
 
 
-@dataclass(frozen=True)
 class Comparison:
     """New measurements beside what an older calibration predicts.
 
@@ -109,10 +107,9 @@ class Comparison:
     both have: they are as they were, unless something was moved.
 
     Attributes:
-        problem: The problem, frames among the errors of its robot.
-        theta: Parameter values about which it is linearized, shape (P,).
         older: The older calibration.
-        robot: The errors of the robot among the parameters, shape (P,).
+        parameters: All P parameters, frames among the errors of the robot.
+        robot: The errors of the robot among them, shape (P,).
         mean: What the older calibration knew, in scales, shape (P,).
         covariance: Of that, shape (P, P).
         rows: W, what measurements see of the parameters in scales, and below that the
@@ -125,29 +122,15 @@ class Comparison:
         wrong: What may be wrong of the measurements.
     """
 
-    problem: Problem
-    theta: Floats
-    older: JointPrior
-    robot: NDArray[np.bool_]
-    mean: Floats
-    covariance: Floats
-    rows: Floats
-    values: Floats
-    measured: Floats
-    noise: float
-    drifting: Mapping[str, Floats]
-    sudden: Mapping[str, Change]
-    wrong: tuple[Sparse, ...]
-
-    @staticmethod
-    def of(
+    def __init__(
+        self,
         problem: Problem,
         theta: Floats,
         older: JointPrior,
         start: CalibrationResult,
         noise: Sequence[NoiseSize],
-    ) -> Comparison:
-        """The comparison of the measurements of a problem, robot and frames at theta.
+    ) -> None:
+        """Compare the measurements of a problem, robot and frames at theta.
 
         Args:
             problem: The problem, without a prior.
@@ -157,60 +140,45 @@ class Comparison:
             noise: The noise as it is known.
         """
         problem, theta = problem.rebased(theta)
-        robot = problem.parameters.free & ~problem.parameters.nuisance
+        self.robot = problem.parameters.free & ~problem.parameters.nuisance
         frames = shared_frames(start.model, problem)
-        known = {p.name: p.mean for p in older.parameters}
-        known |= {name: x for moved in frames.values() for name, x in moved.items()}
-        given = ParameterSet(
-            tuple(
-                replace(p, nuisance=False, scale=expected_size(p.unit))
-                if p.nuisance and p.name in known
-                else p
-                for p in problem.given
-            )
-        )
-        problem = replace(problem, given=given, units=_factors(problem, noise))
-        parameters, scales = problem.parameters, problem.parameters.scales
-        place = {name: k for k, name in enumerate(parameters.names)}
+        place = {name: k for k, name in enumerate(problem.given.names)}
+        moved = {name: x for frame in frames.values() for name, x in frame.items()}
+        given = list(problem.given)
+        for k in map(place.__getitem__, moved):
+            scale = expected_size(given[k].unit)
+            given[k] = replace(given[k], nuisance=False, scale=scale)
+        units = _factors(problem, noise)
+        problem = replace(problem, given=ParameterSet(tuple(given)), units=units)
+        self.older, self.parameters = older, problem.parameters
+        scales = self.parameters.scales
+        known = {p.name: p.mean for p in older.parameters} | moved
+        self.mean = np.array([known.get(name, 0.0) for name in place]) / scales
         here = [place[p.name] for p in start.parameters if p.name in known]
         there = [k for k, p in enumerate(start.parameters) if p.name in known]
         C = np.zeros((len(scales), len(scales)))
         C[np.ix_(here, here)] = np.asarray(start.covariance)[np.ix_(there, there)]
-        C /= np.outer(scales, scales)
+        self.covariance = C / np.outer(scales, scales)
         told = robot_rows(problem, theta, ())
         count = len(told.values)
-        stated = np.diag(scales / KNOWN)[~parameters.free & (np.diag(C) > 0.0)]
-        W = np.vstack([np.zeros((count, len(scales))), stated])
-        W[:count, told.robot] = told.rows
-        measured, unit = np.eye(len(W))[:, :count], np.eye(len(scales))
-        groups = problem.data.groups()
-        labels = np.unique(groups)
-        moves = {
-            f"{kind} {name}": Change(name, kind, unit[:, [place[n] for n in moved]])
-            for (kind, name), moved in frames.items()
-        }
-        return Comparison(
-            problem=problem,
-            theta=theta,
-            older=older,
-            robot=robot,
-            mean=np.array([known.get(name, 0.0) for name in place]) / scales,
-            covariance=C,
-            rows=W,
-            values=measured @ told.values,
-            measured=measured,
-            noise=min(max(sum(one.worth for one in noise), 1.0), NOISE),
-            drifting=drifts(problem, robot),
-            sudden={**changes(problem, robot), **moves},
-            wrong=tuple(
-                Sparse(
-                    f"measurement {k}",
-                    measured @ told.along[:, groups[problem.layout.row] == k],
-                    WRONG,
-                    1.0 / len(labels),
-                )
-                for k in labels.tolist()
-            ),
+        stated = ~self.parameters.free & (np.diag(C) > 0.0)
+        below = np.diag(scales / KNOWN)[stated]
+        self.rows = np.vstack([np.zeros((count, len(scales))), below])
+        self.rows[:count, told.robot] = told.rows
+        self.measured = np.eye(len(self.rows))[:, :count]
+        self.values = self.measured @ told.values
+        self.noise = min(max(sum(one.worth for one in noise), 1.0), NOISE)
+        self.drifting = drifts(problem, self.robot)
+        self.sudden = dict(changes(problem, self.robot))
+        for (kind, name), frame in frames.items():
+            effects = np.eye(len(scales))[:, [place[n] for n in frame]]
+            self.sudden[f"{kind} {name}"] = Change(name, kind, effects)
+        of_rows = problem.data.groups()[problem.layout.row]
+        labels = np.unique(problem.data.groups()).tolist()
+        along = [self.measured @ told.along[:, of_rows == k] for k in labels]
+        self.wrong = tuple(
+            Sparse(f"measurement {k}", effects, WRONG, 1.0 / len(labels))
+            for k, effects in zip(labels, along, strict=True)
         )
 
     def sparse(self, kinds: Collection[str]) -> tuple[Sparse, ...]:
@@ -312,7 +280,7 @@ class Comparison:
 
     def _jump(self, found: Explanation, cause: Cause, *others: Sequence[str]) -> Jump:
         """A sudden change as the innovations tell it, and what it may be instead."""
-        change, parameters = self.sudden[cause.name], self.problem.parameters
+        change, parameters = self.sudden[cause.name], self.parameters
         effects, covariance = found.effects(cause)
         moved = change.directions @ effects * parameters.scales
         shift, turn = (
@@ -335,9 +303,8 @@ class Comparison:
         for cause in found.explanation.causes:
             if (way := ways.get(cause.name)) is not None:
                 mean += cause.size**2 * way @ (way.T @ gain)
-        parameters = self.problem.parameters
-        values = np.array(parameters.names)[self.robot], mean * parameters.scales
-        return dict(zip(values[0].tolist(), values[1][self.robot], strict=True))
+        values = (mean * self.parameters.scales)[self.robot].tolist()
+        return dict(zip(self.older.names, values, strict=True))
 
     def prior(self, found: Found) -> JointPrior:
         """The prior of the new calibration, wider by drift and sudden changes."""
@@ -353,7 +320,7 @@ class Comparison:
         )
         effects = [(size, way[self.robot]) for size, way in (*drifted, *sudden)]
         noise = {n: found.noise * sigma for n, sigma in self.older.noise.items()}
-        scales = self.problem.parameters.scales[self.robot]
+        scales = self.parameters.scales[self.robot]
         return wider(replace(self.older, noise=noise), scales, effects)
 
 

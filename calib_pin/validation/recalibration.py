@@ -14,7 +14,7 @@ is a single joint that accounts for nearly all.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -58,19 +58,6 @@ ROUNDS = 3
 """Rounds in which sudden changes are sought about what the one before has found."""
 
 
-@dataclass(frozen=True)
-class Started:
-    """The beginning of a calibration by an older one.
-
-    Attributes:
-        setup: The setup with the older calibration as prior.
-        recalibration: How the older one has predicted the new measurements.
-    """
-
-    setup: Setup
-    recalibration: Recalibration
-
-
 @serial_blas
 def started(
     chains: Chains,
@@ -79,7 +66,7 @@ def started(
     start: CalibrationResult | None,
     process_noise: float | None = None,
     ladder: bool = False,
-) -> Started:
+) -> tuple[Setup, Recalibration]:
     """Begin a calibration with an older one.
 
     Args:
@@ -91,6 +78,10 @@ def started(
             since then [m, rad], of other errors by their expected sizes; default as the
             measurements show it.
         ladder: Whether the model is to be selected, which the older one has fixed.
+
+    Returns:
+        The setup with the older calibration as prior, and how that has predicted the
+        new measurements.
 
     Raises:
         OptionError: If there is no older calibration, or it is of another robot or of
@@ -116,7 +107,7 @@ def started(
     before: set[str] = set()
     for _ in range(ROUNDS):
         there, theta = _registered(problem, values)
-        compared = Comparison.of(there, theta, older, start, noise)
+        compared = Comparison(there, theta, older, start, noise)
         first = compared.explanation(expected)
         begun.append((there, theta))
         found = compared.explained(first, expected, still)
@@ -150,7 +141,7 @@ def started(
         ),
         (*steps, step),
     )
-    return Started(replace(setup, prior=compared.prior(found)), recalibration)
+    return replace(setup, prior=compared.prior(found)), recalibration
 
 
 def expected_setup(

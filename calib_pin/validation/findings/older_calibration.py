@@ -45,11 +45,11 @@ def older_calibration(
     promised, expected = (np.nan if p is None else p.calibrated[0] for p in promises)
     apart = tip_drift(older.model.of(), new.model.of(), base=True, tool=True).position
     error = float(np.hypot(apart.rms, expected))
+    evidence: dict[str, float | str] = {"chi2": step.chi2, "dof": step.dof}
     if np.isfinite(error):
+        evidence["error"] = error
         by += f", and is off by {_shown(error, 'm')} over the workspace "
         by += f"(promised: {_shown(promised, 'm')})"
-    evidence: dict[str, float | str] = {"chi2": step.chi2, "dof": step.dof}
-    evidence["error"] = error
     for k, jump in enumerate(step.jumps, 1):
         evidence |= {f"joint {k}": jump.name or jump.kind, f"change {k}": jump.change}
     if error > HOLDS * promised or not all(map(_aside, step.jumps)):
@@ -62,9 +62,7 @@ def older_calibration(
             "; ".join(_remedies(step.jumps)),
         )
         return
-    better = (
-        f"use the older one, which promises less than this: {_shown(expected, 'm')}"
-    )
+    better = f"use the older one: this one is off by {_shown(expected, 'm')}"
     yield Finding(
         "old-calibration-holds",
         "info",

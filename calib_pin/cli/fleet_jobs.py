@@ -17,7 +17,6 @@ from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.results import DOCUMENT, REPORT, document_file, read_document
 from calib_pin.setup.printing import DATE
 from calib_pin.validation.fleet import Drift, FleetRow, fleet_row, with_drift
-from calib_pin.validation.older_calibration import require_serial
 
 if TYPE_CHECKING:
     from calib_pin.estimation.statistics.population_prior import RobotEvidence
@@ -207,8 +206,6 @@ def _calibrated(orders: Orders, job: Job) -> None:
     """Calibrate, and write the folder of the results."""
     request, folder = _request(orders, job), orders.folder(job.name)
     given = opened(request, folder, force=True)
-    if given.older is not None:
-        require_serial(given.older, job.stated.serial_number)
     found = calibrated(given, request.words(folder), page=orders.pages)
     assert given.files is not None
     with write_results(found.result, given.files, found.contents, force=True):

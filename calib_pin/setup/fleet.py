@@ -39,26 +39,14 @@ def _whole(least: int) -> Checked:
 
 
 @dataclass(frozen=True)
-class JobSetup(Section):
-    """A calibration of a fleet. Its files are named from the folder of the table.
+class FitOfJob(Section):
+    """The options of a calibration of a fleet.
 
     Attributes:
-        robot: URDF or xacro file, bundled robot, or example:NAME.
-        measurements: Measurement files; a name may hold * for any letters. In a CSV
-            table semicolons separate them.
-        name: Name of its folder; None for the serial number with the date.
-        serial_number: Serial number of the robot.
-        date: Day of the measurements; of one serial number, the drift is told from
-            the day before, or from the line before.
-        previous: An earlier calibration of this robot, from which drift is told; None
-            for the one before in the table.
         start: An older calibration to go on from, a folder or its `calibration.json`;
             `previous` for the one before of the same serial number, in the table or in
             the folder of the results.
         process_noise: Drift of each error since then, standard deviation [m, rad].
-        setup: Setup file.
-        package_dir: Folders of the ROS packages that the robot names; in a CSV table
-            semicolons separate them.
         validation: File of validation measurements.
         holdout: Part of the measurements that is held out.
         base: First link of the chain.
@@ -70,20 +58,11 @@ class JobSetup(Section):
         learned: Residual model.
         model_ladder: Whether to select the model.
         use: Where the selected model must hold: near, away or both.
-        station_per_file: Whether every file has a station of its own.
         seed: Random seed.
     """
 
-    robot: Text
-    measurements: Annotated[tuple[Text, ...], Distinct()]
-    name: Annotated[str, Checked(_folder, {"type": "string"})] | None = None
-    serial_number: Entry = ""
-    date: Date | None = None
-    previous: Text | None = None
     start: Text | None = None
     process_noise: Annotated[float, Positive("m, rad")] | None = None
-    setup: Text | None = None
-    package_dir: Annotated[tuple[Text, ...], Distinct()] = ()
     validation: Text | None = None
     holdout: (
         Annotated[float, Number(above=0.0, below=1.0, words="a number between 0 and 1")]
@@ -98,8 +77,38 @@ class JobSetup(Section):
     learned: Text | None = None
     model_ladder: Flag = False
     use: Text | None = None
-    station_per_file: Flag = False
     seed: Annotated[int, _whole(0)] = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobSetup(FitOfJob):
+    """A calibration of a fleet. Its files are named from the folder of the table.
+
+    Attributes:
+        robot: URDF or xacro file, bundled robot, or example:NAME.
+        measurements: Measurement files; a name may hold * for any letters. In a CSV
+            table semicolons separate them.
+        name: Name of its folder; None for the serial number with the date.
+        serial_number: Serial number of the robot.
+        date: Day of the measurements; of one serial number, the drift is told from
+            the day before, or from the line before.
+        previous: An earlier calibration of this robot, from which drift is told; None
+            for the one before in the table.
+        setup: Setup file.
+        package_dir: Folders of the ROS packages that the robot names; in a CSV table
+            semicolons separate them.
+        station_per_file: Whether every file has a station of its own.
+    """
+
+    robot: Text
+    measurements: Annotated[tuple[Text, ...], Distinct()]
+    name: Annotated[str, Checked(_folder, {"type": "string"})] | None = None
+    serial_number: Entry = ""
+    date: Date | None = None
+    previous: Text | None = None
+    setup: Text | None = None
+    package_dir: Annotated[tuple[Text, ...], Distinct()] = ()
+    station_per_file: Flag = False
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,10 @@ def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> No
     if difference:
         reason = f"the older calibration is not of this robot: {difference}"
         raise refused(reason, chains.robot.name, older.chains.robot.name)
-    require_serial(start, setup.report.serial_number, setup.file)
+    before, serial = (one.report.serial_number for one in (older.setup, setup))
+    if before and serial and before != serial:
+        reason = f"the older calibration is of serial number '{before}', these "
+        raise refused(f"{reason}measurements are of '{serial}'", setup.file)
     if start.verdict not in TRUSTED:
         reason = f"an older calibration that is {start.verdict} is no start"
         raise refused(f"{reason}: {start.reason}")
@@ -68,28 +71,6 @@ def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> No
         raise refused(
             "the older calibration does not say how sure it is of its parameters",
             other="a calibration of this version, with noise and redundancy",
-        )
-
-
-def require_serial(start: CalibrationResult, number: str, file: str = "") -> None:
-    """Refuse an older calibration of a robot with another serial number.
-
-    Args:
-        start: The older calibration.
-        number: Serial number of the robot that is calibrated now; empty if unknown.
-        file: Where that was stated, for messages.
-
-    Raises:
-        OptionError: If both numbers are known, and differ.
-    """
-    before = start.model.setup.report.serial_number
-    if before and number and before != number:
-        where = f" ({start.provenance.file})" if start.provenance.file else ""
-        raise OptionError(
-            f"the older calibration{where} is of serial number '{before}', these "
-            f"measurements are of '{number}'",
-            file=file or None,
-            allowed="a calibration of the same robot",
         )
 
 

@@ -90,6 +90,7 @@ class Found:
             have come about instead.
         still: Logarithm of the evidence that the robot does not drift.
         noise: The noise by what was known of it.
+        square: Chi-square of the prediction, beside frames that have moved.
     """
 
     explanation: Explanation
@@ -98,6 +99,7 @@ class Found:
     sizes: Mapping[str, float]
     still: float
     noise: float
+    square: float
 
 
 class Comparison:
@@ -209,19 +211,17 @@ class Comparison:
         noise = Cause(NOISE_NAME, M, 1.0, self.noise, np.inf)
         return Explanation(self.values - W @ self.mean, known, (*drifting, noise))
 
-    def explained(
-        self, first: Explanation, expected: Sequence[DriftSize], still: float
-    ) -> Found:
+    def explained(self, expected: Sequence[DriftSize], still: float) -> Found:
         """Drift, noise, sudden changes and wrong measurements that explain it best.
 
         All of a joint or of the robot explains nearly everything, and so does noise:
         what has been found with them is compared with the best of few simple changes.
 
         Args:
-            first: The innovations, see `explanation`.
-            expected: The drift that it expects.
+            expected: The drift that is expected.
             still: Logarithm of the evidence so far that the robot does not drift.
         """
+        first = self.explanation(expected)
         families = SIMPLE, (*SIMPLE, NOISE_GREW), (*CHANCES, NOISE_GREW)
         tried = (explained(first, self.sparse(f), SURE, JUMPS) for f in families)
         found, sparse, _ = max(tried, key=lambda one: one[2])
@@ -245,7 +245,10 @@ class Comparison:
         # Beside what all have shown, as much more as these show by chance.
         more = max(found.square / len(self.values), 1.0) ** 0.5
         noise = more * next(c.size for c in found.causes if c.name == NOISE_NAME)
-        return Found(found, drifts, jumps, sizes, float(still), noise)
+        # A tracker that was set up anew is no error of the prediction.
+        moved = (c for c in sudden if self.sudden[c.name].kind in FRAMES)
+        square = replace(first, causes=(*first.causes, *moved)).square
+        return Found(found, drifts, jumps, sizes, float(still), noise, square)
 
     def _others(
         self, found: Explanation, cause: Cause, sudden: Sequence[Cause]
@@ -293,18 +296,6 @@ class Comparison:
             shift, turn = change.size * float(effects[0]), 0.0
         words = (tuple(map(self._label, names)) for names in others)
         return Jump(change.joint, change.kind, unit, shift, sigma, turn, *words)
-
-    def after(self, found: Found) -> Mapping[str, float]:
-        """The errors of the robot by these measurements as well, by name."""
-        W, V = self.rows, found.explanation.covariance
-        ways = {**self.drifting, **{n: c.directions for n, c in self.sudden.items()}}
-        gain = np.linalg.solve(V, found.explanation.values) @ W
-        mean = self.mean + self.covariance @ gain
-        for cause in found.explanation.causes:
-            if (way := ways.get(cause.name)) is not None:
-                mean += cause.size**2 * way @ (way.T @ gain)
-        values = (mean * self.parameters.scales)[self.robot].tolist()
-        return dict(zip(self.older.names, values, strict=True))
 
     def prior(self, found: Found) -> JointPrior:
         """The prior of the new calibration, wider by drift and sudden changes."""

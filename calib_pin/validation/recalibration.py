@@ -13,7 +13,6 @@ is a single joint that accounts for nearly all.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +27,7 @@ from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
-from calib_pin.setup import Setup
+from calib_pin.setup import JointPrior, Setup
 from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.joint_changes import changes, drifts
 from calib_pin.validation.older_calibration import (
@@ -38,7 +37,7 @@ from calib_pin.validation.older_calibration import (
     require_usable,
     wider,
 )
-from calib_pin.validation.older_predictions import FRAMES, Comparison
+from calib_pin.validation.older_predictions import Comparison
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import Recalibration, RecalibrationStep
 
@@ -53,9 +52,6 @@ SOME = 300
 CALM = float(np.log(10.0))
 """Logarithm of the evidence, before there is any, that a robot does not drift from one
 calibration to the next by what measurements show."""
-
-ROUNDS = 3
-"""Rounds in which sudden changes are sought about what the one before has found."""
 
 
 @serial_blas
@@ -100,32 +96,16 @@ def started(
     stated = replace(setup, prior={}, noise={**known, **setup.noise})
     problem = make_problem(chains, data.sample(SOME), stated)
     older = older_prior(problem.given, problem.parameters.free, start, known)
-    expected = expected_drifts(start, process_noise)
-    values: Mapping[str, float] = {p.name: p.mean for p in older.parameters}
+    there, theta = _registered(problem, older)
+    compared = Comparison(there, theta, older, start, noise)
     still = CALM if start.recalibration is None else start.recalibration.last.still
-    begun = list[tuple[Problem, Floats]]()
-    before: set[str] = set()
-    for _ in range(ROUNDS):
-        there, theta = _registered(problem, values)
-        compared = Comparison(there, theta, older, start, noise)
-        first = compared.explanation(expected)
-        begun.append((there, theta))
-        found = compared.explained(first, expected, still)
-        if before == (before := set(found.jumps)):
-            break
-        # A change of a degree is seen well only from near where the robot is now.
-        values = compared.after(found)
-    there, theta = begun[0]
-    # A tracker that was set up anew is no error of the prediction.
-    frames = {name for name, jump in found.jumps.items() if jump.kind in FRAMES}
-    causes = (c for c in found.explanation.causes if c.name in frames)
-    first = replace(first, causes=(*first.causes, *causes))
+    found = compared.explained(expected_drifts(start, process_noise), still)
     step = RecalibrationStep(
         start=start.provenance.file,
         created=start.provenance.created,
         measurements=len(data),
-        chi2=first.square,
-        dof=len(first.values),
+        chi2=found.square,
+        dof=len(compared.values),
         noise=noise,
         drifts=found.drifts,
         jumps=tuple(found.jumps.values()),
@@ -179,10 +159,9 @@ def expected_setup(
     return replace(setup, prior=wider(older, given.scales[robot], drifted))
 
 
-def _registered(
-    problem: Problem, values: Mapping[str, float]
-) -> tuple[Problem, Floats]:
-    """A problem about frames and instrument that suit a robot, and values."""
+def _registered(problem: Problem, older: JointPrior) -> tuple[Problem, Floats]:
+    """A problem about frames and instrument that suit the older robot, and values."""
+    values = {p.name: p.mean for p in older.parameters}
     theta = problem.parameters.vector(values)
     there = registered(problem, theta)
     # Stations are not eliminated here: what they absorb is projected out later.

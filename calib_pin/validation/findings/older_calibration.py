@@ -25,7 +25,7 @@ SEPARATE = {
 def older_calibration(
     older: CalibrationResult, new: CalibrationResult
 ) -> Iterator[Finding]:
-    """What has changed since an older calibration, or that it holds.
+    """Changes since an older calibration, or that it holds.
 
     Args:
         older: The older calibration.
@@ -52,23 +52,17 @@ def older_calibration(
         by += f"(promised: {_shown(promised, 'm')})"
     for k, jump in enumerate(step.jumps, 1):
         evidence |= {f"joint {k}": jump.name or jump.kind, f"change {k}": jump.change}
-    if error > HOLDS * promised or not all(map(_aside, step.jumps)):
-        words = words or "no single change explains it"
-        yield Finding(
-            "old-calibration-no-longer-holds",
-            "warning",
-            f"the older calibration{day} no longer holds: {words}; {by}",
-            evidence,
-            "; ".join(_remedies(step.jumps)),
-        )
-        return
+    holds = all(map(_aside, step.jumps)) and not error > HOLDS * promised
     better = f"use the older one: this one is off by {_shown(expected, 'm')}"
     yield Finding(
-        "old-calibration-holds",
-        "info",
-        f"the older calibration{day} still holds{': ' + words if words else ''}; {by}",
+        f"old-calibration-{'holds' if holds else 'no-longer-holds'}",
+        "info" if holds else "warning",
+        f"the older calibration{day} {'still' if holds else 'no longer'} holds: "
+        f"{words or 'nothing is found to have changed at once'}; {by}",
         evidence,
-        better if promised < expected else "",
+        (better if promised < expected else "")
+        if holds
+        else "; ".join(_remedies(step.jumps)),
     )
 
 

@@ -56,7 +56,7 @@ def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> No
     before, serial = (one.report.serial_number for one in (older.setup, setup))
     if before and serial and before != serial:
         reason = f"the older calibration is of serial number '{before}', these "
-        raise refused(f"{reason}measurements are of '{serial}'", setup.file)
+        raise refused(f"{reason}measurements are of '{serial}' ({setup.file})")
     if start.verdict not in TRUSTED:
         reason = f"an older calibration that is {start.verdict} is no start"
         raise refused(f"{reason}: {start.reason}")

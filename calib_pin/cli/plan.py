@@ -112,7 +112,7 @@ def plan(
         plan_option(
             "--candidates N",
             "Quasi-random configurations to choose from.",
-            options.number(int, "--candidates", "1 to 1000000", 1, 1e6),
+            options.number(int, "--candidates", "1 to 100000", 1, 1e5),
         ),
     ] = 1000,
     tests: Annotated[

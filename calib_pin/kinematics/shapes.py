@@ -7,8 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from calib_pin.kinematics.spatial import Floats
 
@@ -68,6 +66,9 @@ def creased(surface: Surface) -> Surface:
     A browser averages the normals of the triangles at a vertex, so that edges between
     triangles that share theirs look round.
     """
+    from scipy.sparse import coo_array  # Slow to import, and only the viewer's.
+    from scipy.sparse.csgraph import connected_components
+
     corners, triangles = surface.vertices, surface.triangles
     sides = np.diff(corners[triangles], axis=1)
     normals = np.cross(sides[:, 0], sides[:, 1])

@@ -27,12 +27,10 @@ from calib_pin.planning.descents import (
     descend,
 )
 from calib_pin.planning.objective import Found, Listener, Objective, Progress
-from calib_pin.planning.pricing import WORKING, WorkingSet
 from calib_pin.planning.rows import Rows
-from calib_pin.planning.selection import Asked, Selection, selection
+from calib_pin.planning.selection import Selection, selection
 from calib_pin.planning.workspace import Candidates, Workspace
 from calib_pin.solvers import (
-    ExchangeResult,
     ParticleSwarm,
     Status,
     exchange,
@@ -40,7 +38,6 @@ from calib_pin.solvers import (
     greedy,
     particle_swarm,
 )
-from calib_pin.solvers.exchange import LONGEST
 from calib_pin.workers import SERIAL, Workers
 
 RIDGE = 1e-6
@@ -70,15 +67,16 @@ class Search:
         workspace: The constraints of configurations.
         criterion: Criterion to minimize.
         known: Information that is there already, shape (m, m).
-        candidates: Configurations to choose from; of very many only some are in memory
-            with their rows, see `pricing`.
+        candidates: Configurations to choose from.
         count: Size K of the set.
         rng: Source of chance.
         progress: Told how far the search is; may stop it.
         starts: Most random sets from which the gradient method starts.
         measured: Number of measurements that the known information comes from.
-        workers: Who scores candidates and descends.
-        working: Number of candidates in memory to begin with.
+        workers: Who descends.
+
+    Attributes:
+        table: Rows of the candidates, shape (C, d, m).
 
     Raises:
         OptionError: If there are fewer candidates than wanted.
@@ -97,23 +95,17 @@ class Search:
         starts: int = STARTS,
         measured: int = 0,
         workers: Workers = SERIAL,
-        working: int = WORKING,
     ) -> None:
-        """Compute the rows of the first candidates."""
+        """Compute the rows of the candidates."""
         candidates.require(count)
         self.rows, self.workspace, self.criterion = rows, workspace, criterion
         self.known, self.candidates, self.count = known, candidates, count
         self.measured = measured
         self.objective = Objective(rows, criterion, known)
-        self._working = WorkingSet(rows, candidates, workers, max(working, count))
+        self.table = rows.rows(candidates.q, candidates.aim)
         self._listener, self._workers = Listener(progress), workers
         self._rng, self._starts = rng, starts
         self._bounds = np.column_stack([workspace.lower, workspace.upper])
-
-    @property
-    def table(self) -> Floats:
-        """Rows of the candidates in memory, shape (W, d, m)."""
-        return self._working.table
 
     @property
     def stopped(self) -> bool:
@@ -142,18 +134,14 @@ class Search:
 
     def value(self, chosen: Indices) -> float:
         """The value of the criterion of some of all candidates."""
-        found = self.objective.information(self._working.rows_of(chosen))
+        found = self.objective.information(self.table[chosen])
         if found is None:
             return np.inf
         return self.criterion.value(found, self.measured + len(chosen))
 
     def by_greedy(self) -> Found:
         """Add the best candidate until there are enough."""
-        while True:
-            asked: Asked = {}
-            chosen = self._greedy("greedy", asked)
-            if self.stopped or not self._grown(asked):
-                return self._of("greedy", chosen)
+        return self._of("greedy", self._greedy("greedy"))
 
     def by_exchange(self) -> Found:
         """DETMAX, from what is best greedily or by its determinant."""
@@ -162,24 +150,17 @@ class Search:
             self._determined,
             key=lambda chosen: self.selection(chosen).cost,
         )
-        result = self._exchanged(start)
-        # Passes with few questions first; after the last ones, those of every excursion
-        # that failed, all candidates together would bring no more.
-        for longest in (1, LONGEST):
-            while not (self.stopped or self._working.complete):
-                asked: Asked = {}
-                self._exchanged(result.chosen, longest, asked)
-                if not self._grown(asked):
-                    break
-                result = self._exchanged(result.chosen)
+        result = exchange(
+            self.selection(start),
+            lambda steps, cost: self.told("exchange", steps / (steps + 200.0)),
+        )
         return self._of("exchange", result.chosen, result.status)
 
     def by_genes(self) -> Found:
         """A genetic algorithm over subsets of the candidates (case B)."""
 
         def costs(subsets: NDArray[np.intp]) -> Floats:
-            rows = self._working.rows_of(subsets.ravel())
-            U = rows.reshape(len(subsets), -1, rows.shape[2])
+            U = self.table[subsets].reshape(len(subsets), -1, self.table.shape[2])
             return np.array([self.objective.of_rows(member) for member in U])
 
         result = genetic_selection(
@@ -277,23 +258,7 @@ class Search:
                 break
         return found
 
-    def _exchanged(
-        self, start: Sequence[int], longest: int = LONGEST, asked: Asked | None = None
-    ) -> ExchangeResult:
-        """The set that DETMAX finds; notes what it has asked if that is wanted."""
-        subset = self.selection(start)
-        subset.asked = asked
-        return exchange(
-            subset,
-            lambda steps, cost: self.told("exchange", steps / (steps + 200.0)),
-            longest=longest,
-        )
-
-    def _grown(self, asked: Asked) -> bool:
-        """Whether better answers have entered the working set."""
-        return self._working.grow(self.objective, asked, self._listener)
-
-    def _greedy(self, stage: str, asked: Asked | None = None) -> tuple[int, ...]:
+    def _greedy(self, stage: str) -> tuple[int, ...]:
         """The set that grows by the best candidate; where stopped, `_determined`."""
         chosen = self._determined
         # Before everything is determined, only the determinant tells what is better.
@@ -303,10 +268,10 @@ class Search:
             if np.isfinite(self.selection(chosen[:k]).cost)
         )
         more = max(self.count - least, 1)
-        subset = self.selection(chosen[:least])
-        subset.asked = asked
         result = greedy(
-            subset, self.count, lambda steps, cost: self.told(stage, steps / more)
+            self.selection(chosen[:least]),
+            self.count,
+            lambda steps, cost: self.told(stage, steps / more),
         )
         return result.chosen if len(result.chosen) == self.count else chosen
 
@@ -363,7 +328,7 @@ class Search:
         """Random candidates with given aims; twice only if there are few."""
         result = list[int]()
         for one in aim:
-            fitting = np.flatnonzero(self.candidates.aim[:WORKING] == one)
+            fitting = np.flatnonzero(self.candidates.aim == one)
             fresh = np.setdiff1d(fitting, result)
             result.append(int(self._rng.choice(fresh if len(fresh) else fitting)))
         return result
@@ -371,7 +336,7 @@ class Search:
     def _of(
         self, method: str, chosen: Sequence[int], status: Status = Status.CONVERGED
     ) -> Found:
-        at = self._working.at[list(chosen)]
+        at = list(chosen)
         return Found(
             q=self.candidates.q[at],
             aim=self.candidates.aim[at],

@@ -12,9 +12,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import Criterion, Determinant
 from calib_pin.planning.information import Information, log_determinants, products_of
 
-Asked = dict[frozenset[int], float]
-"""Sets whose best addition was sought, by their members, and the cost with it."""
-
 
 class Selection:
     """A subset of C candidates with its information, its cost and what would change it.
@@ -31,7 +28,6 @@ class Selection:
 
     Attributes:
         chosen: The members, in the order in which they were added.
-        asked: Filled with what is asked; none where nobody wants to know.
     """
 
     def __init__(
@@ -45,7 +41,6 @@ class Selection:
     ) -> None:
         """Sum what the members tell."""
         self.chosen = list(chosen)
-        self.asked: Asked | None = None
         self._rows, self._known = rows, known
         # Component by component: trials work on contiguous tables of all candidates.
         self._by_component = np.ascontiguousarray(np.swapaxes(rows, 0, 1))
@@ -74,10 +69,9 @@ class Selection:
 
     def best_to_add(self) -> tuple[int, float]:
         """The candidate to add and the cost after that."""
-        candidate, cost = self._best_to_add()
-        if self.asked is not None:
-            self.asked[frozenset(self.chosen)] = cost
-        return candidate, cost
+        barred = np.zeros(len(self._rows), bool)
+        barred[self.chosen] = True
+        return self._best(self._by_component, 1.0, barred)
 
     def best_to_remove(self) -> tuple[int, float]:
         """The member to remove and the cost after that."""
@@ -99,11 +93,6 @@ class Selection:
         """Become another subset."""
         self.chosen = list(chosen)
         self._update()
-
-    def _best_to_add(self) -> tuple[int, float]:
-        barred = np.zeros(len(self._rows), bool)
-        barred[self.chosen] = True
-        return self._best(self._by_component, 1.0, barred)
 
     def _change(self, candidate: int, sign: float) -> None:
         self._update()
@@ -155,9 +144,10 @@ class DeterminantSelection(Selection):
         else:
             super().reset(chosen)
 
-    def _best_to_add(self) -> tuple[int, float]:
+    def best_to_add(self) -> tuple[int, float]:
+        """The candidate to add and the cost after that."""
         if self._leverages is None:
-            return super()._best_to_add()
+            return super().best_to_add()
         volumes = self._leverages.volumes(1.0)
         volumes[self.chosen] = -np.inf
         best = int(volumes.argmax())

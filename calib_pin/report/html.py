@@ -74,7 +74,6 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
         "Accuracy",
         (
             "errors-per-measurement",
-            "errors-by-block",
             "error-vectors",
             "errors-in-workspace",
             "tip-accuracy-in-workspace",
@@ -86,7 +85,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
         ("singular-values", "tip-error-by-count"),
     ),
     "parameters": ("Parameters", ("parameter-intervals",)),
-    "residuals": ("Noise and statistics", ("residuals", "residuals-by-joint")),
+    "residuals": ("Noise and statistics", ("residuals-by-joint",)),
     "provenance": ("Provenance", ("convergence",)),
 }
 """Title and figures of each section behind the first screen, by its key.

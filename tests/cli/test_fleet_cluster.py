@@ -18,7 +18,7 @@ import pytest
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 
-MANY = 50
+MANY = 30
 
 pytestmark = [
     pytest.mark.slow,
@@ -104,9 +104,9 @@ def test_kills_cost_time_only(jobs: Path, start_dask: Callable[[], Any]):
     assert len([name for name in expected if name.endswith("/arm.urdf")]) > 0.8 * MANY
     dask = start_dask()
     running = start("out", f"--cluster {dask.file}")
-    wait_for("out", 10)
+    wait_for("out", 6)
     dask.workers[0].send_signal(signal.SIGKILL)
-    wait_for("out", 20)
+    wait_for("out", 12)
     dask.scheduler.send_signal(signal.SIGKILL)
     status, complaint = ended(running)
     assert status == 1 and complaint.count("\n") == 1
@@ -114,7 +114,7 @@ def test_kills_cost_time_only(jobs: Path, start_dask: Callable[[], Any]):
     before = calibrations("out")
     dask = start_dask()
     running = start("out", f"--cluster {dask.file} --resume")
-    wait_for("out", len(before) + 5)
+    wait_for("out", len(before) + 3)
     running.send_signal(signal.SIGKILL)
     running.communicate()
     assert ended(start("out", "--resume"))[0] == 2

@@ -114,7 +114,7 @@ def test_damaged_files(
     files: dict[str, bytes], capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = {"first": 0, "minutes": None, "jobs": 1, "no_reduction": True}
-    for seed, count in ((19, 200), (1900, 500)):
+    for seed, count in ((19, 100), (1900, 250)):
         asked = argparse.Namespace(seed=seed, cases=count, **options)
         assert run(asked, files) == 0, capsys.readouterr().out
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import subprocess
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -17,7 +15,7 @@ import calib_pin
 from calib_pin.io.collision import load_collisions
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import BlockKey
-from calib_pin.setup import FrameSetup, Obstacle, PlaneSetup, Region, Setup
+from calib_pin.setup import FrameSetup, Obstacle, Region, Setup
 from calib_pin.solvers import Status
 from calib_pin.workers import SERIAL, Workers
 
@@ -86,32 +84,12 @@ def without_collisions(workers: Workers) -> Any:
     )
 
 
-def of_very_many(workers: Workers) -> Any:
-    """More than are in memory; of the planes one is out of reach."""
-    planes = {
-        "floor": PlaneSetup((0.1, 0.2, 1.0), 1.5),
-        "wall": PlaneSetup((1.0, 0.3, 0.2), -3.0),
-        "far": PlaneSetup((1.0, 0.0, 0.0), -50.0),
-    }
-    return calib_pin.plan(
-        calib_pin.load_chain("space6"),
-        "plane-distance",
-        20,
-        Setup(parameters=("joint-offset",), tool_frame=TOOL, planes=planes),
-        criterion="O1",
-        method="greedy",
-        candidates=5400,
-        workers=workers,
-    )
-
-
 @pytest.mark.parametrize(
     ("planned", "work"),
     [
         (of_offsets, {"block", "seen", "descend"}),
         (of_a_tree, {"block", "seen"}),
         (without_collisions, {"block", "seen"}),
-        (of_very_many, {"block", "seen", "answers"}),
     ],
 )
 def test_plans_do_not_depend_on_the_workers(
@@ -160,32 +138,3 @@ def test_stopped_plans_of_several_workers(stage: str) -> None:
     assert plan.status is Status.STOPPED
     assert len(plan.q) == 12 and plan.value < plan.random
     assert stages.count("gradient") == (stage == "gradient")
-
-
-MANY = """
-import resource
-import calib_pin
-
-chain = calib_pin.load_chain("space6")
-calib_pin.plan(chain, "position", 12, method="greedy", candidates=100)
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-plan = calib_pin.plan(
-    chain,
-    "position",
-    30,
-    method="exchange",
-    candidates=300_000,
-    progress=lambda stage, part: stage == "passes" and part == 1.0,
-)
-assert plan.candidates == 300_000 and plan.value < plan.random
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
-"""
-
-
-@pytest.mark.slow
-def test_very_many_candidates_take_little_memory() -> None:
-    """Their rows alone would take 200 MB, and a search has several copies of them."""
-    child = subprocess.run(
-        [sys.executable, "-c", MANY], capture_output=True, text=True, check=True
-    )
-    assert 1024 * int(child.stdout) < 1e8

@@ -27,7 +27,6 @@ from calib_pin.setup import (
     SolverSetup,
     ToolSetup,
 )
-from calib_pin.validation.breakdown import BlockSummary
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import (
     Candidate,
@@ -248,19 +247,6 @@ def in_pixels(result: CalibrationResult) -> CalibrationResult:
     pixels = Quantity("pixel", "px", slice(0, 2), 0.5)
     fitted = replace(result.fitted, quantities=(pixels,))
     return replace(result, fitted=fitted, held_out=fitted)
-
-
-def with_blocks(result: CalibrationResult, count: int) -> CalibrationResult:
-    """A result of blocks whose errors grow from one to the next."""
-    blocks = []
-    for k in range(count):
-        errors = tuple(
-            replace(e, after=replace(e.after, rms=(k + 1) * e.after.rms))
-            for e in result.errors
-        )
-        of = ("pose", "", f"day{k}", "tool")
-        blocks.append(BlockSummary(*of, 10, ("",), errors, (), 12, 0))
-    return replace(result, blocks=tuple(blocks))
 
 
 def with_stations(result: CalibrationResult, count: int) -> CalibrationResult:

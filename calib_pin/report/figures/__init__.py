@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from calib_pin.kinematics.shapes import Shape
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.acceptance import Judged, poses_tested
-from calib_pin.report.figures.by_block import errors_by_block
 from calib_pin.report.figures.canvas import COLORS, Drawn, drawing
 from calib_pin.report.figures.cumulative import cumulative_errors
 from calib_pin.report.figures.estimates import parameter_intervals
@@ -25,9 +24,7 @@ from calib_pin.report.figures.measurement_errors import errors_per_measurement
 from calib_pin.report.figures.plans import (
     criterion_by_count,
     planned_positions,
-    predicted_deviations,
 )
-from calib_pin.report.figures.residuals import residuals
 from calib_pin.report.figures.residuals_along import (
     residuals_by_joint,
     residuals_over_order,
@@ -62,9 +59,7 @@ __all__ = [
 OF_CALIBRATION: tuple[Callable[[CalibrationResult], Drawn | None], ...] = (
     cumulative_errors,
     errors_per_measurement,
-    errors_by_block,
     error_vectors,
-    residuals,
     residuals_over_order,
     residuals_by_joint,
     singular_values,
@@ -77,7 +72,6 @@ OF_CALIBRATION: tuple[Callable[[CalibrationResult], Drawn | None], ...] = (
 
 OF_PLAN: tuple[Callable[[Plan], Drawn | None], ...] = (
     criterion_by_count,
-    predicted_deviations,
     planned_positions,
 )
 
@@ -86,10 +80,8 @@ NAMES: Mapping[str, tuple[str, ...]] = {
         "robot-errors",
         "cumulative-errors",
         "errors-per-measurement",
-        "errors-by-block",
         "error-vectors",
         "errors-in-workspace",
-        "residuals",
         "residuals-over-order",
         "residuals-by-joint",
         "singular-values",
@@ -99,7 +91,7 @@ NAMES: Mapping[str, tuple[str, ...]] = {
         "tip-accuracy-in-workspace",
         "model-ladder",
     ),
-    "plan": ("criterion-by-count", "predicted-deviations", "planned-positions"),
+    "plan": ("criterion-by-count", "planned-positions"),
     "comparison": ("tip-drift",),
     "acceptance": ("poses-tested",),
     "fleet": ("errors-in-fleet",),

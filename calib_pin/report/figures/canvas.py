@@ -145,7 +145,7 @@ WIDTH = 7.2
 KINDS: Mapping[str, tuple[dict[str, Any], int]] = {
     "png": ({"Software": None}, 200),
     "pdf": ({"CreationDate": None}, 150),
-    "svg": ({"Date": None}, 150),
+    "svg": ({"Date": None}, 200),
 }
 """Metadata and resolution of files, the latter that of what would be too many paths.
 

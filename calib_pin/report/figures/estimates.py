@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import ParameterSet
 from calib_pin.report.figures.canvas import (
     AFTER,
@@ -94,70 +93,6 @@ FOOT = 0.55
 RULE: dict[str, Any] = {"color": GRID, "linewidth": 0.6, "zorder": 0.5}
 
 
-@dataclass(frozen=True)
-class Listed:
-    """A panel with the estimates of one unit.
-
-    Attributes:
-        axes: The panel; a line is one high, the first one at zero.
-        unit: Display unit.
-        estimates: The estimates of its lines.
-        values: Estimates in that unit, shape (n,).
-        sigmas: Standard deviations in that unit, shape (n,).
-    """
-
-    axes: Axes
-    unit: str
-    estimates: list[Estimate]
-    values: Floats
-    sigmas: Floats
-
-
-def lists(
-    estimates: Sequence[Estimate], weight: Callable[[Estimate], float]
-) -> tuple[Figure, list[Listed], str]:
-    """A figure with empty panels, and a remark if something is left out.
-
-    Where there are too many estimates, those of the largest weight are kept.
-    """
-    units: dict[str, list[Estimate]] = {}
-    for estimate in estimates:
-        units.setdefault(estimate.unit, []).append(estimate)
-    kept = {unit: _heaviest(own, weight) for unit, own in units.items()}
-    lines = sum(map(len, kept.values()))
-    figure = Figure(
-        figsize=(WIDTH, HEAD + LINE * (lines + len(kept)) + FOOT * len(kept))
-    )
-    found, top = [], HEAD
-    for unit, own in kept.items():
-        height = LINE * (len(own) + 1)
-        axes = panel(figure, LEFT, top, WIDTH - LEFT - 0.2, height)
-        axes.set_ylim(len(own) - 0.2, -0.8)
-        axes.set_yticks([])
-        for k, estimate in enumerate(own):
-            beside(axes, k, estimate.label)
-        axes.hlines(
-            range(len(own)), 0.0, 1.0, **RULE, transform=axes.get_yaxis_transform()
-        )
-        shown, factor = unit_of(unit)
-        values, sigmas = (
-            factor * np.array([getattr(estimate, name) for estimate in own])
-            for name in ("value", "sigma")
-        )
-        found.append(Listed(axes, shown, own, values, sigmas))
-        top += height + FOOT
-    dropped = len(estimates) - lines
-    return figure, found, f" {dropped} smaller ones are left out." if dropped else ""
-
-
-def _heaviest(
-    estimates: list[Estimate], weight: Callable[[Estimate], float]
-) -> list[Estimate]:
-    """The heaviest ones, in their own order."""
-    order = sorted(range(len(estimates)), key=lambda k: -weight(estimates[k]))
-    return [estimates[k] for k in sorted(order[:MOST])]
-
-
 def beside(
     axes: Axes,
     line: float,
@@ -191,15 +126,30 @@ SIGNS: dict[str, dict[str, Any]] = {
 
 
 def parameter_intervals(result: CalibrationResult) -> Drawn | None:
-    """Estimates of the robot with two standard deviations, one panel per unit."""
+    """Estimates of the robot with two standard deviations, one panel per unit.
+
+    Where there are too many of a unit, those farthest from zero are kept.
+    """
     estimates = of_robot(result.parameters, result.groups, result.model.given)
     if not estimates:
         return None
-    figure, panels, remark = lists(estimates, _significance)
-    for listed in panels:
-        _intervals(listed)
+    units: dict[str, list[Estimate]] = {}
+    for estimate in estimates:
+        units.setdefault(estimate.unit, []).append(estimate)
+    for unit, own in units.items():
+        order = sorted(range(len(own)), key=lambda k: -_significance(own[k]))
+        units[unit] = [own[k] for k in sorted(order[:MOST])]
+    lines = sum(map(len, units.values()))
+    height = HEAD + LINE * (lines + len(units)) + FOOT * len(units)
+    figure, top = Figure(figsize=(WIDTH, height)), HEAD
+    for unit, own in units.items():
+        height = LINE * (len(own) + 1)
+        _intervals(panel(figure, LEFT, top, WIDTH - LEFT - 0.2, height), unit, own)
+        top += height + FOOT
     key(figure, SIGNS, LEFT)
     sure = sum(_significance(estimate) > SURE for estimate in estimates)
+    dropped = len(estimates) - lines
+    remark = f" {dropped} smaller ones are left out." if dropped else ""
     return Drawn(
         "parameter-intervals",
         "Estimated errors of the robot",
@@ -217,23 +167,27 @@ def _significance(estimate: Estimate) -> float:
     return abs(estimate.value) / estimate.sigma
 
 
-def _intervals(listed: Listed) -> None:
-    axes, lines = listed.axes, np.arange(len(listed.values))
-    sure = np.array([_significance(e) > SURE for e in listed.estimates])
+def _intervals(axes: Axes, unit: str, estimates: Sequence[Estimate]) -> None:
+    """Draw estimates of one unit, a line each, the first one at zero."""
+    lines = np.arange(len(estimates))
+    axes.set_ylim(len(lines) - 0.2, -0.8)
+    axes.set_yticks([])
+    for k, estimate in enumerate(estimates):
+        beside(axes, k, estimate.label)
+    axes.hlines(lines, 0.0, 1.0, **RULE, transform=axes.get_yaxis_transform())
+    shown, factor = unit_of(unit)
+    values = factor * np.array([estimate.value for estimate in estimates])
+    reach = factor * SURE * np.array([estimate.sigma for estimate in estimates])
+    sure = np.array([_significance(estimate) > SURE for estimate in estimates])
     axes.axvline(0.0, color=INK, linewidth=0.8)
-    reach = SURE * listed.sigmas
-    low, high = listed.values - reach, listed.values + reach
+    low, high = values - reach, values + reach
     for chosen, (label, sign) in zip((sure, ~sure), SIGNS.items(), strict=True):
         if not chosen.any():
             continue
         axes.hlines(lines[chosen], low[chosen], high[chosen], color=sign["color"])
-        axes.plot(
-            *(listed.values[chosen], lines[chosen]),
-            **sign,
-            label=label,
-        )
+        axes.plot(values[chosen], lines[chosen], **sign, label=label)
     ends = min(float(low.min()), 0.0), max(float(high.max()), 0.0)
     room = 0.04 * (ends[1] - ends[0]) or 1.0
     axes.set_xlim(ends[0] - room, ends[1] + room)
     axes.locator_params(axis="x", nbins=6)
-    axes.set_xlabel(f"estimate [{listed.unit}]")
+    axes.set_xlabel(f"estimate [{shown}]")

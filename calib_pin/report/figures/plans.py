@@ -1,4 +1,4 @@
-"""Figures of a plan: its accuracy by count, its deviations, its positions."""
+"""Figures of a plan: its accuracy by count, and its positions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from calib_pin.report.figures.canvas import (
     marks,
     panels,
 )
-from calib_pin.report.figures.estimates import Listed, lists, of_robot
 from calib_pin.report.figures.labels import log_axis, log_limits, unit_of
 from calib_pin.report.figures.views import FOOT, SIDES, Sides
 from calib_pin.report.tables import number
@@ -108,36 +107,6 @@ def _draw(axes: Axes, counts: Floats, curve: _Curve, planned: int) -> None:
     axes.set_ylabel(curve.label)
     rising = curve.values[-1] > curve.values[0]
     axes.legend(loc="lower right" if rising else "upper right")
-
-
-def predicted_deviations(plan: Plan) -> Drawn | None:
-    """Predicted standard deviations of the estimates, one panel per unit."""
-    estimates = of_robot(plan.parameters, plan.groups, plan.problem.given)
-    estimates = [estimate for estimate in estimates if estimate.sigma > 0.0]
-    if not estimates:
-        return None
-    figure, panels, remark = lists(estimates, lambda estimate: estimate.sigma)
-    for listed in panels:
-        _deviations(listed)
-    weak = sum(p.status == "weak" for p in plan.parameters)
-    told = f" {weak} weakly observable parameters are not shown." if weak else ""
-    return Drawn(
-        "predicted-deviations",
-        "Predicted standard deviations",
-        "Standard deviations that the parameters and combinations will have, from base "
-        "to tip. Those far to the right benefit most from further measurements."
-        f"{told}{remark}",
-        figure,
-    )
-
-
-def _deviations(listed: Listed) -> None:
-    axes, lines = listed.axes, np.arange(len(listed.sigmas))
-    limits = log_limits(listed.sigmas)
-    assert limits is not None, "only drawn where something is positive"
-    axes.plot(listed.sigmas, lines, **marks(AFTER, "o", 5.0))
-    log_axis(axes, "x", limits)
-    axes.set_xlabel(f"standard deviation [{listed.unit}]")
 
 
 AWAY = np.array([(1.0, 0.6), (-1.0, 0.6), (1.0, -0.6), (-1.0, -0.6)])

@@ -1,8 +1,7 @@
 """The robot in three dimensions, with its errors before and after beside each other.
 
-The robot is drawn by us, as an image: shapes come in, nobody is asked for a graphics
-card, and the same result gives the same bytes. Text, ground and color scale are lines
-and letters like in all figures.
+Triangles and balls are drawn as an image, the farthest first. Text, ground and color
+scale are lines and letters like in all figures.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ from calib_pin.report.figures.canvas import (
     panel,
 )
 from calib_pin.report.figures.labels import unit_of
-from calib_pin.report.figures.raster import View
 from calib_pin.report.figures.robot_scene import (
     Scene,
-    SceneImage,
+    View,
     best_view,
+    draw,
     scene_of,
 )
 from calib_pin.report.figures.strokes import thinned, thinning
@@ -108,7 +107,6 @@ def robot_errors(
     points = measured.points[chosen]
     radius = scene.extent * _size(points / scene.extent)
     view = best_view(scene, points, radius, DENSITY * np.array(ROOM))
-    image = SceneImage.of(view, scene)
     width, height = (k / DENSITY for k in view.size)
     figure = Figure(figsize=(WIDTH, TITLE + height + FOOT))
     unit, factor = unit_of(measured.unit)
@@ -122,8 +120,7 @@ def robot_errors(
         _ground(axes, view, scene)
         level = np.minimum(factor * errors[chosen] / high, 1.0) * (LEVELS - 1)
         level = np.where(np.isfinite(level), level, LEVELS - 1).round().astype(int)
-        drawn = image.with_balls(points, radius, shades[level])
-        axes.imshow(drawn, interpolation="none", zorder=2.0)
+        draw(axes, view, scene, points, radius, shades[level])
         axes.set(xlim=(0, view.size[0]), ylim=(view.size[1], 0))
         axes.set_axis_off()
         label = f"{name}: {significant(factor * means[k])} {unit} {said}"

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import maximum_filter
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection, PolyCollection
+from matplotlib.path import Path
 
 from calib_pin.kinematics.shapes import Color, Shape, simplified
 from calib_pin.kinematics.skeleton import (
@@ -19,34 +21,15 @@ from calib_pin.kinematics.skeleton import (
 )
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
-from calib_pin.report.figures.palettes import Bytes, with_few_colors
-from calib_pin.report.figures.raster import (
-    Picture,
-    Solid,
-    View,
-    balls,
-    outlines,
-    picture,
-    shadow,
-    shrunk,
-    widened,
-)
-from calib_pin.report.figures.strokes import thinned
 from calib_pin.report.surroundings import surroundings, touched_by
 from calib_pin.validation.result import CalibrationResult
 
-FINE = 2
-"""Pixels of the drawing by those of the image, in either direction."""
-
 AZIMUTHS = np.radians(np.arange(-165.0, 181.0, 30.0))
-ELEVATIONS = np.radians((18.0, 32.0))
+ELEVATION = math.radians(25.0)
 """Directions from which the robot may be looked at."""
 
 FRONT, LIKED = math.radians(-35.0), 0.2
 """Azimuth that is liked best, and how much more others must show."""
-
-COARSE, SAMPLES = 90.0, 6000
-"""Size of the images that compare directions [px], and points of the robot in them."""
 
 ROBOT: Color = (0.93, 0.92, 0.89)
 """Of links whose color nobody states."""
@@ -60,11 +43,79 @@ NEAR = 1.4
 LINES, FINEST = 10, 0.05
 """Lines on the ground at most in one direction, and their least distance [m]."""
 
-MANY, DETAIL = 4000, 1200.0
-"""Triangles from which on a surface is simplified, and cubes along the whole scene."""
+FEW, DETAIL, COARSEST = 400, 200.0, 25.0
+"""Triangles up to which a surface stays as it is, cubes along the whole scene to which
+others are simplified, and longest edges along it."""
 
-OUTLINE, SHADE, XRAY = 0.32, 0.30, 0.38
-"""Light that an outline leaves, darkness of a shadow, opacity of a hidden ball."""
+LAMP = (-0.3, 0.35, 0.9)
+"""Direction to the lamp: to the right, back to the eye, and up."""
+
+SHADE, XRAY = 0.15, 0.35
+"""Darkness of a shadow, opacity of a hidden ball."""
+
+ROUND = np.exp(2j * np.pi * np.arange(16) / 16.0)
+"""Corners of a ball in the image."""
+
+
+@dataclass(frozen=True)
+class View:
+    """A pinhole that looks at a scene.
+
+    Attributes:
+        eye: Its place, shape (3,) [m].
+        axes: Right, down and ahead as rows, shape (3, 3).
+        focal: Pixels at depth 1.
+        center: Pixel straight ahead, shape (2,).
+        size: Width and height of the image [px].
+    """
+
+    eye: Floats
+    axes: Floats
+    focal: float
+    center: Floats
+    size: tuple[int, int]
+
+    @staticmethod
+    def of(points: Floats, azimuth: float, elevation: float, room: Floats) -> View:
+        """The view from a direction that has all points (N, 3) in the image.
+
+        Args:
+            points: What must be seen [m].
+            azimuth: Of the eye about the vertical [rad].
+            elevation: Of the eye above the horizon [rad].
+            room: Width and height that there are at most, shape (2,) [px]; the image
+                is as large as the points are.
+        """
+        middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        radius = float(np.linalg.norm(points - middle, axis=1).max())
+        out = np.array(
+            [
+                math.cos(azimuth) * math.cos(elevation),
+                math.sin(azimuth) * math.cos(elevation),
+                math.sin(elevation),
+            ]
+        )
+        right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+        axes = np.stack([right, np.cross(-out, right), -out])
+        view = View(middle + 5.5 * radius * out, axes, 1.0, np.zeros(2), (1, 1))
+        spots, _ = view.project(points)
+        low, high = spots.min(axis=0), spots.max(axis=0)
+        focal = float((room / (high - low)).min())
+        width, height = (math.ceil(k) for k in focal * (high - low))
+        return View(view.eye, axes, focal, -focal * low, (width, height))
+
+    def project(self, points: Floats) -> tuple[Floats, Floats]:
+        """Pixels (..., 2) and depths (...) [m] of points (..., 3)."""
+        seen = np.einsum("kj,...j->...k", self.axes, points - self.eye)
+        depth = np.maximum(seen[..., 2], 1e-6)
+        return self.focal * seen[..., :2] / depth[..., None] + self.center, depth
+
+    @property
+    def lamp(self) -> Floats:
+        """Unit vector to a lamp that stands where it does for every eye, shape (3,)."""
+        right, up = self.axes[0], np.array([0.0, 0.0, 1.0])
+        found = np.array(LAMP) @ np.stack([right, np.cross(right, up), up])
+        return np.asarray(found / np.linalg.norm(found))
 
 
 @dataclass(frozen=True)
@@ -72,22 +123,20 @@ class Scene:
     """All that is drawn but for the balls.
 
     Attributes:
-        solids: What cannot be seen through.
-        clear: What can.
+        triangles: Corners of the triangles, shape (T, 3, 3) [m].
+        colors: Their red, green, blue and opacity from 0 to 1, shape (T, 4).
         frame: Corners of boxes around all of it, shape (S, 3) [m].
         floor: Height of the ground [m].
         grid: Step of its grid, and its least and largest (x, y) [m].
         extent: Size of robot and points [m].
-        spots: The middle, and where things stand that should be seen, (T, 3) [m].
     """
 
-    solids: tuple[Solid, ...]
-    clear: tuple[Solid, ...]
+    triangles: Floats
+    colors: Floats
     frame: Floats
     floor: float
     grid: tuple[float, Floats, Floats]
     extent: float
-    spots: Floats
 
     @property
     def ends(self) -> Floats:
@@ -118,38 +167,54 @@ def scene_of(
     seen = np.concatenate([frame, points])
     middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
     radius = float(np.linalg.norm(seen - middle, axis=1).max())
-    cell = 2.0 * radius / DETAIL
-    solids = [
-        Solid(
-            s.surface
-            if len(s.surface.triangles) < MANY
-            else simplified(s.surface, cell),
-            T[s.link] @ s.placement,
-            _muted(s.color, s.link in own),
-        )
-        for s in shapes
-    ]
-    clear: list[Solid] = []
+    drawn = [(s, _muted(s.color, s.link in own)) for s in shapes]
     touched = touched_by(rows, result.fitted.points)
-    spots = [middle]
     for thing in surroundings(result.model.parts, touched, reach):
         place = T[thing.link][:3, :3] @ thing.origin + T[thing.link][:3, 3]
         # A measurement frame is a place where nothing needs to be.
         if thing.kind == "station" or np.linalg.norm(place - middle) > NEAR * radius:
             continue
-        for s in thing.shapes:
-            solid = Solid(
-                s.surface, T[s.link] @ s.placement, s.color or ROBOT, s.opacity
-            )
-            (solids if s.opacity == 1.0 else clear).append(solid)
-        spots.append(place)
+        drawn += [(s, s.color or ROBOT) for s in thing.shapes]
         frame = np.concatenate([frame, corners(skeleton, thing.shapes, q)])
-    floor = floor_height(skeleton, shapes)
+    parts = [_triangles(s, T[s.link], 2.0 * radius) for s, _ in drawn]
+    colors = [
+        np.tile([*color, s.opacity], (len(part), 1))
+        for (s, color), part in zip(drawn, parts, strict=True)
+    ]
     seen = np.concatenate([frame, points])
-    extent = float(np.ptp(seen, axis=0).max())
     return Scene(
-        tuple(solids), tuple(clear), frame, floor, _grid(frame), extent, np.array(spots)
+        np.concatenate(parts),
+        np.concatenate(colors),
+        frame,
+        floor_height(skeleton, shapes),
+        _grid(frame),
+        float(np.ptp(seen, axis=0).max()),
     )
+
+
+def _triangles(shape: Shape, T: Floats, extent: float) -> Floats:
+    """Corners (T, 3, 3) [m] of a shape's triangles, neither too many nor too large.
+
+    What is nearer hides what is farther, triangle by triangle: a large one is near and
+    far at once.
+    """
+    surface, pose = shape.surface, T @ shape.placement
+    if len(surface.triangles) > FEW:
+        surface = simplified(surface, extent / DETAIL)
+    found = (surface.vertices @ pose[:3, :3].T + pose[:3, 3])[surface.triangles]
+    while True:
+        edges = np.linalg.norm(found - np.roll(found, -1, axis=1), axis=2)
+        large = edges.max(axis=1) > extent / COARSEST
+        if not large.any():
+            return np.asarray(found)
+        first = edges[large].argmax(axis=1)
+        which = np.arange(len(first))
+        a, b, c = (found[large][which, (first + k) % 3] for k in range(3))
+        halves = [
+            np.stack([a, 0.5 * (a + b), c], 1),
+            np.stack([0.5 * (a + b), b, c], 1),
+        ]
+        found = np.concatenate([found[~large], *halves])
 
 
 def _typical(rows: Observations, skeleton: Skeleton) -> Floats:
@@ -184,7 +249,7 @@ def _muted(color: Color | None, measured: bool) -> Color:
 
 
 def best_view(scene: Scene, points: Floats, radius: float, room: Floats) -> View:
-    """The view from where most is seen of the robot and of balls.
+    """The view in which robot and balls hide each other least.
 
     Args:
         scene: The scene.
@@ -198,100 +263,95 @@ def best_view(scene: Scene, points: Floats, radius: float, room: Floats) -> View
     # The names of the axes stand beyond their ends.
     names = scene.ends + 0.6 * step * np.sign(scene.ends) * [1.0, 1.0, 0.0]
     seen = np.concatenate([scene.frame, ground, names, *rims])
-    every = max(1, sum(len(s.surface.vertices) for s in scene.solids) // SAMPLES)
-    spread = np.concatenate(
-        [
-            np.einsum("ij,vj->vi", s.pose[:3, :3], s.surface.vertices[::every])
-            + s.pose[:3, 3]
-            for s in scene.solids
-        ]
-    )
-    few = points[thinned(len(points), 200, [])]
-    best, score = (0.0, 0.3), -1.0
-    for elevation in ELEVATIONS:
-        for azimuth in AZIMUTHS:
-            view = View.of(seen, azimuth, elevation, np.full(2, COARSE))
-            found = _shown(view, spread, few, scene.spots)
-            found += LIKED * math.cos(azimuth - FRONT)
-            if found > score + 1e-6:
-                best, score = (float(azimuth), float(elevation)), found
-    return View.of(seen, *best, room)
+    robot = scene.triangles.mean(axis=1)
+
+    def shown(azimuth: float) -> float:
+        """Points before the robot, and the area over which both are spread."""
+        view = View.of(seen, azimuth, ELEVATION, np.ones(2))
+        spots, depths = view.project(points)
+        before = float((depths < np.median(view.project(robot)[1])).mean())
+        both = np.concatenate(
+            [spots, view.project(robot)[0][:: len(robot) // len(spots) + 1]]
+        )
+        spread = float(np.linalg.det(np.cov(both.T))) ** 0.5
+        return float(before + 8.0 * spread + LIKED * math.cos(azimuth - FRONT))
+
+    return View.of(seen, max(AZIMUTHS, key=shown), ELEVATION, room)
 
 
-def _shown(view: View, robot: Floats, points: Floats, others: Floats) -> float:
-    """How much a view shows: points in front, and all of it over the image."""
-    width, height = view.size
-    nearness = np.zeros((height, width))
-    spots, depths = view.project(robot)
-    x, y = np.clip(spots.T.astype(int), 0, [[width - 1], [height - 1]])
-    np.maximum.at(nearness, (y, x), 1.0 / depths)
-    nearness = maximum_filter(nearness, 3)
-    covered = float((nearness > 0.0).mean()) * width * height / COARSE**2
-    seen = []
-    for some in (points, others):
-        spots, depths = view.project(some)
-        x, y = np.clip(spots.T.astype(int), 0, [[width - 1], [height - 1]])
-        seen.append(float((1.0 / depths > 0.995 * nearness[y, x]).mean()))
-    spots, _ = view.project(points)
-    spread = 0.0
-    if len(points) > 2:
-        spread = math.sqrt(abs(float(np.linalg.det(np.cov(spots.T)))))
-    return seen[0] + 0.5 * seen[1] + 8.0 * spread / COARSE**2 + 1.5 * covered
-
-
-@dataclass(frozen=True)
-class SceneImage:
-    """The robot without the balls, in pixels finer than those of the image.
-
-    Attributes:
-        view: The view of these pixels.
-        seen: What they show.
-        drawn: Colors times opacity, and opacity, shape (h, w, 4).
-    """
-
-    view: View
-    seen: Picture
-    drawn: Floats
-
-    @staticmethod
-    def of(view: View, scene: Scene) -> SceneImage:
-        """Draw all but the balls as it is seen in a view of the image's pixels."""
-        fine = view.scaled(FINE)
-        seen = picture(fine, scene.solids)
-        fallen = widened(shadow(view, scene.solids, scene.floor), FINE)
-        there = seen.nearness > 0.0
-        drawn = np.zeros((*there.shape, 4), np.float32)
-        drawn[..., 3] = np.where(there, 1.0, SHADE * fallen)
-        drawn[..., :3] = seen.color
-        drawn[outlines(seen), :3] *= OUTLINE
-        for solid in scene.clear:
-            own = picture(fine, [solid])
-            part = solid.opacity * (own.nearness > seen.nearness).astype(float)
-            drawn = _over(own.color, part[..., None], drawn)
-        return SceneImage(fine, seen, drawn)
-
-    def with_balls(self, points: Floats, radius: float, colors: Floats) -> Bytes:
-        """The image (h, w, 4) of bytes with balls at points (N, 3) [m]."""
-        pixels, lit, hidden = balls(self.view, self.seen, points, radius, colors)
-        drawn = self.drawn.reshape(-1, 4).copy()
-        part = np.where(hidden, XRAY, 1.0)[:, None].astype(float)
-        drawn[pixels] = _over(lit, part, drawn[pixels])
-        mean = shrunk(drawn.reshape(self.drawn.shape), FINE)
-        mean[..., :3] /= np.where(mean[..., 3:] > 0.0, mean[..., 3:], 1.0)
-        image = (np.clip(mean, 0.0, 1.0) * np.float32(255.0)).round().astype(np.uint8)
-        return with_few_colors(image)
-
-
-def _over(color: Floats, opacity: Floats, below: Floats) -> Floats:
-    """Something over something else, colors times opacity, and opacity, (..., 4).
+def draw(
+    axes: Axes, view: View, scene: Scene, points: Floats, radius: float, colors: Floats
+) -> None:
+    """Draw a scene with balls, the farthest first.
 
     Args:
-        color: Colors of the upper one, shape (..., 3).
-        opacity: Its opacity, shape (..., 1).
-        below: The other one, shape (..., 4).
+        axes: Axes in the pixels of the view.
+        view: The view.
+        scene: The scene.
+        points: Middles of the balls, shape (N, 3) [m].
+        radius: Their radius [m].
+        colors: Red, green and blue of the balls from 0 to 1, shape (N, 3).
     """
-    upper = np.concatenate([color * opacity, opacity], axis=-1)
-    return np.asarray(upper + (1.0 - opacity) * below)
+    triangles, depths = view.project(scene.triangles)
+    spots, away = view.project(points)
+    sizes = view.focal * radius / away
+    corner = np.stack([ROUND.real, ROUND.imag], axis=1)
+    balls = spots[:, None] + sizes[:, None, None] * corner
+    gleams = spots[:, None] + sizes[:, None, None] * (0.4 * corner - 0.3)
+    bright = 0.6 * colors + 0.4
+    solid = np.ones((len(points), 1))
+    polygons = [*triangles, *balls, *gleams]
+    faces = np.concatenate(
+        [_lit(view, scene), np.hstack([colors, solid]), np.hstack([bright, solid])]
+    )
+    near = away - radius
+    order = np.argsort(
+        -np.concatenate([depths.mean(axis=1), near, near - 1e-6]), kind="stable"
+    )
+    axes.add_collection(_shadow(view, scene), autolim=False)
+    through = np.hstack([colors, XRAY * solid])
+    # Edges of the same color, or there were gaps between neighbors.
+    for shapes, shades in (
+        ([polygons[k] for k in order], faces[order]),
+        (balls, through),
+    ):
+        drawn = PolyCollection(shapes, facecolors=shades, linewidths=0.25)
+        drawn.set(edgecolors=shades, rasterized=True, clip_on=False, zorder=2.0)
+        axes.add_collection(drawn, autolim=False)
+
+
+def _lit(view: View, scene: Scene) -> Floats:
+    """Colors (T, 4) of triangles in the light of a lamp and the sky, rims darker."""
+    a, b, c = np.moveaxis(scene.triangles, 1, 0)
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    ahead = normals @ view.axes[2]
+    # Some meshes are inside out: what is seen is the side that faces the eye.
+    normals = np.where(ahead[:, None] > 0.0, -normals, normals)
+    lamp = np.maximum(normals @ view.lamp, 0.0)
+    bright = 0.5 + 0.12 * normals[:, 2] + 0.5 * lamp
+    lit = scene.colors.copy()
+    lit[:, :3] *= (bright * (0.7 + 0.3 * np.abs(ahead)))[:, None]
+    return np.clip(lit, 0.0, 1.0)
+
+
+def _shadow(view: View, scene: Scene) -> PathCollection:
+    """The shadow of what cannot be seen through, on the floor."""
+    opaque = scene.triangles[scene.colors[:, 3] == 1.0]
+    height = np.maximum(opaque[..., 2] - scene.floor, 0.0)
+    spots, _ = view.project(opaque - height[..., None] * (view.lamp / view.lamp[2]))
+    # All in one sense of rotation, so that two of them together are no hole.
+    (x1, y1), (x2, y2) = (np.moveaxis(spots[:, k] - spots[:, 0], 1, 0) for k in (1, 2))
+    spots = np.where((x1 * y2 < x2 * y1)[:, None, None], spots[:, ::-1], spots)
+    path = Path.make_compound_path_from_polys(spots)
+    return PathCollection(
+        [path],
+        facecolors="black",
+        alpha=SHADE,
+        linewidths=0.0,
+        rasterized=True,
+        zorder=2.0,
+    )
 
 
 def _grid(frame: Floats) -> tuple[float, Floats, Floats]:

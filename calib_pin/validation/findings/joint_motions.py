@@ -83,7 +83,7 @@ class Motion(NamedTuple):
                 f"errors follow the last motion of {whose}: {100 * part:.2g} % of it",
                 "lag",
                 reading=ReadingSetup(lag={names[j]: part for j in self.joints}),
-                figure="residuals",
+                figure="residuals-over-order",
             )
         reading = JointReading.plain(len(names))
         reading.factors[self.joints[0], self.joints[-1]] += part

@@ -22,15 +22,13 @@ from calib_pin.report.figures import (
 )
 from calib_pin.report.figures.estimates import parameter_intervals
 from calib_pin.report.figures.measurement_errors import errors_per_measurement
-from calib_pin.report.figures.residuals import residuals
 from calib_pin.report.figures.robot_errors import robot_errors
 from calib_pin.report.figures.workspace import error_vectors
 from calib_pin.validation.result import CalibrationResult
 from tests.report.results import with_errors, without
 
-# What has a direction is drawn as arrows, the rest in color; there is one block.
-ABSENT = ("errors-in-workspace", "errors-by-block")
-DRAWN = [name for name in NAMES["calibration"] if name not in ABSENT]
+# What has a direction is drawn as arrows, the rest in color.
+DRAWN = [name for name in NAMES["calibration"] if name != "errors-in-workspace"]
 
 
 def words_of(svg: str | bytes) -> str:
@@ -151,7 +149,7 @@ def test_any_errors_can_be_drawn_and_what_says_nothing_is_left_out(calibrated):
 
 def test_many_rows_stay_small(many, draw):
     result = many(10_000)
-    figures = (errors_per_measurement, error_vectors, residuals)
+    figures = (errors_per_measurement, error_vectors)
     svgs = [draw(figure, result).svg() for figure in figures]
     assert sum(map(len, svgs)) < 1_000_000
     assert "<image" in svgs[0], "thousands of points are a picture"

@@ -9,7 +9,6 @@ import numpy as np
 from calib_pin.report.figures.plans import (
     criterion_by_count,
     planned_positions,
-    predicted_deviations,
     tool_positions,
 )
 
@@ -35,20 +34,6 @@ def test_another_criterion_stands_beside_the_tip_error(planned, draw):
         right.lines[0].get_ydata(), [1e3 * step.position for step in plan.steps]
     )
     assert criterion_by_count(replace(planned, steps=planned.steps[:1])) is None
-
-
-def test_deviations_are_those_predicted(planned, draw):
-    drawn = draw(predicted_deviations, planned)
-    units = {"[mm]": ("m", 1e3), "[deg]": ("rad", 180.0 / np.pi)}
-    for axes in drawn.figure.axes:
-        unit, factor = units[axes.get_xlabel().split()[-1]]
-        found = set(np.asarray(axes.lines[0].get_xdata()).round(9))
-        known = {
-            round(factor * p.sigma, 9)
-            for p in planned.parameters
-            if p.status == "identifiable" and p.unit == unit and p.sigma
-        }
-        assert known and known <= found
 
 
 def test_positions_are_those_of_the_nominal_robot(planned, draw):

@@ -23,7 +23,6 @@ from calib_pin.report.figures import (
     fleet_figures,
     outlook_figures,
 )
-from calib_pin.report.figures.by_block import errors_by_block
 from calib_pin.report.figures.plans import criterion_by_count
 from calib_pin.report.figures.workspace import error_vectors
 from calib_pin.setup import LimitSetup
@@ -36,7 +35,6 @@ from tests.report.figures.texts import faults, faults_of
 from tests.report.results import (
     KINDS,
     in_pixels,
-    with_blocks,
     with_rows,
     with_stations,
 )
@@ -103,7 +101,6 @@ def test_the_checker_finds(fault):
 def test_of_a_calibration_and_a_plan(calibrated, planned, drawn, draw):
     rest = [
         draw(error_vectors, in_pixels(calibrated)),
-        draw(errors_by_block, with_blocks(calibrated, 7)),
         draw(criterion_by_count, replace(planned, criterion="O1")),
     ]
     assert told([*drawn, *rest]) == []

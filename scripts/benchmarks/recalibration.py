@@ -1,5 +1,7 @@
 """Ten measurements a week: accuracy of a robot that drifts, and jumps once.
 
+Beside it a month after a calibration, see `months`.
+
     scripts/benchmark recalibration                      # a tenth of the runs
     scripts/benchmark recalibration --full               # all of them
     scripts/benchmark recalibration --job 4 --tell       # one run, told in full

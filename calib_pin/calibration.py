@@ -34,6 +34,7 @@ from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.candidate_scores import USES
 from calib_pin.validation.findings import explained
 from calib_pin.validation.findings.case import Others
+from calib_pin.validation.findings.older_calibration import older_calibration
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.joint_offsets import encoder_steps
 from calib_pin.validation.judgement import Judgement, judge, quantity_errors
@@ -135,8 +136,7 @@ def calibrate(
     _require_ends(chains, setup, training, held)
     begun = None
     if start is not None or process_noise is not None:
-        begun = started(chains, training, setup, start, process_noise, ladder)
-        setup = begun.setup
+        setup, begun = started(chains, training, setup, start, process_noise, ladder)
     stated = setup
     setup = with_time_course(chains, training, setup, seed)
     if held is not None:
@@ -182,11 +182,8 @@ def calibrate(
         )
     tell = named(progress, "joint readings")
     judgement = judge(chains, model, fitted, held_out, seed, tell, others)
-    if begun is not None:
-        findings = (*begun.findings, *judgement.findings)
-        judgement = replace(judgement, findings=findings)
     files = [*data.files.distinct, *(further.files.distinct if further else ())]
-    return _result(
+    result = _result(
         model,
         training,
         fitted,
@@ -196,8 +193,12 @@ def calibrate(
         files=tuple(filter(None, dict.fromkeys(files))),
         selection=None if selected is None else selected.selection,
         urdf=_urdf(chains, training, model, held, seed, validate, judgement, workers),
-        recalibration=None if begun is None else begun.recalibration,
+        recalibration=begun,
     )
+    if start is not None:
+        findings = older_calibration(start, result)
+        result = replace(result, findings=(*findings, *result.findings))
+    return result
 
 
 def _result(

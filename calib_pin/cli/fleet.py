@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -147,11 +147,13 @@ def _calibrated(
     csv, html = files = [output / name for name in FILES]
     orders = Orders(Path.cwd(), output, pages, resume)
     _check(orders, asked, [*files, output / PRIOR], table, force or resume)
-    found: list[Outcome] = []
-    for outcome in workers.map(calibrate_job, orders, asked, lost_job):
-        found.append(outcome)
-        if bar is not None:
-            bar(f"{len(found)} of {len(asked)}", len(found) / len(asked))
+    done: dict[str, Outcome] = {}
+    for wave in _waves(asked):
+        for outcome in workers.map(calibrate_job, orders, wave, lost_job):
+            done[outcome.row.job] = outcome
+            if bar is not None:
+                bar(f"{len(done)} of {len(asked)}", len(done) / len(asked))
+    found = [done[job.name] for job in asked]
     rows = _compared(orders, asked, [row for row, _ in found], workers, bar)
     if bar is not None:
         bar("types", None)
@@ -184,6 +186,15 @@ def _calibrated(
     return 0 if all(row.trusted for row in ordered) else 2
 
 
+def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
+    """The jobs; one with a start comes behind that before of its serial number."""
+    left = list(jobs)
+    while left:
+        names = {job.name for job in left}
+        yield [j for j in left if not (j.stated.start and j.before in names)]
+        left = [j for j in left if j.stated.start and j.before in names]
+
+
 def _check(
     orders: Orders,
     jobs: Sequence[Job],
@@ -203,9 +214,8 @@ def _check(
                 "a job cannot have this name", file=table, line=job.line, value=job.name
             )
         if not force and exists(folder := orders.folder(job.name)):
-            raise OptionError(
-                "exists; --resume goes on, --force begins again", file=folder
-            )
+            reason = "exists; --resume goes on, --force begins again"
+            raise OptionError(reason, file=folder)
     check_outputs(files, [table], force)
 
 
@@ -224,10 +234,8 @@ def _compared(
     for job, row in zip(jobs, rows, strict=True):
         if not row.fitted:
             continue
-        if job.stated.previous is not None:
-            pairs.append(
-                Successor(row, (Path(job.stated.previous), job.stated.previous))
-            )
+        if previous := job.stated.previous:
+            pairs.append(Successor(row, (Path(previous), previous)))
         elif job.before and by_name[job.before].fitted:
             pairs.append(Successor(row, (orders.folder(job.before), job.before)))
     for k, row in enumerate(workers.map(compare_job, orders, pairs), 1):

@@ -14,7 +14,8 @@ from calib_pin.cli.results import write_results
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError, OptionError, one_line
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.io.results import DOCUMENT, REPORT, read_document
+from calib_pin.io.results import DOCUMENT, REPORT, document_file, read_document
+from calib_pin.setup.printing import DATE
 from calib_pin.validation.fleet import Drift, FleetRow, fleet_row, with_drift
 
 if TYPE_CHECKING:
@@ -147,11 +148,12 @@ def compare_job(orders: Orders, pair: Successor) -> FleetRow:
         return replace(row, drift=Drift(name), reason=reason)
 
 
-def _request(job: Job) -> Request:
+def _request(orders: Orders, job: Job) -> Request:
     """The calibration that a job asks for.
 
     Raises:
-        InputError: If no measurement file has a name of those with a *.
+        InputError: If no measurement file has a name of those with a *, or there is no
+            calibration to go on from.
     """
     stated = job.stated
     files: list[Path] = []
@@ -161,24 +163,48 @@ def _request(job: Job) -> Request:
         if not found:
             raise InputError("no file has such a name", file=file)
         files += found
-    return Request(
-        robot=stated.robot,
-        measurements=tuple(files),
-        setup=None if stated.setup is None else Path(stated.setup),
-        base=stated.base,
-        tip=stated.tip,
-        model=stated.model,
-        parameters=stated.parameters,
-        learned=stated.learned,
-        validation=None if stated.validation is None else Path(stated.validation),
-        holdout=stated.holdout,
-        seed=stated.seed,
-    )
+    names = Request.__dataclass_fields__
+    values = {key: value for key, value in vars(stated).items() if key in names}
+    for key in ("setup", "validation"):
+        values[key] = None if values[key] is None else Path(values[key])
+    values["measurements"] = tuple(files)
+    values["package_dir"] = tuple(map(Path, stated.package_dir))
+    use = stated.use or ("both" if stated.model_ladder else None)
+    return Request(**{**values, "use": use, "start": start_of(orders, job)})
+
+
+def start_of(orders: Orders, job: Job) -> Path | None:
+    """The older calibration that a job goes on from; None where it does not.
+
+    Raises:
+        InputError: If there is none before of its serial number.
+    """
+    from calib_pin.io.jobs import PREVIOUS, folder_name
+
+    stated = job.stated
+    if stated.start != PREVIOUS:
+        return None if stated.start is None else Path(stated.start)
+    if stated.previous is not None:
+        return Path(stated.previous)
+    if job.before:
+        return orders.folder(job.before)
+    folders, found = orders.output.glob(f"*/{DOCUMENT}"), list[str]()
+    serial = folder_name(stated.serial_number)
+    for name in (path.parent.name for path in folders):
+        day = DATE.fullmatch(name.removeprefix(f"{serial}-"))
+        if name == serial or (day and not (stated.date and day[0] >= stated.date)):
+            found.append(name)
+    if not found:
+        raise InputError(
+            f"'start: {PREVIOUS}', and there is no earlier calibration of serial "
+            f"number '{stated.serial_number}' in the table or in {orders.output}"
+        )
+    return orders.folder(max(found))
 
 
 def _calibrated(orders: Orders, job: Job) -> None:
     """Calibrate, and write the folder of the results."""
-    request, folder = _request(job), orders.folder(job.name)
+    request, folder = _request(orders, job), orders.folder(job.name)
     given = opened(request, folder, force=True)
     found = calibrated(given, request.words(folder), page=orders.pages)
     assert given.files is not None
@@ -194,13 +220,17 @@ def _finished(orders: Orders, job: Job) -> CalibrationResult | None:
     from calib_pin.io.files import read_bytes, sha256
     from calib_pin.io.results import read_result
 
-    request, folder = _request(job), orders.folder(job.name)
+    request, folder = _request(orders, job), orders.folder(job.name)
     try:
         document = read_document(folder / DOCUMENT)
         used = [*document["measurements"]["files"], *_stated(document)]
         there = all(sha256(read_bytes(f["file"])) == f["sha256"] for f in used)
         words = tuple(document["provenance"]["command"])
         complete = REPORT in document["files"] or not orders.pages
+        if request.start is not None:
+            begun = document["recalibration"]["steps"][-1]["created"]
+            started = read_document(document_file(request.start))
+            there &= begun == started["provenance"]["created"]
         if not there or not complete or words != request.words(folder):
             return None
         result = read_result(folder)

@@ -96,3 +96,34 @@ def as_before(setup: Setup, older: CalibrationResult | None) -> Setup:
     if setup.parameters == Empty().parameters:
         setup = replace(setup, parameters=before.parameters)
     return setup
+
+
+PLANNED = (
+    *("model", "parameters", "fixed", "base_frame", "tool_frame", "stations", "tools"),
+    *("targets", "planes", "sockets", "spheres", "anchors", "camera"),
+    *("distances", "angles", "payloads", "gravity"),
+)
+"""Statements that a plan takes from an older calibration where there is no other."""
+
+
+def planned_before(setup: Setup, older: CalibrationResult | None) -> Setup:
+    """A setup with the instrument and the frames that an older calibration has found.
+
+    Args:
+        setup: The options of a command, on top of its setup file.
+        older: The older calibration; None leaves the setup as it is.
+    """
+    from dataclasses import replace
+
+    from calib_pin.planning.suggestions import calibrated_setup
+    from calib_pin.setup import WORLD
+    from calib_pin.setup import Setup as Empty
+
+    setup = as_before(setup, older)
+    if older is None:
+        return setup
+    models = dict.fromkeys(k.model for k in older.model.parts if k.chain != WORLD)
+    before = vars(calibrated_setup(older.model)) | {"model": "+".join(models)}
+    given, empty = vars(setup), vars(Empty())
+    taken = {name: before[name] for name in PLANNED if given[name] == empty[name]}
+    return replace(setup, **taken)

@@ -25,7 +25,19 @@ JOBS = "jobs"
 """Key of the list of jobs in YAML; those beside it hold for all jobs."""
 
 CHAINED = ";"
-"""Between measurement files in a cell."""
+"""Between files in a cell."""
+
+FLAGS = {"true": True, "false": False}
+"""Cells that say whether something is so."""
+
+PREVIOUS = "previous"
+"""The `start` that is the calibration before of the same robot."""
+
+OF_FLEET = (
+    *("cluster", "details", "figure_format", "figures", "force", "json", "output"),
+    *("quiet", "workers"),
+)
+"""Options of `calibrate` that are those of the whole fleet, and no job has."""
 
 
 @dataclass(frozen=True)
@@ -72,10 +84,11 @@ def read_jobs(
     yaml = Path(path).suffix.lower() in (".yaml", ".yml")
     found = list[tuple[int, JobSetup]]()
     for line, given, blame in _of_yaml(path) if yaml else _of_csv(path, notice):
-        files = given.get("measurements")
-        if isinstance(files, str):
-            files = [f.strip() for f in files.split(CHAINED) if f.strip()]
-            given["measurements"] = files
+        for key in ("measurements", "package_dir"):
+            if isinstance(files := given.get(key), str):
+                given[key] = [f.strip() for f in files.split(CHAINED) if f.strip()]
+        for key in ("model_ladder", "station_per_file"):
+            given |= {key: FLAGS[t]} if (t := given.get(key)) in FLAGS else {}
         try:
             stated = adapter.validate_python(given, context=context())
         except ValidationError as error:
@@ -94,6 +107,10 @@ def read_jobs(
                 allowed="a 'name' of its own",
             )
         places[name.casefold()] = line
+        if stated.start == PREVIOUS and not (stated.serial_number or stated.previous):
+            raise InputError(
+                f"'start: {PREVIOUS}' needs a 'serial_number'", file=path, line=line
+            )
         jobs.append(Job(name, line, _from(folder, stated)))
     before = _before(jobs)
     return tuple(replace(job, before=before.get(job.name, "")) for job in jobs)
@@ -134,7 +151,8 @@ def _of_csv(path: str | Path, notice: Callable[[str], None]) -> Iterator[Given]:
     table = read_table(path)
     foreign = [name for name in table.columns if name not in KEYS]
     for name in foreign:
-        if hint := nearest(name, KEYS):
+        hint = nearest(name, KEYS)
+        if hint or name in OF_FLEET:
             raise table.error(f"no column of a job{hint}", name, ", ".join(KEYS))
     if remark := table.ignored(foreign):
         notice(remark)
@@ -154,19 +172,27 @@ def _cell_error(table: Table, row: int, error: ValidationError) -> InputError:
     return table.cell_error(reason, name, row, allowed_instead(problem))
 
 
+def folder_name(serial: str) -> str:
+    """The name of a folder by a serial number."""
+    kept = (c if c.isalnum() or c in "._- " else "_" for c in serial)
+    return "".join(kept).lstrip(".")
+
+
 def _name(stated: JobSetup, number: int, found: Sequence[tuple[int, JobSetup]]) -> str:
     """The name of a job that states none."""
     serial = stated.serial_number
     if not serial:
         return f"job-{number:0{len(str(len(found)))}d}"
     alone = sum(other.serial_number == serial for _, other in found) == 1
-    name = serial if alone or stated.date is None else f"{serial}-{stated.date}"
-    return "".join(c if c.isalnum() or c in "._- " else "_" for c in name).lstrip(".")
+    dated = not alone or stated.start == PREVIOUS
+    return folder_name(f"{serial}-{stated.date}" if dated and stated.date else serial)
 
 
 def _from(folder: Path, stated: JobSetup) -> JobSetup:
     """A job with its files named from here, not from the folder of the table."""
-    files = {key: getattr(stated, key) for key in ("setup", "validation", "previous")}
+    keys = ["setup", "validation", "previous"]
+    keys += [] if stated.start == PREVIOUS else ["start"]
+    files = {key: getattr(stated, key) for key in keys}
     placed: dict[str, Any] = {k: str(folder / f) for k, f in files.items() if f}
     # A robot may be a bundled one, and a xacro file has its arguments behind it.
     there = (folder / stated.robot.split(" ")[0]).exists()
@@ -174,6 +200,7 @@ def _from(folder: Path, stated: JobSetup) -> JobSetup:
         stated,
         robot=str(folder / stated.robot) if there else stated.robot,
         measurements=tuple(str(folder / file) for file in stated.measurements),
+        package_dir=tuple(str(folder / file) for file in stated.package_dir),
         **placed,
     )
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from calib_pin.setup.constraints import Checked, Distinct, Registered, Section
 from calib_pin.setup.printing import Date, Entry
-from calib_pin.setup.values import Number, Positive, Text, number
+from calib_pin.setup.values import Flag, Number, Positive, Text, number
 
 MANY = 10_000_000
 """Most robots, configurations or repetitions that can be meant."""
@@ -39,7 +39,49 @@ def _whole(least: int) -> Checked:
 
 
 @dataclass(frozen=True)
-class JobSetup(Section):
+class FitOfJob(Section):
+    """The options of a calibration of a fleet.
+
+    Attributes:
+        start: An older calibration to go on from, a folder or its `calibration.json`;
+            `previous` for the one before of the same serial number, in the table or in
+            the folder of the results.
+        process_noise: Drift of each error since then, standard deviation [m, rad].
+        validation: File of validation measurements.
+        holdout: Part of the measurements that is held out.
+        base: First link of the chain.
+        tip: Last link of the chain.
+        model: Measurement model.
+        parameters: Parameterizations, with commas between them.
+        solver: Solver of the fit.
+        loss: Loss function.
+        learned: Residual model.
+        model_ladder: Whether to select the model.
+        use: Where the selected model must hold: near, away or both.
+        seed: Random seed.
+    """
+
+    start: Text | None = None
+    process_noise: Annotated[float, Positive("m, rad")] | None = None
+    validation: Text | None = None
+    holdout: (
+        Annotated[float, Number(above=0.0, below=1.0, words="a number between 0 and 1")]
+        | None
+    ) = None
+    base: Text | None = None
+    tip: Text | None = None
+    model: Text | None = None
+    parameters: Text | None = None
+    solver: Text | None = None
+    loss: Text | None = None
+    learned: Text | None = None
+    model_ladder: Flag = False
+    use: Text | None = None
+    seed: Annotated[int, _whole(0)] = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobSetup(FitOfJob):
     """A calibration of a fleet. Its files are named from the folder of the table.
 
     Attributes:
@@ -53,14 +95,9 @@ class JobSetup(Section):
         previous: An earlier calibration of this robot, from which drift is told; None
             for the one before in the table.
         setup: Setup file.
-        validation: File of validation measurements.
-        holdout: Part of the measurements that is held out.
-        base: First link of the chain.
-        tip: Last link of the chain.
-        model: Measurement model.
-        parameters: Parameterizations, with commas between them.
-        learned: Residual model.
-        seed: Random seed.
+        package_dir: Folders of the ROS packages that the robot names; in a CSV table
+            semicolons separate them.
+        station_per_file: Whether every file has a station of its own.
     """
 
     robot: Text
@@ -70,17 +107,8 @@ class JobSetup(Section):
     date: Date | None = None
     previous: Text | None = None
     setup: Text | None = None
-    validation: Text | None = None
-    holdout: (
-        Annotated[float, Number(above=0.0, below=1.0, words="a number between 0 and 1")]
-        | None
-    ) = None
-    base: Text | None = None
-    tip: Text | None = None
-    model: Text | None = None
-    parameters: Text | None = None
-    learned: Text | None = None
-    seed: Annotated[int, _whole(0)] = 0
+    package_dir: Annotated[tuple[Text, ...], Distinct()] = ()
+    station_per_file: Flag = False
 
 
 @dataclass(frozen=True)

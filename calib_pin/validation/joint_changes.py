@@ -18,13 +18,14 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Change:
-    """A sudden change that errors of a robot may show.
+    """A sudden change that parameters may show.
 
     Attributes:
-        joint: The joint; empty for the whole robot.
-        kind: `offset` of the joint, `placement` for all of its errors, or `robot`.
-        directions: Its independent effects on the K errors divided by their scales,
-            shape (K, k), each of the expected size of an error.
+        joint: The joint, station or tool; empty for the whole robot, or the only one.
+        kind: `offset` of the joint, `placement` for all of its errors, `robot`, or the
+            frame that moves, `base` or `tool`.
+        directions: Its independent effects on all parameters divided by their scales,
+            shape (P, k), each of the expected size of an error.
         unit: Unit of an offset, rad or m.
         size: Expected size of an offset in that unit.
     """
@@ -37,20 +38,22 @@ class Change:
 
 
 def drifts(system: System, robot: NDArray[np.bool_]) -> Mapping[str, Floats]:
-    """How errors drift by independent effects, in their scales, by name.
+    """How errors drift by independent effects, shapes (P, k) in their scales, by name.
 
     Of a drift of size one [m, rad] errors without such a unit have the same part of
     their expected sizes as a length.
 
     Args:
         system: The robot.
-        robot: The K errors of the robot, shape (P,).
+        robot: The errors of the robot among its parameters, shape (P,).
     """
-    own = [p for p, of in zip(system.given, robot, strict=True) if of]
-    sizes = [1.0 / (p.scale if p.unit in ("m", "rad") else LENGTH_SCALE) for p in own]
+    sizes = [
+        1.0 / (p.scale if p.unit in ("m", "rad") else LENGTH_SCALE)
+        for p in system.given
+    ]
     offsets = [column for _, column, _ in _offsets(system, robot)]
-    alone = np.column_stack(offsets) if offsets else np.zeros((len(own), 0))
-    return {"geometry": np.diag(sizes), "joint offsets": alone}
+    alone = np.array(offsets).reshape(-1, len(robot)).T
+    return {"geometry": np.diag(sizes)[:, robot], "joint offsets": alone}
 
 
 def changes(system: System, robot: NDArray[np.bool_]) -> Mapping[str, Change]:
@@ -58,30 +61,30 @@ def changes(system: System, robot: NDArray[np.bool_]) -> Mapping[str, Change]:
 
     Args:
         system: The robot.
-        robot: The K errors of the robot, shape (P,).
+        robot: The errors of the robot among its parameters, shape (P,).
     """
-    own = [p for p, of in zip(system.given, robot, strict=True) if of]
     found = {}
     for joint, column, unit in _offsets(system, robot):
         size = expected_size(unit)
         change = Change(joint, "offset", size * column[:, None], unit, size)
         found[f"offset {joint}"] = change
-    every, owners = np.eye(len(own)), [p.name.rsplit(".", 2)[0] for p in own]
+    every, owners = np.eye(len(robot)), [p.name.rsplit(".", 2)[0] for p in system.given]
     for joint in system.chains.joints:
-        index = [k for k, name in enumerate(owners) if name == owner(joint)]
+        index = [
+            k for k, name in enumerate(owners) if robot[k] and name == owner(joint)
+        ]
         if len(index) > 1:
             of_joint = Change(joint, "placement", every[:, index])
             found[f"placement {joint}"] = of_joint
-    found["robot"] = Change("", "robot", every)
+    found["robot"] = Change("", "robot", every[:, robot])
     return found
 
 
 def _offsets(system: System, robot: NDArray[np.bool_]) -> list[tuple[str, Floats, str]]:
     """Joints whose offset the errors hold, with the errors by an offset of one.
 
-    In their scales, shape (K,), and with the unit of the offset.
+    In their scales, shape (P,), and with the unit of the offset.
     """
-    place = np.cumsum(robot) - 1
     found: dict[str, tuple[str, Floats, str]] = {}
     for part in system.parts.values():
         chain = part.error.chain
@@ -93,7 +96,7 @@ def _offsets(system: System, robot: NDArray[np.bool_]) -> list[tuple[str, Floats
             for screw, k in zip(part.error.screws, part.of_error, strict=True):
                 own = screw.parameter.name.rsplit(".", 2)[0] == owner(joint)
                 if own and screw.frame in to_frame and screw.basis is None and robot[k]:
-                    index.append(int(place[k]))
+                    index.append(k)
                     twist = to_frame[screw.frame] @ screw.twist
                     twists.append(twist * screw.parameter.scale)
             if not twists or joint in found:
@@ -102,7 +105,7 @@ def _offsets(system: System, robot: NDArray[np.bool_]) -> list[tuple[str, Floats
             along = np.linalg.lstsq(T, motion, rcond=1e-9)[0]
             if np.abs(T @ along - motion).max() > ROUNDING:
                 continue
-            column = np.zeros(int(robot.sum()))
+            column = np.zeros(len(robot))
             np.add.at(column, index, along)
             unit = "rad" if chain.revolute[frame - 1] else "m"
             found[joint] = joint, column, unit

@@ -36,6 +36,12 @@ def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> No
         OptionError: If it is such.
     """
     file, older = start.provenance.file or None, start.model
+
+    def refused(reason: str, given: str = "", other: str = "") -> OptionError:
+        return OptionError(
+            reason, file=file, value=given or None, allowed=other or None
+        )
+
     difference = robot_type(older.chains).difference(robot_type(chains))
     ends = [
         {(c[name].base, c[name].tip) for name in c.names}
@@ -45,36 +51,26 @@ def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> No
         base, tip = min(ends[1] - ends[0] or ends[1])
         difference = f"its chain goes from {base} to {tip}"
     if difference:
-        raise OptionError(
-            f"the older calibration is not of this robot: {difference}",
-            file=file,
-            value=chains.robot.name,
-            allowed=older.chains.robot.name,
-        )
+        reason = f"the older calibration is not of this robot: {difference}"
+        raise refused(reason, chains.robot.name, older.chains.robot.name)
+    before, serial = (one.report.serial_number for one in (older.setup, setup))
+    if before and serial and before != serial:
+        reason = f"the older calibration is of serial number '{before}', these "
+        raise refused(f"{reason}measurements are of '{serial}' ({setup.file})")
     if start.verdict not in TRUSTED:
-        raise OptionError(
-            f"an older calibration that is {start.verdict} is no start: {start.reason}",
-            file=file,
-        )
-    if older.setup.learned or setup.learned:
-        raise OptionError(
-            "a learned correction cannot be carried on from an older calibration",
-            file=file if older.setup.learned else setup.file or None,
-            value=older.setup.learned or setup.learned,
-            allowed="parameters alone",
-        )
-    if set(older.setup.parameters) != set(setup.parameters):
-        raise OptionError(
-            "the older calibration has other parameters",
-            file=file,
-            value=", ".join(setup.parameters),
-            allowed=", ".join(older.setup.parameters),
-        )
+        reason = f"an older calibration that is {start.verdict} is no start"
+        raise refused(f"{reason}: {start.reason}")
+    if learned := older.setup.learned or setup.learned:
+        reason = "a learned correction cannot be carried on from an older calibration"
+        raise refused(reason, learned, "parameters alone")
+    names = older.setup.parameters
+    if set(names) != set(setup.parameters):
+        reason = "the older calibration has other parameters"
+        raise refused(reason, ", ".join(setup.parameters), ", ".join(names))
     if not np.isfinite(start.covariance).all() or not start.statistics.noise:
-        raise OptionError(
+        raise refused(
             "the older calibration does not say how sure it is of its parameters",
-            file=file,
-            allowed="a calibration of this version, with noise and redundancy",
+            other="a calibration of this version, with noise and redundancy",
         )
 
 
@@ -133,12 +129,10 @@ def expected_drifts(
                 allowed="a positive number [m, rad]",
             )
         return (DriftSize(EXPECTED[0].name, process_noise, np.inf),)
-    if start.recalibration is None:
-        return EXPECTED
-    found = {drift.name: drift for drift in start.recalibration.last.drifts}
+    before = () if start.recalibration is None else start.recalibration.last.drifts
     # What a user has stated once, says nothing of the next time.
-    stated = {name: d for name, d in found.items() if np.isfinite(d.worth)}
-    return tuple(stated.get(drift.name, drift) for drift in EXPECTED)
+    found = {drift.name: drift for drift in before if np.isfinite(drift.worth)}
+    return tuple(found.get(drift.name, drift) for drift in EXPECTED)
 
 
 def pooled_noise(start: CalibrationResult) -> tuple[NoiseSize, ...]:

@@ -13,14 +13,13 @@ is a single joint that accounts for nearly all.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError
 from calib_pin.estimation.directions import nuisance_basis
-from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.registration import registered
@@ -30,7 +29,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.setup import JointPrior, Setup
 from calib_pin.validation.accuracy import Accuracy
-from calib_pin.validation.findings.older_calibration import older_calibration
 from calib_pin.validation.joint_changes import changes, drifts
 from calib_pin.validation.older_calibration import (
     expected_drifts,
@@ -51,19 +49,9 @@ SOME = 300
 """Measurements that are compared; more do not make it clearer."""
 
 
-@dataclass(frozen=True)
-class Started:
-    """The beginning of a calibration by an older one.
-
-    Attributes:
-        setup: The setup with the older calibration as prior.
-        recalibration: How the older one has predicted the new measurements.
-        findings: What that says of the robot.
-    """
-
-    setup: Setup
-    recalibration: Recalibration
-    findings: tuple[Finding, ...]
+CALM = float(np.log(10.0))
+"""Logarithm of the evidence, before there is any, that a robot does not drift from one
+calibration to the next by what measurements show."""
 
 
 @serial_blas
@@ -74,7 +62,7 @@ def started(
     start: CalibrationResult | None,
     process_noise: float | None = None,
     ladder: bool = False,
-) -> Started:
+) -> tuple[Setup, Recalibration]:
     """Begin a calibration with an older one.
 
     Args:
@@ -86,6 +74,10 @@ def started(
             since then [m, rad], of other errors by their expected sizes; default as the
             measurements show it.
         ladder: Whether the model is to be selected, which the older one has fixed.
+
+    Returns:
+        The setup with the older calibration as prior, and how that has predicted the
+        new measurements.
 
     Raises:
         OptionError: If there is no older calibration, or it is of another robot or of
@@ -105,21 +97,21 @@ def started(
     problem = make_problem(chains, data.sample(SOME), stated)
     older = older_prior(problem.given, problem.parameters.free, start, known)
     there, theta = _registered(problem, older)
-    compared = Comparison.of(there, theta, older, noise)
-    expected = expected_drifts(start, process_noise)
-    first = compared.explanation(expected)
-    found = compared.explained(first, expected)
+    compared = Comparison(there, theta, older, start, noise)
+    still = CALM if start.recalibration is None else start.recalibration.last.still
+    found = compared.explained(expected_drifts(start, process_noise), still)
     step = RecalibrationStep(
         start=start.provenance.file,
         created=start.provenance.created,
         measurements=len(data),
-        chi2=first.square,
-        dof=len(first.values),
+        chi2=found.square,
+        dof=len(compared.values),
         noise=noise,
         drifts=found.drifts,
         jumps=tuple(found.jumps.values()),
+        still=found.still,
     )
-    before = () if start.recalibration is None else start.recalibration.steps
+    steps = () if start.recalibration is None else start.recalibration.steps
     table = error_table(there, theta)
     recalibration = Recalibration(
         tuple(
@@ -127,13 +119,9 @@ def started(
             for quantity in there.layout.quantities
             if len(sizes := quantity.errors(table))
         ),
-        (*before, step),
+        (*steps, step),
     )
-    return Started(
-        replace(setup, prior=compared.prior(found)),
-        recalibration,
-        tuple(older_calibration(recalibration)),
-    )
+    return replace(setup, prior=compared.prior(found)), recalibration
 
 
 def expected_setup(
@@ -162,11 +150,12 @@ def expected_setup(
     robot = free & ~given.nuisance
     directions = drifts(start.model, robot)
     drifted = [
-        (d.size, directions[d.name]) for d in expected_drifts(start, process_noise)
+        (d.size, directions[d.name][robot])
+        for d in expected_drifts(start, process_noise)
     ]
     # Which joint was hit, if one was, must show as well.
     hit = [c for c in changes(start.model, robot).values() if c.kind == "offset"]
-    drifted += [(SELDOM**0.5, change.directions) for change in hit]
+    drifted += [(SELDOM**0.5, change.directions[robot]) for change in hit]
     return replace(setup, prior=wider(older, given.scales[robot], drifted))
 
 

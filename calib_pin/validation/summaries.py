@@ -286,15 +286,18 @@ class NoiseSize:
 
 @dataclass(frozen=True)
 class Jump:
-    """A sudden change of the robot since the older calibration.
+    """A sudden change since the older calibration.
 
     Attributes:
-        name: The joint; empty for the whole robot.
-        kind: `offset` of the joint, `placement` for all of its errors, or `robot`.
+        name: The joint, station or tool; empty for the whole robot or the only one.
+        kind: `offset` of the joint, `placement` for all of its errors, `robot`, or the
+            frame, `base` or `tool`.
         unit: Unit of the offset, rad or m; of others m.
-        change: The offset, or how far the origin of the joint has moved.
+        change: The offset, or how far the origin of the joint or frame has moved.
         sigma: Standard deviation of the offset; NaN for others.
         turn: How far the joint has turned beside [rad]; zero for an offset.
+        instead: Changes that may have come about instead, which nothing separates.
+        beside: Joints whose offset may have changed as well: nothing would show.
     """
 
     name: str
@@ -303,6 +306,8 @@ class Jump:
     change: float
     sigma: float
     turn: float = 0.0
+    instead: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -319,6 +324,8 @@ class RecalibrationStep:
         noise: The noise of every quantity, as far as it was known before.
         drifts: How far the robot drifts, as far as is known now.
         jumps: Sudden changes, the surest first.
+        still: Logarithm of the evidence, by all such calibrations, that it does not
+            drift; where it is positive no drift is expected.
     """
 
     start: str
@@ -329,6 +336,7 @@ class RecalibrationStep:
     noise: tuple[NoiseSize, ...]
     drifts: tuple[DriftSize, ...]
     jumps: tuple[Jump, ...]
+    still: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """Ten measurements a week: accuracy of a robot that drifts, and jumps once.
 
+Beside it a month after a calibration, see `months`.
+
     scripts/benchmark recalibration                      # a tenth of the runs
     scripts/benchmark recalibration --full               # all of them
     scripts/benchmark recalibration --job 4 --tell       # one run, told in full
@@ -21,6 +23,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 import calib_pin
+from benchmarks import months
 from benchmarks.criteria import run_criteria
 from benchmarks.criterion import Criterion, Line, at_most, between
 from benchmarks.verdict.jobs import SEED, Job, draw, stream
@@ -324,7 +327,10 @@ def judge(found: Sequence[Outcome]) -> Iterator[Line]:
     )
 
 
-CRITERIA = {"weeks": Criterion(1, "Continuous recalibration", 100, run, judge, least=4)}
+CRITERIA = {
+    "weeks": Criterion(1, "Continuous recalibration", 100, run, judge, least=4),
+    "months": Criterion(2, "A month after", 300, months.run, months.judge, least=12),
+}
 
 
 def main() -> None:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import shutil
 from contextlib import chdir
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calib_pin.cli import main
+from calib_pin.cli.calibrate import calibrate
+from calib_pin.cli.fleet_jobs import Orders, start_of
+from calib_pin.io.jobs import KEYS, OF_FLEET, read_jobs
 from calib_pin.io.results import read_result
 from calib_pin.setup import JointPrior
 from tests.cli.files import document
@@ -81,10 +85,11 @@ def test_a_collision_is_told_in_the_chain(run) -> None:
 
 
 def test_a_plan_for_it(run) -> None:
-    words = "plan space6 --model position --count 10 --method greedy --json"
-    words += " --candidates 200"
-    told = json.loads(run(f"{words} --start first -o ten.csv").out)
-    plain = json.loads(run(f"{words} -o plain.csv").out)
+    """Model, frames and noise are those that the older calibration has found."""
+    words = "plan space6 --count 10 --method greedy --candidates 200"
+    told = json.loads(run(f"{words} --start first -o ten.csv --json").out)
+    plain = json.loads(run(f"{words} --model position -o plain.csv --json").out)
+    assert "is assumed" not in run(f"{words} --start first -o again.csv").out
     assert told["predicted"]["position"] < 0.6 * plain["predicted"]["position"]
     assert len(np.loadtxt("ten.csv", delimiter=",", skiprows=2)) == 10
 
@@ -107,3 +112,37 @@ def test_a_plan_for_it(run) -> None:
 )
 def test_refusals(words, named, fails) -> None:
     fails(f"calibrate {words}", named)
+
+
+def test_a_fleet_goes_on(run, inside) -> None:
+    """In the order of days, whatever that of the lines is; also with a later table."""
+    Path("jobs.csv").write_text(
+        "robot,measurements,serial_number,date,start,process_noise\n"
+        "space6,hit.csv,A,2026-07-01,previous,\n"
+        "space6,later.csv,A,2026-06-01,first,1e-5\n"
+        "space6,hit.csv,B,2026-06-01,previous,\n"
+    )
+    words = "fleet jobs.csv -o out --no-pages --workers 1"
+    assert "serial number 'B'" in run(words).out.replace("\n", " ")
+    june, july = (document(f"out/A-2026-0{month}-01") for month in (6, 7))
+    (step,) = june["recalibration"]["steps"]
+    assert step["start"].endswith("first/calibration.json")
+    assert step["drifts"][0]["size"] == 1e-5
+    assert [len(s["jumps"]) for s in july["recalibration"]["steps"]] == [0, 1]
+    there = Path("out", "A-2026-07-01", "calibration.json")
+    kept = there.stat().st_mtime_ns
+    run(f"{words} --resume")
+    assert there.stat().st_mtime_ns == kept
+    Path("more.csv").write_text(
+        "robot,measurements,serial_number,date,start\n"
+        "space6,later.csv,A,2026-08-01,previous\n"
+    )
+    (job,) = read_jobs("more.csv")
+    orders = Orders(Path.cwd(), Path("out"))
+    assert start_of(orders, job) == Path("out/A-2026-07-01")
+
+
+def test_a_job_has_all_options_of_calibrate() -> None:
+    options = set(signature(calibrate).parameters) - {"context"}
+    assert options - set(OF_FLEET) == options & set(KEYS)
+    assert set(OF_FLEET) <= options

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import calib_pin
 from calib_pin.errors import OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.observations import Observations
-from calib_pin.setup import FrameSetup, JointPrior, Setup
+from calib_pin.setup import FrameSetup, JointPrior, ReportSetup, Setup
 from calib_pin.simulation import simulate
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.tip_drift import absorbed
@@ -33,13 +34,19 @@ class Bench:
         return self.problem.chains[""]
 
     def measured(
-        self, seed, count=10, changes=None, noise=NOISE, moved=(0.0, 0.0, 0.0)
+        self,
+        seed,
+        count=10,
+        changes=None,
+        noise=NOISE,
+        moved=(0.0, 0.0, 0.0),
+        tool=TOOL,
     ):
         """Measurements by a tracker that was moved, without stated noise."""
         theta = self.changed(changes)
         base = FrameSetup((1.0 + moved[0], *moved[1:]), (0.1, 0.2, 0.3), estimate=True)
         problem = nominal_problem(
-            self.chain, "position", Setup(base_frame=base, tool_frame=TOOL)
+            self.chain, "position", Setup(base_frame=base, tool_frame=tool)
         )
         rng = np.random.default_rng(seed)
         rows = simulate(problem, theta, rng, count=count, noise=noise).only
@@ -89,10 +96,13 @@ def test_ten_measurements_keep_it(bench) -> None:
     found = codes(result)["old-calibration-holds"]
     assert found.severity == "info"
     step = result.recalibration.last
-    assert step.measurements == 10 and step.jumps == ()
-    # Of as many innovations as the robot has errors that positions tell.
-    assert step.dof == 18 and 6.0 < step.chi2 < 40.0
-    assert bench.error(result) < 1.2 * bench.error(bench.first)
+    (moved,) = step.jumps
+    assert step.measurements == 10 and moved.kind == "base"
+    assert moved.change == pytest.approx(np.linalg.norm([0.3, -0.2, 0.1]), abs=1e-3)
+    assert moved.beside == ("joint 'shoulder_pan_joint'",)
+    # As many as positions tell of the robot, of where base and of where the tool is.
+    assert step.dof == 27 and 8.0 < step.chi2 < 60.0
+    assert bench.error(result) < 1.05 * bench.error(bench.first)
     alone = calib_pin.calibrate(bench.chain, bench.measured(2), validate=False)
     assert bench.error(result) < 0.5 * bench.error(alone)
     # What the older one predicts is worse than the fit, and far better than nominal.
@@ -117,6 +127,65 @@ def test_a_hit_joint_is_told_and_followed(bench) -> None:
     # The jump does not count as drift, neither now nor the next time.
     sizes = {drift.name: drift.size for drift in result.recalibration.last.drifts}
     assert sizes["joint offsets"] < 6e-5 and sizes["geometry"] < 2e-5
+
+
+FIRST_JOINT = {"shoulder_pan_joint.placement.rz": 5e-3}
+LAST_JOINT = {"wrist_3_joint.placement.ry": 8e-3}
+MOUNTED = FrameSetup((0.0505, 0.0796, 0.1203), estimate=True)
+
+
+@pytest.mark.parametrize(
+    ("changes", "tool", "kind", "others"),
+    [
+        (FIRST_JOINT, TOOL, "offset", "base"),
+        (LAST_JOINT, TOOL, "offset", "tool"),
+        (None, MOUNTED, "tool", "joint 'wrist_3_joint'"),
+    ],
+    ids=["first joint", "last joint", "tool"],
+)
+def test_changes_that_nothing_separates(bench, changes, tool, kind, others) -> None:
+    data = bench.measured(4, changes=changes, tool=tool)
+    result = again(bench, data, validate=False)
+    (jump,) = result.recalibration.last.jumps
+    assert jump.kind == kind and others in (*jump.instead, *jump.beside)
+    holds = "old-calibration-holds" in codes(result)
+    # It is the robot that does not hold, and may not hold.
+    assert holds == (changes is None)
+    (finding,) = [f for f in result.findings if f.code.startswith("old-calibration")]
+    assert others in finding.message
+    assert holds or f"a {others} that moved" in finding.remedy
+
+
+def test_a_known_base_tells_the_first_joint(bench) -> None:
+    """It holds in millimeters, or not: the older one did not know joint and base."""
+    base = bench.first.model.of().error.base
+    pose = FrameSetup(
+        tuple(base.translation), tuple(pin.rpy.matrixToRpy(base.rotation))
+    )
+    setup = Setup(base_frame=replace(pose, estimate=False))
+    data = bench.measured(4, changes=FIRST_JOINT)
+    result = again(bench, data, setup=setup, validate=False)
+    (jump,) = result.recalibration.last.jumps
+    assert (jump.name, jump.kind) == ("shoulder_pan_joint", "offset")
+    assert jump.instead == ()
+    assert jump.change == pytest.approx(5e-3, abs=4.0 * jump.sigma)
+    assert "old-calibration-no-longer-holds" in codes(result)
+
+
+def test_two_changes_are_told_apart(bench) -> None:
+    data = bench.measured(4, changes=JUMP, tool=MOUNTED)
+    result = again(bench, data, validate=False)
+    kinds = {jump.kind for jump in result.recalibration.last.jumps}
+    assert kinds == {"offset", "tool"}
+    assert bench.error(result, JUMP) < 0.15 * bench.error(bench.first, JUMP)
+
+
+def test_another_serial_number_is_refused(bench) -> None:
+    numbers = [Setup(report=ReportSetup(serial_number=n)) for n in ("A1", "B2")]
+    model = replace(bench.first.model, setup=numbers[0])
+    first = replace(bench.first, model=model)
+    with pytest.raises(OptionError, match="'A1', these measurements are of 'B2'"):
+        calib_pin.calibrate(bench.chain, bench.measured(2), numbers[1], start=first)
 
 
 @pytest.mark.slow
@@ -145,7 +214,8 @@ def test_many_changes_are_another_robot(bench) -> None:
         p.name: 0.5 * p.scale * rng.normal() for p in parameters if not p.nuisance
     }
     result = again(bench, bench.measured(22, 60, changes), validate=False)
-    assert "old-calibration-no-longer-holds" in codes(result)
+    found = codes(result)["old-calibration-no-longer-holds"]
+    assert "another robot of its type" in found.message
     assert bench.error(result, changes) < 0.2 * bench.error(bench.first, changes)
 
 

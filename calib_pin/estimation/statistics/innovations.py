@@ -17,7 +17,7 @@ come about in at most one of k cases (Markov's inequality, as `E[L_1/L_0] = 1`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -145,6 +145,17 @@ class Explanation:
         pairs = zip(self.causes, sizes.tolist(), strict=True)
         return tuple(replace(cause, size=size) for cause, size in pairs)
 
+    def misfit(self, effects: Floats) -> float:
+        """Chi-square of the innovations with effects of any size, shape (r, k)."""
+        by = np.linalg.solve(self.covariance, np.column_stack([self.values, effects]))
+        square, along = float(self.values @ by[:, 0]), effects.T @ by[:, 0]
+        return square - float(along @ np.linalg.pinv(effects.T @ by[:, 1:]) @ along)
+
+    def without(self, names: Collection[str]) -> Explanation:
+        """The same without some causes."""
+        causes = tuple(cause for cause in self.causes if cause.name not in names)
+        return replace(self, causes=causes)
+
     def evidence(self, cause: Sparse) -> tuple[float, float]:
         """Logarithm of the mean likelihood with a cause, and its likeliest size."""
         EE = cause.effects @ cause.effects.T
@@ -167,8 +178,10 @@ class Explanation:
 
 def explained(
     first: Explanation, causes: Sequence[Sparse], sure: float, most: int
-) -> tuple[Explanation, tuple[Cause, ...], tuple[Cause, ...]]:
+) -> tuple[Explanation, tuple[Cause, ...], float]:
     """Innovations with the sparse causes that the evidence is sure of, one by one.
+
+    One that those accepted after it have made needless is dropped again.
 
     Args:
         first: The innovations with the causes that always act, of expected sizes.
@@ -179,40 +192,38 @@ def explained(
 
     Returns:
         The innovations with all causes of their likeliest sizes; the sparse ones among
-        these, in the order in which they were accepted; and their rivals, of which the
-        evidence is not as sure that they are not meant.
+        these, in the order in which they were accepted; and the logarithm of the
+        evidence by that without them.
     """
-    found: list[Cause] = []
-    rivals: dict[str, Cause] = {}
+    found, evidence = list[Cause](), 0.0
     for _ in range(most):
-        now, _ = replace(first, causes=(*first.causes, *found)).fitted()
-        base = now.likelihood + first.expected(now)
         taken = {cause.name for cause in found}
         left = [cause for cause in causes if cause.name not in taken]
         if not left:
             break
-        better = _best(first, found, now, left)
-        gain, cause = max(better, key=lambda pair: pair[0])
-        if gain - base < np.log(sure):
+        gain, cause = _best(first, found, left)
+        if gain < np.log(sure):
             break
         found.append(cause)
-        rivals |= {other.name: other for g, other in better if gain - g < np.log(sure)}
+        evidence += gain
+    by_name = {cause.name: cause for cause in causes}
+    for cause in found[:-1]:
+        others = [other for other in found if other is not cause]
+        gain, _ = _best(first, others, [by_name[cause.name]])
+        if gain < np.log(sure):
+            found, evidence = others, evidence - gain
     result, _ = replace(first, causes=(*first.causes, *found)).fitted()
-    accepted = {cause.name for cause in found}
-    others = (cause for name, cause in rivals.items() if name not in accepted)
-    return result, tuple(found), tuple(others)
+    return result, tuple(found), evidence
 
 
 def _best(
-    first: Explanation,
-    found: Sequence[Cause],
-    now: Explanation,
-    causes: Sequence[Sparse],
-) -> list[tuple[float, Cause]]:
-    """The causes with the most evidence, each with that and its size.
+    first: Explanation, found: Sequence[Cause], causes: Sequence[Sparse]
+) -> tuple[float, Cause]:
+    """The cause with the most evidence, by that without it, and its size.
 
     What always acts may have grown for want of the cause, and is fitted beside it.
     """
+    now, _ = replace(first, causes=(*first.causes, *found)).fitted()
     promise = [now.evidence(cause)[0] + np.log(cause.chance) for cause in causes]
     order = np.argsort(promise)[::-1][:PROMISING]
     result = []
@@ -225,7 +236,8 @@ def _best(
         evidence, size = without.evidence(cause)
         evidence += first.expected(other) + float(np.log(cause.chance))
         result.append((evidence, cause.of(size)))
-    return result
+    gain, cause_ = max(result, key=lambda pair: pair[0])
+    return gain - now.likelihood - first.expected(now), cause_
 
 
 def _likelihoods(v: Floats, V: Floats) -> Floats:

@@ -92,28 +92,32 @@ def test_a_jump_is_told_and_none_is_invented() -> None:
 
 
 def test_the_cause_that_explains_it_wins() -> None:
-    """A wide one that holds the narrow one has less evidence."""
+    """A wide one that holds the narrow one has less evidence, and explains as much."""
     wide = np.column_stack([jump_of().effects, np.eye(COUNT)[:, :5]])
     others = [Sparse("wide", wide, jump_of().sizes), jump_of()]
-    found, sparse, rivals = explained(
-        innovations(2, (0.1, 1.0), jump=6.0), others, 50.0, 2
-    )
-    assert [cause.name for cause in sparse] == ["jump"]
-    assert {cause.name for cause in rivals} <= {"wide"}
+    first = innovations(2, (0.1, 1.0), jump=6.0)
+    found, sparse, evidence = explained(first, others, 50.0, 2)
+    assert [cause.name for cause in sparse] == ["jump"] and evidence > np.log(50.0)
     assert found.causes[0].size < 0.4
+    without = found.without({"jump"})
+    assert without.misfit(wide) <= without.misfit(sparse[0].effects) < without.square
 
 
-def test_causes_that_measurements_hardly_tell_apart_are_rivals() -> None:
-    first, jump = innovations(2, (0.1, 1.0), jump=6.0), jump_of()
-    rng = np.random.default_rng(0)
-    size = np.linalg.norm(jump.effects) / np.sqrt(COUNT)
-    alike, unlike = (
-        Sparse(name, effects, jump.sizes)
-        for name, effects in (
-            ("alike", jump.effects + 0.01 * size * rng.normal(size=(COUNT, 1))),
-            ("unlike", size * rng.normal(size=(COUNT, 1))),
-        )
+def test_a_cause_that_others_have_made_needless_is_dropped() -> None:
+    """The sum of two explains most at first."""
+    E = np.random.default_rng(7).normal(size=(COUNT, 3)) * [9.0, 7.0, 4.0]
+    causes = [
+        Sparse(name, effects[:, None], np.geomspace(0.01, 3.0, 12))
+        for name, effects in (("all", E.sum(1)), ("one", E[:, 0]), ("two", E[:, 1]))
+    ]
+    first = innovations(2, (0.1, 1.0))
+    drift, noise = first.causes
+    first = replace(
+        first,
+        values=first.values + E[:, :2].sum(1),
+        causes=(replace(drift, worth=np.inf), noise),
     )
-    _, sparse, rivals = explained(first, [jump, alike, unlike], 50.0, 1)
-    names = {cause.name for cause in (*sparse, *rivals)}
-    assert len(sparse) == 1 and names == {"jump", "alike"}
+    (best,) = explained(first, causes, 50.0, 1)[1]
+    assert best.name == "all"
+    _, sparse, _ = explained(first, causes, 50.0, 4)
+    assert {cause.name for cause in sparse} == {"one", "two"}

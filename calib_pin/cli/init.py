@@ -123,8 +123,8 @@ def init(
         raise OptionError("--distance is that of sockets (fixed-point)")
     if look.hand_set:
         prior = {"*.joint-offset.q": round(HAND_SET, 3)}
-        setup = replace(look.setup, parameters=("joint-offset",), prior=prior)
-        look = replace(look, setup=setup)
+        offsets = replace(look.setup, parameters=("joint-offset",), prior=prior)
+        look = replace(look, setup=offsets)
     text = draft(loaded, look, told_command(context))
     for remark in look.remarks:
         notice(remark)

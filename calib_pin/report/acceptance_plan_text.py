@@ -6,11 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pinocchio as pin
-from scipy import stats
 
 from calib_pin.control.acceptance_poses import ORDER, AcceptancePoses
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.validation.acceptance import LEVEL, repeatability
+from calib_pin.validation.acceptance import repeatability, student
 
 PAUSE = 5.0
 """Time to settle and to be measured at a pose [s]."""
@@ -90,7 +89,7 @@ def _duration(
 
 def _power(cycles: int) -> Iterator[str]:
     """How well so many cycles tell AP and RP."""
-    half = float(stats.t.ppf(0.5 + 0.5 * LEVEL, cycles - 1)) / cycles**0.5
+    half = student(cycles - 1) / cycles**0.5
     rng = np.random.default_rng(0)
     # The same scatter along all axes, exactly.
     noise = rng.standard_normal((max(cycles, 4), 3))

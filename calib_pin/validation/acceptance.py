@@ -30,9 +30,9 @@ from dataclasses import dataclass, replace
 from itertools import combinations, repeat
 
 import numpy as np
-from scipy import stats
 
 from calib_pin.errors import InputError
+from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices
 from calib_pin.setup import LimitSetup
@@ -324,17 +324,22 @@ def mean(values: Floats, effect: Floats | None = None, dof: float = np.inf) -> I
     """
     n, m = len(values), float(values.mean())
     common = 0.0 if effect is None else np.linalg.norm(effect)
-    few, many = (float(stats.t.ppf(0.5 + 0.5 * LEVEL, k)) for k in (n - 1, dof))
+    few, many = student(n - 1), student(dof)
     half = float(np.hypot(few * values.std(ddof=1) / n**0.5, many * common))
     return Interval(m, m - half, m + half)
+
+
+def student(dof: float) -> float:
+    """Standard deviations of Student's t to either side that hold `LEVEL`."""
+    from scipy.special import stdtrit  # Slow to import, and every page imports this.
+
+    return float(stdtrit(dof, 0.5 + 0.5 * LEVEL))
 
 
 def three_sigma(values: Floats) -> Interval:
     """Three standard deviations with the chi-square interval, of shape (n,)."""
     dof, s = len(values) - 1, 3.0 * float(values.std(ddof=1))
-    few, many = (
-        float(stats.chi2.ppf(p, dof)) for p in (0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL)
-    )
+    few, many = (chi_square_quantile(dof, 0.5 + k * LEVEL) for k in (0.5, -0.5))
     return Interval(s, s * (dof / many) ** 0.5, s * (dof / few) ** 0.5)
 
 

@@ -9,8 +9,8 @@ it by a rigid motion, beyond any smooth drift.
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
 
+from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices
 
@@ -52,7 +52,8 @@ def bad_visits(attained: Floats, pose: Indices) -> list[int]:
             gone.append(left.pop(worst))
             # The part that one of n visits has of their scatter.
             part = n * squares[worst] / (n - 1) ** 2
-            if n * count * stats.beta.sf(part, 1.5, 0.5 * (n - 4)) < CHANCE:
+            ratio = part / (1.0 - part) * (n - 4) / 3.0
+            if n * count * f_tail(ratio, 3, n - 4) < CHANCE:
                 last = len(gone)
         found += gone[:last]
     return sorted(found)
@@ -101,7 +102,7 @@ def moved_after(attained: Floats, pose: Indices) -> int | None:
     # No scatter is that of rounding.
     left = max((float(r @ r) - best) / free, 1e-3)
     beaten = left * (3 * n - many.shape[1]) < float(rest @ rest)
-    sure = n * stats.f.sf(best / 6.0 / left, 6, free) < CHANCE
+    sure = n * f_tail(best / 6.0 / left, 6, free) < CHANCE
     return place if beaten and sure else None
 
 

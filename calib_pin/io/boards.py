@@ -29,7 +29,6 @@ from calib_pin.io.board_fit import (
     tags_of,
 )
 from calib_pin.io.files import read_bytes
-from calib_pin.measurement_models.pinhole import Camera
 from calib_pin.observations.corners import corner_sigmas, marker_corners, noise_of
 from calib_pin.setup import BoardSetup, CameraSetup
 from calib_pin.setup.references import DICTIONARIES, TAGS
@@ -526,8 +525,11 @@ def start_camera(
     if len(usable) < VIEWS or not (np.isfinite(numbers).all() and sane.all()):
         return Start(assumed, True, rms)
     # A start needs no more digits.
-    intrinsics = np.array([*numbers[:4].round(3), *numbers[4:].round(6)])
-    return Start(Camera(mount, intrinsics, size, True).stated(), False, rms)
+    fx, fy, cx, cy = (round(float(number), 3) for number in numbers[:4])
+    k_1, k_2, p_1, p_2, k_3 = (round(float(number), 6) for number in numbers[4:])
+    lens = (k_1, k_2, p_1, p_2, k_3)
+    camera = CameraSetup(mount, (fx, fy), (cx, cy), lens, size, estimate=True)
+    return Start(camera, False, rms)
 
 
 def _turn(grid: Floats) -> float:

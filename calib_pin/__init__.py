@@ -14,9 +14,8 @@ Lengths are in meters, angles in radians, twists in the order (linear, angular).
 from __future__ import annotations
 
 from importlib import import_module
+from types import FunctionType
 from typing import TYPE_CHECKING, Any
-
-from calib_pin.plugins import upper
 
 if TYPE_CHECKING:
     from calib_pin.calibration import calibrate
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from calib_pin.observations.blocks import Observations
     from calib_pin.observations.measurements import Measurements
     from calib_pin.planning.plan import plan
+    from calib_pin.plugins import register
     from calib_pin.report.html import report
     from calib_pin.report.text import format_report
     from calib_pin.setup import Setup
@@ -63,6 +63,7 @@ __all__ = [
     "read_measurements",
     "read_result",
     "read_setup",
+    "register",
     "report",
     "robot_file",
     "simulate",
@@ -92,6 +93,7 @@ _HOMES = {
     "read_measurements": "io.measurements",
     "read_result": "io.results",
     "read_setup": "io.setup",
+    "register": "plugins",
     "report": "report.html",
     "robot_file": "io.urdf",
     "simulate": "simulation",
@@ -101,22 +103,18 @@ _HOMES = {
 """Where each public name lives; imported when it is first used."""
 
 
-def _figures(result: CalibrationResult) -> dict[str, Any]:
-    """The method `CalibrationResult.figures`, whose room lies above that of results."""
-    from calib_pin.io.robot_shapes import robot_shapes
-    from calib_pin.report.figures import figures_of
-
-    return figures_of(result, robot_shapes(result.model.chains.robot).parts)
-
-
-upper["figures"] = _figures
-
-
 def __getattr__(name: str) -> Any:
     """Import a public name on first use: Pinocchio alone takes a second to load."""
     if name not in _HOMES:
         raise AttributeError(f"module 'calib_pin' has no attribute '{name}'")
-    return getattr(import_module(f"calib_pin.{_HOMES[name]}"), name)
+    module = import_module(f"calib_pin.{_HOMES[name]}")
+    found = getattr(module, name)
+    if isinstance(found, FunctionType):
+        from calib_pin.setup.arguments import checked
+
+        found = checked(found)
+        setattr(module, name, found)  # Under this name it is pickled.
+    return globals().setdefault(name, found)
 
 
 def __dir__() -> list[str]:

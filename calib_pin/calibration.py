@@ -14,16 +14,18 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.conditions import require_conditions
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import (
-    chains_of,
+    Stated,
+    fitting,
     geometric_setup,
     make_parts,
     require_known,
+    setup_of,
 )
 from calib_pin.estimation.time_course import time_course, with_time_course
 from calib_pin.estimation.tip_accuracy import tip_accuracy
-from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.readings import as_stated
 from calib_pin.observations import AT, Measurements, Observations, states_sigmas
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import ReadingSetup, Setup
@@ -57,9 +59,9 @@ from calib_pin.workers import SERIAL, Workers
 
 @serial_blas
 def calibrate(
-    chains: Chain | Chains,
+    chains: Robots,
     measurements: Measurements | Observations,
-    setup: Setup | None = None,
+    setup: Stated = None,
     *,
     validation: Measurements | Observations | None = None,
     holdout: float | None = None,
@@ -76,10 +78,11 @@ def calibrate(
     """Calibrate a robot.
 
     Args:
-        chains: The nominal chain, or all chains that were measured.
+        chains: The nominal chain, all chains that were measured, or the name or file
+            of the robot.
         measurements: Measurements; those marked for validation are not fitted.
-        setup: Estimated and known quantities; default six errors of every joint
-            placement with base and tool unknown.
+        setup: Estimated and known quantities, or the keys of a setup file; default six
+            errors of every joint placement with base and tool unknown.
         validation: Further measurements, for validation.
         holdout: Part of the measurements, 0 to 1, that is held out for validation.
         validate: Whether to check the fit on held-out measurements; without any of the
@@ -118,11 +121,13 @@ def calibrate(
         >>> result.verdict, result.identifiability.structural_rank
         ('good', 34)
     """
-    setup, data = setup or Setup(), Observations.of(measurements)
-    # It has been obeyed when files were read, and says nothing of other files.
+    setup = setup_of(setup)
+    sources = [one for one in (measurements, validation) if one is not None]
+    given = [as_stated(Observations.of(one), setup.reading) for one in sources]
+    # It has been obeyed now, and says nothing of other files.
     setup = replace(setup, reading=ReadingSetup())
-    further = None if validation is None else Observations.of(validation)
-    chains = chains_of(chains, data, *([] if further is None else [further]))
+    chains, (data, *more) = fitting(chains, setup, *given)
+    further = more[0] if more else None
     steps = {j: n for j, n in data.conditions.steps.items() if j in chains.joints}
     setup = replace(setup, encoder_steps={**steps, **setup.encoder_steps})
     encoder_steps(setup, chains.joints)

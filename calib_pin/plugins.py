@@ -1,4 +1,4 @@
-"""Plug-ins: members of families from other packages, found by their entry points.
+"""Plug-ins: members of families that are registered, or found by entry points.
 
 A package declares them in its own metadata:
 
@@ -10,14 +10,60 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
-from typing import Any, TypeVar
+from importlib import import_module
+from typing import Any, ClassVar, TypeVar
 
-from calib_pin.errors import CalibPinError
+from calib_pin.errors import CalibPinError, require_known
 
 T = TypeVar("T")
 
-upper: dict[str, Callable[..., Any]] = {}
-"""Functions of upper layers that lower ones call by name; `calib_pin` sets them."""
+
+def upper(module: str, name: str, *args: Any, **options: Any) -> Any:
+    """Call a function of an upper layer, by the name of its module in the package."""
+    function = getattr(import_module(f"calib_pin.{module}"), name)
+    return function(*args, **options)
+
+
+FAMILIES = {
+    "measurement_models": "measurement_models.catalog",
+    "parameterizations": "parameterizations",
+    "dialects": "io.dialects",
+}
+"""The module of each family that others may extend."""
+
+_registered: dict[str, dict[str, Any]] = {}
+
+
+def register(family: str, name: str, member: Any) -> None:
+    """Add a member to a family from Python, without a package and its entry point.
+
+    It is known in this process from then on, best before anything is read. Worker
+    processes import the module that defines it and know it if that module registers it
+    where it is imported; a member that is defined in a notebook or in an interpreter is
+    for this process alone.
+
+    Args:
+        family: `measurement_models`, `parameterizations` or `dialects`.
+        name: The name that users write.
+        member: The class.
+
+    Raises:
+        OptionError: If there is no such family.
+        CalibPinError: If the name is taken, or the class cannot be a member.
+
+    Examples:
+        >>> register("dialects", "motive", object)
+        Traceback (most recent call last):
+        calib_pin.errors.CalibPinError: the dialects have a member 'motive'
+    """
+    require_known("family", family, FAMILIES)
+    import_module(f"calib_pin.{FAMILIES[family]}")
+    members = Members.known[f"calib_pin.{family}"]
+    if name in members:
+        raise CalibPinError(f"the {family} have a member '{name}'")
+    if reason := members.fault(name, member):
+        raise CalibPinError(f"'{name}' cannot be one of the {family}: {reason}")
+    _registered.setdefault(f"calib_pin.{family}", {})[name] = member
 
 
 @cache
@@ -61,6 +107,8 @@ class Members(Mapping[str, T]):
     import the family that they extend.
     """
 
+    known: ClassVar[dict[str, Members[Any]]] = {}
+
     def __init__(
         self,
         group: str,
@@ -77,7 +125,8 @@ class Members(Mapping[str, T]):
         """
         self._group = group
         self._bundled = bundled
-        self._fault = fault
+        self.fault = fault
+        Members.known[group] = self
 
     @property
     def _all(self) -> Mapping[str, T]:
@@ -87,11 +136,11 @@ class Members(Mapping[str, T]):
             CalibPinError: If an entry point cannot be loaded, has the name of another
                 member, or cannot be a member.
         """
-        outside = extensions(self._group)
+        outside = {**_registered.get(self._group, {}), **extensions(self._group)}
         if not outside:
             return self._bundled
         for name, member in outside.items():
-            if reason := self._fault(name, member):
+            if reason := self.fault(name, member):
                 raise CalibPinError(
                     f"the plug-in '{name}' of {self._group} cannot be used: {reason}"
                 )

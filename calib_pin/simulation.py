@@ -33,6 +33,7 @@ from calib_pin.observations import (
 )
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.parameters import ParameterSet
+from calib_pin.setup.arguments import as_array
 
 LEG = 10
 """Rows that are measured from one start where configurations are drawn."""
@@ -122,6 +123,8 @@ def simulate(
         >>> found.only.values.shape
         (20, 3)
     """
+    theta = as_array("theta", [theta], 1, len(problem.parameters))[0]
+    q = q if q is None else as_array("q", q, "K", len(problem.data.joints))
     keys = problem.data.keys
     if key is not None:
         require_known("block", str(key), map(str, keys))

@@ -8,7 +8,10 @@ from pathlib import Path
 
 import pytest
 
+import calib_pin
 from calib_pin.errors import CalibPinError
+from calib_pin.io.dialects import DIALECTS, Dialect
+from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.plugins import Members, extensions
 
 GROUP = "calib_pin.tests"
@@ -83,3 +86,34 @@ def test_names_are_taken_once(
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(CalibPinError, match=f"'{names[0]}'"):
         list(Members(GROUP, {"z": 0}))
+
+
+def test_a_script_registers_members(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a family; faults are those of entry points."""
+    monkeypatch.setattr("calib_pin.plugins._registered", {})
+
+    class Shouting(Dialect):
+        """A dialect of one's own."""
+
+    class Offsets(PARAMETERIZATIONS["joint-offset"]):
+        """A family of parameters of one's own."""
+
+        name = "zeros"
+
+    calib_pin.register("dialects", "shouting", Shouting)
+    calib_pin.register("parameterizations", "zeros", Offsets)
+    assert DIALECTS["shouting"] is Shouting and list(DIALECTS)[-1] == "shouting"
+    found = calib_pin.identify(
+        calib_pin.load_chain("space6"), "pose", {"parameters": ["zeros"]}
+    )
+    assert any(".zeros" in p.name for p in found.parameters)
+    for words, reason in (
+        (("dialects", "shouting", Shouting), "have a member 'shouting'"),
+        (("dialects", "vicon", Shouting), "have a member 'vicon'"),
+        (("dialects", "other", Offsets), "it is no Dialect"),
+        (("parameterizations", "other", Shouting), "it is no Parameterization"),
+        (("measurement_models", "other", Shouting), "it is no DeclaredModel"),
+        (("verdicts", "other", Shouting), "unknown family 'verdicts'"),
+    ):
+        with pytest.raises(CalibPinError, match=reason):
+            calib_pin.register(*words)

@@ -25,11 +25,8 @@ from calib_pin.errors import stated_in
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    import numpy as np
-    from numpy.typing import NDArray
-
     from calib_pin.kinematics.chains import Chains
-    from calib_pin.validation.calibrated_model import CalibratedModel
+    from calib_pin.validation.result import CalibrationResult
 
 PDF = "acceptance.pdf"
 
@@ -60,7 +57,7 @@ def accept(
         bool,
         options.robot(
             "--register",
-            "Register base and tool of a calibration on these measurements.",
+            "Fit the station of a calibration anew, never its tool.",
         ),
     ] = False,
     path: Annotated[
@@ -75,12 +72,14 @@ def accept(
 ) -> int:
     """Test how accurately and repeatably a robot reaches poses, as ISO 9283 has it.
 
-    Measurements of the same configuration are visits of one pose. The commanded pose is
-    that of the robot's model: of a URDF with base and tool registered on these
-    measurements; of a calibration that of the calibrated robot, beside the nominal one.
-    'limit' in the setup says what must be reached, 'report' what stands on the printed
-    report; without it both are those of the calibration. A certified test needs the
-    standard itself. Exit status 2: a limit is not reached, or the test does not decide.
+    Measurements of the same configuration are visits of one pose; columns 'pose' and
+    'cycle' number them. The commanded pose is that of the robot's model, with base and
+    tool of a calibration, or of the setup ('frames'), or registered on measurements
+    that a column 'set' marks 'train' beside visits marked 'validate'. Otherwise they
+    are fitted to the visits, and AP is not testable. 'limit' in the setup says what
+    must be reached, 'report' what stands on the printed report; without it both are
+    those of the calibration. A certified test needs the standard itself. Exit status 2:
+    a limit is not reached, or the test does not decide.
     """
     from dataclasses import replace
 
@@ -88,6 +87,7 @@ def accept(
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import encode_table
+    from calib_pin.io.results import read_result
     from calib_pin.report.acceptance_text import acceptance_report
     from calib_pin.report.cover import acceptance_cover
     from calib_pin.report.figures import Judged, acceptance_figures
@@ -99,19 +99,21 @@ def accept(
 
     stated = open_setup(setup, base=base, tip=tip, model=model)
     limit, entries = stated.limit, stated.report
-    subject: Chains | CalibratedModel
+    subject: Chains | CalibrationResult
     doubts: list[str] = []
     require_file(robot, ", or a robot")
     if robot.endswith(".json"):
-        subject, used = open_calibration(
+        calibrated, used = open_calibration(
             robot, setup, stated, doubts.append, "limit", "report"
         )
-        chains = subject.chains
+        subject, chains = read_result(robot), calibrated.chains
         if limit == LimitSetup():
             limit = used.limit
         if entries == ReportSetup():
-            # The day and the temperature of the calibration are not those of the test.
-            entries = replace(used.report, date=None, temperature=None)
+            # These of the calibration are not those of the test.
+            entries = replace(
+                used.report, date=None, temperature=None, load="", speed=""
+            )
     else:
         used = stated
         chains = open_chains(robot, stated, package_dirs=package_dir)
@@ -130,8 +132,10 @@ def accept(
         if not robot.endswith(".json"):
             subject = measured
         with stated_in(str(measurements[0])):
-            numbers = _numbers(measurements, used.columns, len(rows))
-            found = tested(subject, rows, used, registration=register, numbers=numbers)
+            named = _named(measurements, used.columns)
+            found = tested(
+                subject, rows, used, registration=register, named=named, doubts=doubts
+            )
     for doubt in doubts:
         notice(doubt)
     blocks = [*acceptance_report(found.tests, limit, found.about, path=path)]
@@ -144,7 +148,6 @@ def accept(
             chains.robot,
             dated(entries),
             found.about,
-            doubts=doubts,
             path=path,
             figure=figure,
         )
@@ -169,19 +172,20 @@ def accept(
         say_written([f"wrote {file}" for file in files])
     *_, last = found.tests.values()
     passed = all(status == "pass" for _, status, *_ in judged(last, limit))
-    return 0 if passed and not doubts else 2
+    return 0 if passed and not last.doubts else 2
 
 
-def _numbers(
-    files: list[Path], columns: Mapping[str, str], count: int
-) -> NDArray[np.int64] | None:
-    """Numbers of the poses in a column `pose`, `P5` or `5`, if all visits have one."""
-    import numpy as np
+def _named(
+    files: list[Path], columns: Mapping[str, str]
+) -> dict[str, dict[tuple[str, int], int]]:
+    """Numbers in columns `pose`, `P5` or `5`, and `cycle`, by file and line."""
+    from calib_pin.io.table import read_table
 
-    from calib_pin.io.measurements import read_names
-
-    names = [name for file in files for name in read_names(file, "pose", columns)]
-    digits = [name.strip().removeprefix("P") for name in names]
-    if len(digits) != count or not all(d.isdecimal() and len(d) < 6 for d in digits):
-        return None
-    return np.array(digits, np.int64)
+    named: dict[str, dict[tuple[str, int], int]] = {"pose": {}, "cycle": {}}
+    for table in (read_table(file, columns=columns) for file in files):
+        for column, names in table.texts(named).items():
+            for line, name in zip(table.lines.tolist(), names, strict=True):
+                digits = name.removeprefix("P")
+                if digits.isdecimal() and len(digits) < 6:
+                    named[column][table.file, line] = int(digits)
+    return named

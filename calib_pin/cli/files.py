@@ -194,13 +194,13 @@ def open_calibration(
 
     from calib_pin.io.results import read_calibration
 
-    if file is None and (setup.base or setup.tip or setup.model):
-        raise OptionError("a calibration has its own base, tip and model")
-    require_joints_only(file, setup, *also)
     model = read_calibration(name, notice=doubted)
+    chain = model.of().chain
+    models = "+".join(dict.fromkeys(key.model for key in model.parts))
+    known = replace(model.setup, base=chain.base, tip=chain.tip, model=models)
+    require_joints_only(file, setup, *also, known=known)
     joints = setup.joints or model.setup.joints
     columns = setup.columns or model.setup.columns
-    models = "+".join(dict.fromkeys(key.model for key in model.parts))
     return model, replace(
         model.setup,
         model=models,
@@ -210,19 +210,37 @@ def open_calibration(
     )
 
 
-def require_joints_only(file: Path | None, setup: Setup, *also: str) -> None:
-    """Refuse a setup file that states what a calibration has of its own.
+def require_joints_only(
+    file: Path | None, setup: Setup, *also: str, known: Setup | None = None
+) -> None:
+    """Refuse what a setup states otherwise than the calibration, which has its own.
+
+    Args:
+        file: The setup file.
+        setup: The setup.
+        also: Further keys that it may state.
+        known: The setup of the calibration; None to refuse what it says as well.
 
     Raises:
         OptionError: If it does.
     """
+    from dataclasses import fields
+
     from calib_pin.setup import Setup
 
-    keys = sorted(("columns", "joints", "reading", *also))
-    read = Setup(**{key: getattr(setup, key) for key in keys})
-    if file is not None and setup != read:
+    keys, plain = sorted(("columns", "joints", "reading", *also)), Setup()
+    own = [plain] if known is None else [plain, known]
+    other = dict.fromkeys(
+        "frames" if key.endswith("_frame") else key
+        for key in (field.name for field in fields(Setup) if field.compare)
+        if key not in keys
+        if all(getattr(setup, key) != getattr(s, key) for s in own)
+    )
+    if other:
         raise OptionError(
-            "a calibration has its own setup", file=file, allowed=", ".join(keys)
+            f"a calibration has its own {enumerated(other)}",
+            file=file,
+            allowed=", ".join(keys),
         )
 
 

@@ -161,7 +161,7 @@ def _cubes(
 
     The robot does not stand in them, and those above its base come first.
     """
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corners = np.array([*product((-1, 1), repeat=3)])
     # People read these numbers.
     centers, counts = np.round(points[:: max(1, len(points) // 800)], 2), []
     for center in centers:
@@ -175,8 +175,7 @@ def _cubes(
         above = len(points) if center[2] >= 0.5 * edge else 0
         least = int(np.bincount(octant, minlength=8).min())
         counts.append(above + least if within and least else 0)
-    steps = (-1.0, 0.0, 1.0)
-    grid = np.array([[x, y, z] for x in steps for y in steps for z in steps])
+    grid = np.array([*product((-1.0, 0.0, 1.0), repeat=3)])
     order = np.argsort(-np.array(counts), kind="stable")[:CENTERS]
     order = order[np.array(counts)[order] > 0]
     chosen = centers[order]

@@ -16,6 +16,7 @@ from calib_pin.control.reaching import reach, search
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.observations import Signs, approached
 from calib_pin.progress import Progress
+from calib_pin.setup.arguments import Brief, as_array
 from calib_pin.validation.calibrated_model import CalibratedChain
 
 JUMP = 0.1
@@ -29,8 +30,8 @@ BLOCK = 2000
 """Targets between two reports of the progress."""
 
 
-@dataclass(frozen=True)
-class Compensation(Stacked):
+@dataclass(frozen=True, repr=False)
+class Compensation(Brief, Stacked):
     """Commands for N targets of a robot with n joints.
 
     Attributes:
@@ -191,7 +192,10 @@ def compensate(
     """
     imagined = kinematics(model, frame=frame, point=point, nominal=True)
     real = kinematics(model, frame=frame, point=point)
-    joints = Joints.of(model.chain)
+    joints, count = Joints.of(model.chain), len(model.chain.joints)
+    targets = as_array("targets", targets, "N", 4, 4)
+    start = start if start is None else as_array("start", start, len(targets), count)
+    before = before if before is None else as_array("before", before, count)
 
     def finished(T: Floats, found: Solutions) -> Compensation:
         nominal = reach(imagined, T, found.q, joints, orientation=orientation)

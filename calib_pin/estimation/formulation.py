@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
+from typing import TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -21,10 +22,10 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.row_blocks import PLACES
 from calib_pin.estimation.scopes import prefixed, scopes
 from calib_pin.estimation.system import Part, assembled
-from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.measurement_models import measurement_model
+from calib_pin.measurement_models.catalog import require_values
 from calib_pin.measurement_models.references import Plane, ReferenceObject
 from calib_pin.observations import (
     BlockKey,
@@ -32,21 +33,27 @@ from calib_pin.observations import (
     Measurements,
     Observations,
 )
+from calib_pin.observations.blocks import of_joints
 from calib_pin.parameterizations import (
     NOTHING,
     frame_pose,
     needed_conditions,
     outside_urdf,
+    parameterization,
     required_keys,
 )
 from calib_pin.parameterizations.drift import InstrumentDrift
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameters import ParameterSet, matching
+from calib_pin.plugins import upper
 from calib_pin.setup import WORLD, JointPrior, Setup
+
+Stated: TypeAlias = Setup | Mapping[str, object] | None
+"""A setup, the keys of a setup file, or nothing."""
 
 
 def make_problem(
-    chains: Chain | Chains, data: Measurements | Observations, setup: Setup
+    chains: Robots, data: Measurements | Observations, setup: Setup
 ) -> Problem:
     """Error models, measurement models and data of a setup put together.
 
@@ -56,8 +63,7 @@ def make_problem(
     Raises:
         OptionError: If a name in the setup does not exist.
     """
-    data = Observations.of(data)
-    chains = chains_of(chains, data)
+    chains, (data,) = fitting(chains, setup, Observations.of(data))
     _require_payloads(data, setup)
     require_conditions(data, setup)
     _require_directions(data, setup)
@@ -68,25 +74,37 @@ def make_problem(
     return Problem(chains, parts, given, data, setup)
 
 
-def chains_of(chains: Chain | Chains, *measured: Observations) -> Chains:
-    """The chains of measurements, of the robot of a chain or of several.
+def setup_of(setup: Stated) -> Setup:
+    """A setup; also by the keys of a file of one, and the defaults for None."""
+    if isinstance(setup, Mapping):
+        setup = upper("io.setup", "read_setup", setup)
+    found = setup if isinstance(setup, Setup) else Setup()
+    for name in found.parameters:
+        parameterization(name, found)
+    return found
+
+
+def fitting(
+    chains: Robots, setup: Setup, *measured: Observations
+) -> tuple[Chains, Sequence[Observations]]:
+    """The chains of measurements, and these with the joints in their order.
 
     Raises:
-        InputError: If the measurements do not have the joints of their chains.
+        InputError: If the measurements do not have the joints of their chains, or the
+            columns of their models.
         RobotError: If there is no chain of a name.
     """
-    chains = Chains.of(chains)
+    chains = Chains.of(chains, setup)
     names = dict.fromkeys(key.chain for data in measured for key in data.keys)
     if not set(names) <= set(chains.names):
         chains = chains.named(tuple(names))
     for data in measured:
-        if data.joints != chains.joints:
-            raise data.error(
-                0,
-                "the joints are not those of the chains",
-                allowed=", ".join(chains.joints),
-            )
-    return chains
+        if sorted(data.joints) != sorted(chains.joints):
+            reason = "the joints are not those of the chains"
+            raise data.error(0, reason, allowed=", ".join(chains.joints))
+        for block in data.blocks:
+            require_values(block)
+    return chains, [of_joints(data, chains.joints) for data in measured]
 
 
 def require_known(
@@ -231,7 +249,7 @@ def _require_own_loads(chains: Chains, setup: Setup) -> None:
 
 
 def nominal_problem(
-    chains: Chain | Chains,
+    chains: Robots,
     measured: str | Sequence[BlockKey] | Mapping[BlockKey, Sequence[str]],
     setup: Setup,
 ) -> Problem:
@@ -246,7 +264,7 @@ def nominal_problem(
     Raises:
         OptionError: If an instrument needs a reference that the setup lacks.
     """
-    chains = Chains.of(chains)
+    chains = Chains.of(chains, setup)
     keys = [BlockKey(measured)] if isinstance(measured, str) else measured
     named = keys if isinstance(keys, Mapping) else dict.fromkeys(keys, ())
     payloads = tuple(setup.payloads) or ("",)
@@ -260,12 +278,14 @@ def nominal_problem(
         targets = tuple(names or model.targets) or ("",)
         count = len(targets) * len(payloads)
         zeros = np.zeros((count, len(chains.joints)))
+        values = np.zeros((count, model.width))
+        values[:, -1:] = model.declaration.oriented  # The quaternion of no rotation.
         carried = Labels.of([name for name in payloads for _ in targets])
         blocks.append(
             Measurements(
                 joints=chains.joints,
                 q=zeros,
-                values=np.zeros((count, model.width)),
+                values=values,
                 target=Labels.of(targets * len(payloads)),
                 conditions=replace(
                     usual_conditions(setup, count),
@@ -384,9 +404,7 @@ def _require_directions(data: Observations, setup: Setup) -> None:
         )
 
 
-def geometric_setup(
-    chains: Chain | Chains, measurements: Observations, setup: Setup
-) -> Setup:
+def geometric_setup(chains: Robots, measurements: Observations, setup: Setup) -> Setup:
     """The setup of the geometry that a URDF can hold; without parameters for none.
 
     The geometry of a fit with gears and compliance is no use without them: a gear ratio
@@ -406,7 +424,7 @@ def geometric_setup(
 
 
 def with_parameters(
-    chains: Chain | Chains,
+    chains: Robots,
     measurements: Observations,
     setup: Setup,
     parameters: tuple[str, ...],
@@ -417,7 +435,7 @@ def with_parameters(
 
 
 def parameter_names(
-    chains: Chain | Chains,
+    chains: Robots,
     measurements: Observations,
     setup: Setup,
     parameters: tuple[str, ...],

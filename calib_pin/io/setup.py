@@ -114,11 +114,11 @@ def read_true_errors(
     return found
 
 
-def read_setup(path: str | Path) -> Setup:
+def read_setup(path: str | Path | Mapping[str, object]) -> Setup:
     r"""Read a setup file.
 
     Args:
-        path: YAML file; an empty one states nothing.
+        path: YAML file, or its keys as a mapping; an empty one states nothing.
 
     Returns:
         Its values, and defaults for the rest.
@@ -138,20 +138,25 @@ def read_setup(path: str | Path) -> Setup:
     """
     from pydantic import ValidationError
 
-    from calib_pin.io.yaml_tree import read_tree
+    from calib_pin.io.yaml_tree import read_tree, tree_of
 
-    tree = read_tree(path)
+    file = "" if isinstance(path, Mapping) else str(path)
+    if isinstance(path, Mapping):
+        tree = tree_of(yaml_text(path).encode(), "setup")
+    else:
+        tree = read_tree(path)
     if tree.data is None:
         return Setup()
     try:
-        setup = adapter().validate_python(tree.data, context=context()).setup()
+        stated = adapter().validate_python(tree.data, context=context())
     except ValidationError as error:
         raise wrong_value(tree, error, known_keys) from None
-    _check(tree, setup)
     # The result may be read from another folder than the setup file.
-    folder = Path(path).absolute().parent
-    if isinstance(setup.prior, str):
-        setup = replace(setup, prior=read_population_prior(folder / setup.prior))
+    folder = Path(file).absolute().parent
+    if isinstance(stated.prior, str):
+        stated = replace(stated, prior=read_population_prior(folder / stated.prior))
+    setup = stated.setup()
+    _check(tree, setup)
     obstacles = tuple(
         obstacle
         if obstacle.mesh is None
@@ -162,7 +167,7 @@ def read_setup(path: str | Path) -> Setup:
         )
         for obstacle in setup.obstacles
     )
-    return replace(setup, obstacles=obstacles, file=str(path))
+    return replace(setup, obstacles=obstacles, file=file)
 
 
 def setup_document(setup: Setup) -> dict[str, Any]:

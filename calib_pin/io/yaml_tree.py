@@ -95,8 +95,11 @@ def read_tree(path: str | Path) -> Tree:
         ...     read_tree(file).data
         {'elbow_joint.placement.x': 1e-05}
     """
-    file = str(path)
-    content = read_bytes(path, _LARGEST)
+    return tree_of(read_bytes(path, _LARGEST), str(path))
+
+
+def tree_of(content: bytes, file: str) -> Tree:
+    """The content of a YAML file, see `read_tree`."""
     try:
         text = content.decode("utf-8-sig")
         _check_events(text, file)

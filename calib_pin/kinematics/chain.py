@@ -31,6 +31,7 @@ from calib_pin.kinematics.gravity import (
 from calib_pin.kinematics.joint_space import JointSpace
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
+from calib_pin.kinematics.threads import PerThread, workspace
 from calib_pin.kinematics.tree import (
     LINK,
     Configurations,
@@ -39,6 +40,7 @@ from calib_pin.kinematics.tree import (
     support,
 )
 from calib_pin.setup import Payload
+from calib_pin.setup.arguments import as_array, checked
 
 Placement: TypeAlias = "pin.SE3 | Floats"
 """Placement of a joint: one, or one of each configuration, shape (N, 4, 4)."""
@@ -81,6 +83,7 @@ class Chain:
         6
     """
 
+    @checked
     def __init__(
         self, robot: Robot, base: str | None = None, tip: str | None = None
     ) -> None:
@@ -110,7 +113,7 @@ class Chain:
                 )
         locked = sorted({*range(1, full.njoints)}.difference(path))
         self._model = reduced(full, locked)
-        self._data = self._model.createData()
+        self._workspace = PerThread(workspace, self._model)
         self._ids = [self._model.getJointId(name) for name in self.joints]
         # The regressor has six columns per joint in the order of the tree.
         ids = np.array(self._ids, np.intp)
@@ -123,7 +126,7 @@ class Chain:
         count = len(path)
         self.reversed = np.arange(count) < len(up) - shared
         if path:  # Pinocchio crashes where nothing moves.
-            pin.computeJointJacobians(self._model, self._data, pin.neutral(self._model))
+            pin.computeJointJacobians(*self._workspace.own, pin.neutral(self._model))
         subspaces = np.array([self._subspace(j) for j in self._ids]).reshape(-1, 6)
         space = self._space = JointSpace(full, self.joints, robot.mimics)
         self.mimics = space.mimics
@@ -150,6 +153,11 @@ class Chain:
             robot.fixed_parents[self.tip] if path and on_path else None
         )
 
+    def __repr__(self) -> str:
+        """The robot, the ends and the number of joints."""
+        ends = f"{self.base} to {self.tip}, {len(self.joints)} joints"
+        return f"Chain({self.robot.name}: {ends})"
+
     def poses(self, q: Floats, placements: Sequence[Placement] | None = None) -> Floats:
         """Tip poses in the base frame.
 
@@ -161,7 +169,7 @@ class Chain:
         Returns:
             `T_base_tip`, shape (N, 4, 4).
         """
-        return self._sweep(q, placements, pin.forwardKinematics)
+        return self._sweep(self._rows(q), placements, pin.forwardKinematics)
 
     def regressor(
         self, q: Floats, placements: Sequence[Placement] | None = None
@@ -177,7 +185,7 @@ class Chain:
             the tip per placement twist, joints in chain order.
         """
         T, R = self._differentiate(
-            q,
+            self._rows(q),
             placements,
             6 * (self._model.njoints - 1),
             pin.forwardKinematics,
@@ -200,7 +208,7 @@ class Chain:
             `T_base_tip`, shape (N, 4, 4), and body twists of the tip, (N, 6, n).
         """
         T, J = self._differentiate(
-            q,
+            self._rows(q),
             placements,
             self._model.nv,
             pin.computeJointJacobians,
@@ -230,6 +238,7 @@ class Chain:
         Returns:
             Torques, shape (N, n) [Nm, N for prismatic joints].
         """
+        q = self._rows(q)
         if not self.joints:
             return np.zeros((len(q), 0))
         order, loaded = self._loaded(q, gravity, payload)
@@ -245,6 +254,7 @@ class Chain:
         Returns:
             Moments, shape (N, n, 3) [Nm].
         """
+        q = self._rows(q)
         if not self.joints:
             return np.zeros((len(q), 0, 3))
         order, loaded = self._loaded(q, gravity, payload)
@@ -275,6 +285,7 @@ class Chain:
         frames = [base.actInv(at_zero(joint)).homogeneous for joint in self._ids]
         return np.array(frames).reshape(-1, 4, 4)
 
+    @checked
     def random_configurations(self, count: int, rng: np.random.Generator) -> Floats:
         """Configurations drawn uniformly within the limits, shape (count, n).
 
@@ -282,6 +293,10 @@ class Chain:
         """
         q = self._space.random_configurations(count, rng)
         return q[:, : len(self.joints)]
+
+    def _rows(self, q: Floats) -> Floats:
+        """Joint positions, shape (N, n); those of one configuration as a row."""
+        return as_array("q", q, "N", len(self.joints))
 
     @cached_property
     def _bodies(self) -> Sequence[Body]:
@@ -327,7 +342,7 @@ class Chain:
         """
         if not self.joints:
             return self.poses(q), np.empty((len(q), 6, 0))
-        model, data, local = self._model, self._data, pin.LOCAL
+        (model, data), local = self._workspace.own, pin.LOCAL
         tip_id, base_id = self._tip_id, self._base_id
         at_tip = np.empty((len(q), 6, width))
         at_base = np.empty(at_tip.shape) if self.reversed.any() else None
@@ -354,9 +369,9 @@ class Chain:
         fill: Callable[[int], None] | None = None,
     ) -> Floats:
         """Tip poses in the base frame; `fill` is called at each configuration."""
-        model, data, place = self._model, self._data, pin.updateFramePlacement
+        (model, data), place = self._workspace.own, pin.updateFramePlacement
         tip_id, base_id = self._tip_id, self._base_id
-        varied = self._place(placements)
+        varied = self._place(model, placements)
         tip = np.empty((len(q), 4, 4))
         # Without a joint between them the base stands still in the root.
         bases = len(q) if self.reversed.any() else min(len(q), 1)
@@ -374,12 +389,12 @@ class Chain:
 
     def _subspace(self, joint: int) -> Floats:
         """Unit twist of a joint in its own frame: the axis, linear or angular."""
-        J = pin.getJointJacobian(self._model, self._data, joint, pin.LOCAL)
+        J = pin.getJointJacobian(*self._workspace.own, joint, pin.LOCAL)
         # With a single degree of freedom Pinocchio returns a plain vector.
         return np.asarray(J.reshape(6, -1)[:, self._model.idx_vs[joint]])
 
     def _place(
-        self, placements: Sequence[Placement] | None
+        self, model: pin.Model, placements: Sequence[Placement] | None
     ) -> Sequence[tuple[int, Floats]]:
         """Place all joints; those are returned that stand elsewhere row by row."""
         chosen = self.placements if placements is None else placements
@@ -388,5 +403,5 @@ class Chain:
             if isinstance(placement, np.ndarray):
                 varied.append((joint, placement))
             else:
-                self._model.jointPlacements[joint] = placement
+                model.jointPlacements[joint] = placement
         return varied

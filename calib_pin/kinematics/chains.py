@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import chain as joined
+from pathlib import Path
 from types import MappingProxyType
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,8 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import JointSpace
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.setup import WORLD, ChainSetup
+from calib_pin.plugins import upper
+from calib_pin.setup import WORLD, ChainSetup, RobotSetup
 
 
 class Chains:
@@ -88,8 +91,18 @@ class Chains:
         self.unlimited = self._space.unlimited
 
     @staticmethod
-    def of(chain: Chain | Chains) -> Chains:
-        """A single chain under the empty name; several as they are."""
+    def of(chain: Robots, setup: RobotSetup | None = None) -> Chains:
+        """A single chain under the empty name; several as they are.
+
+        Args:
+            chain: The chains, or the name or file of a robot, see `load_chain`.
+            setup: What it states of the chains of a robot that is named.
+        """
+        if isinstance(chain, str | Path):
+            of = setup or RobotSetup()
+            ends = {"base": of.base, "tip": of.tip, "stated": of.chains}
+            found: Chains = upper("io.urdf", "load_chains", chain, **ends)
+            return found
         if isinstance(chain, Chains):
             return chain
         return Chains(chain.robot, chain.base, chain.tip, built={"": chain})
@@ -148,3 +161,7 @@ class Chains:
                 allowed=f"another tip, or {WORLD} for what stands still",
             )
         return found
+
+
+Robots: TypeAlias = Chain | Chains | str | Path
+"""A chain, the chains of a robot, or the name or file of a robot."""

@@ -9,6 +9,7 @@ until two of them touch. Bounding boxes keep the hulls from being looked at in v
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +19,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.joint_space import FREE_TRAVEL, WIDEST
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.threads import PerThread
 from calib_pin.kinematics.tree import Configurations, turns
 
 ROUNDING = 1e-5
@@ -72,7 +74,7 @@ class Collisions:
         model = chain.robot.model
         ids = [model.getJointId(name) for name in chain.joints]
         self._chain = chain
-        self._model, self._data = model, model.createData()
+        self._model = model
         self._configurations = Configurations(model, ids)
         solids = geometry.geometryObjects
         every = [(pair.first, pair.second) for pair in geometry.collisionPairs]
@@ -81,14 +83,8 @@ class Collisions:
         kept = np.broadcast_to(np.asarray(clearance, float), len(every))
         self.clearances: Floats = kept[np.array(moving, bool)]
         self._meshes = _with_pairs(geometry.copy(), pairs)
-        self._found = _results(self._meshes, self.clearances)
-        self._hulls = _with_pairs(_hulls(geometry), pairs)
-        self._met = _results(self._hulls, self.clearances + SLACK)
-        # The simplest of Pinocchio's managers, which tries every pair of bounding
-        # boxes, is also the fastest for the few dozen solids of a robot.
-        self._boxes = pin.BroadPhaseManager_NaiveCollisionManager(
-            model, self._hulls, self._met
-        )
+        hulls = _with_pairs(_hulls(geometry), pairs)
+        self._checks = PerThread(_checks, model, self._meshes, hulls, self.clearances)
         self.pairs: tuple[tuple[str, str], ...] = tuple(
             (_name(model, solids[a]), _name(model, solids[b])) for a, b in pairs
         )
@@ -117,12 +113,12 @@ class Collisions:
         Returns:
             True for pairs in collision, shape (N, number of pairs).
         """
-        found = np.zeros((len(q), len(self.pairs)), bool)
-        for row, full in zip(found, self._configurations(q), strict=True):
-            self._place(full)
-            pin.computeCollisions(self._meshes, self._found, False)
-            row[:] = [result.isCollision() for result in self._found.collisionResults]
-        return found
+        touching = np.zeros((len(q), len(self.pairs)), bool)
+        for row, full in zip(touching, self._configurations(q), strict=True):
+            found = self._place(full)
+            pin.computeCollisions(self._meshes, found, False)
+            row[:] = [result.isCollision() for result in found.collisionResults]
+        return touching
 
     def only(self, kept: Iterable[int], clearances: Floats | None = None) -> Collisions:
         """The same for some of the pairs.
@@ -174,15 +170,30 @@ class Collisions:
         return longest
 
     def _is_free(self, full: Floats) -> bool:
-        if not pin.computeCollisions(self._model, self._data, self._boxes, full, True):
+        data, boxes, _ = self._checks.own
+        if not pin.computeCollisions(self._model, data, boxes, full, True):
             return True
-        self._place(full)
-        return not pin.computeCollisions(self._meshes, self._found, True)
+        return not pin.computeCollisions(self._meshes, self._place(full), True)
 
-    def _place(self, full: Floats) -> None:
-        pin.updateGeometryPlacements(
-            self._model, self._data, self._meshes, self._found, full
-        )
+    def _place(self, full: Floats) -> pin.GeometryData:
+        data, _, found = self._checks.own
+        pin.updateGeometryPlacements(self._model, data, self._meshes, found, full)
+        return found
+
+
+def _checks(
+    model: pin.Model,
+    meshes: pin.GeometryModel,
+    hulls: pin.GeometryModel,
+    clearances: Floats,
+) -> tuple[pin.Data, Any, pin.GeometryData]:
+    """Data of the model, a manager of the hulls, and storage for what meshes meet."""
+    # The simplest of Pinocchio's managers, which tries every pair of bounding boxes,
+    # is also the fastest for the few dozen solids of a robot.
+    boxes = pin.BroadPhaseManager_NaiveCollisionManager(
+        model, hulls, _results(hulls, clearances + SLACK)
+    )
+    return model.createData(), boxes, _results(meshes, clearances)
 
 
 def _moves(

@@ -11,6 +11,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import Shape, box
 from calib_pin.kinematics.spatial import Floats, invert
+from calib_pin.kinematics.threads import PerThread, workspace
 from calib_pin.kinematics.tree import Configurations, link_frame
 
 
@@ -38,7 +39,7 @@ class Skeleton:
         """Find out which joints there are."""
         model = robot.model
         self._model = model
-        self._data = model.createData()
+        self._workspace = PerThread(workspace, model)
         self.base, self.links = base, robot.links
         self._base = robot.links.index(base)
         self._frames = [model.getFrameId(k, pin.FrameType.BODY) for k in self.links]
@@ -73,7 +74,7 @@ class Skeleton:
 
     def placements(self, q: Floats) -> Floats:
         """Poses of all links in the base link at q (K,) [rad, m], shape (L, 4, 4)."""
-        model, data = self._model, self._data
+        model, data = self._workspace.own
         full = pin.neutral(model)
         positions = self.positions(tuple(self._driven), q)
         for name, position in zip(self._driven, positions, strict=True):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from calib_pin.errors import require_known
 from calib_pin.measurement_models.base import DeclaredModel
 from calib_pin.measurement_models.camera import CameraModel
@@ -14,6 +16,7 @@ from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
+from calib_pin.observations import Measurements
 from calib_pin.plugins import Members
 
 
@@ -56,3 +59,22 @@ def declared(name: str) -> Declaration:
     """
     require_known("measurement model", name, MEASUREMENT_MODELS)
     return MEASUREMENT_MODELS[name].declaration
+
+
+def require_values(data: Measurements) -> None:
+    """Refuse measurements that have not the columns of their model.
+
+    Raises:
+        OptionError: If there is no such model.
+        InputError: If columns differ, or a quaternion is zero.
+    """
+    of = declared(data.model)
+    given = {"values": (data.values, of.values), "sigma": (data.sigma, of.components)}
+    for name, (table, columns) in given.items():
+        # Contacts may have no values, or deviations that a gauge reads.
+        widths = (0, len(of.components)) if of.contact else (len(columns),)
+        if table is not None and table.shape[1] not in widths:
+            reason = f"'{name}' of a {data.model} has {table.shape[1]} columns"
+            raise data.error(0, reason, allowed=", ".join(columns) or "none")
+    if of.oriented and not (stated := data.values[:, -4:].any(axis=1)).all():
+        raise data.error(int(np.argmin(stated)), "'values': the quaternion is zero")

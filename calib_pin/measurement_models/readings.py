@@ -45,6 +45,21 @@ def read_otherwise(data: Observations, reading: ReadingSetup) -> Observations:
     return data
 
 
+def as_stated(data: Observations, reading: ReadingSetup) -> Observations:
+    """Measurements read as a setup says; those of files have been read so already.
+
+    Raises:
+        OptionError: If orientations without a file are to be read otherwise.
+    """
+    if any(data.files.distinct):
+        return data
+    if reading.orientation is not None:
+        raise OptionError(
+            "'reading.orientation' is for files; give quaternions qx qy qz qw"
+        )
+    return read_otherwise(data, reading)
+
+
 def with_positions(data: Observations, q: Floats) -> Observations:
     """The same measurements at other joint positions, shape (N, n) [rad, m]."""
     pairs = zip(data.blocks, data.slices, strict=True)

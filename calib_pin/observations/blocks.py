@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -13,9 +14,10 @@ from calib_pin.errors import InputError
 from calib_pin.observations.conditions import Conditions, Source, approached
 from calib_pin.observations.labels import Booleans, Floats, Indices, Labels
 from calib_pin.observations.measurements import BlockKey, Measurements, SourcedRows
+from calib_pin.setup.arguments import settle, taken
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Observations(SourcedRows):
     """Blocks of measurements, one behind the other.
 
@@ -33,10 +35,16 @@ class Observations(SourcedRows):
 
     def __post_init__(self) -> None:
         """Check the blocks."""
+        settle(self)
         if not self.blocks:
             raise InputError("there are no measurements")
         if any(block.joints != self.joints for block in self.blocks):
             raise InputError("cannot join measurements of different joints")
+
+    def __repr__(self) -> str:
+        """The number of measurements of each block."""
+        blocks = (f"{len(block)} {block.key}" for block in self.blocks)
+        return f"Observations({'; '.join(blocks)})"
 
     @staticmethod
     def of(*parts: Measurements | Observations) -> Observations:
@@ -49,7 +57,7 @@ class Observations(SourcedRows):
         if len(parts) == 1 and isinstance(parts[0], Observations):
             return parts[0]
         found: dict[BlockKey, list[Measurements]] = {}
-        for part in parts:
+        for part in taken("measurements", parts, Sequence[Measurements | Observations]):
             blocks = part.blocks if isinstance(part, Observations) else (part,)
             for block in blocks:
                 found.setdefault(block.key, []).append(block)
@@ -239,3 +247,21 @@ def fitted_and_held_out(data: Observations) -> tuple[Observations, Observations]
     if not data.validate.any():
         return data, data.rows(data.validate)
     return data.rows(~data.validate), data.rows(data.validate)
+
+
+def of_joints(data: Observations, joints: tuple[str, ...]) -> Observations:
+    """Measurements with the columns of some of their joints, in another order."""
+    if joints == data.joints:
+        return data
+    columns = [data.joints.index(joint) for joint in joints]
+    blocks = (
+        replace(
+            block,
+            joints=joints,
+            q=block.q[:, columns],
+            start=block.start[:, columns] if block.start.size else block.start,
+            conditions=block.conditions.of_joints(columns),
+        )
+        for block in data.blocks
+    )
+    return Observations(tuple(blocks))

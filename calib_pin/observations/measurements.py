@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError
 from calib_pin.observations.conditions import UNSTATED, Conditions
 from calib_pin.observations.labels import Booleans, Floats, Indices, Labels, grouped
+from calib_pin.setup.arguments import Brief, as_array, settle, taken
 
 ARRAYS = ("q", "values", "validate", "lines", "weight")
 WORDS = ("target", "files")
@@ -99,8 +100,8 @@ class SourcedRows:
         return InputError(f"{self.source(row)}: {reason}", **told)
 
 
-@dataclass(frozen=True)
-class Measurements(SourcedRows):
+@dataclass(frozen=True, repr=False)
+class Measurements(Brief, SourcedRows):
     """N measurements with one model, of one chain and tool, from one station.
 
     A block of `Observations`. Names may be given as any sequence of strings.
@@ -155,8 +156,23 @@ class Measurements(SourcedRows):
     orientation: str = ""
 
     def __post_init__(self) -> None:
-        """Fill the optional columns and check shapes and values."""
-        count = len(self.q)
+        """Fill the optional columns and check types, shapes and values."""
+        put = partial(object.__setattr__, self)
+        for name in WORDS:
+            names = getattr(self, name)
+            if not isinstance(names, Labels):
+                put(name, Labels.of(taken(name, names, Sequence[str])))
+        settle(self)
+        put("q", as_array("q", self.q, "N", len(self.joints)))
+        count, values = len(self.q), self.values
+        if values.shape == (count,):  # A single column.
+            values = values[:, None]
+        put("values", as_array("values", values, count, "D"))
+        if self.sigma is not None:
+            sigma, width = self.sigma, max(self.values.shape[1], 1)
+            if sigma.ndim == 0:
+                sigma = np.full((count, width), sigma)
+            put("sigma", as_array("sigma", sigma, count, "d"))
         defaults = {
             **dict.fromkeys(WORDS, Labels.all("", count)),
             "validate": np.zeros(count, bool),
@@ -166,27 +182,14 @@ class Measurements(SourcedRows):
         for name, default in defaults.items():
             given = getattr(self, name)
             if len(given) == 0:
-                object.__setattr__(self, name, default)
-            elif name in WORDS:
-                object.__setattr__(self, name, Labels.of(given))
-        if self.q.shape != (count, len(self.joints)):
-            raise InputError(
-                f"q has shape {self.q.shape}, expected ({count}, {len(self.joints)})"
-            )
-        for name in ("values", *defaults):
-            if len(getattr(self, name)) != count:
+                put(name, default)
+            elif len(given) != count:
                 raise InputError(f"'{name}' has not the {count} rows of q")
-        conditions = self.conditions.of(count, len(self.joints))
-        object.__setattr__(self, "conditions", conditions)
+        put("conditions", self.conditions.of(count, len(self.joints)))
         if self.start.size and self.start.shape != self.q.shape:
             raise InputError(f"start has shape {self.start.shape}, not that of q")
         if not (np.isfinite(self.q).all() and np.isfinite(self.values).all()):
             raise InputError("measurements must be finite numbers")
-        if self.values.ndim != 2 or (
-            self.sigma is not None
-            and (self.sigma.ndim != 2 or len(self.sigma) != count)
-        ):
-            raise InputError(f"values and sigma must be tables of {count} rows")
         if self.sigma is not None and not (
             np.isfinite(self.sigma).all() and (self.sigma > 0.0).all()
         ):

@@ -68,8 +68,15 @@ _BUNDLED: tuple[type[Parameterization], ...] = (
     InstrumentDrift,
 )
 
+
+def _fault(name: str, member: object) -> str:
+    """Why an object of another package cannot be a member; empty where it can."""
+    fits = isinstance(member, type) and issubclass(member, Parameterization)
+    return "" if fits else "it is no Parameterization"
+
+
 PARAMETERIZATIONS: Mapping[str, type[Parameterization]] = Members(
-    "calib_pin.parameterizations", {member.name: member for member in _BUNDLED}
+    "calib_pin.parameterizations", {member.name: member for member in _BUNDLED}, _fault
 )
 """All parameterizations by name, those of other packages last."""
 

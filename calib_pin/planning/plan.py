@@ -9,10 +9,10 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, require_known
+from calib_pin.estimation.formulation import Stated, setup_of
 from calib_pin.estimation.identifiability import Structure
 from calib_pin.estimation.problem import Problem
-from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices, Measurements, Observations
@@ -34,10 +34,9 @@ from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.search import METHODS, Search
 from calib_pin.planning.travel import visits
 from calib_pin.planning.workspace import Workspace
-from calib_pin.setup import Setup
 from calib_pin.solvers import Status
 from calib_pin.validation.assessment import estimates
-from calib_pin.validation.result import CoupledGroup, ParameterEstimate
+from calib_pin.validation.result import CoupledGroup, ParameterEstimate, Printed
 from calib_pin.validation.robot_errors import robot_errors
 from calib_pin.workers import SERIAL, Workers
 
@@ -72,8 +71,8 @@ class Step:
     position: float
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, repr=False)
+class Plan(Printed):
     """Configurations to measure, and what they will tell.
 
     Attributes:
@@ -139,10 +138,10 @@ class Plan:
 
 @serial_blas
 def plan(
-    chain: Chain | Chains,
+    chain: Robots,
     model: str | Sequence[BlockKey],
     count: int,
-    setup: Setup | None = None,
+    setup: Stated = None,
     *,
     criterion: str = "prediction",
     method: str = "auto",
@@ -193,7 +192,7 @@ def plan(
         >>> found.q.shape, found.value < found.random
         ((12, 6), True)
     """
-    setup = setup or Setup()
+    setup = setup_of(setup)
     require_known("criterion", criterion, CRITERION_NAMES)
     require_known("method", method, METHODS)
     for name, number in (("count", count), ("candidates", candidates)):

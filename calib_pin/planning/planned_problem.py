@@ -25,8 +25,7 @@ from calib_pin.estimation.identifiability import Structure
 from calib_pin.estimation.model import Configured
 from calib_pin.estimation.nominal import register, structure_at
 from calib_pin.estimation.problem import Problem
-from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared, measurement_model
 from calib_pin.measurement_models.plane_distance import PlaneDistance
@@ -79,7 +78,7 @@ def planned_keys(
 
 
 def planned_problem(
-    chains: Chain | Chains,
+    chains: Robots,
     keys: Sequence[BlockKey],
     setup: Setup,
     measured: Observations | None,

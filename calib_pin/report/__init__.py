@@ -17,8 +17,9 @@ class _Report(ModuleType):
     def __call__(self, *arguments: Any, **options: Any) -> None:
         """See `report.html.report`."""
         from calib_pin.report.html import report
+        from calib_pin.setup.arguments import checked
 
-        report(*arguments, **options)
+        checked(report)(*arguments, **options)
 
 
 sys.modules[__name__].__class__ = _Report

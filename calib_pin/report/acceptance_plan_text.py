@@ -60,6 +60,7 @@ def acceptance_schedule(
     yield "  Every load and every speed is a file of its own."
     yield "  Warm-up: run the cycle without measuring until readings drift no more."
     yield "  Instrument: its uncertainty is at most 25 % of the value to be proven."
+    yield "  For AP, base and tool come from a calibration or from other poses."
     yield "  Approach every pose only from the one before it, as the file has them."
     yield "  Measure after the robot has settled: try the time out once, then keep it."
     yield from _duration(found, cycles, speeds)

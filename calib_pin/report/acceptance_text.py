@@ -3,17 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from math import isfinite
 
 from calib_pin.report.blocks import Block, Cell, Column, Line, Table, Tone, columns
-from calib_pin.report.tables import amount, quantity
+from calib_pin.report.tables import amount, known, quantity
 from calib_pin.setup import LimitSetup
 from calib_pin.units import DISPLAY
-from calib_pin.validation.acceptance import Acceptance, Interval, judged
+from calib_pin.validation.acceptance import (
+    Acceptance,
+    Interval,
+    judged,
+    measured,
+    worst,
+)
 
 TONES: Mapping[str, Tone] = {"pass": "good", "fail": "bad", "undecided": "strong"}
 
 PATH = {"AP": "AT", "RP": "RT"}
 """Names of the worst pose's values along a path."""
+
+REMEDY = "Base and tool must be of a calibration, of the setup, or of other poses."
+"""Advice where they were fitted to the visits."""
 
 SHOWN = 12
 """Pairs of poses whose distance is shown: those that err most."""
@@ -36,6 +46,7 @@ def acceptance_report(
     """
     *_, (_, last) = found.items()
     yield from limit_lines(last, limit, path=path)
+    yield from doubt_lines(last)
     yield Line(about)
     if path:
         yield Table("Path", ROBOTS, [*_paths(found)])
@@ -59,7 +70,7 @@ def acceptance_report(
         yield Table("Orientations", ANGLES, [*_angles(last)])
     if last.distances:
         yield Table("Distances between poses", DISTANCES, [*_distances(last)])
-    if last.drift is not None:
+    if last.drift is not None and not last.untestable:
         accuracy, repeatability = (amount(size, "m") for size in last.drift)
         yield Line(
             "From the first to the last third of the visits AP changes by at most "
@@ -77,6 +88,14 @@ def limit_lines(
         yield Line(f"{shown}{amount(allowed, unit)}.", tone)
 
 
+def doubt_lines(test: Acceptance) -> Iterator[Line]:
+    """Why AP is not testable, and why nothing passes, in a sentence each."""
+    if test.untestable:
+        yield Line(f"AP is not testable: {test.untestable}. {REMEDY}", "bad")
+    for doubt in test.doubts:
+        yield Line(f"No PASS: {doubt.rstrip('.')}.", "bad")
+
+
 POSES = columns("pose", ("visits", "AP", "95 %", "RP", "95 %", "vAP", "unit"))
 ROBOTS = columns("", ("points", "AT", "95 %", "RT", "95 %", "unit"))
 ANGLES = columns("pose", ("about", "mean", "95 %", "3 sigma", "95 %", "unit"))
@@ -92,8 +111,8 @@ def _poses(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
         yield (
             Cell(f"P{pose.pose}"),
             Cell(str(pose.visits)),
-            *_cells(pose.accuracy, "m"),
-            *_cells(pose.repeatability, "m"),
+            *cells_of(pose.accuracy, "m"),
+            *cells_of(pose.repeatability, "m"),
             Cell("-") if varies is None else quantity(varies, "m"),
             Cell(DISPLAY["m"][0]),
         )
@@ -104,8 +123,8 @@ def _paths(found: Mapping[str, Acceptance]) -> Iterator[tuple[Cell, ...]]:
         yield (
             Cell(name),
             Cell(str(len(test.poses))),
-            *_cells(test.accuracy, "m"),
-            *_cells(test.repeatability, "m"),
+            *cells_of(worst(measured(test)["AP"][0]), "m"),
+            *cells_of(worst(measured(test)["RP"][0]), "m"),
             Cell(DISPLAY["m"][0]),
         )
 
@@ -117,8 +136,8 @@ def _angles(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
             yield (
                 Cell(f"P{pose.pose}" if axis == "x" else ""),
                 Cell(axis),
-                *_cells(mean, "rad"),
-                *_cells(sigma, "rad"),
+                *cells_of(mean, "rad"),
+                *cells_of(sigma, "rad"),
                 Cell(DISPLAY["rad"][0]),
             )
 
@@ -129,21 +148,27 @@ def _distances(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
         yield (
             Cell("-".join(f"P{pose}" for pose in pair.poses)),
             quantity(pair.commanded, "m"),
-            *_cells(pair.accuracy, "m"),
-            *_cells(pair.repeatability, "m"),
+            *cells_of(pair.accuracy, "m"),
+            *cells_of(pair.repeatability, "m"),
             Cell(DISPLAY["m"][0]),
         )
 
 
-def _cells(interval: Interval, unit: str) -> tuple[Cell, Cell]:
-    return quantity(interval.value, unit), Cell(ends(interval, unit))
+def cells_of(interval: Interval, unit: str) -> tuple[Cell, Cell]:
+    """A value, a dash where there is none, and its interval."""
+    return known(interval.value, unit), Cell(ends(interval, unit))
 
 
 def _shown(interval: Interval, unit: str) -> str:
+    if not isfinite(interval.high):
+        least = f", at least {amount(interval.low, unit)}" * (interval.low > 0.0)
+        return f"is not testable{least}"
     return f"{amount(interval.value, unit)} ({ends(interval, unit)})"
 
 
 def ends(interval: Interval, unit: str) -> str:
     """Both ends of an interval, in the unit in which people read it."""
     low, high = (quantity(end, unit).text for end in (interval.low, interval.high))
+    if not isfinite(interval.high):
+        return f"from {low}" if interval.low > 0.0 else "-"
     return f"{low} ... {high}"

@@ -10,7 +10,14 @@ from pathlib import Path
 
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.kinematics.robot import Robot
-from calib_pin.report.acceptance_text import PATH, TONES, ends, limit_lines
+from calib_pin.report.acceptance_text import (
+    PATH,
+    TONES,
+    cells_of,
+    doubt_lines,
+    ends,
+    limit_lines,
+)
 from calib_pin.report.accuracy import verdict
 from calib_pin.report.blocks import Cell, Line, Table, Tone, columns
 from calib_pin.report.figures import Drawn
@@ -105,7 +112,6 @@ def acceptance_cover(
     entries: ReportSetup,
     about: str,
     *,
-    doubts: Sequence[str] = (),
     path: bool = False,
     figure: Drawn | None = None,
 ) -> Cover:
@@ -117,24 +123,20 @@ def acceptance_cover(
         robot: The robot.
         entries: What the user stated, with a date.
         about: The robot, the poses and the frame, in a sentence.
-        doubts: Sentences on why the calibration must not be trusted.
         path: Whether the poses are points of a path.
         figure: The picture.
     """
     *_, (_, last) = found.items()
     statuses = {status for _, status, *_ in judged(last, limit)}
     status = next((s for s in ("fail", "undecided", "pass") if s in statuses), "")
-    if doubts and status == "pass":
-        status = "undecided"
-    said = [Line(f"{doubt.rstrip('.')}.", "bad") for doubt in doubts]
+    said, doubts = [*limit_lines(last, limit, path=path)], [*doubt_lines(last)]
     if not doubts or status == "fail":
-        said.append(Line(SAID[status]))
-    said += limit_lines(last, limit, path=path)
+        said.insert(0, Line(SAID[status]))
     return Cover(
         title="Acceptance test",
         status=status.upper() or "NO LIMIT STATED",
         tone=TONES.get(status, "strong"),
-        said=said,
+        said=[*said, *doubts],
         robot=robot.name,
         facts=_facts(robot, entries, limit, PATH if path else {}),
         numbers=_tested(found, limit, path),
@@ -178,8 +180,15 @@ def _facts(
     limit: LimitSetup,
     renamed: Mapping[str, str] | None = None,
 ) -> list[tuple[str, str]]:
-    """The facts; quantities of limits may have other names."""
+    """The facts; quantities of the limits of a test may have other names."""
     degrees = entries.temperature
+    conditions = [
+        ("instrument", entries.instrument),
+        ("temperature", "" if degrees is None else f"{degrees:g} °C"),
+    ]
+    if renamed is not None:  # The standard asks for them.
+        conditions += [("load", entries.load), ("speed", entries.speed)]
+        conditions = [(name, words or "not stated") for name, words in conditions]
     limits = [
         f"{(renamed or {}).get(name, name)} {size}" for name, size in _limits(limit)
     ]
@@ -192,8 +201,7 @@ def _facts(
         ("date", entries.date or ""),
         ("customer", entries.customer),
         ("operator", entries.operator),
-        ("instrument", entries.instrument),
-        ("temperature", "" if degrees is None else f"{degrees:g} °C"),
+        *conditions,
     ]
 
 
@@ -216,9 +224,8 @@ def _tested(found: Mapping[str, Acceptance], limit: LimitSetup, path: bool) -> T
     for key, (intervals, unit) in measured(last).items():
         own = worst(intervals)
         cells = [Cell(QUANTITIES[PATH.get(key, key) if path else key])]
-        cells += [
-            quantity(worst(measured(t)[key][0]).value, unit) for t in found.values()
-        ]
+        worsts = (worst(measured(t)[key][0]) for t in found.values())
+        cells += [cells_of(interval, unit)[0] for interval in worsts]
         status, allowed = results.get(key, ("", None))
         cells += [
             Cell(ends(own, unit)),

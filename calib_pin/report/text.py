@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any
 
 from calib_pin.compiled.threads import serial_blas
+from calib_pin.planning.plan import Plan
 from calib_pin.planning.suggestions import Suggestion
-from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
+from calib_pin.report.accuracy import (
+    accuracy,
+    beyond,
+    evaluated,
+    moves,
+    opening,
+    subject,
+)
 from calib_pin.report.blocks import Block
 from calib_pin.report.breakdown import frames_told, parts
+from calib_pin.report.comparison import comparison_report
 from calib_pin.report.identification import identified, summary
 from calib_pin.report.places import frame_blocks
+from calib_pin.report.plan_text import plan_report
 from calib_pin.report.recalibration import recalibrated
 from calib_pin.report.robot_errors import corrections, held, offsets, offsets_alone
 from calib_pin.report.tables import listed
@@ -22,7 +34,11 @@ from calib_pin.report.trust import (
     outliers,
     statistics,
 )
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.comparison import Comparison
+from calib_pin.validation.result import CalibrationResult, Evaluation, Identification
+
+LINES = 16
+"""Lines of a report that are shown of it first."""
 
 
 @serial_blas
@@ -46,6 +62,19 @@ def format_report(result: CalibrationResult, *, details: bool = False) -> str:
         GOOD: position error 0.0922 mm rms instead of 25.3 mm on 40 independent held-out
     """
     return plain_text(report(result, details=details))
+
+
+def brief(found: Any) -> str:
+    """The first lines of the report of a result, for its `repr`."""
+    ways: dict[type, Callable[[Any], Iterator[Block]]] = {
+        CalibrationResult: report,
+        Identification: partial(identified, fitted=False),
+        Evaluation: evaluated,
+        Comparison: comparison_report,
+        Plan: plan_report,
+    }
+    lines = plain_text(ways[type(found)](found)).splitlines()
+    return "\n".join([*lines[:LINES], *["..."] * (len(lines) > LINES)])
 
 
 def report(

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
 
+from calib_pin.setup.arguments import Brief, settle
 from calib_pin.setup.conditions import (
     ConditionSetup,
     DriftSetup,
@@ -99,6 +100,7 @@ __all__ = [
     "ReadingSetup",
     "Region",
     "ReportSetup",
+    "RobotSetup",
     "Section",
     "Setup",
     "SolverSetup",
@@ -314,7 +316,7 @@ class FitSetup(Section):
             "the file of a fleet's prior, or a mapping of names to standard deviations",
         ),
     ] = field(default_factory=dict)
-    noise: Mapping[str, float] = field(default_factory=dict)
+    noise: Mapping[str, Annotated[float, Positive()]] = field(default_factory=dict)
     solver: SolverSetup = SolverSetup()
     loss: Annotated[str, Registered("loss")] = "auto"
     limit: LimitSetup = field(default_factory=LimitSetup)
@@ -378,7 +380,7 @@ class StudySetup(Section):
     monte_carlo: MonteCarloSetup = field(default_factory=MonteCarloSetup)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Setup(
     StudySetup, PlanSetup, ConditionSetup, FitSetup, MeasurementSetup, RobotSetup
 ):
@@ -395,3 +397,13 @@ class Setup(
     base_frame: FrameSetup = field(default_factory=FrameSetup)
     tool_frame: FrameSetup = field(default_factory=FrameSetup)
     file: str = field(default="", compare=False)
+
+    __repr__ = Brief.__repr__
+
+    def __post_init__(self) -> None:
+        """Take what a file might state as well in its types.
+
+        Raises:
+            OptionError: If a value cannot be used.
+        """
+        settle(self)

@@ -49,6 +49,8 @@ class ReportSetup(Section):
         operator: Who measured.
         instrument: The measuring instrument.
         temperature: Temperature of the robot [degC].
+        load: Load on the flange at an acceptance test.
+        speed: Speed of an acceptance test.
         date: Day of the report, year-month-day; None for today.
     """
 
@@ -57,4 +59,6 @@ class ReportSetup(Section):
     operator: Entry = ""
     instrument: Entry = ""
     temperature: Temperature | None = None
+    load: Entry = ""
+    speed: Entry = ""
     date: Date | None = None

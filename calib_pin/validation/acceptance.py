@@ -15,14 +15,19 @@ three standard deviations of each angle. Every value has a 95 % interval for wha
 and more visits would give: Student's t for means, chi-square for standard deviations,
 and for AP and RP, which have no such distribution, that of the estimate itself,
 simulated with the covariance that the visits show (of AP it holds where AP is beyond
-the scatter of means).
+the scatter of means). How far the commanded poses are uncertain, as base and tool are,
+is part of the intervals of AP, AD and angles.
+
+Where base and tool were fitted to the visits, there is no AP: of K poses with means d_k
+and commanded ones that move by the columns of B, `max |d_k|` is at least the root mean
+square of what no motion takes away, `|(I - B B^+) d| / sqrt(K)`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from itertools import combinations
+from dataclasses import dataclass, replace
+from itertools import combinations, repeat
 
 import numpy as np
 from scipy import stats
@@ -31,6 +36,7 @@ from calib_pin.errors import InputError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices
 from calib_pin.setup import LimitSetup
+from calib_pin.units import DISPLAY
 
 LEVEL = 0.95
 """Probability that an interval holds the true value."""
@@ -43,6 +49,12 @@ LEAST = 3
 
 STEPS = 60
 """Steps of a bisection."""
+
+NOTHING = 1e-4
+"""Part of the largest motion by a meter or radian of a frame that moves nothing."""
+
+ENDLESS = 1e6
+"""Degrees of freedom of a size that is known."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +72,28 @@ class Interval:
     high: float
 
 
+UNTESTABLE = Interval(np.nan, 0.0, np.inf)
+"""The interval of what a test does not tell."""
+
+
+@dataclass(frozen=True)
+class FrameErrors:
+    """How far commanded poses may be off, as base and tool are known.
+
+    Attributes:
+        effects: Changes of the commanded pose of each visit by independent deviations
+            of base and tool, shape (N, D, r) [m, rad].
+        dof: Degrees of freedom that tell the size of these; infinite where it was
+            stated.
+        fitted: What was fitted to the visits themselves, in words; then deviations are
+            a meter and a radian. Empty for nothing.
+    """
+
+    effects: Floats
+    dof: float = np.inf
+    fitted: str = ""
+
+
 @dataclass(frozen=True)
 class PoseTest:
     """The visits of one pose.
@@ -67,11 +101,11 @@ class PoseTest:
     Attributes:
         pose: Number of the pose.
         visits: Number of its visits.
-        accuracy: AP [m].
+        accuracy: AP [m]; unknown where frames were fitted to the visits.
         components: Mean deviation along x, y and z of the measurement frame [m].
         repeatability: RP [m].
         angles: Mean deviation about x, y and z of the tool [rad]; empty without
-            orientations.
+            orientations, unknown where frames were fitted to the visits.
         angle_repeatability: Three standard deviations of each [rad].
         directions: vAP [m]; None where it was not approached from several poses.
     """
@@ -114,21 +148,19 @@ class Acceptance:
         distances: By pair of poses.
         drift: Largest change of AP and of RP from the first to the last third of the
             visits [m]; None with less than three visits each.
+        untestable: Why there is no AP, in words; empty where there is.
+        bound: The least AP of the worst pose then [m].
+        doubts: Why no limit passes, in sentences.
+        moved: Whether the instrument was moved: no limit fails either.
     """
 
     poses: tuple[PoseTest, ...]
     distances: tuple[DistanceTest, ...]
     drift: tuple[float, float] | None
-
-    @property
-    def accuracy(self) -> Interval:
-        """AP of the worst pose [m]."""
-        return worst([p.accuracy for p in self.poses])
-
-    @property
-    def repeatability(self) -> Interval:
-        """RP of the worst pose [m]."""
-        return worst([p.repeatability for p in self.poses])
+    untestable: str = ""
+    bound: Interval = UNTESTABLE
+    doubts: tuple[str, ...] = ()
+    moved: bool = False
 
 
 def acceptance(
@@ -137,6 +169,8 @@ def acceptance(
     group: Indices,
     angles: Floats | None = None,
     numbers: Indices | None = None,
+    cycles: Indices | None = None,
+    frames: FrameErrors | None = None,
 ) -> Acceptance:
     """Evaluate visits of poses in the order in which they were made.
 
@@ -146,69 +180,117 @@ def acceptance(
         group: Pose of each visit, shape (N,), any numbers.
         angles: Deviations of the orientation about the axes of the tool, shape (N, 3)
             [rad]; None where none was measured.
-        numbers: Number of the pose of each visit, shape (N,); by default in the order
-            of the first visits, from 1.
+        numbers: Number of the pose of each visit, shape (N,), another for each pose; by
+            default in the order of the first visits, from 1.
+        cycles: Cycle of each visit, shape (N,), another for each visit of a pose; by
+            default as their order tells, see `cycles_in_order`.
+        frames: How far commanded poses may be off; default not at all.
 
     Raises:
-        InputError: If no pose was visited often enough, or two have one number.
+        InputError: If no pose was visited often enough.
     """
-    _, first, pose = np.unique(group, return_index=True, return_inverse=True)
-    pose = np.argsort(np.argsort(first))[pose]
+    pose, first = ranked(group)
+    called = np.arange(1, len(first) + 1) if numbers is None else numbers[first]
+    cycles = cycles_in_order(pose) if cycles is None else cycles
+    frames = frames or FrameErrors(np.zeros((len(pose), 6, 0)))
     before = np.concatenate([[-1], pose[:-1]])
     visits = [np.flatnonzero(pose == k) for k in range(len(first))]
-    kept = [k for k, rows in enumerate(visits) if len(rows) >= LEAST]
+    kept = [k for k in np.argsort(called) if len(visits[k]) >= LEAST]
     if not kept:
         most = max(map(len, visits), default=0)
         raise InputError(
             f"no pose was visited {LEAST} times: {len(first)} poses, at most {most} "
             "visits of one",
-            allowed="repeated poses; 'plan --repeats' asks for them",
+            allowed="repeated poses; 'plan --accept --cycles N' asks for them",
         )
-    called = list(range(1, len(first) + 1))
-    if numbers is not None:
-        called = numbers[np.sort(first)].tolist()
-        if len(set(called)) < len(called):
-            raise InputError("two configurations have one number in the column 'pose'")
-        kept.sort(key=called.__getitem__)
     rng = np.random.default_rng(0)
-    poses = tuple(
-        _pose(
-            called[k],
-            attained[visits[k]] - commanded[visits[k]],
-            None if angles is None else angles[visits[k]],
-            before[visits[k]],
-            rng,
-        )
-        for k in kept
-    )
-    distances = tuple(
-        _distance(
-            (int(called[a]), int(called[b])), attained, commanded, visits[a], visits[b]
-        )
-        for a, b in combinations(kept, 2)
-        if min(len(visits[a]), len(visits[b])) >= LEAST
-    )
     deviations = [attained[visits[k]] - commanded[visits[k]] for k in kept]
-    return Acceptance(poses, distances, _drift(deviations))
+    poses, distances = [], []
+    for k, own in zip(kept, deviations, strict=True):
+        effects, dof = frames.effects[first[k]], frames.dof
+        turned = [] if angles is None else angles[visits[k]].T
+        position, turns = effects[:3], effects[3:]
+        poses.append(
+            PoseTest(
+                int(called[k]),
+                len(own),
+                UNTESTABLE if frames.fitted else mean_distance(own, rng, position, dof),
+                tuple(map(mean, own.T, position, repeat(dof))),
+                repeatability(own, rng),
+                (UNTESTABLE,) * len(turned)
+                if frames.fitted
+                else tuple(map(mean, turned, turns, repeat(dof))),
+                tuple(map(three_sigma, turned)),
+                _directions(own, before[visits[k]]),
+            )
+        )
+    for k, m in combinations(kept, 2):
+        _, a, b = np.intersect1d(
+            cycles[visits[k]], cycles[visits[m]], return_indices=True
+        )
+        if len(a) < LEAST:
+            continue
+        one, other = visits[k][a], visits[m][b]
+        apart = commanded[one] - commanded[other]
+        D_c = np.linalg.norm(apart, axis=1)
+        D = np.linalg.norm(attained[one] - attained[other], axis=1)
+        effect = frames.effects[one[0], :3] - frames.effects[other[0], :3]
+        along = apart[0] / (D_c[0] or 1.0)
+        accuracy = mean(D - D_c, along @ effect, frames.dof)
+        pair, distance = (int(called[k]), int(called[m])), float(D_c.mean())
+        distances.append(DistanceTest(pair, len(D), distance, accuracy, three_sigma(D)))
+    test = Acceptance(tuple(poses), tuple(distances), _drift(deviations))
+    if not frames.fitted:
+        return test
+    bound, said = _bound(deviations, frames.effects[first[kept], :3], rng)
+    return replace(test, bound=bound, untestable=f"{frames.fitted}, {said}")
 
 
-def _pose(
-    number: int,
-    deviations: Floats,
-    angles: Floats | None,
-    before: Indices,
-    rng: np.random.Generator,
-) -> PoseTest:
-    turned = np.zeros((len(deviations), 0)) if angles is None else angles
-    return PoseTest(
-        number,
-        len(deviations),
-        mean_distance(deviations, rng),
-        tuple(mean(column) for column in deviations.T),
-        repeatability(deviations, rng),
-        tuple(mean(column) for column in turned.T),
-        tuple(three_sigma(column) for column in turned.T),
-        _directions(deviations, before),
+def ranked(group: Indices) -> tuple[Indices, Indices]:
+    """Poses from 0 in the order of their first visits, (N,), and these visits, (K,)."""
+    _, first, pose = np.unique(group, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[pose], np.sort(first)
+
+
+def cycles_in_order(pose: Indices) -> Indices:
+    """Cycles from 1 in which visits were made, shape (N,), by their order.
+
+    Poses that follow each other as at first are of one cycle, so that a missing visit
+    moves no other one into its place. Where they follow in several ways, the k-th
+    visits of all poses belong together.
+
+    Args:
+        pose: Pose of each visit, see `ranked`.
+    """
+    each = pose[:, None] == np.arange(pose.max(initial=-1) + 1)
+    counts = np.cumsum(each, axis=0)[each]
+    cycles = 1 + np.cumsum(np.diff(pose, prepend=-1) <= 0)
+    return cycles if cycles.max(initial=0) == counts.max(initial=0) else counts
+
+
+def _bound(
+    deviations: Sequence[Floats], motions: Floats, rng: np.random.Generator
+) -> tuple[Interval, str]:
+    """The least AP of the worst pose whatever the frames are, and that in words.
+
+    Args:
+        deviations: Those of each pose, shape (n, 3).
+        motions: Motions of poses with frames, shape (K, 3, p).
+        rng: Random generator.
+    """
+    values, count = 3 * len(motions), int(motions.any(axis=(0, 1)).sum())
+    U, s, _ = np.linalg.svd(motions.reshape(values, -1), full_matrices=False)
+    U = U[:, s > NOTHING * s.max(initial=0.0)]
+    left, said = values - U.shape[1], f"{U.shape[1]} unknowns of {values} values"
+    if left == 0:
+        return UNTESTABLE, f"{said}; from {count // 3 + 1} poses on AP has a bound"
+    d = np.concatenate([own.mean(axis=0) for own in deviations])
+    noise = np.column_stack([_of_mean(own, rng) for own in deviations])
+    found = _length(d - U @ (U.T @ d), noise - noise @ U @ U.T)
+    low, rms = found.low / len(motions) ** 0.5, found.value * (3.0 / left) ** 0.5
+    return Interval(np.nan, low, np.inf), (
+        f"{said}; AP is at least {told(low)}, and {told(rms)} rms if the fit took the "
+        "same from all directions"
     )
 
 
@@ -219,21 +301,6 @@ def _directions(deviations: Floats, before: Indices) -> float | None:
     if len(means) < 2:
         return None
     return max(float(np.linalg.norm(a - b)) for a, b in combinations(means, 2))
-
-
-def _distance(
-    poses: tuple[int, int],
-    attained: Floats,
-    commanded: Floats,
-    first: Indices,
-    second: Indices,
-) -> DistanceTest:
-    """The k-th visits of both belong together."""
-    count = min(len(first), len(second))
-    a, b = first[:count], second[:count]
-    D = np.linalg.norm(attained[a] - attained[b], axis=1)
-    D_c = float(np.linalg.norm(commanded[a] - commanded[b], axis=1).mean())
-    return DistanceTest(poses, count, D_c, mean(D - D_c), three_sigma(D))
 
 
 def _drift(deviations: Sequence[Floats]) -> tuple[float, float] | None:
@@ -247,10 +314,18 @@ def _drift(deviations: Sequence[Floats]) -> tuple[float, float] | None:
     return change(_accuracy), change(_repeatability)
 
 
-def mean(values: Floats) -> Interval:
-    """A mean with Student's interval, of shape (n,)."""
+def mean(values: Floats, effect: Floats | None = None, dof: float = np.inf) -> Interval:
+    """A mean with Student's interval, of shape (n,).
+
+    Args:
+        values: The values.
+        effect: Changes of all of them by independent deviations, shape (r,).
+        dof: Degrees of freedom that tell the size of these.
+    """
     n, m = len(values), float(values.mean())
-    half = float(stats.t.ppf(0.5 + 0.5 * LEVEL, n - 1) * values.std(ddof=1) / n**0.5)
+    common = 0.0 if effect is None else np.linalg.norm(effect)
+    few, many = (float(stats.t.ppf(0.5 + 0.5 * LEVEL, k)) for k in (n - 1, dof))
+    half = float(np.hypot(few * values.std(ddof=1) / n**0.5, many * common))
     return Interval(m, m - half, m + half)
 
 
@@ -263,19 +338,45 @@ def three_sigma(values: Floats) -> Interval:
     return Interval(s, s * (dof / many) ** 0.5, s * (dof / few) ** 0.5)
 
 
-def mean_distance(deviations: Floats, rng: np.random.Generator) -> Interval:
+def mean_distance(
+    deviations: Floats,
+    rng: np.random.Generator,
+    effects: Floats | None = None,
+    dof: float = np.inf,
+) -> Interval:
     """AP: the length of a mean, shape (n, 3).
 
-    The true length is one with which the simulated length of the mean is neither below
-    nor above the one found in all but a small part of the tests. The scatter of the
-    mean has Student's distribution, with the covariance of the visits.
+    The scatter of the mean has Student's distribution, with the covariance of the
+    visits, and so have the effects of frames, (3, r), by what tells their size.
     """
-    n, m = len(deviations), deviations.mean(axis=0)
+    noise = _of_mean(deviations, rng)
+    if effects is not None and effects.size:
+        common = rng.standard_normal((DRAWS, effects.shape[1])) @ effects.T
+        noise += common / _chi(dof, rng)
+    return _length(deviations.mean(axis=0), noise)
+
+
+def _of_mean(deviations: Floats, rng: np.random.Generator) -> Floats:
+    """Simulated errors of the mean of visits, shape (DRAWS, 3)."""
+    n = len(deviations)
+    noise = rng.standard_normal((DRAWS, 3)) @ _root(np.cov(deviations.T) / n).T
+    return np.asarray(noise / _chi(n - 1, rng))
+
+
+def _chi(dof: float, rng: np.random.Generator) -> Floats:
+    """Simulated standard deviations of true ones, shape (DRAWS, 1)."""
+    known = min(dof, ENDLESS)
+    return np.sqrt(rng.chisquare(known, (DRAWS, 1)) / known)
+
+
+def _length(m: Floats, noise: Floats) -> Interval:
+    """The length of a vector, shape (d,), with simulated errors of it, (DRAWS, d).
+
+    The true length is one with which the simulated length is neither below nor above
+    the one found in all but a small part of the tests.
+    """
     found = float(np.linalg.norm(m))
-    L = _root(np.cov(deviations.T)) / n**0.5
-    noise = rng.standard_normal((DRAWS, 3)) @ L.T
-    noise /= np.sqrt(rng.chisquare(n - 1, DRAWS) / (n - 1))[:, None]
-    along = m / found if found > 0.0 else np.eye(3)[0]
+    along = m / found if found > 0.0 else np.eye(len(m))[0]
     longest = found + 10.0 * float(np.linalg.norm(noise, axis=1).max())
 
     def least(part: float) -> float:
@@ -330,31 +431,34 @@ def judged(
 ) -> Iterator[tuple[str, str, Interval, float, str]]:
     """Each limit with its quantity, `pass`, `fail` or `undecided`, interval and unit.
 
-    The worst pose counts: it passes where all of its interval is below the limit, and
-    fails where all of it is above.
+    The worst pose counts: it passes where all of its interval is below the limit and
+    nothing is in doubt, and fails where all of it is above.
     """
     limits = {
-        "AP": limit.position,
-        "RP": limit.repeatability,
-        "AD": limit.distance,
-        "orientation": limit.orientation,
+        "AP": (limit.position, "m"),
+        "RP": (limit.repeatability, "m"),
+        "AD": (limit.distance, "m"),
+        "orientation": (limit.orientation, "rad"),
     }
-    for name, (intervals, unit) in measured(test).items():
-        if (allowed := limits[name]) is None:
+    found = measured(test)
+    for name, (allowed, unit) in limits.items():
+        if allowed is None:
             continue
+        interval = worst(found[name][0]) if name in found else UNTESTABLE
         status = "undecided"
-        if max(i.high for i in intervals) <= allowed:
+        if interval.high <= allowed and not test.doubts:
             status = "pass"
-        elif max(i.low for i in intervals) > allowed:
+        elif interval.low > allowed and not test.moved:
             status = "fail"
-        yield name, status, worst(intervals), allowed, unit
+        yield name, status, interval, allowed, unit
 
 
 def measured(test: Acceptance) -> dict[str, tuple[list[Interval], str]]:
     """Intervals of absolute values, and their unit, of each quantity that there is."""
     angles = [_away(angle) for p in test.poses for angle in p.angles]
+    accuracies = [p.accuracy for p in test.poses]
     found = {
-        "AP": ([p.accuracy for p in test.poses], "m"),
+        "AP": ([test.bound] if test.untestable else accuracies, "m"),
         "RP": ([p.repeatability for p in test.poses], "m"),
         "AD": ([_away(d.accuracy) for d in test.distances], "m"),
         "orientation": (angles, "rad"),
@@ -363,8 +467,18 @@ def measured(test: Acceptance) -> dict[str, tuple[list[Interval], str]]:
 
 
 def worst(intervals: Sequence[Interval]) -> Interval:
-    """That of the largest value."""
-    return max(intervals, key=lambda i: i.value)
+    """The largest value, and the largest ends: those that decide."""
+    return Interval(
+        max(i.value for i in intervals),
+        max(i.low for i in intervals),
+        max(i.high for i in intervals),
+    )
+
+
+def told(length: float) -> str:
+    """A length in the unit in which people read it, in a sentence."""
+    unit, factor = DISPLAY["m"]
+    return f"{factor * length:.3g} {unit}"
 
 
 def _away(interval: Interval) -> Interval:

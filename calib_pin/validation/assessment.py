@@ -13,17 +13,20 @@ from calib_pin.estimation.directions import (
     robot_singular_values,
 )
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.formulation import nominal_problem, require_known
+from calib_pin.estimation.formulation import (
+    Stated,
+    nominal_problem,
+    require_known,
+    setup_of,
+)
 from calib_pin.estimation.identifiability import Structure, everett_count, observability
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem, distinct_values
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
-from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey
 from calib_pin.parameters import ParameterSet
-from calib_pin.setup import Setup
 from calib_pin.solvers import LeastSquaresResult
 from calib_pin.solvers.status import Status
 from calib_pin.validation.result import (
@@ -41,9 +44,9 @@ CORRELATED = 0.95
 
 
 def identify(
-    chains: Chain | Chains,
+    chains: Robots,
     measured: str | Sequence[BlockKey],
-    setup: Setup | None = None,
+    setup: Stated = None,
     *,
     seed: int = 0,
 ) -> Identification:
@@ -64,7 +67,7 @@ def identify(
         >>> found.identifiability.rank, found.identifiability.everett
         (34, 34)
     """
-    problem = nominal_problem(chains, measured, setup or Setup())
+    problem = nominal_problem(chains, measured, setup_of(setup))
     require_known(problem.parts.values(), problem.setup)
     theta = np.zeros(len(problem.parameters))
     found, _ = analyze_structure(problem, theta, np.random.default_rng(seed))

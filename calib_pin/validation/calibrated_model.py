@@ -17,10 +17,11 @@ from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameterizations.error_model import ErrorModel, beyond_urdf
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import CameraSetup, Setup
+from calib_pin.setup.arguments import Brief, as_array
 
 
-@dataclass(frozen=True)
-class CalibratedChain:
+@dataclass(frozen=True, repr=False)
+class CalibratedChain(Brief):
     """A chain with its calibration, before one station and with one tool.
 
     Attributes:
@@ -41,6 +42,7 @@ class CalibratedChain:
     @serial_blas
     def poses(self, q: Floats) -> Floats:
         """Predicted tool poses in the measurement frame, shape (N, n) -> (N, 4, 4)."""
+        q = as_array("q", q, "N", len(self.chain.joints))
         return self.error.poses(q, self.theta)
 
     def outside(self, q: Floats) -> NDArray[np.bool_]:
@@ -49,7 +51,7 @@ class CalibratedChain:
         Args:
             q: Commanded joint positions, shape (N, n) [rad, m].
         """
-        learned = self.error.learned
+        q, learned = as_array("q", q, "N", len(self.chain.joints)), self.error.learned
         if not isinstance(learned, LearnedCorrection):
             return np.zeros(len(q), bool)
         return ~learned.model.region.inside(q)
@@ -88,8 +90,8 @@ class CalibratedChain:
         return self.error.corrections(self.theta)[-2] * self.error.tool
 
 
-@dataclass(frozen=True)
-class CalibratedModel(System):
+@dataclass(frozen=True, repr=False)
+class CalibratedModel(Brief, System):
     """A robot with its calibration: all chains, stations, tools and instruments.
 
     Attributes:

@@ -22,6 +22,7 @@ from calib_pin.validation.result import (
     CalibrationResult,
     CoupledGroup,
     ParameterEstimate,
+    Printed,
     Term,
 )
 from calib_pin.validation.summaries import ToolAccuracy
@@ -151,8 +152,8 @@ ORIENTED = ("orientation", "pixel")
 """Quantities that depend on how the tool is turned, whatever point of it is seen."""
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Printed):
     """Two calibrations of one robot.
 
     Attributes:

@@ -11,13 +11,13 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError
 from calib_pin.estimation.conditions import require_conditions
 from calib_pin.estimation.evidence import Finding
-from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.formulation import Stated, fitting, make_problem, setup_of
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.registration import extended
-from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.readings import as_stated
 from calib_pin.observations import Measurements, Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
@@ -40,9 +40,9 @@ LARGE = 5.0
 
 @serial_blas
 def evaluate(
-    robot: Chain | Chains | CalibratedModel,
+    robot: Robots | CalibratedModel,
     measurements: Measurements | Observations,
-    setup: Setup | None = None,
+    setup: Stated = None,
     *,
     registration: bool = False,
     others: Others = tuple,
@@ -62,10 +62,14 @@ def evaluate(
     Raises:
         InputError: If the measurements do not fit the model.
     """
-    rows, outside = Observations.of(measurements), 0
     chains, plain = _nominal(robot, setup)
+    rows = as_stated(Observations.of(measurements), plain.reading)
+    chains, (rows,) = fitting(chains, plain, rows)
+    outside = 0
+    if not isinstance(robot, CalibratedModel):
+        robot = chains
     with explained(chains, rows, plain, others):
-        ready = prepared(robot, rows, setup, registration=registration)
+        ready = prepared(robot, rows, plain, registration=registration)
     if isinstance(robot, CalibratedModel):
         outside = sum(
             int(robot.of(block.part.key.chain).outside(block.data.q).sum())
@@ -99,13 +103,12 @@ def evaluate(
     )
 
 
-def _nominal(
-    robot: Chain | Chains | CalibratedModel, setup: Setup | None
-) -> tuple[Chains, Setup]:
+def _nominal(robot: Robots | CalibratedModel, setup: Stated) -> tuple[Chains, Setup]:
     """The nominal robot and the setup of a comparison."""
     if isinstance(robot, CalibratedModel):
         return robot.chains, robot.setup
-    return Chains.of(robot), setup or Setup()
+    stated = setup_of(setup)
+    return Chains.of(robot, stated), stated
 
 
 def _findings(
@@ -125,7 +128,7 @@ def _findings(
 
 
 def _unregistered(
-    robot: Chain | Chains | CalibratedModel, rows: Observations
+    robot: Robots | CalibratedModel, rows: Observations
 ) -> Iterator[Finding]:
     """Frames or an instrument that are not where a calibration has seen them."""
     some, _ = some_of(rows)
@@ -173,7 +176,7 @@ class Prepared:
 
 
 def prepared(
-    robot: Chain | Chains | CalibratedModel,
+    robot: Robots | CalibratedModel,
     rows: Observations,
     setup: Setup | None = None,
     *,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from html import escape
 from importlib import import_module
@@ -11,7 +12,9 @@ import numpy as np
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import Finding
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.plugins import upper
+from calib_pin.setup.arguments import as_array
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.breakdown import Breakdown
@@ -24,6 +27,7 @@ from calib_pin.validation.summaries import (
     Recalibration,
     SolverSummary,
     Statistics,
+    ToolAccuracy,
     Validation,
 )
 
@@ -173,8 +177,16 @@ class Identifiability:
     scale_observable: bool = True
 
 
-@dataclass(frozen=True)
-class Identification:
+class Printed:
+    """A result that is shown by the first lines of its report."""
+
+    def __repr__(self) -> str:
+        """The first lines of the report."""
+        return str(upper("report.text", "brief", self))
+
+
+@dataclass(frozen=True, repr=False)
+class Identification(Printed):
     """The identifiability of a robot.
 
     Attributes:
@@ -206,10 +218,26 @@ class UrdfResult:
     reason: str
 
 
+class Prediction(NamedTuple):
+    """Tool poses with their uncertainty.
+
+    Attributes:
+        poses: Tool in the measurement frame, shape (N, 4, 4).
+        covariance: Of the error of each along the axes of the measurement frame [m] and
+            about them [rad], shape (N, 6, 6).
+    """
+
+    poses: Floats
+    covariance: Floats
+
+
 class Tables:
     """A result as arrays with names and as tables."""
 
     model: CalibratedModel
+    reference: CalibratedModel
+    accuracies: Mapping[str, ToolAccuracy]
+    covariance: NamedArray
     verdict: str
     reason: str
     parameters: tuple[ParameterEstimate, ...]
@@ -261,9 +289,35 @@ class Tables:
         ]
         return pandas.concat(frames, ignore_index=True)
 
+    def predict(self, q: Floats, chain: str | None = None) -> Prediction:
+        """Tool poses of the calibrated robot, and how far the real one may be off.
+
+        By the covariance of the parameters and the unmodeled error as it is expected
+        over the workspace; not by the noise of an instrument that looks.
+
+        Args:
+            q: Joint positions, shape (N, n) [rad, m].
+            chain: Name of the chain; default the first that moves.
+
+        Raises:
+            OptionError: If q has another shape.
+        """
+        there, part = self.model.of(chain), self.reference.moving
+        if chain is not None:
+            part = self.reference.of_chain(chain)
+        q = as_array("q", q, "N", len(there.chain.joints))
+        own, values = part.of_error, np.array([p.value for p in self.parameters])
+        T, J = part.error.jacobian(q, values[part.of_error])
+        J = np.kron(np.eye(2), T[:, :3, :3]) @ J
+        C = J @ np.asarray(self.covariance)[np.ix_(own, own)] @ J.transpose(0, 2, 1)
+        expected = self.accuracies[part.key.chain].workspace
+        if expected is not None:
+            C += np.diag(np.repeat(np.square(expected.unmodeled) / 3.0, 3))
+        return Prediction(there.poses(q), C)
+
     def figures(self) -> dict[str, Any]:
         """The figures of the report by name, as matplotlib figures."""
-        found: dict[str, Any] = upper["figures"](self)
+        found: dict[str, Any] = upper("report.figures", "figures", self)
         return found
 
     def _repr_html_(self) -> str:
@@ -286,7 +340,7 @@ class Tables:
         return f"<p>{said}</p><table>{table}</table>"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CalibrationResult(Tables, Identification, Breakdown):
     """Everything a calibration found, made by a fit or read from a file.
 
@@ -346,8 +400,8 @@ class CalibrationResult(Tables, Identification, Breakdown):
         return None if self.urdf.reason else self.urdf.model
 
 
-@dataclass(frozen=True)
-class Evaluation:
+@dataclass(frozen=True, repr=False)
+class Evaluation(Printed):
     """Accuracy on measurements that were not fitted.
 
     Attributes:

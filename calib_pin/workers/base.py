@@ -67,9 +67,11 @@ class Workers:
         count: Number of items that may be under way at once.
         patience: Time that items are done in this process first [s].
         died: Error of a batch that was lost with its worker.
+        acts: The method with which anything may stand in for these.
     """
 
     count = 1
+    acts = "map"
     patience = inf
     died: type[BaseException]
 

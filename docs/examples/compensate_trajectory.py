@@ -4,6 +4,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from numpy.typing import NDArray
 
 import calib_pin
 from calib_pin.cli import main
@@ -37,9 +38,9 @@ assert found.reached.all()
 true = calib_pin.load_chain("true.urdf", tip="tool")
 
 
-def errors(q: np.ndarray) -> np.ndarray:
+def errors(q: NDArray[np.float64]) -> NDArray[np.float64]:
     """Where the real tool is off the circle [mm]."""
-    return 1e3 * (true.poses(q)[:, :3, 3] - targets[:, :3, 3])
+    return np.asarray(1e3 * (true.poses(q)[:, :3, 3] - targets[:, :3, 3]))
 
 
 nominal, compensated = errors(found.nominal), errors(found.q)

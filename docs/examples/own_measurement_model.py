@@ -1,17 +1,21 @@
 """A measurement model of one's own: a height gauge on a surface plate."""
 
-import sys
+from __future__ import annotations
+
 from dataclasses import dataclass, replace
-from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from numpy.typing import NDArray
 
 import calib_pin
 from calib_pin.cli import main
 from calib_pin.measurement_models import Declaration, Inference, Quantity
 from calib_pin.measurement_models.named_points import located_tool, tip_points
 from calib_pin.measurement_models.tool_point import PointMeasurement, PointModel
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -27,12 +31,14 @@ class HeightGauge(PointModel):
         yardstick="the height gauge",
     )
 
-    def compare(self, p, site, values):
+    def compare(
+        self, p: Floats, site: NDArray[np.int64], values: Floats
+    ) -> PointMeasurement:
         """The height of points `p`, shape (N, 3), and its derivative by them."""
         up = np.broadcast_to([[0.0, 0.0, 1.0]], (len(p), 1, 3))
         return PointMeasurement(p[:, 2:], up, np.zeros((len(p), 1, 0)))
 
-    def register(self, F, data, base, tool):
+    def register(self, F: Floats, data: Any, base: Any, tool: Any) -> Any:
         """The unknown point on the tool, for which heights are linear equations."""
         tip = tip_points(self.points, tool)
         up = (base.rotation @ F[:, :3, :3])[:, 2]
@@ -44,15 +50,8 @@ class HeightGauge(PointModel):
 
 
 if __name__ == "__main__":
-    # A package declares its models in its metadata; pip would write these two files.
-    info = Path("site", "height_gauge-1.0.dist-info")
-    info.mkdir(parents=True, exist_ok=True)
-    (info / "METADATA").write_text("Name: height-gauge\nVersion: 1.0\n")
-    entry = (
-        "[calib_pin.measurement_models]\nheight = own_measurement_model:HeightGauge\n"
-    )
-    (info / "entry_points.txt").write_text(entry)
-    sys.path[:0] = [str(info.parent), str(Path(__file__).parent)]
+    # A package would declare its models in its metadata; a script registers them.
+    calib_pin.register("measurement_models", "height", HeightGauge)
 
     # From here on it is a model like any other, for commands and from Python.
     words = (

@@ -25,7 +25,8 @@ def calibrated(*parameters: str) -> calib_pin.CalibrationResult:
 geometry = calibrated("placement")
 springs = calibrated("placement", "compliance")
 for name, result in (("geometry alone", geometry), ("with compliance", springs)):
-    print(f"{name}: {1e3 * result.errors[0].validation_after.rms:.3f} mm rms, held out")
+    error = result.errors[0].validation_after or result.errors[0].after
+    print(f"{name}: {1e3 * error.rms:.3f} mm rms, held out")
 
 compliances = {
     found.name.split(".")[0]: (found.value, found.sigma)
@@ -45,6 +46,7 @@ for joint, (value, sigma) in compliances.items():
     print(f"{joint}: {told}, {1e6 * true[joint]:.4f} is true")
 
 figure, panels = plt.subplots(1, 2, figsize=(6.8, 3.2), layout="constrained")
+assert springs.held_out and geometry.held_out
 lengths = {
     "nominal": springs.held_out.before,
     "geometry": geometry.held_out.after,

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from numpy.typing import NDArray
 
 import calib_pin
 from calib_pin.cli import main
@@ -26,7 +27,7 @@ plan = calib_pin.plan(chain, "position", 12, setup, seed=1)
 print(f"the plan promises {1e3 * plan.predicted.position:.3f} mm (1 sigma of the tool)")
 
 
-def csv(name: str, q: np.ndarray) -> str:
+def csv(name: str, q: NDArray[np.float64]) -> str:
     """A file of configurations, as the operator gets it."""
     header = ",".join(chain.joints)
     np.savetxt(name, q, delimiter=",", header=header, comments="")
@@ -44,7 +45,8 @@ def campaign(configurations: str, seed: int) -> float:
     target = np.array([0.05, 0.03, 0.12, 1.0])
     there = calib_pin.load_chain("true.urdf", tip="tool").poses(q) @ target
     truth = there[:, :3] + [2.0, 0.5, 0.1]
-    return 1e3 * np.linalg.norm(model.poses(q)[:, :3, 3] - truth, axis=1).mean()
+    off = np.linalg.norm(model.poses(q)[:, :3, 3] - truth, axis=1)
+    return 1e3 * float(off.mean())
 
 
 # `calib-pin plan ... -o plan.csv` writes the same file in an order of short travel.

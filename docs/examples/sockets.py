@@ -4,9 +4,13 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from numpy.typing import NDArray
 
 import calib_pin
 from calib_pin.cli import main
+from calib_pin.setup import PointSetup
+
+Floats = NDArray[np.float64]
 
 CELL = """\
 tip: tool
@@ -41,7 +45,9 @@ q, names = contacts.q, np.array(list(contacts.target))
 ball = np.array([0.02, 0.03, 0.1, 1.0])
 nominal = (chain.poses(q) @ ball)[:, :3]
 model = result.model.of()
-point = np.append(result.model.references["targets", "ball"].stated().xyz, 1.0)
+found = result.model.references["targets", "ball"].stated()
+assert isinstance(found, PointSetup) and found.xyz
+point = np.append(found.xyz, 1.0)
 calibrated = (model.error.tip_poses(q, model.theta) @ point)[:, :3]
 
 # The truth: how far apart the ball is at two configurations that nobody measured. The
@@ -49,9 +55,9 @@ calibrated = (model.error.tip_poses(q, model.theta) @ point)[:, :3]
 pairs = chain.random_configurations(600, np.random.default_rng(5))
 
 
-def lengths(places: np.ndarray) -> np.ndarray:
+def lengths(places: Floats) -> Floats:
     """Distances between the places of a pair [mm]."""
-    return 1e3 * np.linalg.norm(places[::2, :3] - places[1::2, :3], axis=1)
+    return np.asarray(1e3 * np.linalg.norm(places[::2, :3] - places[1::2, :3], axis=1))
 
 
 truth = lengths(calib_pin.load_chain("true.urdf", tip="tool").poses(pairs) @ ball)

@@ -5,9 +5,12 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 import calib_pin
 from calib_pin.cli import main
+
+Floats = NDArray[np.float64]
 
 # Without a tracker at hand, let a robot with known errors be measured. Yours would be
 # file = "tracker.csv", with columns as in docs/reference/measurements.md.
@@ -27,9 +30,8 @@ chain = calib_pin.load_chain("space6", tip="tool")
 measurements = calib_pin.read_measurements(file, chain)
 result = calib_pin.calibrate(chain, measurements)
 calib_pin.write_urdf(result.model, "corrected.urdf", force=True)
-print(
-    f"{result.verdict}: {result.errors[0].validation_after.rms * 1e3:.3f} mm rms left"
-)
+error = result.errors[0].validation_after or result.errors[0].after
+print(f"{result.verdict}: {error.rms * 1e3:.3f} mm rms left")
 
 # What nobody knows of a real robot: where the reflector is at other configurations.
 q = chain.random_configurations(500, np.random.default_rng(2))
@@ -37,9 +39,9 @@ place = base.homogeneous @ calib_pin.load_chain("true.urdf", tip="tool").poses(q
 truth = place[:, :3, 3] + place[:, :3, :3] @ target
 
 
-def errors(points: np.ndarray) -> np.ndarray:
+def errors(points: Floats) -> Floats:
     """How far points are from the truth [mm]."""
-    return 1e3 * np.linalg.norm(points - truth, axis=1)
+    return np.asarray(1e3 * np.linalg.norm(points - truth, axis=1))
 
 
 after = errors(result.model.of().poses(q)[:, :3, 3])

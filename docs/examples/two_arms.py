@@ -4,9 +4,12 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from numpy.typing import NDArray
 
 import calib_pin
 from calib_pin.cli import main
+
+Floats = NDArray[np.float64]
 
 # The robot comes with the package example-robot-data.
 ROBOT = "example:talos_reduced"
@@ -40,9 +43,9 @@ for joint in shared:  # Both hands hang on the same torso.
     q["right"][:, column] = q["left"][:, chains["left"].joints.index(joint)]
 
 
-def between(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+def between(left: Floats, right: Floats) -> Floats:
     """The right hand as the left one sees it, positions of N configurations [m]."""
-    return (np.linalg.inv(left) @ right)[:, :3, 3]
+    return np.asarray((np.linalg.inv(left) @ right)[:, :3, 3])
 
 
 nominal, truth, calibrated = (
@@ -55,7 +58,7 @@ before, after = (
 print(f"hand to hand {before.mean():.2f} mm off before, {after.mean():.2f} mm after")
 
 figure, axes = plt.subplots(figsize=(6, 3.2), layout="constrained")
-bins = np.linspace(0, before.max(), 30)
+bins = np.linspace(0, before.max(), 30).tolist()
 axes.hist(before, bins, color="#d55e00", alpha=0.7, label="before")
 axes.hist(after, bins, color="#0072b2", alpha=0.7, label="after")
 axes.set(xlabel="error of one hand in the other [mm]", ylabel="configurations")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 
 from benchmarks import (
+    acceptance,
     accuracy,
     camera,
     candidates,
@@ -21,6 +22,7 @@ from benchmarks import (
     jobs,
     learned,
     planning,
+    python,
     reading,
     recalibration,
     recovery,
@@ -43,6 +45,7 @@ BENCHMARKS = {
     "learned": learned.main,
     "camera": camera.main,
     "planning": planning.main,
+    "python": python.main,
     "candidates": candidates.main,
     "reading": reading.main,
     "recalibration": recalibration.main,
@@ -56,6 +59,7 @@ BENCHMARKS = {
     "findings": findings.main,
     "fleet-prior": fleet_prior.main,
     "accuracy": accuracy.main,
+    "acceptance": acceptance.main,
 }
 
 

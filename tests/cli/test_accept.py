@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import io
+import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,11 @@ from calib_pin.io.measurements import encode_table
 from tests.cli.files import document
 
 LIMITS = "tip: tool\nlimit: {position: 5.0e-4, repeatability: 2.0e-4}\n"
-REPORT = "report: {serial_number: KR 7, customer: ACME, date: 2026-11-23}\n"
+FRAMES = """frames:
+  base: {xyz: [0, 0, 0], rpy: [0, 0, 0], estimate: false}
+  tool: {xyz: [0, 0, 0], rpy: [0, 0, 0], estimate: false}
+"""
+REPORT = "report: {serial_number: KR 7, customer: ACME, date: 2026-11-23, load: 5 kg}\n"
 ACCEPT = "accept arm.urdf visits.csv --setup limits.yaml"
 CALIBRATE = "calibrate arm.urdf rows.csv --setup setup.yaml -o c"
 
@@ -30,7 +36,7 @@ def visits(here) -> None:
     table = dict(zip(chain.joints, q.T, strict=True))
     table |= dict(zip("xyz", points.T, strict=True))
     Path("visits.csv").write_bytes(encode_table(table, []))
-    Path("limits.yaml").write_text(LIMITS)
+    Path("limits.yaml").write_text(LIMITS + FRAMES)
 
 
 def pages(file: str) -> list[str]:
@@ -43,7 +49,7 @@ def pages(file: str) -> list[str]:
 
 def test_a_robot_is_tested(visits, run):
     """What is accepted is told by the status."""
-    Path("limits.yaml").write_text(LIMITS + REPORT)
+    Path("limits.yaml").write_text(LIMITS + FRAMES + REPORT)
     result = run(f"{ACCEPT} -o out")
     assert result.status == 2
     lines = result.out.splitlines()
@@ -58,18 +64,26 @@ def test_a_robot_is_tested(visits, run):
     assert float(rows[2].split(",")[3]) == poses[0]["accuracy"]["value"]
     page = Path("out/acceptance.html").read_text()
     assert "KR 7" in page and page.count("FAIL: AP") == 1
-    Path("limits.yaml").write_text(LIMITS.replace("5.0e-4", "0.1"))
+    Path("limits.yaml").write_text(LIMITS.replace("5.0e-4", "0.1") + FRAMES)
     assert run(ACCEPT).status == 0
 
 
 def test_a_calibration_is_tested_beside_the_nominal_robot(visits, run, fails):
-    """Of a setup that it has already nothing is passed over in silence."""
+    """A setup may say what it says; all else is named."""
     accept = "accept done/calibration.json visits.csv --register --setup limits.yaml"
-    fails(accept, "limits.yaml")
-    Path("limits.yaml").write_text(LIMITS.partition("\n")[2])
+    fails(accept, "limits.yaml", "its own frames")
+    Path("limits.yaml").write_text(LIMITS)
     result = run(accept)
+    assert result.status == 2
     assert "Poses, nominal" in result.out and "Poses, calibrated" in result.out
     assert "0.5000 mm" in result.out and result.err == ""
+    # Five poses hold the station, but never the tool.
+    assert "the station was fitted to these visits, 6 unknowns of 15" in " ".join(
+        result.out.split()
+    )
+    assert "the misfit of the station is " in " ".join(result.out.split())
+    changed(partial(shift, first=0, by=0.05))
+    assert "--register fits it" in run(accept.replace("--register ", "")).out
 
 
 @pytest.mark.parametrize(
@@ -85,6 +99,120 @@ def test_what_is_no_test_is_told(visits, fails, words, named):
     fails(words, named)
 
 
+def changed(change) -> None:
+    """Give the visits a cycle and a pose, and change their lists of cells."""
+    header, *rows = Path("visits.csv").read_text().splitlines()
+    ends = [[str(k // 5 + 1), f"P{k % 5 + 1}"] for k in range(len(rows))]
+    cells = [[*row.split(","), *end] for row, end in zip(rows, ends, strict=True)]
+    change(cells)
+    lines = [f"{header},cycle,pose", *map(",".join, cells)]
+    Path("visits.csv").write_text("\n".join(lines))
+
+
+def said(result) -> str:
+    """What was printed, in one line."""
+    return " ".join(result.out.split())
+
+
+def test_what_is_fitted_to_visits_says_nothing_of_their_place(visits, run):
+    """Neither five poses nor one of a robot that is off pass any limit."""
+    accept = "accept arm.urdf visits.csv --setup limits.yaml"
+    Path("limits.yaml").write_text(LIMITS.replace("5.0e-4", "1.0e-2"))
+    changed(drop)
+    result = run(f"{accept} -o out")
+    assert result.status == 2 and "UNDECIDED: AP is not testable" in result.out
+    page = " ".join(Path("out/acceptance.html").read_text().split())
+    for words in ("base and tool were fitted to these visits", "P3 lacks 4"):
+        assert words in said(result) and words in page
+    found = document("out/acceptance.json")
+    assert [one["status"] for one in found["limits"]] == ["undecided", "undecided"]
+    assert 0.0 < found["tests"]["robot"]["bound"]["low"] < 1e-2
+    header, *rows = Path("visits.csv").read_text().splitlines()
+    one = [row for row in rows if row.endswith("P1")]
+    Path("visits.csv").write_text("\n".join([header, *one]))
+    result = run(accept)
+    assert result.status == 2 and "from 4 poses on AP has a bound" in said(result)
+
+
+def interval(run) -> tuple[float, float]:
+    pose = json.loads(run(f"{ACCEPT} --json").out)["tests"]["robot"]["poses"][0]
+    return pose["accuracy"]["low"], pose["accuracy"]["high"]
+
+
+def test_frames_to_an_uncertainty_and_of_other_poses(visits, run):
+    sharp = interval(run)
+    loose = FRAMES.replace(", estimate: false", "")
+    loose += "prior: {'*.frame.*': 1.0e-9, 'base.frame.?': 1.0e-4}"
+    Path("limits.yaml").write_text(LIMITS + loose)
+    wide = interval(run)
+    for near, far, way in ((sharp[0], wide[0], -1), (sharp[1], wide[1], 1)):
+        assert way * (far - near) == pytest.approx(1.96e-4, rel=0.1)
+    # The same robot at other poses: nothing is stated of the frames.
+    chain = calib_pin.load_chain("arm.urdf", tip="tool")
+    q = chain.random_configurations(40, np.random.default_rng(1))
+    points = chain.poses(q + np.array([0.0, 4e-3, -6e-3, 0.0]))[:, :3, 3]
+    header, *rows = Path("visits.csv").read_text().splitlines()
+    rows = [f"{row},validate" for row in rows]
+    rows += [",".join([*map(str, row), "train"]) for row in np.hstack([q, points])]
+    Path("visits.csv").write_text("\n".join([f"{header},set", *rows]))
+    Path("limits.yaml").write_text(LIMITS)
+    low, high = interval(run)
+    assert low < high < 1e-2
+    assert "registered on 40 other measurements" in said(run(ACCEPT))
+
+
+def names(row: int, column: int, cell: str):
+    return lambda rows: rows[row].__setitem__(column, cell)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (names(7, -1, "P2"), "visits.csv:9: the configuration of P2"),
+        (names(7, -2, "1"), "visits.csv:9: cycle 1 has had P3 in line 4"),
+        (lambda rows: [row.__setitem__(-1, "P1") for row in rows], "visits.csv:3: P1"),
+    ],
+)
+def test_names_that_contradict_each_other(visits, fails, change, told):
+    changed(change)
+    fails(ACCEPT, told)
+
+
+def exchange(rows) -> None:
+    place = slice(-5, -2)
+    rows[51][place], rows[52][place] = rows[52][place], rows[51][place]
+
+
+def shift(rows, first: int = 77, by: float = 1e-4) -> None:
+    for row in rows[first:]:
+        row[-5] = str(float(row[-5]) + by)
+
+
+def drop(rows) -> None:
+    del rows[12:32:5]
+    rows[-1][-5:-2] = ["", "", ""]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (
+            exchange,
+            ["visits.csv:53 (P2) is left out", "visits.csv:54 (P3)", "where P2 is"],
+        ),
+        (shift, ["the instrument was moved before visits.csv:79 (P3)"]),
+        (drop, ["P3 lacks 4 of 30 cycles: 3, 4, 5, 6", "P5 lacks", "30"]),
+    ],
+)
+def test_faulty_and_missing_visits_pass_nothing(visits, run, change, told):
+    Path("limits.yaml").write_text(LIMITS.replace("5.0e-4", "0.1") + FRAMES)
+    changed(change)
+    result = run(ACCEPT)
+    assert result.status == 2 and "PASS:" not in result.out.replace("No PASS:", "")
+    for words in told:
+        assert words in said(result)
+
+
 def test_a_path_is_its_worst_point(visits, run):
     result = run(f"{ACCEPT} --path -o out")
     assert result.out.startswith("FAIL: AT ") and "\nPASS: RT " in result.out
@@ -98,10 +226,11 @@ def test_a_path_is_its_worst_point(visits, run):
 
 @pytest.mark.needs("pdf")
 def test_it_is_written_for_a_customer(visits, run):
-    Path("limits.yaml").write_text(LIMITS + REPORT)
+    Path("limits.yaml").write_text(LIMITS + FRAMES + REPORT)
     run(f"{ACCEPT} -o out")
     first, *annex = pages("out/acceptance.pdf")
-    for words in ("FAIL", "KR 7", "ACME", "2026-11-23", "AP 0.5000 mm, RP 0.2000 mm"):
+    named = ("FAIL", "KR 7", "ACME", "2026-11-23", "AP 0.5000 mm, RP 0.2000 mm")
+    for words in (*named, "5 kg", "speed not stated"):
         assert words in first
     for title in ("Poses", "Distances between poses"):
         assert any(title in text for text in annex)

@@ -110,7 +110,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "evaluate done/calibration.json distances.csv": dict(
         file="distances.csv", line=2, column="x", reason="'position'"
     ),
-    f"{EVALUATE} --tip tool": dict(reason="tip"),
+    f"{EVALUATE} --tip link3": dict(reason="tip"),
     # simulation and structure
     "simulate arm.urdf --model plane-distance --count 5 -o out.csv": dict(
         reason="planes"

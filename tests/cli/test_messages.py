@@ -184,7 +184,7 @@ MESSAGES: list[tuple[str, Mapping[str, str], str]] = [
         "accept arm.urdf rows.csv --tip tool",
         {},
         "rows.csv: no pose was visited 3 times: 40 poses, at most 1 visits of one; "
-        "allowed: repeated poses; 'plan --repeats' asks for them",
+        "allowed: repeated poses; 'plan --accept --cycles N' asks for them",
     ),
     (
         f"{CALIBRATE} --process-noise 1e-5",

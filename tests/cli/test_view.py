@@ -100,7 +100,7 @@ def test_missing_meshes_are_noted_once(
         ("arm.urdf --package-dir rows.csv", "rows.csv"),
         ("done", "done/calibration.json"),
         ("done/calibration.json --tip link3", "tip"),
-        ("done/calibration.json --setup setup.yaml", "setup.yaml"),
+        ("done/calibration.json --setup setup.yaml --tip link3", "setup.yaml"),
         ("done/calibration.json distances.csv", "distances.csv:2"),
         ("example:talos_reduced rows.csv", "--tip"),
     ],

@@ -128,6 +128,15 @@ def test_a_script_does_what_it_claims(path: Path, folder: Path):
 
 
 @pytest.mark.slow
+def test_scripts_are_typed():
+    checker = [sys.executable, "-m", "mypy", "--strict", *map(str, SCRIPTS)]
+    done = subprocess.run(
+        checker, cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """Cell by cell, as Jupyter would, in a fresh folder."""

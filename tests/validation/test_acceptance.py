@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calib_pin.errors import InputError
 from calib_pin.setup import LimitSetup
 from calib_pin.validation.acceptance import (
+    FrameErrors,
     Interval,
     acceptance,
+    cycles_in_order,
     judged,
     mean,
     mean_distance,
@@ -134,5 +138,84 @@ def test_poses_have_the_numbers_of_the_file() -> None:
     assert [pose.pose for pose in test.poses] == [1, 2, 5]
     assert [pose.accuracy.value for pose in test.poses] == [3.0, 1.0, 0.0]
     assert {pair.poses for pair in test.distances} == {(1, 2), (1, 5), (2, 5)}
-    with pytest.raises(InputError, match="'pose'"):
-        acceptance(x, np.zeros((9, 3)), group, numbers=np.ones(9, int))
+
+
+@pytest.mark.parametrize(
+    ("pose", "cycles"),
+    [
+        ([0, 1, 2, 0, 1, 2], [1, 1, 1, 2, 2, 2]),
+        ([0, 1, 2, 0, 2, 0, 1, 2], [1, 1, 1, 2, 2, 3, 3, 3]),
+        ([0, 1, 0, 1, 1], [1, 1, 2, 2, 3]),
+        # Blocks, and poses in turn.
+        ([0, 0, 1, 1], [1, 2, 1, 2]),
+        ([0, 1, 1, 0], [1, 1, 2, 2]),
+    ],
+)
+def test_order_tells_cycles(pose, cycles) -> None:
+    assert cycles_in_order(np.array(pose)).tolist() == cycles
+
+
+def test_a_missing_visit_moves_no_other_into_its_place() -> None:
+    """A robot that drifts is as far from one pose to the other in every cycle."""
+    pose, cycle = np.tile([0, 1], 20), np.repeat(np.arange(20), 2)
+    x = np.zeros((40, 3))
+    x[:, 0] = pose + 1e-3 * cycle
+    kept = (pose == 0) | ~np.isin(cycle, [3, 4, 5])
+    goal = np.array([[1.0, 0.0, 0.0]]) * pose[:, None]
+    for given in (None, cycle[kept]):
+        test = acceptance(x[kept], goal[kept], pose[kept], cycles=given)
+        (pair,) = test.distances
+        assert pair.cycles == 17
+        assert pair.accuracy.value == pytest.approx(0.0, abs=1e-12)
+
+
+def test_frames_that_are_uncertain_widen_intervals() -> None:
+    """Of AP all, of AD what turns and stretches, and nothing of RP."""
+    rng = np.random.default_rng(0)
+    pose = np.repeat([0, 1], 30)
+    goal = np.array([[1.0, 0.0, 0.0]]) * pose[:, None]
+    x = goal + [1e-3, 0.0, 0.0] + 1e-6 * rng.standard_normal((60, 3))
+    shift, stretch = np.eye(6)[:, :1], np.zeros((60, 6, 1))
+    stretch[:, :, 0] = 1e-4 * np.eye(6)[0] * pose[:, None]
+    plain = acceptance(x, goal, pose)
+    found = [
+        acceptance(x, goal, pose, frames=FrameErrors(effects))
+        for effects in (np.tile(1e-4 * shift, (60, 1, 1)), stretch)
+    ]
+    half = 1.96e-4
+    for test, pair in zip(found, (0.0, half), strict=True):
+        ap, ad = test.poses[1].accuracy, test.distances[0].accuracy
+        assert [ap.low, ap.high] == pytest.approx([1e-3 - half, 1e-3 + half], abs=1e-5)
+        assert ad.high - ad.value == pytest.approx(pair, abs=1e-6)
+        assert test.poses[1].repeatability.value == plain.poses[1].repeatability.value
+
+
+def test_what_was_fitted_to_visits_leaves_a_bound() -> None:
+    """A shift takes the mean error away; half the difference of two poses remains."""
+    pose = np.repeat([0, 1], 10)
+    rng = np.random.default_rng(0)
+    goal = np.array([[1.0, 0.0, 0.0]]) * pose[:, None]
+    x = goal + [0.0, 1e-3, 0.0] * (2 * pose - 1)[:, None]
+    x = x + [5e-3, 0.0, 0.0] + 1e-6 * rng.standard_normal((20, 3))
+    shift = FrameErrors(np.tile(np.eye(6)[:, :3], (20, 1, 1)), fitted="it was fitted")
+    test = acceptance(x, goal, pose, frames=shift)
+    # The truth may be any shift more, but never less than 1 mm at the worse pose.
+    assert test.bound.low == pytest.approx(1e-3, rel=1e-2)
+    assert "3 unknowns of 6 values" in test.untestable
+    for limit, status in ((5e-4, "fail"), (2e-3, "undecided"), (1.0, "undecided")):
+        (found,) = judged(test, LimitSetup(position=limit))
+        assert found[1] == status
+    one = acceptance(
+        x[:10], goal[:10], pose[:10], frames=replace(shift, effects=shift.effects[:10])
+    )
+    assert "from 2 poses on" in one.untestable and not one.bound.low > 0.0
+
+
+def test_doubts_pass_nothing_and_a_move_fails_nothing() -> None:
+    test = acceptance(X, np.tile(C, (4, 1)), np.zeros(4, int))
+    for allowed, changes in ((9.0, {"doubts": ("why",)}), (1e-9, {"moved": True})):
+        limit = LimitSetup(position=allowed, repeatability=allowed)
+        found = [s for _, s, *_ in judged(replace(test, **changes), limit)]
+        assert found == ["undecided", "undecided"]
+    # A limit of what was not measured is not met.
+    assert [s for _, s, *_ in judged(test, LimitSetup(distance=9.0))] == ["undecided"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
@@ -52,3 +53,23 @@ def test_a_data_frame_has_every_measurement(
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(calib_pin.CalibPinError, match="pip install pandas"):
         result.to_frame()
+
+
+def test_predictions_have_the_uncertainty_of_the_tool(
+    result: calib_pin.CalibrationResult,
+) -> None:
+    """At the configurations of the workspace it is the one that the report tells."""
+    tip = result.accuracy.tip
+    assert tip is not None and result.accuracy.workspace is not None
+    unmodeled = np.square(result.accuracy.workspace.unmodeled)
+    found = result.predict(tip.q)
+    assert np.array_equal(found.poses, result.model.of().poses(tip.q))
+    C = found.covariance
+    assert np.allclose(C, C.transpose(0, 2, 1), rtol=0.0, atol=1e-9 * C.max())
+    for k, deviation in enumerate((tip.position, tip.orientation)):
+        own = np.trace(C[:, 3 * k : 3 * k + 3, 3 * k : 3 * k + 3], axis1=1, axis2=2)
+        assert np.allclose(np.sqrt(own - unmodeled[k]), deviation, rtol=1e-6)
+    # Along the axes of the measurement frame: turned with the robot in front of it.
+    one = result.predict(tip.q[0])
+    assert one.covariance.shape == (1, 6, 6)
+    assert np.allclose(one.covariance[0], C[0], rtol=1e-9, atol=0.0)

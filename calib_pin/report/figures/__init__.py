@@ -8,6 +8,7 @@ from typing import TypeVar
 
 from matplotlib.figure import Figure
 
+from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.kinematics.shapes import Shape
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.acceptance import Judged, poses_tested
@@ -50,7 +51,7 @@ __all__ = [
     "acceptance_figures",
     "calibration_figures",
     "comparison_figures",
-    "figures_of",
+    "figures",
     "fleet_figures",
     "outlook_figures",
     "plan_figures",
@@ -116,10 +117,9 @@ def calibration_figures(
     yield from _drawn(OF_CALIBRATION, result)
 
 
-def figures_of(
-    result: CalibrationResult, shapes: Sequence[Shape] = ()
-) -> dict[str, Figure]:
+def figures(result: CalibrationResult) -> dict[str, Figure]:
     """The same as matplotlib figures by name, see `CalibrationResult.figures`."""
+    shapes = robot_shapes(result.model.chains.robot).parts
     return {drawn.name: drawn.figure for drawn in calibration_figures(result, shapes)}
 
 

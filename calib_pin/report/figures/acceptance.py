@@ -21,7 +21,6 @@ from calib_pin.report.figures.canvas import (
     panels,
 )
 from calib_pin.report.figures.labels import log_axis, log_limits, unit_of
-from calib_pin.report.tables import amount
 from calib_pin.setup import LimitSetup
 from calib_pin.validation.acceptance import Acceptance, Interval, PoseTest
 
@@ -65,14 +64,11 @@ def poses_tested(found: Judged) -> Drawn | None:
     if limit.position is not None or limit.repeatability is not None:
         entries["limit"] = LIMIT
     key(figure, entries, 0.75)
-    *_, last = found.tests.values()
-    worst = ", AT and RT," if found.path else ""
+    worst = "; the worst are AT and RT" if found.path else ""
     return Drawn(
         "poses-tested",
         f"Accuracy and repeatability by {place}",
-        f"AP and RP of every {place} with 95 % intervals; the worst{worst} are "
-        f"{amount(last.accuracy.value, 'm')} and "
-        f"{amount(last.repeatability.value, 'm')}."
+        f"AP and RP of every {place} with 95 % intervals{worst}."
         + " A limit is met where all of an interval lies below it."
         * ("limit" in entries),
         figure,
@@ -110,6 +106,9 @@ def _panel(
         axes.set_xticks(numbers, [f"P{number}" for number in numbers], fontsize=8)
     axes.grid(visible=False, axis="x")
     everything = np.concatenate(shown)
+    everything = everything[np.isfinite(everything)]
+    if np.isnan(value).any():
+        axes.text(0.5, 0.5, "not testable", ha="center", transform=axes.transAxes)
     positive = everything[everything > 0.0]
     if len(positive) and positive.max() > 20.0 * positive.min():
         log_axis(axes, "y", log_limits(positive) or (0.1, 1.0))

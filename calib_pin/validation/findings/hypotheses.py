@@ -13,6 +13,7 @@ from calib_pin.estimation.evidence import Finding
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Measurements, Observations
+from calib_pin.observations.blocks import of_joints
 from calib_pin.setup import ReadingSetup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
@@ -96,25 +97,21 @@ def read_so(data: Observations, faults: Iterable[Hypothesis]) -> Observations:
 
 
 def _with_joints(data: Observations, joints: Sequence[str]) -> Observations:
-    """Measurements with some of their joints."""
+    """Measurements with some of their joints, and further ones that they state."""
     new = [joint for joint in joints if joint not in data.joints]
     every = [*data.joints, *new]
-    columns = [every.index(joint) for joint in joints]
 
-    def with_joints(b: Measurements) -> Measurements:
+    def with_new(b: Measurements) -> Measurements:
         if new and b.start.size:
             raise InputError("where these joints started is not known")
-        q = np.column_stack([b.q, *(b.conditions.spare[j, j] for j in new)])
-        held = b.conditions.among(range(len(b.joints)), len(every))
         return replace(
             b,
-            joints=tuple(joints),
-            q=q[:, columns],
-            start=b.start[:, columns] if b.start.size else b.start,
-            conditions=held.of_joints(columns),
+            joints=tuple(every),
+            q=np.column_stack([b.q, *(b.conditions.spare[j, j] for j in new)]),
+            conditions=b.conditions.among(range(len(b.joints)), len(every)),
         )
 
-    return Observations(tuple(map(with_joints, data.blocks)))
+    return of_joints(Observations(tuple(map(with_new, data.blocks))), tuple(joints))
 
 
 def joint_reading(faults: Iterable[Hypothesis]) -> JointReading | None:
@@ -174,10 +171,16 @@ def finding(case: Case, found: Explanation) -> Iterator[Finding]:
     lines = setup_lines(case, found.faults)
     quantity = case.fit.problem.layout.quantities[0]
     unit, factor = DISPLAY[quantity.unit]
+    scale = merged(fault.reading for fault in found.faults).scale
+    if quantity.unit == "m" and not found.fitted:  # Errors are in the unit of the file.
+        found = replace(found, before=scale * found.before, after=scale * found.after)
     sizes = [f"{factor * size:.3g} {unit}" for size in (found.before, found.after)]
     robot = "of a fit" if found.fitted else "of the nominal robot"
     fall = f"fall from {sizes[0]} to" if np.isfinite(found.before) else "are"
     clear = found.after < FITTED * found.before and not found.harmless
+    remedy = f"state in the setup file: {written(lines)}"
+    if [*lines.get("reading", ())] == ["scale"] and not any(case.data.files.distinct):
+        remedy = f"multiply values by {scale:g}"
     for fault in found.faults:
         yield Finding(
             fault.code,
@@ -190,7 +193,7 @@ def finding(case: Case, found: Explanation) -> Iterator[Finding]:
                 "log_likelihood_ratio": found.ratio,
                 "tried": float(found.tried),
             },
-            fault.advice or f"state in the setup file: {written(lines)}",
+            fault.advice or remedy,
             {} if fault.advice else lines,
             fault.figure,
         )

@@ -81,7 +81,7 @@ class JointOffset(Parameterization):
     """
 
     name = "joint-offset"
-    turn = HAND_SET
+    turn = 0.25 * HAND_SET  # From 31 deg on, two teeth of a spline, it is implausible.
 
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """One screw at every moving joint."""

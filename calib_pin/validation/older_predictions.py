@@ -85,6 +85,7 @@ class Found:
     Attributes:
         explanation: The innovations with these causes.
         drifts: How far the robot drifts, as far as is known now.
+        drifted: How far it has drifted since, by how likely it is that it does.
         jumps: Sudden changes by name, the surest first.
         sizes: Their sizes, in expected sizes of errors, and those of changes that may
             have come about instead.
@@ -95,6 +96,7 @@ class Found:
 
     explanation: Explanation
     drifts: tuple[DriftSize, ...]
+    drifted: Mapping[str, float]
     jumps: Mapping[str, Jump]
     sizes: Mapping[str, float]
     still: float
@@ -236,8 +238,14 @@ class Comparison:
             else drift
             for drift, cause, count in zip(expected, found.causes, told, strict=False)
         )
-        if still > 0.0 and np.isfinite(expected[0].worth):
-            found = calm
+        drifted = {drift.name: drift.size for drift in drifts}
+        if np.isfinite(expected[0].worth):
+            # A robot that may drift is as uncertain as that is likely; and squares of
+            # sizes that few errors tell are larger in the mean than their likeliest.
+            part = float(np.exp(-np.logaddexp(0.0, still)))
+            for d in drifts:
+                drifted[d.name] *= (part * d.worth / max(d.worth - 2.0, 1.0)) ** 0.5
+            found = calm if still > 0.0 else found
         sudden = [cause for cause in sparse if cause.name in self.sudden]
         others = {c.name: self._others(found, c, sudden) for c in sudden}
         sizes = {name: c.size for c in sudden for name in (c.name, *others[c.name][0])}
@@ -248,7 +256,7 @@ class Comparison:
         # A tracker that was set up anew is no error of the prediction.
         moved = (c for c in sudden if self.sudden[c.name].kind in FRAMES)
         square = replace(first, causes=(*first.causes, *moved)).square
-        return Found(found, drifts, jumps, sizes, float(still), noise, square)
+        return Found(found, drifts, drifted, jumps, sizes, float(still), noise, square)
 
     def _others(
         self, found: Explanation, cause: Cause, sudden: Sequence[Cause]
@@ -304,11 +312,7 @@ class Comparison:
             (max(size, 1.0), self.sudden[name].directions)
             for name, size in found.sizes.items()
         )
-        drifted = (
-            (cause.size, self.drifting[cause.name])
-            for cause in found.explanation.causes
-            if cause.name in self.drifting
-        )
+        drifted = ((size, self.drifting[n]) for n, size in found.drifted.items())
         effects = [(size, way[self.robot]) for size, way in (*drifted, *sudden)]
         noise = {n: found.noise * sigma for n, sigma in self.older.noise.items()}
         scales = self.parameters.scales[self.robot]

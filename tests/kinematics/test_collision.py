@@ -248,12 +248,12 @@ def test_a_larger_clearance_switches_nothing_off() -> None:
 
 
 def test_flat_obstacles(tmp_path: Path) -> None:
-    """A mesh and a box without thickness, and a tilted mesh."""
+    """A mesh without thickness, the same tilted, and a box of nearly none."""
     file = tmp_path / "square.obj"
     file.write_text(SQUARE)
     mesh = Obstacle(mesh=str(file), scale=(1.0, 1.0, 1.0), xyz=(-0.2, -0.5, 0.4))
     tilted = replace(mesh, rpy=(0.3, 0.2, 0.1))
-    plate = Obstacle(box=(1.0, 1.0, 0.0), xyz=(0.3, 0.0, 0.4))
+    plate = Obstacle(box=(1.0, 1.0, 1e-6), xyz=(0.3, 0.0, 0.4))
     chain = load_chain("space7")
     q = chain.random_configurations(80, np.random.default_rng(1))
     for flat in (mesh, tilted, plate):

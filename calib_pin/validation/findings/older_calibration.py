@@ -55,7 +55,7 @@ def older_calibration(
     holds = all(map(_aside, step.jumps)) and not error > HOLDS * promised
     better = f"use the older one: this one is off by {_shown(expected, 'm')}"
     yield Finding(
-        f"old-calibration-{'holds' if holds else 'no-longer-holds'}",
+        "old-calibration-holds" if holds else "old-calibration-no-longer-holds",
         "info" if holds else "warning",
         f"the older calibration{day} {'still' if holds else 'no longer'} holds: "
         f"{words or 'nothing is found to have changed at once'}; {by}",

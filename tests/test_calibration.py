@@ -209,6 +209,7 @@ def test_same_seed_same_result() -> None:
     assert first.errors == second.errors
 
 
+@pytest.mark.slow
 def test_what_no_robot_explains_is_not_trusted() -> None:
     """Nor checked by further fits, but by rows that are given for it."""
     chain, rows = measured(20, tip="link_2")

@@ -110,15 +110,21 @@ def side_effects(tree: ast.AST, name: str = "") -> list[str]:
     found = [m for m in imported(tree) if m.split(".")[0] in forbidden]
     for node in ast.walk(tree):
         if isinstance(node, ast.Call):
-            text = ast.unparse(node.func)
-            method = node.func.attr if isinstance(node.func, ast.Attribute) else ""
-            if text in FORBIDDEN_CALLS or method in FORBIDDEN_METHODS:
-                found.append(text)
-            if text.endswith("default_rng") and not (node.args or node.keywords):
+            called = getattr(node.func, "id", "")
+            method = getattr(node.func, "attr", "")
+            if called in FORBIDDEN_CALLS or method in FORBIDDEN_METHODS:
+                found.append(ast.unparse(node.func))
+            bare = not (node.args or node.keywords)
+            if bare and "default_rng" in (called, method):
                 found.append("default_rng() without a seed")
         elif isinstance(node, ast.Attribute):
-            of_random = ast.unparse(node.value) in ("np.random", "numpy.random")
-            if of_random and node.attr not in ("Generator", "default_rng"):
+            above, place = node.value, ""
+            if isinstance(above, ast.Attribute) and above.attr == "random":
+                place = ast.unparse(above.value)
+            if place in ("np", "numpy") and node.attr not in (
+                "Generator",
+                "default_rng",
+            ):
                 found.append(ast.unparse(node))
     return found
 

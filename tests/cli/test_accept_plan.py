@@ -29,6 +29,7 @@ def filled(model, error: np.ndarray, noise: float) -> dict[str, float]:
     return dict(zip(names, away.tolist(), strict=True))
 
 
+@pytest.mark.slow
 def test_from_the_plan_to_the_test(here, run):
     Path("two.yaml").write_text(TWO)
     words = PLAN.replace("--tip tool", "--setup two.yaml --chain b")

@@ -92,6 +92,7 @@ def test_after_a_death_the_others_run(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found == {"a": 0, "b": None, "c": 0, "d": 0}
 
 
+@pytest.mark.slow
 def test_the_smallest_file_of_a_case(monkeypatch: pytest.MonkeyPatch) -> None:
     def command(_: list[str]) -> int:
         return die() if b"bad" in Path("a.csv").read_bytes() else 0

@@ -76,6 +76,7 @@ def test_what_is_done_soon_starts_no_process():
         assert set(workers.map(slow, None, range(3))) == {os.getpid()}
 
 
+@pytest.mark.slow
 def test_what_takes_longer_is_shared():
     with LocalProcesses(2, patience=0.1) as workers:
         found = list(workers.map(slow, None, range(60)))

@@ -56,7 +56,9 @@ class LocalProcesses(Workers, AbstractContextManager["LocalProcesses"]):
         """End the processes, whatever they are doing."""
         self._folder.cleanup()
         if self._executor is not None:
-            self._executor.shutdown(wait=False, cancel_futures=True)
+            # They go with their folder. Not to wait would leave its end to that of
+            # Python, which then may find its pipe closed.
+            self._executor.shutdown(wait=True, cancel_futures=True)
 
     @contextmanager
     def sharing(self, digest: bytes, payload: bytes) -> Iterator[Submit]:

@@ -52,7 +52,7 @@ def bad_visits(attained: Floats, pose: Indices) -> list[int]:
             gone.append(left.pop(worst))
             # The part that one of n visits has of their scatter.
             part = n * squares[worst] / (n - 1) ** 2
-            ratio = part / (1.0 - part) * (n - 4) / 3.0
+            ratio = part / max(1.0 - part, np.finfo(float).eps) * (n - 4) / 3.0
             if n * count * f_tail(ratio, 3, n - 4) < CHANCE:
                 last = len(gone)
         found += gone[:last]

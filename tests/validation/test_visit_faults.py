@@ -41,3 +41,10 @@ def test_visits_without_scatter_have_no_faults() -> None:
     x, pose = visits(2)
     still = np.array([x[pose == k].mean(axis=0) for k in range(5)])[pose]
     assert bad_visits(still, pose) == [] and moved_after(still, pose) is None
+
+
+@pytest.mark.parametrize(("away", "count"), [(1.0, 12), (10.0, 8), (10.0, 30)])
+def test_a_visit_that_is_far_away_has_all_of_the_scatter(away, count):
+    attained = np.zeros((2 * count, 3))
+    attained[5] = away
+    assert bad_visits(attained, np.repeat([0, 1], count)) == [5]

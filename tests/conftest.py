@@ -163,6 +163,12 @@ def interruptible() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
+@pytest.fixture(autouse=True)
+def unregistered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a test or a page registers, the next one of the process does not know."""
+    monkeypatch.setattr("calib_pin.plugins._registered", {})
+
+
 @pytest.fixture(scope="session")
 def special_chain(request: pytest.FixtureRequest) -> Chain:
     """Each of the chains in `SPECIAL`."""

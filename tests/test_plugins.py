@@ -88,9 +88,8 @@ def test_names_are_taken_once(
         list(Members(GROUP, {"z": 0}))
 
 
-def test_a_script_registers_members(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_script_registers_members() -> None:
     """Of a family; faults are those of entry points."""
-    monkeypatch.setattr("calib_pin.plugins._registered", {})
 
     class Shouting(Dialect):
         """A dialect of one's own."""

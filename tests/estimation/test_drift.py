@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.drift import with_drift
 from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.time_course import with_drift
 from calib_pin.io.json_text import encode
 from calib_pin.io.results import calibration_document, provenance, read_calibration
 from calib_pin.kinematics.chain import Chain

@@ -7,8 +7,7 @@ Innovations `v ~ N(0, V)` are new measurements minus their prediction, with
 V_0 by what was uncertain before, and causes g that act by independent effects of one
 size s_g: the drift of a robot, the noise of the measurements, a joint that was hit, a
 measurement that is wrong. A size that was expected beforehand counts like as many
-effects as it is worth; the sizes are the most likely ones (the rounds are those of
-MacKay, Bayesian interpolation, 1992).
+effects as it is worth; the sizes are the most likely ones.
 
 A sparse cause is accepted by its evidence: the likelihood with it, averaged over all
 sizes that it may have, by that without. Were there no such cause, a ratio of k would
@@ -22,13 +21,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib_pin.estimation.statistics.restricted_likelihood import (
+    KNOWN,
+    Block,
+    Components,
+    estimate_variances,
+)
 from calib_pin.kinematics.spatial import Floats
-
-ROUNDS = 300
-"""Most rounds; some dozens are usual."""
-
-STANDS = 1e-3
-"""Relative change of a variance that no longer matters."""
 
 SMALLEST = 1e-3
 """Least size, by the expected one."""
@@ -118,32 +117,31 @@ class Explanation:
 
     def fitted(self) -> tuple[Explanation, tuple[float, ...]]:
         """The likeliest sizes, and the number of effects that tell each of them."""
-        v, sizes = self.values, np.array([cause.size for cause in self.causes])
-        expected = sizes.copy()
         worth = np.array([cause.worth for cause in self.causes])
         most = np.array([cause.most for cause in self.causes])
+        sizes = np.array([cause.size for cause in self.causes])
         open_ = np.isfinite(worth)
+        label = np.where(open_, np.cumsum(open_) - 1, KNOWN)
+        variances, vectors = np.linalg.eigh(self.known)
+        factors = [vectors * np.sqrt(np.maximum(variances, 0.0))]
+        labels = [np.full(len(variances), KNOWN)]
+        for cause, k in zip(self.causes, label, strict=True):
+            factors.append(cause.effects * (cause.size if k == KNOWN else 1.0))
+            labels.append(np.full(cause.effects.shape[1], k))
+        block = Block(self.values[:, None], np.concatenate(labels), np.hstack(factors))
+        worth, expected = worth[open_], sizes[open_] ** 2
+        found = estimate_variances(
+            Components([block], worth, worth * expected),
+            expected,
+            SMALLEST**2 * expected,
+            most[open_] ** 2,
+        )
+        sizes[open_] = np.sqrt(found.values)
         told = np.zeros(len(sizes))
-        for _ in range(ROUNDS):
-            inverse = np.linalg.inv(replace(self, causes=self._of(sizes)).covariance)
-            new = sizes.copy()
-            for k in np.flatnonzero(open_):
-                E = self.causes[k].effects
-                by = inverse @ E
-                told[k] = sizes[k] ** 2 * float(np.sum(E * by))
-                found = sizes[k] ** 4 * float(np.sum((by.T @ v) ** 2))
-                square = (worth[k] * expected[k] ** 2 + found) / (worth[k] + told[k])
-                least = SMALLEST * expected[k]
-                new[k] = np.clip(np.sqrt(square), least, most[k])
-            change = np.abs(np.log(new / sizes)).max(initial=0.0)
-            sizes = new
-            if 2.0 * change < STANDS:
-                break
-        return replace(self, causes=self._of(sizes)), tuple(told.tolist())
-
-    def _of(self, sizes: Floats) -> tuple[Cause, ...]:
-        pairs = zip(self.causes, sizes.tolist(), strict=True)
-        return tuple(replace(cause, size=size) for cause, size in pairs)
+        told[open_] = found.redundancies - worth
+        causes = zip(self.causes, sizes.tolist(), strict=True)
+        fitted = tuple(replace(cause, size=size) for cause, size in causes)
+        return replace(self, causes=fitted), tuple(told.tolist())
 
     def misfit(self, effects: Floats) -> float:
         """Chi-square of the innovations with effects of any size, shape (r, k)."""

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import OptionError
-from calib_pin.estimation.statistics.population_deviations import (
-    common_errors,
-    joint_deviations,
-)
 from calib_pin.estimation.statistics.population_prior import (
     LEAST,
     RobotEvidence,
+    common_errors,
+    joint_deviations,
     population_of,
 )
 from calib_pin.kinematics.spatial import Floats
@@ -56,8 +54,8 @@ def robots(count: int, seed: int = 0) -> list[RobotEvidence]:
 def test_mean_and_spread_are_recovered() -> None:
     found = population_of(robots(200))
     free = np.array([2, 3, 4, 5, 6, 8])
-    sigma = np.sqrt(np.diag(found.likelihood.covariance))
-    z = (found.likelihood.mean - MEAN)[free] / sigma[free]
+    sigma = np.sqrt(np.diag(found.covariance))
+    z = (found.mean - MEAN)[free] / sigma[free]
     assert np.abs(z).max() < 3.5 and np.abs(sigma[free]).max() < 0.1
     # The relative deviation of a variance of n normal values is sqrt(2 / n).
     error = np.log(found.variances / SPREAD**2)[free] / np.sqrt(2 / found.robots[free])
@@ -69,10 +67,10 @@ def test_only_a_sum_shows() -> None:
     """It is known well, its terms are not."""
     found = population_of(robots(200))
     both = np.isin(np.arange(len(NAMES)), (0, 1)).astype(float)
-    total = both @ found.likelihood.mean
-    sigma = np.sqrt(both @ found.likelihood.covariance @ both)
+    total = both @ found.mean
+    sigma = np.sqrt(both @ found.covariance @ both)
     assert abs(total - MEAN[:2].sum()) < 3.5 * sigma and sigma < 0.05
-    assert np.sqrt(found.likelihood.covariance[0, 0]) > 0.5
+    assert np.sqrt(found.covariance[0, 0]) > 0.5
     variance = found.variances[:2].sum()
     assert variance == pytest.approx(np.sum(SPREAD[:2] ** 2), rel=0.3)
 
@@ -80,8 +78,8 @@ def test_only_a_sum_shows() -> None:
 def test_what_no_robot_shows_keeps_its_size() -> None:
     """Mean zero, known to its scale, and the spread that all errors have together."""
     found = population_of(robots(50))
-    assert abs(found.likelihood.mean[HIDDEN]) < 1e-12
-    assert found.likelihood.covariance[HIDDEN, HIDDEN] == pytest.approx(1.0)
+    assert abs(found.mean[HIDDEN]) < 1e-12
+    assert found.covariance[HIDDEN, HIDDEN] == pytest.approx(1.0)
     assert found.robots[HIDDEN] == 0.0
     spread = np.sqrt(found.variances)
     assert spread.min() < spread[HIDDEN] < spread.max()

@@ -117,31 +117,27 @@ class Explanation:
 
     def fitted(self) -> tuple[Explanation, tuple[float, ...]]:
         """The likeliest sizes, and the number of effects that tell each of them."""
-        worth = np.array([cause.worth for cause in self.causes])
-        most = np.array([cause.most for cause in self.causes])
+        open_ = np.isfinite([cause.worth for cause in self.causes])
+        acting = [self.causes[k] for k in np.flatnonzero(open_)]
+        known = self.without({cause.name for cause in acting}).covariance
+        variances, vectors = np.linalg.eigh(known)
+        half = vectors * np.sqrt(np.maximum(variances, 0.0))
+        factors = [half, *(cause.effects for cause in acting)]
+        number = [factor.shape[1] for factor in factors]
+        labels = np.repeat([KNOWN, *range(len(acting))], number)
+        block = Block(self.values[:, None], labels, np.hstack(factors))
+        worth = np.array([cause.worth for cause in acting])
+        expected = np.array([cause.size**2 for cause in acting])
+        most = np.array([cause.most**2 for cause in acting])
+        components = Components([block], worth, worth * expected)
+        least = SMALLEST**2 * expected
+        found = estimate_variances(components, expected, least, most)
         sizes = np.array([cause.size for cause in self.causes])
-        open_ = np.isfinite(worth)
-        label = np.where(open_, np.cumsum(open_) - 1, KNOWN)
-        variances, vectors = np.linalg.eigh(self.known)
-        factors = [vectors * np.sqrt(np.maximum(variances, 0.0))]
-        labels = [np.full(len(variances), KNOWN)]
-        for cause, k in zip(self.causes, label, strict=True):
-            factors.append(cause.effects * (cause.size if k == KNOWN else 1.0))
-            labels.append(np.full(cause.effects.shape[1], k))
-        block = Block(self.values[:, None], np.concatenate(labels), np.hstack(factors))
-        worth, expected = worth[open_], sizes[open_] ** 2
-        found = estimate_variances(
-            Components([block], worth, worth * expected),
-            expected,
-            SMALLEST**2 * expected,
-            most[open_] ** 2,
-        )
-        sizes[open_] = np.sqrt(found.values)
         told = np.zeros(len(sizes))
-        told[open_] = found.redundancies - worth
-        causes = zip(self.causes, sizes.tolist(), strict=True)
-        fitted = tuple(replace(cause, size=size) for cause, size in causes)
-        return replace(self, causes=fitted), tuple(told.tolist())
+        sizes[open_], told[open_] = np.sqrt(found.values), found.redundancies - worth
+        pairs = zip(self.causes, sizes.tolist(), strict=True)
+        causes = tuple(replace(cause, size=size) for cause, size in pairs)
+        return replace(self, causes=causes), tuple(told.tolist())
 
     def misfit(self, effects: Floats) -> float:
         """Chi-square of the innovations with effects of any size, shape (r, k)."""

@@ -132,7 +132,7 @@ class Variances:
         white = [_whitened(block, sizes[block.labels]) for block in blocks]
         R = _triangle(np.vstack([rows for rows, _, _ in white]))
         q = R.shape[1] - 1
-        half: Floats = np.linalg.inv(R[:q, :q])
+        half = np.asarray(np.linalg.inv(R[:q, :q]), float)
         unknowns = -half @ R[:q, q]
         squares, redundancies = components.squares / values, components.counts.copy()
         information, shared = np.diag(squares), np.zeros((q, len(values)))
@@ -176,8 +176,10 @@ class Variances:
 
         That is relative to its mean; of a single component, its redundancy.
         """
+        # Where two cannot be told apart the information is rounding.
         inverse = np.linalg.pinv(self.information, rcond=1e-10, hermitian=True)
-        return np.asarray(2.0 / np.maximum(np.diag(inverse), 1e-300))
+        least = 2.0 / np.maximum(self.redundancies, 1e-300)
+        return np.asarray(2.0 / np.maximum(np.diag(inverse), least))
 
     def errors(self, block: int) -> tuple[Floats, Floats]:
         """The most likely errors of a block with factors, in their deviations.
@@ -233,6 +235,8 @@ def estimate_variances(
             found = Variances.at(components, values)
             if found.likelihood >= best.likelihood - DONE:
                 break
+        else:
+            break
         best = found
     return best
 

@@ -116,13 +116,11 @@ class Systematic:
             part: The part about its solution, see `System.rebased`.
             q: Positions of its joints, shape (N, n) [rad, m].
         """
-        there = self._about(part)
+        there, result = self._about(part), np.zeros((len(q), 6, len(self.names)))
         _, J = there.jacobian(q, np.zeros(len(there.screws)))
-        result = np.zeros((len(q), 6, len(self.names)))
-        position = {name: k for k, name in enumerate(self.names)}
-        for column, name in enumerate(there.parameters.names):
-            if name in position:
-                result[:, :, position[name]] += J[:, :, column]
+        place = {name: k for k, name in enumerate(there.parameters.names)}
+        own = [k for k, name in enumerate(self.names) if name in place]
+        result[:, :, own] = J[:, :, [place[self.names[k]] for k in own]]
         return result * self.sizes
 
     def _about(self, part: Part) -> ErrorModel:

@@ -156,19 +156,9 @@ def variance_components(
         leverages = np.sum((result.jac[:count] @ half) ** 2, axis=1)
     pure = pure_errors(problem, result.x, leverages)
     return tuple(
-        _component(problem, k, found, float(factors[k]), groups, pure[k])
+        _component(problem, k, found, float(factors[k]), groups.counts, pure[k])
         for k in range(len(pure))
     )
-
-
-def unit_weights(problem: Problem, result: LeastSquaresResult, basis: Floats) -> Floats:
-    """Standard deviations of unit weight, see `Problem.units`, shape (K,).
-
-    Arguments as for `variance_components`.
-    """
-    half = half_covariance(result.jac, basis, problem.parameters)
-    groups = by_quantity(problem, result.x, result.fun, result.jac, half)
-    return _tested(problem, groups)[1]
 
 
 def grouped(problem: Problem, rows: Floats, kind_of: Sequence[str] = ()) -> Groups:
@@ -296,10 +286,9 @@ def _tested(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
     if few.all():
         return found, np.sqrt(groups.current)
     tail = 0.5 * REJECTED / stations
-    dof = _dof(found, groups)
     above = [
         chi_square_tail(v * f, f) if f >= LEAST_DOF else 0.5
-        for v, f in zip(found.values, dof, strict=True)
+        for v, f in zip(found.values, found.dof, strict=True)
     ]
     stands = np.abs(np.array(above) - 0.5) <= 0.5 - tail
     held = stated & (few | stands)
@@ -318,12 +307,6 @@ def _tested(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
     return found, np.maximum(factors, LEAST * factors.max())
 
 
-def _dof(found: Variances, groups: Groups) -> Floats:
-    """Degrees of freedom of the estimates, shape (K,)."""
-    # Where two quantities cannot be told apart the information is rounding.
-    return np.minimum(found.dof, groups.counts)
-
-
 def variance_interval(variance: float, dof: float) -> tuple[float, float]:
     """The 95 % interval of a variance by its estimate."""
     if dof < LEAST_DOF:
@@ -338,20 +321,21 @@ def _component(
     k: int,
     found: Variances,
     factor: float,
-    groups: Groups,
+    counts: Floats,
     pure: PureError | None,
 ) -> VarianceComponent:
     """The noise of quantity k, by variances of all relative to what is given.
 
-    The standard deviation is used with the factor.
+    The standard deviation is used with the factor; the counts are the measured values
+    of each quantity, shape (K,).
     """
     component, stated = problem.layout.components[k], bool(_stated(problem)[k])
     given = problem.given_sigma[problem.layout.of_components[k]]
     size = float(np.sqrt(np.mean(given**2))) if len(given) else np.nan
-    redundancy, count = float(found.redundancies[k]), float(groups.counts[k])
+    redundancy, count = float(found.redundancies[k]), float(counts[k])
     variance, known = float(found.values[k]), redundancy > 0.0
     squares, lack, unmodeled = variance * redundancy, None, None
-    low, high = variance_interval(variance, float(_dof(found, groups)[k]))
+    low, high = variance_interval(variance, float(found.dof[k]))
     if pure is not None:
         lack = pure.lack_of_fit(squares, redundancy)
         unmodeled = pure.unmodeled(squares, redundancy)

@@ -10,6 +10,7 @@ import pytest
 from calib_pin.errors import OptionError
 from calib_pin.estimation.statistics.population_prior import (
     LEAST,
+    Population,
     RobotEvidence,
     common_errors,
     joint_deviations,
@@ -51,8 +52,14 @@ def robots(count: int, seed: int = 0) -> list[RobotEvidence]:
     ]
 
 
-def test_mean_and_spread_are_recovered() -> None:
-    found = population_of(robots(200))
+@pytest.fixture(scope="module")
+def many() -> Population:
+    """What 120 robots have in common."""
+    return population_of(robots(120))
+
+
+def test_mean_and_spread_are_recovered(many: Population) -> None:
+    found = many
     free = np.array([2, 3, 4, 5, 6, 8])
     sigma = np.sqrt(np.diag(found.covariance))
     z = (found.mean - MEAN)[free] / sigma[free]
@@ -63,9 +70,9 @@ def test_mean_and_spread_are_recovered() -> None:
     assert (found.robots[free] > 30).all() and (found.robots <= 300).all()
 
 
-def test_only_a_sum_shows() -> None:
+def test_only_a_sum_shows(many: Population) -> None:
     """It is known well, its terms are not."""
-    found = population_of(robots(200))
+    found = many
     both = np.isin(np.arange(len(NAMES)), (0, 1)).astype(float)
     total = both @ found.mean
     sigma = np.sqrt(both @ found.covariance @ both)
@@ -75,9 +82,9 @@ def test_only_a_sum_shows() -> None:
     assert variance == pytest.approx(np.sum(SPREAD[:2] ** 2), rel=0.3)
 
 
-def test_what_no_robot_shows_keeps_its_size() -> None:
+def test_what_no_robot_shows_keeps_its_size(many: Population) -> None:
     """Mean zero, known to its scale, and the spread that all errors have together."""
-    found = population_of(robots(50))
+    found = many
     assert abs(found.mean[HIDDEN]) < 1e-12
     assert found.covariance[HIDDEN, HIDDEN] == pytest.approx(1.0)
     assert found.robots[HIDDEN] == 0.0
@@ -87,11 +94,11 @@ def test_what_no_robot_shows_keeps_its_size() -> None:
     assert parameter.robots == 0.0 and parameter.sigma == pytest.approx(SCALES[HIDDEN])
 
 
-def test_the_next_robot_lies_within_its_interval() -> None:
+def test_the_next_robot_lies_within_its_interval(many: Population) -> None:
     """Before it is measured; of few robots the intervals are wide."""
     widths = []
-    for count in (8, 100):
-        prior = population_of(robots(count)).prior()
+    for found, count in ((population_of(robots(8)), 8), (many, 120)):
+        prior = found.prior()
         mean = np.array([p.mean for p in prior.parameters]) / SCALES
         S = np.array(prior.covariance) / np.outer(SCALES, SCALES)
         # Of what can be known: all but the hidden one and the terms of the sum.
@@ -105,7 +112,7 @@ def test_the_next_robot_lies_within_its_interval() -> None:
 
 
 def test_the_same_evidence_gives_the_same_bytes() -> None:
-    first, second = (population_of(robots(20)).prior() for _ in range(2))
+    first, second = (population_of(robots(6)).prior() for _ in range(2))
     assert first == second and first.noise == {"position": 1e-4}
 
 
@@ -124,7 +131,7 @@ def test_other_robots_are_refused(refused) -> None:
 
 def test_what_is_common_and_what_belongs_to_one() -> None:
     rng = np.random.default_rng(3)
-    some = robots(100)
+    some = robots(60)
     theta = MEAN + SPREAD * rng.normal(size=len(NAMES))
     theta[5] += 8 * SPREAD[5]
     found = population_of([*some, evidence(theta, equations(rng, 0.03), rng)])

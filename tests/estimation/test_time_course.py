@@ -152,10 +152,17 @@ def test_a_calibration_tells_and_keeps_a_drift(
     (told,) = [f for f in result.findings if f.code == "modeled-drift"]
     assert told.severity == "info" and result.model.geometric
     # The walk is known to the noise of some positions.
+    steps = [
+        [f"base.instrument-drift.{axis}{k}" for k in range(1, 9)] for axis in "xyz"
+    ]
     truth = dict(zip(job.problem.given.names, job.theta, strict=True))
-    names = [f"base.instrument-drift.{axis}" for axis in "xyz"]
-    walk = [sum(truth[f"{name}{k}"] for k in range(1, 9)) for name in names]
-    assert told.evidence["shift"] == pytest.approx(np.linalg.norm(walk), abs=3e-5)
+    walk = [sum(truth[name] for name in axis) for axis in steps]
+    place = {p.name: k for k, p in enumerate(result.parameters)}
+    own = [[place[name] for name in axis] for axis in steps]
+    covariance = np.asarray(result.covariance)
+    sigma = np.sqrt(sum(covariance[np.ix_(axis, axis)].sum() for axis in own))
+    assert told.evidence["shift"] == pytest.approx(np.linalg.norm(walk), abs=3 * sigma)
+    assert sigma < 0.3 * np.linalg.norm(walk)
     # A file holds the walk and its time.
     file = tmp_path / "calibration.json"
     file.write_bytes(encode(calibration_document(result, provenance())))

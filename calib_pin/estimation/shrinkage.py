@@ -115,7 +115,8 @@ def expected_sizes(
     middles = (np.arange(PARTS) + 0.5) / PARTS
     ratios = [[f / chi_square_quantile(f, middle) for middle in middles] for f in dof]
     parts = np.sqrt(found.values[:, None] * np.reshape(ratios, (count, PARTS)))
-    return np.sqrt(found.values), parts
+    # Steps of 2 % are far finer than any is known, and rounding moves no solution.
+    return 10.0 ** np.round(0.5 * np.log10(found.values), 2), parts
 
 
 def expected_errors(
@@ -138,8 +139,9 @@ def expected_errors(
     """
     V = np.column_stack([directions.robot, directions.weak])
     V = V * ~np.isfinite(parameters.priors)[:, None]
-    own = V.any(axis=1)
-    kinds = np.unique(parameters.kinds[own], return_inverse=True)[1]
+    present = np.unique(parameters.kinds[V.any(axis=1)])
+    own = np.isin(parameters.kinds, present)
+    kinds = np.searchsorted(present, parameters.kinds[own])
     A = jac * parameters.scales
     system = projected(np.column_stack([A @ V, fun]), A, parameters)
     triangle = np.asarray(np.linalg.qr(system, mode="r"))

@@ -106,10 +106,9 @@ def expected_sizes(
         labels=np.append(np.full(len(values), KNOWN), kinds),
         factors=np.hstack([np.eye(len(values)), half / deviations[:, None]]),
     )
-    stated, ones = np.full(count, STATED), np.ones(count)
-    found = estimate_variances(
-        Components([block], stated, stated), ones, LEAST**2 * ones, MOST**2
-    )
+    stated = np.full(count, STATED)
+    components = Components([block], stated, stated)
+    found = estimate_variances(components, np.ones(count), LEAST**2, MOST**2)
     # Beside the others at their likeliest sizes chi-square is as wide as this.
     dof = 2.0 * np.diag(found.information)
     middles = (np.arange(PARTS) + 0.5) / PARTS

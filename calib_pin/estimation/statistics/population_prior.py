@@ -48,7 +48,7 @@ LEAST = 5
 STATED = 2.0
 """Robots that the common spread is worth against those that show one of their own."""
 
-SMALLEST = np.array(1e-6)
+SMALLEST = 1e-6
 """Least variance, in squared scales: a spread of a micrometer."""
 
 OUTSIDE = 0.05
@@ -122,16 +122,12 @@ class Population:
         widened = self.variances * [_widening(STATED + n) for n in self.robots]
         covariance = (np.diag(widened) + self.covariance) * np.outer(scales, scales)
         sizes = self.mean, np.sqrt(np.diag(self.covariance)), np.sqrt(self.variances)
-        numbers = np.column_stack([*(scales * of for of in sizes), self.robots])
+        numbers = [(scales * of).tolist() for of in sizes]
+        columns = first.names, first.units, *numbers, self.robots.tolist()
         return PopulationPrior(
             robot=first.robot,
             robots=len(self.evidences),
-            parameters=tuple(
-                ParameterPrior(name, unit, *row)
-                for name, unit, row in zip(
-                    first.names, first.units, numbers.tolist(), strict=True
-                )
-            ),
+            parameters=tuple(map(ParameterPrior, *columns)),
             covariance=tuple(map(tuple, covariance.tolist())),
             noise=_median_noise(self.evidences),
         )
@@ -157,13 +153,13 @@ def population_of(evidences: Sequence[RobotEvidence]) -> Population:
         blocks.append(Block(rows, labels, np.hstack([np.eye(number), one.rows])))
     each = np.ones(count)
     # One spread for all, in their scales, then one for each.
-    together = Components(blocks, each / count, each / count).relabeled(
-        0 * each.astype(int)
-    )
+    every = Components(blocks, each / count, each / count)
+    together = every.relabeled(np.zeros(count, int))
     common = estimate_variances(together, np.ones(1), SMALLEST).values * each
     stated = Components(blocks, STATED * each, STATED * common)
     found = estimate_variances(stated, common, SMALLEST)
-    return Population(tuple(evidences), found, found.redundancies - STATED)
+    robots = np.maximum(found.redundancies - STATED, 0.0)
+    return Population(tuple(evidences), found, robots)
 
 
 def _require_alike(evidences: Sequence[RobotEvidence]) -> None:
@@ -240,7 +236,7 @@ def common_errors(population: Population) -> tuple[CommonError, ...]:
     )
     numbers = first.scales * mean, first.scales * sigma, chances, discoveries(chances)
     columns = first.names, first.units, *(column.tolist() for column in numbers)
-    return tuple(CommonError(*row) for row in zip(*columns, strict=True))
+    return tuple(map(CommonError, *columns))
 
 
 @serial_blas

@@ -212,7 +212,7 @@ class Variances:
 def estimate_variances(
     components: Components,
     start: Floats,
-    lower: Floats | None = None,
+    lower: float | Floats | None = None,
     upper: float | Floats = np.inf,
 ) -> Variances:
     """Maximize the restricted likelihood.
@@ -225,7 +225,7 @@ def estimate_variances(
     """
     if lower is None:
         lower = np.maximum(SMALLEST * start, EXACT)
-    upper = np.broadcast_to(upper, start.shape)
+    lower, upper = (np.broadcast_to(bound, start.shape) for bound in (lower, upper))
     best = Variances.at(components, start)
     for _ in range(ROUNDS):
         for step in best.steps(lower, upper):

@@ -63,17 +63,13 @@ def test_position_and_orientation_are_balanced(
     np.testing.assert_allclose([c.estimate for c in found.noise], noise, rtol=0.2)
 
 
-def test_what_is_stated_stands_where_it_is_right() -> None:
-    # Each is rejected by chance once in twenty; not in this seed.
-    for c in fitted(poses(2, (1e-4, 1e-4), sigma=1e-4)).noise:
-        assert not c.contradicted and c.factor == 1.0 and c.unmodeled == 0.0
-        assert c.interval[0] <= 1e-4 <= c.interval[1]
-
-
-def test_what_is_stated_too_small_is_unmodeled_error() -> None:
-    position, _ = fitted(poses(4, (5e-4, 1e-4), sigma=1e-4)).noise
-    assert position.contradicted and position.interval[0] < 5e-4 < position.interval[1]
-    assert position.unmodeled == pytest.approx(np.sqrt(24.0) * 1e-4, rel=0.15)
+def test_what_is_stated_is_tested() -> None:
+    """Too small it is unmodeled error; each is rejected by chance once in twenty."""
+    small, right = fitted(poses(4, (5e-4, 1e-4), sigma=1e-4)).noise
+    assert small.contradicted and small.interval[0] < 5e-4 < small.interval[1]
+    assert small.unmodeled == pytest.approx(np.sqrt(24.0) * 1e-4, rel=0.15)
+    assert not right.contradicted and right.factor == 1.0 and right.unmodeled == 0.0
+    assert right.interval[0] <= 1e-4 <= right.interval[1]
     # Nothing tells it from noise where that is only assumed.
     assumed = fitted(poses(4, (5e-4, 1e-4), sigma=None)).noise
     assert [c.unmodeled for c in assumed] == [None, None]
@@ -190,9 +186,7 @@ def test_repetitions_test_what_is_stated() -> None:
     assert right.lack_of_fit is not None and right.lack_of_fit > 0.01
     assert right.pure_test is not None and right.pure_test > 0.01
     assert wrong.pure_test is not None and wrong.pure_test < 1e-9
-
-
-def test_without_repetitions_nothing_is_told_apart() -> None:
-    found = component(2, 1e-4, 0.0, 1)
-    assert found.pure is None and found.lack_of_fit is None
-    assert found.unmodeled is None and found.pure_test is None
+    # Without repetitions nothing is told apart.
+    alone = component(2, 1e-4, 0.0, 1)
+    told = alone.pure, alone.lack_of_fit, alone.unmodeled, alone.pure_test
+    assert told == (None,) * 4

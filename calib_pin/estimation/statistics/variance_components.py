@@ -291,19 +291,18 @@ def _tested(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
         for v, f in zip(found.values, found.dof, strict=True)
     ]
     stands = np.abs(np.array(above) - 0.5) <= 0.5 - tail
-    held = stated & (few | stands)
-    values, kept = found.values, few & ~stated
-    if kept.any() or (held.any() and not held.all()):
-        # Each is estimated beside what stands, or shares a variance with the largest.
-        leader = np.where(kept, np.argmax(found.redundancies), np.arange(len(few)))
-        open_ = ~held[leader]
-        leaders, position = np.unique(leader[open_], return_inverse=True)
-        labels = np.full(len(few), KNOWN)
-        labels[open_] = position
-        rest = groups.components().relabeled(labels)
-        values = np.ones(len(few))
-        values[open_] = estimate_variances(rest, found.values[leaders]).values[position]
-    factors = np.where(held, 1.0, np.sqrt(values))
+    # Each is estimated beside what stands, or shares a variance with the largest.
+    labels = np.arange(len(few))
+    labels[stated & (few | stands)] = KNOWN
+    labels[few & ~stated] = labels[np.argmax(found.redundancies)]
+    open_ = labels != KNOWN
+    leaders, labels[open_] = np.unique(labels[open_], return_inverse=True)
+    rest = groups.components().relabeled(labels)
+    variances, factors = (
+        estimate_variances(rest, found.values[leaders]),
+        np.ones(len(few)),
+    )
+    factors[open_] = np.sqrt(variances.values[labels[open_]])
     return found, np.maximum(factors, LEAST * factors.max())
 
 
@@ -426,20 +425,16 @@ def pure_errors(
         theta: Its solution, shape (P,).
         leverages: Leverage of every measured value, shape (M,).
     """
-    layout = problem.layout
+    layout, count = problem.layout, len(problem.layout.components)
     used, label = repetitions(problem)
     sizes = np.bincount(label)
-    count = len(layout.components)
     if not (sizes > 1).any():
         return (None,) * count
     weight = problem.data.weight[layout.row]
     residual = problem.errors(theta) / problem.given_sigma
-    # The columns of Z are as long as repetitions are many.
-    many = np.ones(len(problem.data))
-    many[used] = sizes[label]
-    # A component of a repetition, of all those that are used.
-    of_row = np.full(len(problem.data), -1)
-    of_row[used] = label
+    # Repetitions of a row, and its configuration, of all those that are used.
+    many, of_row = np.ones(len(problem.data)), np.full(len(problem.data), -1)
+    many[used], of_row[used] = sizes[label], label
     place = of_row[layout.row] * layout.width + layout.column
     found: list[PureError | None] = []
     for k in range(count):
@@ -451,6 +446,7 @@ def pure_errors(
         mean = np.bincount(group, w * r) / np.where(total > 0.0, total, 1.0)
         squares = float(np.sum(w * (r - mean[group]) ** 2))
         dof = float((w > 0.0).sum() - (total > 0.0).sum())
+        # The columns of Z are as long as repetitions are many.
         trace = weight[own].sum() - many[layout.row[own]] @ leverages[own]
         enough = dof >= REPEATED
         found.append(PureError(squares / dof, dof, float(trace)) if enough else None)

@@ -14,11 +14,10 @@ kept where the likelihood ratio says that there is something.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pinocchio as pin
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.directions import Directions, half_covariance
@@ -38,8 +37,6 @@ from calib_pin.observations import Observations
 from calib_pin.parameterizations import (
     NOTHING,
     PARAMETERIZATIONS,
-    Screw,
-    frame_screws,
     parameterization,
     required_keys,
 )
@@ -234,41 +231,27 @@ def candidates(problem: Problem) -> Systematic | None:
         kinds = {k: c for k, c in kinds.items() if "payloads" not in required_keys([k])}
     errors: dict[str, ErrorModel] = {}
     sizes: dict[str, float] = {}
-    for name in chains.names:
-        screws = _effects(chains[name], kinds, setup)
-        identity = pin.SE3.Identity()
-        first, last = (
-            frame_screws(frame, place, free=False)
-            for frame, place in (("base", 0), ("tool", len(chains[name].joints) + 2))
+    for name, chain in ((name, chains[name]) for name in chains.names):
+        loaded = [kind for kind in kinds if _suits(kind, chain, setup)]
+        errors[name] = ErrorModel.create(
+            chain, loaded, setup=setup, estimate_base=False, estimate_tool=False
         )
-        whole = (*first, *screws, *last)
-        errors[name] = ErrorModel(chains[name], whole, identity, identity)
         if len(setup.payloads) > 1:
             carried = problem.only.error.payload or next(iter(setup.payloads))
             errors[name] = errors[name].carrying(carried)
-        sizes |= {screw.parameter.name: screw.parameter.scale for screw in screws}
+        turns = dict(zip(map(owner, chain.joints), chain.revolute, strict=True))
+        for parameter in errors[name].parameters:
+            joint, kind, component = parameter.name.rsplit(".", 2)
+            if component in kinds.get(kind, ()) and turns[joint]:
+                sizes[parameter.name] = parameter.scale
     if not sizes:
         return None
     return Systematic(errors, tuple(sizes), np.array([*sizes.values()]), np.ones(0))
 
 
-def _effects(
-    chain: Chain, kinds: Mapping[str, Collection[str]], setup: Setup
-) -> list[Screw]:
-    """The screws of the effects of some kinds on the joints of a chain that turn."""
-    turning = {
-        owner(joint)
-        for joint, turns in zip(chain.joints, chain.revolute, strict=True)
-        if turns
-    }
-    screws: list[Screw] = []
-    for kind, components in kinds.items():
-        try:
-            found = parameterization(kind, setup).screws(chain)
-        except OptionError:
-            continue  # Nothing loads the joints.
-        for screw in found:
-            joint, _, component = screw.parameter.name.rsplit(".", 2)
-            if joint in turning and component in components:
-                screws.append(screw)
-    return sorted(screws, key=lambda screw: screw.frame)
+def _suits(kind: str, chain: Chain, setup: Setup) -> bool:
+    """Whether a chain can have errors of a kind: something may have to load it."""
+    try:
+        return bool(parameterization(kind, setup).screws(chain))
+    except OptionError:
+        return False

@@ -68,6 +68,8 @@ def test_what_is_stated_is_tested() -> None:
     # Nothing tells it from noise where that is only assumed.
     assumed = fitted(poses(4, (5e-4, 1e-4), sigma=None)).noise
     assert [c.unmodeled for c in assumed] == [None, None]
+    both = fitted(poses(2, (1e-4, 1e-4), sigma=1e-4)).noise
+    assert [c.factor for c in both] == [1.0, 1.0]
 
 
 def test_one_quantity_is_fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -64,8 +64,11 @@ def types_of(
         rows: The row of each.
         evidences: The evidence of each; None where it tells nothing of a type.
     """
-    from calib_pin.estimation.statistics.population_deviations import joint_deviations
-    from calib_pin.estimation.statistics.population_prior import LEAST, population_of
+    from calib_pin.estimation.statistics.population_prior import (
+        LEAST,
+        joint_deviations,
+        population_of,
+    )
     from calib_pin.validation.fleet import with_joint
 
     earlier = {job.before for job in jobs}

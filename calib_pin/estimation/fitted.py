@@ -27,12 +27,12 @@ from calib_pin.estimation.identifiability import Structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.shrinkage import Evidence
 from calib_pin.estimation.solve import Solution
-from calib_pin.estimation.statistics.pure_error import repetitions
 from calib_pin.estimation.statistics.systematic import ROWS, Systematic, sampled
 from calib_pin.estimation.statistics.variance_components import (
     REJECTED,
     by_quantity,
     current_units,
+    repetitions,
 )
 from calib_pin.estimation.system import Part
 from calib_pin.estimation.variants import expecting

@@ -13,13 +13,20 @@ measurements do not see it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import Directions, projected
 from calib_pin.estimation.row_blocks import Expected
+from calib_pin.estimation.statistics.distributions import chi_square_quantile
+from calib_pin.estimation.statistics.restricted_likelihood import (
+    KNOWN,
+    Block,
+    Components,
+    estimate_variances,
+)
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import ParameterSet
 
@@ -28,11 +35,8 @@ STATED = 2.0
 
 With as few the evidence of a handful of well determined directions prevails."""
 
-SIZES = np.geomspace(1e-3, 1e3, 601)
-"""Sizes that are tried, in scales; far finer than any is known."""
-
-SWEEPS = 50
-"""Most rounds over the kinds; a few suffice."""
+LEAST, MOST = 1e-3, 1e3
+"""Bounds of sizes, in scales."""
 
 PARTS = 3
 """Sizes that stand for the distribution where predictions are averaged over it."""
@@ -73,76 +77,45 @@ class Evidence:
     count: int
 
 
-def expected_size(values: Floats, variances: Floats) -> tuple[float, Floats]:
-    """The size of errors by its evidence, in scales.
-
-    Estimates `b_i ~ N(0, tau^2 + v_i)` of errors of size tau; `tau^2` itself is about 1
-    beforehand (inverse chi-square with `STATED` degrees of freedom).
-
-    Args:
-        values: Estimates b of errors along independent directions, shape (k,).
-        variances: Their variances v, shape (k,).
-
-    Returns:
-        The most likely size, and the middles of `PARTS` equally likely parts of its
-        distribution, ascending.
-
-    Examples:
-        >>> round(expected_size(np.zeros(0), np.zeros(0))[0], 9)
-        1.0
-    """
-    squares = SIZES[:, None] ** 2
-    total = squares + variances
-    terms = np.sum(np.log(total) + values**2 / total, axis=1)
-    terms += STATED * (np.log(squares) + 1.0 / squares)[:, 0]
-    likely = np.cumsum(np.exp(0.5 * (terms.min() - terms)))
-    middles = (np.arange(PARTS) + 0.5) / PARTS
-    parts = SIZES[np.searchsorted(likely, middles * likely[-1])]
-    return float(SIZES[np.argmin(terms)]), parts
-
-
 def expected_sizes(
-    values: Floats, variances: Floats, halves: Sequence[Floats]
+    values: Floats, variances: Floats, half: Floats, kinds: NDArray[np.intp]
 ) -> tuple[Floats, Floats]:
     """The size of errors of each kind by their evidence, in scales.
 
-    Estimates `b ~ N(0, sum_k tau_k^2 H_k H_k^T + diag(v))`; one size after the other is
-    chosen beside the others until none changes.
+    Estimates `b ~ N(0, sum_k tau_k^2 H_k H_k^T + diag(v))`; tau^2 itself is about 1
+    beforehand (inverse chi-square with `STATED` degrees of freedom).
 
     Args:
         values: Estimates b, shape (k,).
         variances: Their variances v, shape (k,).
-        halves: What errors of every kind, one scale large, contribute to them: H, shape
-            (k, p) each, K of them.
+        half: What errors, one scale large, contribute to them: H, shape (k, p).
+        kinds: Kind of each error, 0 to K - 1, shape (p,).
 
     Returns:
         The most likely sizes, shape (K,), and for each kind the middles of `PARTS`
         equally likely parts of its distribution beside the others, (K, PARTS).
+
+    Examples:
+        >>> none = np.zeros(0)
+        >>> expected_sizes(none, none, np.zeros((0, 3)), np.zeros(3, int))[0]
+        array([1.])
     """
-    sizes, parts = np.ones(len(halves)), np.ones((len(halves), PARTS))
-    deviations = np.sqrt(variances)
-    values = values / deviations
-    halves = [half / deviations[:, None] for half in halves]
-    for _ in range(SWEEPS):
-        before = sizes.copy()
-        for k, half in enumerate(halves):
-            others = [sizes[j] * halves[j] for j in range(len(halves)) if j != k]
-            P, t = _principal(np.hstack([np.zeros((len(values), 0)), *others]))
-            # In these units all but this kind is one, and this kind diagonal.
-            units = (P / np.hypot(1.0, t)).T
-            U, s, _ = np.linalg.svd(units @ half, full_matrices=False)
-            told = s > VISIBLE * s.max(initial=0.0)
-            along = U[:, told].T @ units @ values
-            sizes[k], parts[k] = expected_size(along / s[told], s[told] ** -2.0)
-        if np.array_equal(sizes, before):
-            break
-    return sizes, parts
-
-
-def _principal(G: Floats) -> tuple[Floats, Floats]:
-    """All directions of an (n, p) matrix, shape (n, n), and their lengths, (n,)."""
-    P, t, _ = np.linalg.svd(G)
-    return P, np.append(t, np.zeros(len(P) - len(t)))
+    count, deviations = int(kinds.max(initial=-1)) + 1, np.sqrt(variances)
+    block = Block(
+        rows=(values / deviations)[:, None],
+        labels=np.append(np.full(len(values), KNOWN), kinds),
+        factors=np.hstack([np.eye(len(values)), half / deviations[:, None]]),
+    )
+    stated = np.full(count, STATED)
+    components = Components([block], stated, stated)
+    found = estimate_variances(components, np.ones(count), LEAST**2, MOST**2)
+    # Beside the others at their likeliest sizes chi-square is as wide as this.
+    dof = 2.0 * np.diag(found.information)
+    middles = (np.arange(PARTS) + 0.5) / PARTS
+    ratios = [[f / chi_square_quantile(f, middle) for middle in middles] for f in dof]
+    parts = np.sqrt(found.values[:, None] * np.reshape(ratios, (count, PARTS)))
+    # Steps of 2 % are far finer than any is known, and rounding moves no solution.
+    return 10.0 ** np.round(0.5 * np.log10(found.values), 2), parts
 
 
 def expected_errors(
@@ -165,27 +138,26 @@ def expected_errors(
     """
     V = np.column_stack([directions.robot, directions.weak])
     V = V * ~np.isfinite(parameters.priors)[:, None]
-    of_kind = [parameters.kinds == kind for kind in np.unique(parameters.kinds)]
-    of_kind = [own for own in of_kind if V[own].any()]
+    present = np.unique(parameters.kinds[V.any(axis=1)])
+    own = np.isin(parameters.kinds, present)
+    kinds = np.searchsorted(present, parameters.kinds[own])
     A = jac * parameters.scales
     system = projected(np.column_stack([A @ V, fun]), A, parameters)
     triangle = np.asarray(np.linalg.qr(system, mode="r"))
     U, s, Wt = np.linalg.svd(triangle[:, :-1], full_matrices=False)
     seen = s > VISIBLE * s.max(initial=0.0)
     s, Wt = s[seen], Wt[seen]
-    variances = (unit / s) ** 2
+    deviations = unit / s
     current = Wt @ (V.T @ (theta / parameters.scales))
     # At the least squares what was moved has no gradient; what was not, has.
     values = current - (U[:, seen].T @ triangle[:, -1]) / s
-    quarter = np.quantile(variances, 0.25) if len(variances) else np.inf
-    beside = variances * (1.0 + variances / (CLEAR**2 * quarter))
+    quarter = np.quantile(deviations**2, 0.25) if len(s) else np.inf
+    beside = deviations**2 * (1.0 + deviations**2 / (CLEAR**2 * quarter))
     half = Wt @ V.T
-    found = expected_sizes(values, beside, [half[:, own] for own in of_kind])
+    found, parts = expected_sizes(values, beside, half[:, own], kinds)
     sizes, likely = np.ones(len(V)), np.ones((PARTS, len(V)))
-    for own, size, parts in zip(of_kind, *found, strict=True):
-        sizes[own], likely[:, own] = size, parts[:, None]
-    deviations = np.sqrt(variances)
-    P, t = _principal(half * sizes / deviations[:, None])
+    sizes[own], likely[:, own] = found[kinds], parts[kinds].T
+    P, t, _ = np.linalg.svd(half * sizes / deviations[:, None], full_matrices=False)
     kept = (P * (t / np.hypot(1.0, t)) ** 2) @ P.T
     change = kept @ (values / deviations) - current / deviations
     shift = change / np.sqrt(np.diag(kept))
@@ -193,6 +165,6 @@ def expected_errors(
         expected=Expected(V, sizes, parameters.scales),
         likely=likely,
         matters=bool(np.abs(shift).max(initial=0.0) > NOTICED),
-        square=float(np.sum(values**2 / variances)),
+        square=float(np.sum((values / deviations) ** 2)),
         count=len(values),
     )

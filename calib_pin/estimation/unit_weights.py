@@ -14,7 +14,6 @@ from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.stages import fit_in_stages, fit_in_units
 from calib_pin.estimation.statistics.variance_components import (
     current_units,
-    unit_weights,
     variance_components,
 )
 from calib_pin.estimation.variants import in_units
@@ -54,7 +53,8 @@ def balanced(problem: Problem, solver: Solver) -> Fit:
         if not (fitted.dof > 0 and fitted.sigma0 > EXACT):
             break
         current = current_units(fitted.problem)
-        change = unit_weights(*fitted.held) / current
+        noise = variance_components(*fitted.held)
+        change = np.array([one.factor for one in noise]) / current
         common = 1.0
         if len(fitted.problem.further) == 0:
             common = float(np.exp(np.mean(np.log(change))))

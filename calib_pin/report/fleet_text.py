@@ -8,8 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from calib_pin.estimation.statistics.population_deviations import common_errors
-from calib_pin.estimation.statistics.population_prior import Population
+from calib_pin.estimation.statistics.population_prior import Population, common_errors
 from calib_pin.monte_carlo import Outlook, Study
 from calib_pin.monte_carlo.summary import LEVELS
 from calib_pin.report.blocks import (

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import NamedTuple
 
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.estimation.statistics.population_deviations import JointDeviation
+from calib_pin.estimation.statistics.population_prior import JointDeviation
 from calib_pin.validation.comparison import Comparison, faults
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import ToolAccuracy

@@ -95,7 +95,8 @@ def found() -> Job:
 
 def test_effects_are_found_and_their_noise_is_the_true_one(found: Job) -> None:
     assert found.effects is not None
-    assert found.effects.gear > 0.0 and found.effects.compliance > 0.0
+    assert set(found.effects.kinds) == {"transmission", "compliance"}
+    assert (found.effects.sizes > 0.0).all()
     unit = 1e-4 * found.fitted.problem.units[0]
     # 350 redundancies beside 31 parameters and 35 effects: three deviations are 11 %.
     assert unit * found.effects.noise[0] ** 0.5 == pytest.approx(2e-5, rel=0.12)

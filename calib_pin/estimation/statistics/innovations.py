@@ -7,8 +7,7 @@ Innovations `v ~ N(0, V)` are new measurements minus their prediction, with
 V_0 by what was uncertain before, and causes g that act by independent effects of one
 size s_g: the drift of a robot, the noise of the measurements, a joint that was hit, a
 measurement that is wrong. A size that was expected beforehand counts like as many
-effects as it is worth; the sizes are the most likely ones (the rounds are those of
-MacKay, Bayesian interpolation, 1992).
+effects as it is worth; the sizes are the most likely ones.
 
 A sparse cause is accepted by its evidence: the likelihood with it, averaged over all
 sizes that it may have, by that without. Were there no such cause, a ratio of k would
@@ -22,13 +21,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib_pin.estimation.statistics.restricted_likelihood import (
+    KNOWN,
+    Block,
+    Components,
+    estimate_variances,
+)
 from calib_pin.kinematics.spatial import Floats
-
-ROUNDS = 300
-"""Most rounds; some dozens are usual."""
-
-STANDS = 1e-3
-"""Relative change of a variance that no longer matters."""
 
 SMALLEST = 1e-3
 """Least size, by the expected one."""
@@ -118,32 +117,27 @@ class Explanation:
 
     def fitted(self) -> tuple[Explanation, tuple[float, ...]]:
         """The likeliest sizes, and the number of effects that tell each of them."""
-        v, sizes = self.values, np.array([cause.size for cause in self.causes])
-        expected = sizes.copy()
-        worth = np.array([cause.worth for cause in self.causes])
-        most = np.array([cause.most for cause in self.causes])
-        open_ = np.isfinite(worth)
+        open_ = np.isfinite([cause.worth for cause in self.causes])
+        acting = [self.causes[k] for k in np.flatnonzero(open_)]
+        known = self.without({cause.name for cause in acting}).covariance
+        variances, vectors = np.linalg.eigh(known)
+        half = vectors * np.sqrt(np.maximum(variances, 0.0))
+        factors = [half, *(cause.effects for cause in acting)]
+        number = [factor.shape[1] for factor in factors]
+        labels = np.repeat([KNOWN, *range(len(acting))], number)
+        block = Block(self.values[:, None], labels, np.hstack(factors))
+        worth = np.array([cause.worth for cause in acting])
+        expected = np.array([cause.size**2 for cause in acting])
+        most = np.array([cause.most**2 for cause in acting])
+        components = Components([block], worth, worth * expected)
+        least = SMALLEST**2 * expected
+        found = estimate_variances(components, expected, least, most)
+        sizes = np.array([cause.size for cause in self.causes])
         told = np.zeros(len(sizes))
-        for _ in range(ROUNDS):
-            inverse = np.linalg.inv(replace(self, causes=self._of(sizes)).covariance)
-            new = sizes.copy()
-            for k in np.flatnonzero(open_):
-                E = self.causes[k].effects
-                by = inverse @ E
-                told[k] = sizes[k] ** 2 * float(np.sum(E * by))
-                found = sizes[k] ** 4 * float(np.sum((by.T @ v) ** 2))
-                square = (worth[k] * expected[k] ** 2 + found) / (worth[k] + told[k])
-                least = SMALLEST * expected[k]
-                new[k] = np.clip(np.sqrt(square), least, most[k])
-            change = np.abs(np.log(new / sizes)).max(initial=0.0)
-            sizes = new
-            if 2.0 * change < STANDS:
-                break
-        return replace(self, causes=self._of(sizes)), tuple(told.tolist())
-
-    def _of(self, sizes: Floats) -> tuple[Cause, ...]:
+        sizes[open_], told[open_] = np.sqrt(found.values), found.redundancies - worth
         pairs = zip(self.causes, sizes.tolist(), strict=True)
-        return tuple(replace(cause, size=size) for cause, size in pairs)
+        causes = tuple(replace(cause, size=size) for cause, size in pairs)
+        return replace(self, causes=causes), tuple(told.tolist())
 
     def misfit(self, effects: Floats) -> float:
         """Chi-square of the innovations with effects of any size, shape (r, k)."""

@@ -8,10 +8,9 @@ one, as many rows as they can tell errors apart. So
 
 and nothing that a robot hides needs to be inverted: what its frames absorb, or no
 configuration shows. Lambda is that of the highest restricted likelihood, mu the
-generalized least squares with it (empirical Bayes: Efron and Morris 1973; the rounds
-are those of MacKay, Bayesian interpolation, 1992). The prior of the next robot is the
-predictive distribution, `N(mu, Lambda + cov(mu))`, wider by what Student's t adds where
-a spread is known from few robots.
+generalized least squares with it (empirical Bayes: Efron and Morris 1973). The prior of
+the next robot is the predictive distribution, `N(mu, Lambda + cov(mu))`, wider by what
+Student's t adds where a spread is known from few robots.
 
 Beforehand the mean of an error is as large as its scale, and its spread as that of all
 errors together: what no robot shows keeps the mean zero and these sizes.
@@ -21,13 +20,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, enumerated
-from calib_pin.estimation.statistics.distributions import chi_square_quantile, f_tail
+from calib_pin.estimation.statistics.distributions import (
+    chi_square_quantile,
+    chi_square_tail,
+    f_tail,
+    student_quantile,
+)
+from calib_pin.estimation.statistics.restricted_likelihood import (
+    KNOWN,
+    Block,
+    Components,
+    Variances,
+    estimate_variances,
+)
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup.population import ParameterPrior, PopulationPrior, RobotType
 
@@ -37,19 +48,18 @@ LEAST = 5
 STATED = 2.0
 """Robots that the common spread is worth against those that show one of their own."""
 
-STANDS = 1e-3
-"""Relative change of a variance that no longer matters: of two hundred robots it is
-known to ten percent."""
-
-ROUNDS = 2000
-"""Most rounds; a hundred are usual."""
-
 SMALLEST = 1e-6
 """Least variance, in squared scales: a spread of a micrometer."""
 
 OUTSIDE = 0.05
 """Part of the robots that an interval leaves outside where the normal prior is as wide
 as Student's t."""
+
+RATE = 0.05
+"""Part of the errors that are told apart which chance may have made."""
+
+TOLD = 0.01
+"""Part of a spread that the measurements of a robot must tell to count."""
 
 
 @dataclass(frozen=True)
@@ -77,80 +87,47 @@ class RobotEvidence:
 
 
 @dataclass(frozen=True)
-class Likelihood:
-    """The measurements of all robots at given spreads.
-
-    Attributes:
-        mean: Mean errors mu, shape (P,).
-        covariance: Covariance of the means, shape (P, P).
-        information: `W_i' V_i^-1 W_i` of every robot, shape (R, P, P).
-        scores: `W_i' V_i^-1 (c_i - W_i mu)` of every robot, shape (R, P).
-    """
-
-    mean: Floats
-    covariance: Floats
-    information: Floats
-    scores: Floats
-
-    @cached_property
-    def known(self) -> Floats:
-        """Covariance of the scores, about a mean that is their own, (R, P, P)."""
-        G = self.information
-        return np.asarray(G - G @ self.covariance @ G)
-
-    @cached_property
-    def expected(self) -> Floats:
-        """Sums of the squared scores that these spreads predict, shape (P,)."""
-        G = self.information
-        # The diagonal of `known`, without the rest of it.
-        mean = np.einsum("ijk,ijk->j", G @ self.covariance, G)
-        return np.asarray(np.einsum("ijj->j", G) - mean)
-
-    @property
-    def found(self) -> Floats:
-        """Sums of the squared scores, shape (P,)."""
-        return np.asarray(np.sum(self.scores**2, axis=0))
-
-
-@dataclass(frozen=True)
 class Population:
     """Robots of one type, and what they have in common; all numbers in scales.
 
     Attributes:
         evidences: What their measurements tell, one for each robot.
-        variances: Variance of every error among robots, shape (P,).
-        likelihood: Their measurements at these variances.
+        spread: The model of their measurements; its components are the errors, its
+            unknowns their means.
+        robots: Number of robots that each spread is known from, shape (P,).
     """
 
     evidences: tuple[RobotEvidence, ...]
-    variances: Floats
-    likelihood: Likelihood
+    spread: Variances
+    robots: Floats
 
     @property
-    def robots(self) -> Floats:
-        """Number of robots that each spread is known from, shape (P,)."""
-        return self.variances * self.likelihood.expected
+    def mean(self) -> Floats:
+        """Mean errors mu, shape (P,)."""
+        return self.spread.unknowns
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance of the means, shape (P, P)."""
+        return self.spread.covariance
+
+    @property
+    def variances(self) -> Floats:
+        """Variance of every error among robots, shape (P,)."""
+        return self.spread.values
 
     def prior(self) -> PopulationPrior:
         """The prior of the next robot."""
-        first, found = self.evidences[0], self.likelihood
-        scales, sigma = first.scales, np.sqrt(np.diag(found.covariance))
+        first, scales = self.evidences[0], self.evidences[0].scales
         widened = self.variances * [_widening(STATED + n) for n in self.robots]
-        covariance = (np.diag(widened) + found.covariance) * np.outer(scales, scales)
-        columns = [
-            *(scales * found.mean, scales * sigma, scales * np.sqrt(self.variances)),
-            self.robots,
-        ]
-        numbers = np.column_stack(columns).tolist()
+        covariance = (np.diag(widened) + self.covariance) * np.outer(scales, scales)
+        sizes = self.mean, np.sqrt(np.diag(self.covariance)), np.sqrt(self.variances)
+        numbers = [(scales * of).tolist() for of in sizes]
+        columns = first.names, first.units, *numbers, self.robots.tolist()
         return PopulationPrior(
             robot=first.robot,
             robots=len(self.evidences),
-            parameters=tuple(
-                ParameterPrior(name, unit, *row)
-                for name, unit, row in zip(
-                    first.names, first.units, numbers, strict=True
-                )
-            ),
+            parameters=tuple(map(ParameterPrior, *columns)),
             covariance=tuple(map(tuple, covariance.tolist())),
             noise=_median_noise(self.evidences),
         )
@@ -167,12 +144,22 @@ def population_of(evidences: Sequence[RobotEvidence]) -> Population:
         OptionError: If they are too few, of several types, or of other parameters.
     """
     _require_alike(evidences)
-    rows = _Rows.of(evidences)
     count = len(evidences[0].names)
+    # The means are about one beforehand.
+    blocks = [Block(np.eye(count, count + 1), np.full(count, KNOWN))]
+    for one in evidences:
+        rows, number = np.column_stack([-one.rows, one.values]), len(one.values)
+        labels = np.append(np.full(number, KNOWN), np.arange(count))
+        blocks.append(Block(rows, labels, np.hstack([np.eye(number), one.rows])))
+    each = np.ones(count)
     # One spread for all, in their scales, then one for each.
-    common = rows.spread(np.ones(count), None)
-    variances = rows.spread(common, common)
-    return Population(tuple(evidences), variances, rows.at(variances))
+    every = Components(blocks, each / count, each / count)
+    together = every.relabeled(np.zeros(count, int))
+    common = estimate_variances(together, np.ones(1), SMALLEST).values * each
+    stated = Components(blocks, STATED * each, STATED * common)
+    found = estimate_variances(stated, common, SMALLEST)
+    robots = np.maximum(found.redundancies - STATED, 0.0)
+    return Population(tuple(evidences), found, robots)
 
 
 def _require_alike(evidences: Sequence[RobotEvidence]) -> None:
@@ -198,62 +185,111 @@ def _require_alike(evidences: Sequence[RobotEvidence]) -> None:
 
 
 @dataclass(frozen=True)
-class _Rows:
-    """The evidence of R robots, rows of zeros added where one has fewer.
+class CommonError:
+    """An error that the robots of a type may have in common.
 
     Attributes:
-        W: Shape (R, r, P).
-        c: Shape (R, r).
+        name: Name of the parameter.
+        unit: Its unit.
+        mean: Mean of the robots.
+        sigma: Its standard deviation.
+        chance: Probability of so large a mean by chance.
+        significant: Whether it differs from zero, see `RATE`. Of errors that only
+            their sum shows none does by itself.
     """
 
-    W: Floats
-    c: Floats
+    name: str
+    unit: str
+    mean: float
+    sigma: float
+    chance: float
+    significant: bool
 
-    @staticmethod
-    def of(evidences: Sequence[RobotEvidence]) -> _Rows:
-        most = max(len(one.values) for one in evidences)
-        W = np.zeros((len(evidences), most, len(evidences[0].names)))
-        c = np.zeros((len(evidences), most))
-        for k, one in enumerate(evidences):
-            W[k, : len(one.rows)] = one.rows
-            c[k, : len(one.values)] = one.values
-        return _Rows(W, c)
 
-    def at(self, variances: Floats) -> Likelihood:
-        """The measurements at variances of the errors, shape (P,)."""
-        V = (self.W * variances) @ self.W.transpose(0, 2, 1) + np.eye(self.c.shape[1])
-        half = np.linalg.inv(np.linalg.cholesky(V))
-        rows, values = half @ self.W, (half @ self.c[:, :, None])[:, :, 0]
-        information = rows.transpose(0, 2, 1) @ rows
-        along = np.einsum("irp,ir->ip", rows, values)
-        # Means are about one beforehand.
-        covariance = np.linalg.inv(information.sum(axis=0) + np.eye(len(variances)))
-        covariance = 0.5 * (covariance + covariance.T)
-        mean = covariance @ along.sum(axis=0)
-        return Likelihood(mean, covariance, information, along - information @ mean)
+@dataclass(frozen=True)
+class JointDeviation:
+    """How far a joint of one robot is from the mean of its type.
 
-    def spread(self, variances: Floats, common: Floats | None) -> Floats:
-        """The variances of the highest restricted likelihood, shape (P,).
+    Attributes:
+        joint: Name of the joint.
+        parameter: Name of its error that is farthest from the mean.
+        spreads: Distance of that error from its mean in spreads, as far as the robot's
+            measurements tell it; with its sign.
+        chance: Probability of so large deviations of all errors of the joint by chance.
+        significant: Whether the joint stands out among all joints of all robots.
+    """
 
-        Args:
-            variances: Where to begin, shape (P,).
-            common: The size that they have together, shape (P,); None where there is
-                only that.
-        """
-        for _ in range(ROUNDS):
-            now = self.at(variances)
-            found = variances**2 * now.found
-            told = variances * now.expected
-            if common is None:
-                new = np.full_like(variances, (1.0 + found.sum()) / (1.0 + told.sum()))
-            else:
-                new = (STATED * common + found) / (STATED + told)
-            new = np.maximum(new, SMALLEST)
-            change = np.abs(np.log(new / variances)).max()
-            variances = new
-            if change < STANDS:
-                break
-        return variances
+    joint: str
+    parameter: str
+    spreads: float
+    chance: float
+    significant: bool
+
+
+def common_errors(population: Population) -> tuple[CommonError, ...]:
+    """The mean errors of a type, in the order of the parameters."""
+    first, mean = population.evidences[0], population.mean
+    sigma = np.sqrt(np.diag(population.covariance))
+    dof = np.maximum(population.robots - 1.0, 1.0)
+    chances = np.array(
+        [f_tail(t**2, 1.0, n) for t, n in zip(mean / sigma, dof, strict=True)]
+    )
+    numbers = first.scales * mean, first.scales * sigma, chances, discoveries(chances)
+    columns = first.names, first.units, *(column.tolist() for column in numbers)
+    return tuple(map(CommonError, *columns))
+
+
+@serial_blas
+def joint_deviations(
+    population: Population,
+) -> tuple[tuple[JointDeviation, ...], ...]:
+    """How far every joint of every robot is from the mean, robot by robot."""
+    names, spread = population.evidences[0].names, population.spread
+    owners = np.array([name.rsplit(".", 2)[0] for name in names])
+    joints = list(dict.fromkeys(owners.tolist()))
+    found = []
+    # The first block is what is known of the means.
+    for block in range(1, len(spread.whitened)):
+        # In spreads; the noise of the measurements stands before them.
+        errors, covariance = spread.errors(block)
+        u, C = errors[-len(names) :], covariance[-len(names) :, -len(names) :]
+        for joint in joints:
+            own = np.flatnonzero(owners == joint)
+            far = int(own[np.argmax(np.abs(u[own]))])
+            chance = _chance(u[own], C[np.ix_(own, own)])
+            found.append((joint, names[far], float(u[far]), chance))
+    flags = discoveries(np.array([chance for *_, chance in found])).tolist()
+    every = [JointDeviation(*o, flag) for o, flag in zip(found, flags, strict=True)]
+    starts = range(0, len(every), len(joints))
+    return tuple(tuple(every[k : k + len(joints)]) for k in starts)
+
+
+def discoveries(chances: Floats, rate: float = RATE) -> NDArray[np.bool_]:
+    """Which of many tests are told apart, at a false discovery rate, shape (n,).
+
+    Args:
+        chances: Probability by chance of each, shape (n,).
+        rate: Part of those told apart that may be chance.
+
+    Examples:
+        >>> discoveries(np.array([0.001, 0.04, 0.6, 0.024])).tolist()
+        [True, False, False, True]
+    """
+    order = np.argsort(chances, kind="stable")
+    limits = rate * np.arange(1, len(chances) + 1) / max(len(chances), 1)
+    passed = np.flatnonzero(chances[order] <= limits)
+    result = np.zeros(len(chances), bool)
+    if len(passed):
+        result[order[: passed[-1] + 1]] = True
+    return result
+
+
+def _chance(u: Floats, covariance: Floats) -> float:
+    """Probability of so large deviations, along what the measurements tell of them."""
+    values, vectors = np.linalg.eigh(covariance)
+    told = values > TOLD
+    square = float(np.sum((vectors[:, told].T @ u) ** 2 / values[told]))
+    return chi_square_tail(square, int(told.sum())) if told.any() else 1.0
 
 
 def _median_noise(evidences: Sequence[RobotEvidence]) -> Mapping[str, float]:
@@ -273,10 +309,4 @@ def _widening(dof: float) -> float:
         (1.292, 1.012)
     """
     normal = chi_square_quantile(1.0, OUTSIDE)
-    low, high = normal, 100.0 * normal
-    while high - low > 1e-9 * low:
-        middle = 0.5 * (low + high)
-        low, high = (
-            (middle, high) if f_tail(middle, 1.0, dof) > OUTSIDE else (low, middle)
-        )
-    return low / normal
+    return student_quantile(dof, 0.5 * OUTSIDE) ** 2 / normal

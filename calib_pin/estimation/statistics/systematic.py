@@ -18,20 +18,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.directions import Directions, half_covariance
 from calib_pin.estimation.problem import Problem, known_values, representative
 from calib_pin.estimation.statistics.restricted_likelihood import (
     EXACT,
-    Groups,
     Variances,
-    estimate_variances,
-    with_effects,
 )
-from calib_pin.estimation.statistics.variance_components import current_units, grouped
+from calib_pin.estimation.statistics.variance_components import (
+    Groups,
+    grouped,
+)
 from calib_pin.estimation.system import Part, assembled
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -39,15 +37,11 @@ from calib_pin.observations import Observations
 from calib_pin.parameterizations import (
     NOTHING,
     PARAMETERIZATIONS,
-    Screw,
-    frame_screws,
     parameterization,
     required_keys,
 )
 from calib_pin.parameterizations.base import owner
-from calib_pin.parameterizations.compliance import Compliance
 from calib_pin.parameterizations.error_model import ErrorModel
-from calib_pin.parameterizations.transmission import AMPLITUDE_SCALES, Transmission
 from calib_pin.setup import Setup
 
 SIGNIFICANT = 5.41
@@ -78,9 +72,6 @@ class Systematic:
         errors: The chains with the effects as parameters, by name.
         names: Names of the effects, S of them.
         sizes: Standard deviation of each, shape (S,) [its unit].
-        gear: Standard deviation of an amplitude of a gear [rad]; 0 for none.
-        compliance: That of a compliance, as the deflection under the usual torque of
-            a joint [rad]; 0 for none.
         noise: Variance of each quantity beside them, relative to that in the units of
             the problem, shape (K,).
     """
@@ -88,14 +79,12 @@ class Systematic:
     errors: Mapping[str, ErrorModel]
     names: tuple[str, ...]
     sizes: Floats
-    gear: float
-    compliance: float
     noise: Floats
 
     @property
-    def kinds(self) -> NDArray[np.str_]:
-        """Parameterization of each effect, shape (S,)."""
-        return np.array([name.rsplit(".", 2)[1] for name in self.names])
+    def kinds(self) -> list[str]:
+        """Parameterization of each effect."""
+        return [name.rsplit(".", 2)[1] for name in self.names]
 
     def rows(self, problem: Problem, theta: Floats) -> Floats:
         """Whitened residuals that each effect of its size adds, shape (M, S).
@@ -124,19 +113,43 @@ class Systematic:
             part: The part about its solution, see `System.rebased`.
             q: Positions of its joints, shape (N, n) [rad, m].
         """
-        there = self._about(part)
+        there, result = self._about(part), np.zeros((len(q), 6, len(self.names)))
         _, J = there.jacobian(q, np.zeros(len(there.screws)))
-        result = np.zeros((len(q), 6, len(self.names)))
-        position = {name: k for k, name in enumerate(self.names)}
-        for column, name in enumerate(there.parameters.names):
-            if name in position:
-                result[:, :, position[name]] += J[:, :, column]
+        place = {name: k for k, name in enumerate(there.parameters.names)}
+        own = [k for k, name in enumerate(self.names) if name in place]
+        result[:, :, own] = J[:, :, [place[self.names[k]] for k in own]]
         return result * self.sizes
 
     def _about(self, part: Part) -> ErrorModel:
         """The effects of the chain of a part about its frames."""
         error = self.errors[part.key.chain]
         return error.with_frames(part.error.base, part.error.tool)
+
+
+def with_effects(
+    sample: Problem,
+    theta: Floats,
+    basis: Floats,
+    effects: Floats,
+    kind_of: Sequence[str],
+) -> Groups | None:
+    """The rows of a problem with random effects; None where they are exact.
+
+    Args:
+        sample: The problem, see `sampled`.
+        theta: Its solution, shape (P,).
+        basis: The directions that were moved, shape (P, k).
+        effects: Whitened residuals by all effects in their expected sizes, (M, S).
+        kind_of: Kind of each.
+    """
+    fun, jac = sample.linearize_rows(theta)
+    measured = fun[: len(effects)]
+    if float(measured @ measured) <= EXACT * sample.values:
+        return None
+    X = np.zeros((len(fun), len(kind_of)))
+    X[: len(effects)] = effects
+    half = half_covariance(jac, basis, sample.parameters)
+    return grouped(sample, np.column_stack([jac @ half, X, fun]), kind_of)
 
 
 def systematic(
@@ -158,17 +171,42 @@ def systematic(
     if effects is None or spare < SPARE:
         return None
     sample = replace(problem, data=sampled(problem))
-    fun, jac = sample.linearize_rows(theta)
-    measured = fun[: len(sample.layout.row)]
-    if float(measured @ measured) <= EXACT * sample.values:
-        return None
-    half = half_covariance(jac, directions.basis, problem.parameters)
-    X = np.zeros((len(fun), len(effects.names)))
-    X[: len(measured)] = effects.rows(sample, theta)
+    X = effects.rows(sample, theta)
     if not np.isfinite(X).all():
         return None  # The nominal robot is far away, behind the camera, say.
-    groups = grouped(sample, np.column_stack([jac @ half, X, fun]))
-    return _significant(sample, effects, groups)
+    groups = with_effects(sample, theta, directions.basis, X, effects.kinds)
+    if groups is None:
+        return None
+    chosen, found = groups.selected(PARAMETERIZATIONS, SIGNIFICANT)
+    if not chosen:
+        return None
+    noise = found.values[: len(groups.counts)] / groups.current
+    variances = np.array([chosen.get(kind, 0.0) for kind in effects.kinds])
+    variances *= min(1.0, MOST * _share(groups, noise, variances))
+    kept = np.isin(effects.kinds, [*chosen])
+    return replace(
+        effects,
+        names=tuple(np.array(effects.names)[kept].tolist()),
+        sizes=(effects.sizes * np.sqrt(variances))[kept],
+        noise=noise,
+    )
+
+
+def _share(groups: Groups, noise: Floats, variances: Floats) -> float:
+    """Squares that noise leaves to effects, by those that these should leave.
+
+    Args:
+        groups: The rows with all effects.
+        noise: Variances of the quantities by those of the fit, shape (K,).
+        variances: Variances of the effects, shape (S,).
+    """
+    fitted = Variances.at(groups.components(), groups.current)
+    ((e, U, _),) = fitted.whitened
+    sizes = np.sqrt(np.append(groups.current, 1.0))
+    X = np.vstack([*(groups.rows / sizes[:, None, None])])[:, -1 - len(variances) : -1]
+    predicted = variances @ (np.sum(X**2, axis=0) - np.sum((U.T @ X) ** 2, axis=0))
+    found = float(e @ e - noise @ fitted.redundancies)
+    return max(found, 0.0) / float(predicted)
 
 
 def sampled(problem: Problem, count: int = ROWS) -> Observations:
@@ -183,142 +221,37 @@ def sampled(problem: Problem, count: int = ROWS) -> Observations:
 def candidates(problem: Problem) -> Systematic | None:
     """All effects that are not estimated already, in their expected sizes."""
     setup, chains = problem.setup, problem.chains
-    payloads = {"", NOTHING, *setup.payloads}
-    effects = {
+    kinds = {
         name: member.effects.components
         for name, member in PARAMETERIZATIONS.items()
-        if member.effects is not None
+        if member.effects is not None and name not in setup.parameters
     }
-    kinds = [kind for kind in effects if kind not in setup.parameters]
-    if not payloads.issuperset(problem.data.payload.distinct):
+    if not {"", NOTHING, *setup.payloads}.issuperset(problem.data.payload.distinct):
         # Nothing is known of what was carried.
-        kinds = [kind for kind in kinds if "payloads" not in required_keys([kind])]
+        kinds = {k: c for k, c in kinds.items() if "payloads" not in required_keys([k])}
     errors: dict[str, ErrorModel] = {}
-    found: dict[str, float] = {}
-    for name in chains.names:
-        screws = _effects(chains[name], kinds, effects, setup)
-        errors[name] = _with_screws(chains[name], screws)
+    sizes: dict[str, float] = {}
+    for name, chain in ((name, chains[name]) for name in chains.names):
+        loaded = [kind for kind in kinds if _suits(kind, chain, setup)]
+        errors[name] = ErrorModel.create(
+            chain, loaded, setup=setup, estimate_base=False, estimate_tool=False
+        )
         if len(setup.payloads) > 1:
             carried = problem.only.error.payload or next(iter(setup.payloads))
             errors[name] = errors[name].carrying(carried)
-        for screw in screws:
-            found[screw.parameter.name] = screw.parameter.scale
-    if not found:
+        turns = dict(zip(map(owner, chain.joints), chain.revolute, strict=True))
+        for parameter in errors[name].parameters:
+            joint, kind, component = parameter.name.rsplit(".", 2)
+            if component in kinds.get(kind, ()) and turns[joint]:
+                sizes[parameter.name] = parameter.scale
+    if not sizes:
         return None
-    return Systematic(
-        errors=errors,
-        names=tuple(found),
-        sizes=np.array(list(found.values())),
-        gear=AMPLITUDE_SCALES["rad"],
-        compliance=Compliance.effects.size,
-        noise=np.ones(0),
-    )
+    return Systematic(errors, tuple(sizes), np.array([*sizes.values()]), np.ones(0))
 
 
-def _effects(
-    chain: Chain,
-    kinds: Sequence[str],
-    effects: Mapping[str, Sequence[str]],
-    setup: Setup,
-) -> list[Screw]:
-    """The screws of the effects of some kinds on the joints of a chain that turn."""
-    revolute = {
-        owner(joint)
-        for joint, turns in zip(chain.joints, chain.revolute, strict=True)
-        if turns
-    }
-    screws: list[Screw] = []
-    for kind in kinds:
-        try:
-            screws += parameterization(kind, setup).screws(chain)
-        except OptionError:
-            # Nothing loads the joints.
-            continue
-    names = [screw.parameter.name.rsplit(".", 2) for screw in screws]
-    screws = [
-        screw
-        for screw, (joint, kind, component) in zip(screws, names, strict=True)
-        if joint in revolute and component in effects[kind]
-    ]
-    return sorted(screws, key=lambda screw: screw.frame)
-
-
-def _with_screws(chain: Chain, screws: Sequence[Screw]) -> ErrorModel:
-    """A chain with some screws between its frames, which are known."""
-    identity = pin.SE3.Identity()
-    first, last = (
-        frame_screws(name, place, free=False)
-        for name, place in (("base", 0), ("tool", len(chain.joints) + 2))
-    )
-    return ErrorModel(chain, (*first, *screws, *last), identity, identity)
-
-
-def _significant(
-    problem: Problem, effects: Systematic, groups: Groups
-) -> Systematic | None:
-    """The effects that raise the likelihood enough, with their estimated sizes.
-
-    The groups are residual rows by quantity, in the columns of what was moved, of all
-    effects in their expected sizes and of the residual.
-    """
-    kind_of = effects.kinds
-    current = current_units(problem) ** 2
-
-    def estimated(kinds: tuple[str, ...]) -> Variances:
-        return estimate_variances(
-            with_effects(groups, kind_of, kinds),
-            np.concatenate([current, np.ones(len(kinds))]),
-        )
-
-    chosen: tuple[str, ...] = ()
-    best = estimated(chosen)
-    effective = [kind for kind in PARAMETERIZATIONS if kind in kind_of]
-    for _ in effective:
-        left = [kind for kind in effective if kind not in chosen]
-        tried = {(*chosen, kind): estimated((*chosen, kind)) for kind in left}
-        kinds = max(tried, key=lambda key: tried[key].likelihood, default=())
-        if not kinds or tried[kinds].likelihood - best.likelihood < 0.5 * SIGNIFICANT:
-            break
-        chosen, best = kinds, tried[kinds]
-    if not chosen:
-        return None
-    count = len(groups.counts)
-    noise, squares = best.values[:count], best.values[count:]
-    kept = np.isin(kind_of, chosen)
-    of_effect = squares[[chosen.index(kind) for kind in kind_of[kept]]]
-    found, predicted = _shares(groups, noise, of_effect, kept, current)
-    squares = squares * min(1.0, MOST * found / predicted)
-    factors = dict(zip(chosen, np.sqrt(squares), strict=True))
-    sizes = effects.sizes * [factors.get(kind, 0.0) for kind in kind_of]
-    return replace(
-        effects,
-        names=tuple(np.array(effects.names)[kept].tolist()),
-        sizes=sizes[kept],
-        gear=effects.gear * float(factors.get(Transmission.name, 0.0)),
-        compliance=effects.compliance * float(factors.get(Compliance.name, 0.0)),
-        noise=noise / current,
-    )
-
-
-def _shares(
-    groups: Groups,
-    noise: Floats,
-    squares: Floats,
-    kept: NDArray[np.bool_],
-    current: Floats,
-) -> tuple[float, float]:
-    """Squares that noise leaves to effects, and those that effects should leave.
-
-    By variances of the quantities, shape (K,), and of the effects that are kept, (s,);
-    the fit was made in units of the current variances, (K,).
-    """
-    first = groups.known.shape[0] - 1 - len(kept)
-    products = groups.products / current[:, None, None]
-    total = groups.known + products.sum(axis=0)
-    M = np.linalg.inv(total[:first, :first])
-    # Residuals of the fit, and of what each effect adds.
-    left = np.diag(total) - np.einsum("ij,ik,kj->j", total[:first], M, total[:first])
-    hats = np.einsum("ij,kji->k", M, products[:, :first, :first])
-    known = float(noise / current @ (groups.counts - hats))
-    predicted = float(squares @ left[first:-1][kept])
-    return max(float(left[-1]) - known, 0.0), predicted
+def _suits(kind: str, chain: Chain, setup: Setup) -> bool:
+    """Whether a chain can have errors of a kind: something may have to load it."""
+    try:
+        return bool(parameterization(kind, setup).screws(chain))
+    except OptionError:
+        return False

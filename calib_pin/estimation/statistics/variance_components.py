@@ -7,13 +7,14 @@ balanced by the data (Helmert, Foerstner; see `restricted_likelihood`). Known di
 priors and expected sizes keep the standard deviations that they have.
 
 Where configurations are repeated, the scatter of the repetitions is the pure error;
-residuals between configurations beyond it are lack of fit (see `pure_error`).
+residuals between configurations beyond it are lack of fit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +22,16 @@ from numpy.typing import NDArray
 from calib_pin.estimation.directions import half_covariance
 from calib_pin.estimation.elimination import with_response
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, repeated
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
     chi_square_tail,
+    f_tail,
 )
-from calib_pin.estimation.statistics.pure_error import PureError, pure_errors
 from calib_pin.estimation.statistics.restricted_likelihood import (
-    Groups,
+    KNOWN,
+    Block,
+    Components,
     Variances,
     estimate_variances,
 )
@@ -51,6 +54,87 @@ estimated from one value may be anything."""
 LEAST = 1e-3
 """Least part of the largest unit weight: an exact quantity leaves the others a say."""
 
+REPEATED = 4
+"""Degrees of freedom from which repetitions tell the pure error, to a factor of two."""
+
+
+@dataclass(frozen=True)
+class Groups:
+    """Rows by quantity, in the standard deviations that are given.
+
+    Attributes:
+        counts: Measured values of each quantity, shape (K,).
+        products: `[A r]^T [A r]` of their columns and residuals, (K, p + 1, p + 1).
+        known: The same of rows whose variance is known to be one, shape (p + 1, p + 1).
+        current: Variances of the quantities in the units of the problem, shape (K,).
+        kind_of: Kind of each random effect: the last columns before the residual are
+            those of all S effects in their expected sizes.
+    """
+
+    counts: Floats
+    products: Floats
+    known: Floats
+    current: Floats
+    kind_of: Sequence[str] = ()
+
+    @cached_property
+    def rows(self) -> Floats:
+        """Rows with the same products, those known last, (K + 1, p + 1, p + 1)."""
+        values, vectors = np.linalg.eigh(np.concatenate([self.products, [self.known]]))
+        sizes = np.sqrt(np.maximum(values, 0.0))
+        return np.asarray(sizes[:, :, None] * vectors.transpose(0, 2, 1))
+
+    def components(self, kinds: Sequence[str] = ()) -> Components:
+        """The quantities as variance components, and behind them kinds of effects.
+
+        Args:
+            kinds: Kinds that have a variance; the others are left out.
+        """
+        count, width = len(self.counts), self.rows.shape[1]
+        first = width - 1 - len(self.kind_of)
+        kind = np.array([kinds.index(k) if k in kinds else KNOWN for k in self.kind_of])
+        columns = np.full(width, True)
+        columns[first:-1] = acting = kind != KNOWN
+        effects = np.eye(width)[first:-1][acting]
+        of_rows = np.repeat([*range(count), KNOWN], width)
+        labels = np.append(of_rows, count + kind[acting]).astype(int)
+        return Components(
+            [Block(np.vstack([*self.rows, effects])[:, columns], labels)],
+            np.append(self.counts - width, np.zeros(len(kinds))),
+            np.zeros(count + len(kinds)),
+        )
+
+    def estimated(self, kinds: Sequence[str] = ()) -> Variances:
+        """Variances of the quantities, and behind them of some kinds of effects."""
+        start = np.append(self.current, np.ones(len(kinds)))
+        return estimate_variances(self.components(kinds), start)
+
+    def selected(
+        self, kinds: Iterable[str], gain: float, always: Sequence[str] = ()
+    ) -> tuple[dict[str, float], Variances]:
+        """The kinds of effects that raise the likelihood enough, the best one first.
+
+        Args:
+            kinds: Kinds to choose from; those without an effect are left out.
+            gain: Twice the logarithm of the likelihood that each must bring.
+            always: Kinds that act whether they do or not.
+
+        Returns:
+            The variances of those that are chosen, and the model with them.
+        """
+        left = [kind for kind in kinds if kind in self.kind_of]
+        chosen, best = [*always], self.estimated(always)
+        while left:
+            tried = {kind: self.estimated([*chosen, kind]) for kind in left}
+            kind = max(tried, key=lambda key: tried[key].likelihood)
+            if tried[kind].likelihood - best.likelihood < 0.5 * gain:
+                break
+            chosen.append(kind)
+            left.remove(kind)
+            best = tried[kind]
+        variances = dict(zip(chosen, best.values[len(self.counts) :], strict=True))
+        return {k: float(v) for k, v in variances.items() if k not in always}, best
+
 
 def variance_components(
     problem: Problem, result: LeastSquaresResult, basis: Floats
@@ -64,43 +148,36 @@ def variance_components(
     """
     half = half_covariance(result.jac, basis, problem.parameters)
     groups = by_quantity(problem, result.x, result.fun, result.jac, half)
-    found, used = _tested(problem, groups)
-    stated = _stated(problem)
-    repeated = pure_errors(problem, result.x, _leverages(problem, result, half))
+    found, factors = _tested(problem, groups)
+    count = len(problem.layout.row)
+    # Of very many values the mean leverage.
+    leverages = np.full(count, half.shape[1] / max(problem.values, 1))
+    if not problem.many:
+        leverages = np.sum((result.jac[:count] @ half) ** 2, axis=1)
+    pure = pure_errors(problem, result.x, leverages)
     return tuple(
-        _component(
-            problem, k, found, float(used[k]), bool(stated[k]), groups.counts, pure
-        )
-        for k, pure in enumerate(repeated)
+        _component(problem, k, found, float(factors[k]), groups.counts, pure[k])
+        for k in range(len(pure))
     )
 
 
-def unit_weights(problem: Problem, result: LeastSquaresResult, basis: Floats) -> Floats:
-    """Standard deviations of unit weight, see `Problem.units`, shape (K,).
-
-    Arguments as for `variance_components`.
-    """
-    half = half_covariance(result.jac, basis, problem.parameters)
-    groups = by_quantity(problem, result.x, result.fun, result.jac, half)
-    return _tested(problem, groups)[1]
-
-
-def grouped(problem: Problem, rows: Floats) -> Groups:
-    """Rows by quantity, in the standard deviations that are given.
+def grouped(problem: Problem, rows: Floats, kind_of: Sequence[str] = ()) -> Groups:
+    """Rows by quantity.
 
     Args:
         problem: The problem in whose units the rows are whitened.
         rows: Columns and residual, shape (M, p + 1); first those of the measured
             values, behind them those of what is known beside.
+        kind_of: Kinds of the last columns, see `Groups`.
     """
-    layout = problem.layout
+    layout, current = problem.layout, current_units(problem) ** 2
     measured, known = np.split(rows, [len(layout.row)])
-    products = np.zeros((len(layout.components), rows.shape[1], rows.shape[1]))
-    for k in range(len(products)):
-        part = measured if len(products) == 1 else measured[layout.component == k]
-        products[k] = part.T @ part
-    products *= current_units(problem)[:, None, None] ** 2
-    return Groups(_counts(problem), products, known.T @ known)
+    own = [measured]
+    if len(layout.components) > 1:
+        own = [measured[layout.component == k] for k in range(len(layout.components))]
+    products = np.array([part.T @ part for part in own])
+    products *= current[:, None, None]
+    return Groups(_counts(problem), products, known.T @ known, current, kind_of)
 
 
 def by_quantity(
@@ -137,10 +214,10 @@ def by_quantity(
             mine = np.flatnonzero(np.isin(part.index, station.own))
             root = station.root[np.searchsorted(station.own, part.index[mine])]
             counts[k] -= float(np.sum(root * (K[np.ix_(mine, mine)] @ root)))
-    products *= current_units(problem)[:, None, None] ** 2
-    further = problem.further
+    current, further = current_units(problem) ** 2, problem.further
+    products *= current[:, None, None]
     known = np.column_stack([further.jacobian(theta) @ half, further.residual(theta)])
-    return Groups(counts, products, known.T @ known)
+    return Groups(counts, products, known.T @ known, current)
 
 
 def _by_quantity(problem: Problem, theta: Floats) -> Iterator[tuple[int, Part, Floats]]:
@@ -164,14 +241,6 @@ def _by_quantity(problem: Problem, theta: Floats) -> Iterator[tuple[int, Part, F
                 yield found[place], block.part, K
 
 
-def _leverages(problem: Problem, result: LeastSquaresResult, half: Floats) -> Floats:
-    """Leverage of every measured value, of very many their mean, shape (M,)."""
-    count = len(problem.layout.row)
-    if problem.many:
-        return np.full(count, half.shape[1] / max(problem.values, 1))
-    return np.asarray(np.sum((result.jac[:count] @ half) ** 2, axis=1))
-
-
 def _counts(problem: Problem) -> Floats:
     """Measured values of each quantity, those with less weight counted less, (K,)."""
     layout = problem.layout
@@ -190,11 +259,7 @@ def current_units(problem: Problem) -> Floats:
 
 def _stated(problem: Problem) -> NDArray[np.bool_]:
     """Whether the measurements or the setup state the noise of a quantity, (K,)."""
-    without = {
-        (block.model, block.station)
-        for block in problem.data.blocks
-        if block.sigma is None
-    }
+    without = {(b.model, b.station) for b in problem.data.blocks if b.sigma is None}
     return np.array(
         [
             c.quantity.name in problem.setup.noise
@@ -214,38 +279,30 @@ def _tested(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
         Estimates of all quantities relative to what is given, and the factors of the
         standard deviations to use, shape (K,): one where what is stated stands.
     """
-    stated, start = _stated(problem), current_units(problem) ** 2
+    stated = _stated(problem)
     stations = len({component.station for component in problem.layout.components})
-    found = estimate_variances(groups, start)
-    # Where two quantities cannot be told apart the information is rounding.
-    found = replace(found, dof=np.minimum(found.dof, groups.counts))
+    found = groups.estimated()
     few = found.redundancies < FEW
     if few.all():
-        return found, np.sqrt(start)
+        return found, np.sqrt(groups.current)
     tail = 0.5 * REJECTED / stations
     above = [
         chi_square_tail(v * f, f) if f >= LEAST_DOF else 0.5
         for v, f in zip(found.values, found.dof, strict=True)
     ]
     stands = np.abs(np.array(above) - 0.5) <= 0.5 - tail
-    held = stated & (few | stands)
-    values, kept = found.values, few & ~stated
-    if kept.any() or (held.any() and not held.all()):
-        # Each is estimated beside what stands, or shares a variance with the largest.
-        leader = np.where(kept, np.argmax(found.redundancies), np.arange(len(few)))
-        leaders, position = np.unique(leader[~held[leader]], return_inverse=True)
-        rest = groups.given(held[leader])
-        joined = np.eye(len(leaders))[position].T
-        values = np.ones(len(few))
-        values[~held[leader]] = estimate_variances(
-            Groups(
-                joined @ rest.counts,
-                np.tensordot(joined, rest.products, axes=1),
-                rest.known,
-            ),
-            found.values[leaders],
-        ).values[position]
-    factors = np.where(held, 1.0, np.sqrt(values))
+    # Each is estimated beside what stands, or shares a variance with the largest.
+    labels = np.arange(len(few))
+    labels[stated & (few | stands)] = KNOWN
+    labels[few & ~stated] = labels[np.argmax(found.redundancies)]
+    open_ = labels != KNOWN
+    leaders, labels[open_] = np.unique(labels[open_], return_inverse=True)
+    rest = groups.components().relabeled(labels)
+    variances, factors = (
+        estimate_variances(rest, found.values[leaders]),
+        np.ones(len(few)),
+    )
+    factors[open_] = np.sqrt(variances.values[labels[open_]])
     return found, np.maximum(factors, LEAST * factors.max())
 
 
@@ -263,7 +320,6 @@ def _component(
     k: int,
     found: Variances,
     factor: float,
-    stated: bool,
     counts: Floats,
     pure: PureError | None,
 ) -> VarianceComponent:
@@ -272,13 +328,13 @@ def _component(
     The standard deviation is used with the factor; the counts are the measured values
     of each quantity, shape (K,).
     """
-    component = problem.layout.components[k]
+    component, stated = problem.layout.components[k], bool(_stated(problem)[k])
     given = problem.given_sigma[problem.layout.of_components[k]]
     size = float(np.sqrt(np.mean(given**2))) if len(given) else np.nan
-    redundancy = float(found.redundancies[k])
-    variance, dof = float(found.values[k]), float(found.dof[k])
+    redundancy, count = float(found.redundancies[k]), float(counts[k])
+    variance, known = float(found.values[k]), redundancy > 0.0
     squares, lack, unmodeled = variance * redundancy, None, None
-    low, high = variance_interval(variance, dof)
+    low, high = variance_interval(variance, float(found.dof[k]))
     if pure is not None:
         lack = pure.lack_of_fit(squares, redundancy)
         unmodeled = pure.unmodeled(squares, redundancy)
@@ -288,7 +344,6 @@ def _component(
             low, high = variance_interval(variance, redundancy - pure.dof)
     elif stated:
         unmodeled = variance - 1.0 if low > 1.0 else 0.0
-    known = redundancy > 0.0
     return VarianceComponent(
         quantity=component.name,
         unit=component.quantity.unit,
@@ -297,11 +352,115 @@ def _component(
         factor=factor,
         estimate=size * variance**0.5 if known else np.nan,
         interval=(size * low**0.5, size * high**0.5) if known else (np.nan, np.nan),
-        redundancy=redundancy / max(float(counts[k]), 1.0),
-        values=float(counts[k]),
+        redundancy=redundancy / max(count, 1.0),
+        values=count,
         contradicted=known and stated and factor != 1.0,
         pure=None if pure is None else size * pure.variance**0.5,
         unmodeled=None if unmodeled is None else size * unmodeled**0.5,
         lack_of_fit=lack,
         pure_test=None if pure is None else pure.test,
     )
+
+
+@dataclass(frozen=True)
+class PureError:
+    """The pure error of a quantity, relative to the variance that is given.
+
+    Repetitions tell noise from what the model lacks. With squares and degrees of
+    freedom of the residuals (S, f) and of the repetitions among themselves (S_p, f_p),
+    noise alone makes
+
+        F = (S - S_p) / (f - f_p) / (S_p / f_p)
+
+    a value of Fisher's F; far larger values are lack of fit (Draper and Smith, Applied
+    Regression Analysis). What the model lacks is the same in all repetitions, a random
+    effect of the configuration with the variance u of `E[S] = s f + u tr(Z^T R Z)`,
+    where s is the pure variance, R projects on the residuals and Z sums over
+    repetitions.
+
+    Attributes:
+        variance: Its variance.
+        dof: Its degrees of freedom.
+        trace: `tr(Z^T R Z)`, what a unit variance of configurations adds to squares.
+    """
+
+    variance: float
+    dof: float
+    trace: float
+
+    @property
+    def test(self) -> float:
+        """Probability of a value so far from the given one by chance, two-sided."""
+        above = chi_square_tail(self.variance * self.dof, self.dof)
+        return 2.0 * min(above, 1.0 - above)
+
+    def lack_of_fit(self, squares: float, redundancy: float) -> float | None:
+        """Probability that noise leaves more; None where nothing is left over.
+
+        Args:
+            squares: Sum of squares of all residuals.
+            redundancy: Their degrees of freedom.
+        """
+        between = redundancy - self.dof
+        if between < 1.0 or self.variance <= 0.0:
+            return None
+        excess = max(squares - self.variance * self.dof, 0.0)
+        return f_tail(excess / between / self.variance, between, self.dof)
+
+    def unmodeled(self, squares: float, redundancy: float) -> float:
+        """Variance of what configurations have in common; arguments as above."""
+        excess = max(squares - self.variance * redundancy, 0.0)
+        return excess / self.trace if self.trace > 0.0 else 0.0
+
+
+def pure_errors(
+    problem: Problem, theta: Floats, leverages: Floats
+) -> tuple[PureError | None, ...]:
+    """The pure error of every quantity; None where too few values are repeated.
+
+    Contacts are not measured but made, and say nothing by being repeated.
+
+    Args:
+        problem: The problem.
+        theta: Its solution, shape (P,).
+        leverages: Leverage of every measured value, shape (M,).
+    """
+    layout, count = problem.layout, len(problem.layout.components)
+    used, label = repetitions(problem)
+    sizes = np.bincount(label)
+    if not (sizes > 1).any():
+        return (None,) * count
+    weight = problem.data.weight[layout.row]
+    residual = problem.errors(theta) / problem.given_sigma
+    # Repetitions of a row, and its configuration, of all those that are used.
+    many, of_row = np.ones(len(problem.data)), np.full(len(problem.data), -1)
+    many[used], of_row[used] = sizes[label], label
+    place = of_row[layout.row] * layout.width + layout.column
+    found: list[PureError | None] = []
+    for k in range(count):
+        own = layout.component == k
+        rows = own & (of_row[layout.row] >= 0)
+        r, w = residual[rows], weight[rows]
+        _, group = np.unique(place[rows], return_inverse=True)
+        total = np.bincount(group, w)
+        mean = np.bincount(group, w * r) / np.where(total > 0.0, total, 1.0)
+        squares = float(np.sum(w * (r - mean[group]) ** 2))
+        dof = float((w > 0.0).sum() - (total > 0.0).sum())
+        # The columns of Z are as long as repetitions are many.
+        trace = weight[own].sum() - many[layout.row[own]] @ leverages[own]
+        enough = dof >= REPEATED
+        found.append(PureError(squares / dof, dof, float(trace)) if enough else None)
+    return tuple(found)
+
+
+def repetitions(problem: Problem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows that can be repetitions, and the configuration of each, shape (n,) both."""
+    labels = repeated(problem)
+    used = problem.data.weight > 0.0
+    for _, data, own, _ in problem.blocks:
+        # Of contacts the joint positions are measured, and from another start it is
+        # another distance.
+        if not data.values.shape[1] or data.start.size:
+            used[own] = False
+    rows = np.flatnonzero(used)
+    return rows, np.unique(labels[rows], return_inverse=True)[1]

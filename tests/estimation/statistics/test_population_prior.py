@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import OptionError
-from calib_pin.estimation.statistics.population_deviations import (
-    common_errors,
-    joint_deviations,
-)
 from calib_pin.estimation.statistics.population_prior import (
     LEAST,
+    Population,
     RobotEvidence,
+    common_errors,
+    joint_deviations,
     population_of,
 )
 from calib_pin.kinematics.spatial import Floats
@@ -53,47 +52,44 @@ def robots(count: int, seed: int = 0) -> list[RobotEvidence]:
     ]
 
 
-def test_mean_and_spread_are_recovered() -> None:
-    found = population_of(robots(200))
+@pytest.fixture(scope="module")
+def many() -> Population:
+    """What 120 robots have in common."""
+    return population_of(robots(120))
+
+
+def test_mean_and_spread_are_recovered(many: Population) -> None:
     free = np.array([2, 3, 4, 5, 6, 8])
-    sigma = np.sqrt(np.diag(found.likelihood.covariance))
-    z = (found.likelihood.mean - MEAN)[free] / sigma[free]
+    sigma = np.sqrt(np.diag(many.covariance))
+    z = (many.mean - MEAN)[free] / sigma[free]
     assert np.abs(z).max() < 3.5 and np.abs(sigma[free]).max() < 0.1
     # The relative deviation of a variance of n normal values is sqrt(2 / n).
-    error = np.log(found.variances / SPREAD**2)[free] / np.sqrt(2 / found.robots[free])
+    error = np.log(many.variances / SPREAD**2)[free] / np.sqrt(2 / many.robots[free])
     assert np.abs(error).max() < 3.5
-    assert (found.robots[free] > 30).all() and (found.robots <= 300).all()
-
-
-def test_only_a_sum_shows() -> None:
-    """It is known well, its terms are not."""
-    found = population_of(robots(200))
+    assert (many.robots[free] > 30).all() and (many.robots <= 300).all()
+    # Of two a sum is known well, and its terms are not.
     both = np.isin(np.arange(len(NAMES)), (0, 1)).astype(float)
-    total = both @ found.likelihood.mean
-    sigma = np.sqrt(both @ found.likelihood.covariance @ both)
-    assert abs(total - MEAN[:2].sum()) < 3.5 * sigma and sigma < 0.05
-    assert np.sqrt(found.likelihood.covariance[0, 0]) > 0.5
-    variance = found.variances[:2].sum()
+    known = np.sqrt(both @ many.covariance @ both)
+    assert abs(both @ many.mean - MEAN[:2].sum()) < 3.5 * known < 3.5 * 0.05
+    assert sigma[0] > 0.5
+    variance = many.variances[:2].sum()
     assert variance == pytest.approx(np.sum(SPREAD[:2] ** 2), rel=0.3)
-
-
-def test_what_no_robot_shows_keeps_its_size() -> None:
-    """Mean zero, known to its scale, and the spread that all errors have together."""
-    found = population_of(robots(50))
-    assert abs(found.likelihood.mean[HIDDEN]) < 1e-12
-    assert found.likelihood.covariance[HIDDEN, HIDDEN] == pytest.approx(1.0)
-    assert found.robots[HIDDEN] == 0.0
-    spread = np.sqrt(found.variances)
+    # What no robot shows keeps the mean zero and the spread of all errors together.
+    spread = np.sqrt(many.variances)
+    assert abs(many.mean[HIDDEN]) < 1e-12 and sigma[HIDDEN] == pytest.approx(1.0)
+    assert abs(many.robots[HIDDEN]) < 1e-9
     assert spread.min() < spread[HIDDEN] < spread.max()
-    (parameter,) = (p for p in found.prior().parameters if p.name == NAMES[HIDDEN])
-    assert parameter.robots == 0.0 and parameter.sigma == pytest.approx(SCALES[HIDDEN])
+    prior = many.prior()
+    hidden = prior.parameters[HIDDEN]
+    assert hidden.sigma == pytest.approx(SCALES[HIDDEN])
+    assert prior.noise == {"position": 1e-4}
 
 
-def test_the_next_robot_lies_within_its_interval() -> None:
+def test_the_next_robot_lies_within_its_interval(many: Population) -> None:
     """Before it is measured; of few robots the intervals are wide."""
     widths = []
-    for count in (8, 100):
-        prior = population_of(robots(count)).prior()
+    for found, count in ((population_of(robots(8)), 8), (many, 120)):
+        prior = found.prior()
         mean = np.array([p.mean for p in prior.parameters]) / SCALES
         S = np.array(prior.covariance) / np.outer(SCALES, SCALES)
         # Of what can be known: all but the hidden one and the terms of the sum.
@@ -104,11 +100,6 @@ def test_the_next_robot_lies_within_its_interval() -> None:
         widths.append(np.sqrt(np.diag(S)[shown]) / SPREAD[shown])
     assert (widths[1] < widths[0]).mean() > 0.5
     np.testing.assert_allclose(widths[1], 1.0, atol=0.4)
-
-
-def test_the_same_evidence_gives_the_same_bytes() -> None:
-    first, second = (population_of(robots(20)).prior() for _ in range(2))
-    assert first == second and first.noise == {"position": 1e-4}
 
 
 def test_other_robots_are_refused(refused) -> None:
@@ -126,7 +117,7 @@ def test_other_robots_are_refused(refused) -> None:
 
 def test_what_is_common_and_what_belongs_to_one() -> None:
     rng = np.random.default_rng(3)
-    some = robots(100)
+    some = robots(60)
     theta = MEAN + SPREAD * rng.normal(size=len(NAMES))
     theta[5] += 8 * SPREAD[5]
     found = population_of([*some, evidence(theta, equations(rng, 0.03), rng)])

@@ -408,7 +408,7 @@ ELSEWHERE = {
     "moved-instrument": "test_held_out",
     "frames-moved": "test_evaluation",
     "modeled-warm-up": "test_time_course",
-    "modeled-drift": "test_drift",
+    "modeled-drift": "test_time_course",
     "different-robots": "test_compare",
 }
 """Codes with tests of their own, by the module that has them."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Protocol, Self
 
@@ -16,10 +16,9 @@ from calib_pin.estimation.model import (
     whitened,
     whitened_jacobian,
 )
-from calib_pin.estimation.segments import compilable
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Linearization
-from calib_pin.parameterizations.error_model import flexures
+from calib_pin.parameterizations.error_model import ErrorModel, flexures
 
 PIECE = 4096
 """Measurements whose Jacobian is held at once, where there are very many."""
@@ -29,7 +28,12 @@ class Evaluator(Protocol):
     """The measurements of some blocks as a function of all parameters, shape (P,).
 
     What it says of each block is by the block's own parameters, shape (p,).
+
+    Attributes:
+        reduces: Whether `factorize` returns fewer rows than there are values.
     """
+
+    reduces: bool
 
     def weighted(self, sigma: Floats) -> Self:
         """The same with other standard deviations of all blocks, shape (M,)."""
@@ -43,22 +47,11 @@ class Evaluator(Protocol):
         """Residuals of each block in their units, predicted minus measured, (N, d)."""
         ...
 
-    def square(self, theta: Floats) -> float:
-        """Sum of squares of the whitened residuals."""
-        ...
-
-    def normal(self, theta: Floats) -> Sequence[Floats] | Floats:
-        """Products of the columns of Jacobian and residual, (p + 1, p + 1) each.
-
-        Half the digits are lost, which is good enough for a step.
-        """
-        ...
-
     def factorize(self, theta: Floats) -> Sequence[tuple[Floats, Floats]]:
         """Whitened residual, shape (M,), and Jacobian, shape (M, p), of each block.
 
         Of very many measurements they are those of a smaller system with the same
-        normal equations, to full precision.
+        normal equations, its triangular factor.
         """
         ...
 
@@ -70,11 +63,14 @@ class RowByRow:
         block: The block.
         sigma: Standard deviations of the residual components of all blocks of the
             problem, shape (M,).
+        reduces: Whether only the triangular factor of the rows is wanted, which takes
+            no more memory than a piece of them.
     """
 
-    def __init__(self, block: Block, sigma: Floats) -> None:
+    def __init__(self, block: Block, sigma: Floats, reduces: bool = False) -> None:
         """Prepare nothing: what does not change is computed where it is needed."""
         self._block, self._sigma = block, block.table(sigma)
+        self.reduces = reduces
 
     def weighted(self, sigma: Floats) -> RowByRow:
         """The same with other standard deviations of all blocks, shape (M,)."""
@@ -96,22 +92,20 @@ class RowByRow:
         of_robot, instrument = part.values(theta)
         return [part.measurement.residual(self._tool(of_robot), instrument, data)]
 
-    def residual(self, theta: Floats) -> Floats:
-        """Whitened residual, shape (N d,)."""
-        return whitened(self.errors(theta)[0], self._sigma)
-
-    def square(self, theta: Floats) -> float:
-        """Sum of squares of the whitened residuals."""
-        r = self.residual(theta)
-        return float(r @ r)
-
-    def normal(self, theta: Floats) -> list[Floats]:
-        """Products of the columns of Jacobian and residual, (p + 1, p + 1)."""
-        ((r, J),) = self.factorize(theta)
-        columns = np.column_stack([J, r])
-        return [np.asarray(columns.T @ columns)]
-
     def factorize(self, theta: Floats) -> list[tuple[Floats, Floats]]:
+        """Whitened residual, shape (M,), and Jacobian, shape (M, p), M = N d if whole.
+
+        Its rows are those of all values, or a triangular factor of them.
+        """
+        if not self.reduces:
+            return [self._rows(theta)]
+        R = np.zeros((0, len(self._block.part.index) + 1))
+        for piece in self._pieces():
+            r, J = piece._rows(theta)
+            R = np.linalg.qr(np.vstack([R, np.column_stack([J, r])]), mode="r")
+        return [(R[:, -1], R[:, :-1])]
+
+    def _rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
         part, data = self._block.part, self._block.data
         of_robot, instrument = part.values(theta)
@@ -125,72 +119,24 @@ class RowByRow:
         )
         J = whitened_jacobian(tool, known, self._sigma)
         r = whitened(linear.residual, self._sigma)
-        return [(r, J.reshape(-1, len(part.index)))]
+        return r, J.reshape(-1, len(part.index))
 
-
-class InPieces:
-    """Very many measurements of a block by Pinocchio, some thousand at a time.
-
-    Compiled kernels know nothing of places that bend row by row. It takes its time, and
-    no more memory than a piece.
-
-    Args:
-        block: The block.
-        sigma: Standard deviations of the residual components of all blocks of the
-            problem, shape (M,).
-    """
-
-    def __init__(self, block: Block, sigma: Floats) -> None:
-        """Cut the measurements into pieces."""
-        self._pieces = []
+    def _pieces(self) -> Iterator[RowByRow]:
+        """Some thousand measurements at a time."""
+        block = self._block
         for start in range(0, len(block.data), PIECE):
-            data = block.data.rows(slice(start, start + PIECE))
-            first = block.values.start + start * block.part.components
-            stop = first + len(data) * block.part.components
-            piece = block._replace(data=data, values=slice(first, stop))
-            self._pieces.append(RowByRow(piece, sigma))
-
-    def weighted(self, sigma: Floats) -> InPieces:
-        """The same with other standard deviations of all blocks, shape (M,)."""
-        result = copy.copy(self)
-        result._pieces = [piece.weighted(sigma) for piece in self._pieces]
-        return result
-
-    def about(self, blocks: Sequence[Block]) -> InPieces | None:
-        """Nothing: there is nothing prepared that would be worth keeping."""
-        return None
-
-    def errors(self, theta: Floats) -> list[Floats]:
-        """Residuals in their units, shape (N, d)."""
-        return [np.concatenate([piece.errors(theta)[0] for piece in self._pieces])]
-
-    def square(self, theta: Floats) -> float:
-        """Sum of squares of the whitened residuals."""
-        return sum((piece.square(theta) for piece in self._pieces), 0.0)
-
-    def normal(self, theta: Floats) -> list[Floats]:
-        """Products of the columns of Jacobian and residual, (p + 1, p + 1)."""
-        first, *others = self._pieces
-        (total,) = first.normal(theta)
-        for piece in others:
-            total += piece.normal(theta)[0]
-        return [total]
-
-    def factorize(self, theta: Floats) -> list[tuple[Floats, Floats]]:
-        """Residual, shape (M,), and Jacobian, shape (M, p), of a smaller system."""
-        R: Floats | None = None
-        for piece in self._pieces:
-            ((r, J),) = piece.factorize(theta)
-            rows = np.column_stack([J, r])
-            rows = rows if R is None else np.concatenate([R, rows])
-            R = np.asarray(np.linalg.qr(rows, mode="r"))
-        assert R is not None
-        return [(R[:, -1], R[:, :-1])]
+            rows = slice(start, start + PIECE)
+            data, sigma = block.data.rows(rows), self._sigma[rows]
+            own = block._replace(data=data, values=slice(0, sigma.size))
+            yield RowByRow(own, sigma.reshape(-1))
 
 
-def compiled(evaluators: Iterable[Evaluator]) -> bool:
-    """Whether compiled kernels are among some evaluators."""
-    return not all(isinstance(one, RowByRow | InPieces) for one in evaluators)
+def compilable(model: ErrorModel) -> bool:
+    """Whether nothing but the joints' own motions changes row by row.
+
+    Compiled kernels know corrections of these alone.
+    """
+    return model.learned is None and len(flexures(model)) == 0
 
 
 def evaluated(
@@ -215,9 +161,9 @@ def evaluated(
         plain = compilable(block.part.error) and not block.data.start.size
         found.setdefault(alike(block.part) if plain else k, []).append(k)
 
-    def alone(block: Block) -> RowByRow | InPieces:
+    def alone(block: Block) -> RowByRow:
         bent = len(flexures(block.part.error)) and len(block.data) > PIECE
-        return (InPieces if bent else RowByRow)(block, sigma)
+        return RowByRow(block, sigma, reduces=bool(bent))
 
     return {
         alone(blocks[positions[0]])

@@ -119,7 +119,7 @@ def posterior(
             been computed.
         effects: The same of `systematic.rows`.
     """
-    fun, jac = problem.factorize(theta) if known is None else known
+    fun, jac = problem.linearize(theta) if known is None else known
     stations = problem.stations(theta)
     basis, held = _held(problem, directions, sizes)
     half = half_covariance(np.concatenate([jac, held]), basis, problem.parameters)
@@ -317,7 +317,7 @@ class Fit:
     @cached_property
     def registered(self) -> tuple[Floats, Floats]:
         """Whitened residual and Jacobian of the nominal robot, see `before`."""
-        return self.problem.factorize(self.before)
+        return self.problem.linearize(self.before)
 
     @cached_property
     def _by_effects(self) -> Floats | None:

@@ -90,16 +90,15 @@ class Measured(System):
     @cached_property
     def given_sigma(self) -> Floats:
         """Standard deviations that are stated or assumed, shape (M,)."""
-        return np.concatenate(
-            [
-                (
-                    np.tile(assumed_sigma(part, self.setup), (len(data), 1))
-                    if data.sigma is None
-                    else data.sigma
-                ).reshape(-1)
-                for part, data, _, _ in self.blocks
-            ]
-        )
+        found = [
+            (
+                np.tile(assumed_sigma(part, self.setup), (len(data), 1))
+                if data.sigma is None
+                else data.sigma
+            ).reshape(-1)
+            for part, data, _, _ in self.blocks
+        ]
+        return found[0] if len(found) == 1 else np.concatenate(found)
 
     @cached_property
     def values(self) -> int:

@@ -47,6 +47,10 @@ class Evaluator(Protocol):
         """Residuals of each block in their units, predicted minus measured, (N, d)."""
         ...
 
+    def points(self, theta: Floats) -> Sequence[Floats]:
+        """Tool points of each block in the measurement frame, shape (N, 3)."""
+        ...
+
     def factorize(self, theta: Floats) -> Sequence[tuple[Floats, Floats]]:
         """Whitened residual, shape (M,), and Jacobian, shape (M, p), of each block.
 
@@ -91,6 +95,13 @@ class RowByRow:
         part, data = self._block.part, self._block.data
         of_robot, instrument = part.values(theta)
         return [part.measurement.residual(self._tool(of_robot), instrument, data)]
+
+    def points(self, theta: Floats) -> list[Floats]:
+        """Tool points in the measurement frame, shape (N, 3)."""
+        error, data = self._block.part.error, self._block.data
+        of_robot, _ = self._block.part.values(theta)
+        basis = error.basis(data.q, data.conditions)
+        return [error.poses(data.q, of_robot, basis)[:, :3, 3]]
 
     def factorize(self, theta: Floats) -> list[tuple[Floats, Floats]]:
         """Whitened residual, shape (M,), and Jacobian, shape (M, p), M = N d if whole.

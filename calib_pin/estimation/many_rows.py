@@ -24,7 +24,7 @@ pose before everything else, and meets no twist but its own.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property, partial
 from typing import TypeAlias
@@ -161,12 +161,20 @@ class ManyRows:
     def errors(self, theta: Floats) -> Sequence[Floats]:
         """Residuals of each block in their units, shape (N, d)."""
         at = self._at(theta)
+        return self._by_block(
+            lambda chunk: self._measurement.residual(
+                self._poses(chunk, at)[0], at.own, chunk.data
+            )
+        )
 
-        def errors(chunk: _Chunk) -> Floats:
-            T, _ = self._poses(chunk, at)
-            return self._measurement.residual(T, at.own, chunk.data)
+    def points(self, theta: Floats) -> Sequence[Floats]:
+        """Tool points of each block in the measurement frame, shape (N, 3)."""
+        at = self._at(theta)
+        return self._by_block(lambda chunk: self._poses(chunk, at)[0][:, :3, 3].copy())
 
-        found = np.concatenate(list(self._threads.map(errors, self._chunks)))
+    def _by_block(self, evaluate: Callable[[_Chunk], Floats]) -> Sequence[Floats]:
+        """Values of every measurement, (N, ...) for each block."""
+        found = np.concatenate(list(self._threads.map(evaluate, self._chunks)))
         return np.split(found, self._stops[:-1])
 
     def factorize(self, theta: Floats) -> Sequence[tuple[Floats, Floats]]:

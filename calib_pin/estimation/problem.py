@@ -96,6 +96,10 @@ class Problem(Measured):
         parts = [part.reshape(-1) for part in parts]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
+    def points(self, theta: Floats) -> list[Floats]:
+        """Tool points of every block in its measurement frame, shape (N, 3)."""
+        return self._by_block(lambda one: one.points(theta))
+
     def residual(self, theta: Floats) -> Floats:
         """Whitened residual: measurements, then `further`."""
         r = self.errors(theta)

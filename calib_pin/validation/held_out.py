@@ -26,9 +26,9 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations, grouped
 from calib_pin.progress import Stages
 from calib_pin.setup import Setup
-from calib_pin.solvers.status import Status
 from calib_pin.validation.findings.moved_instrument import FEWEST, registered_if_moved
-from calib_pin.validation.gains import PRESS, gains, press_check
+from calib_pin.validation.gains import PRESS, gains
+from calib_pin.validation.left_out import left_out, press_check, unusable
 from calib_pin.validation.model_errors import ModelErrors, model_errors, registered
 from calib_pin.validation.splits import Grouping, folds
 from calib_pin.workers import SERIAL, Workers
@@ -108,7 +108,7 @@ def check(
     if parts is None:
         parts = tuple(
             cross_validate(
-                chains, training, setup, masks, seed, fitted, progress, workers
+                chains, training, setup, masks, seed, model, progress, workers
             )
         )
     # A fit that fails without its fold says nothing about the robot.
@@ -141,7 +141,7 @@ def cross_validate(
     setup: Setup,
     masks: Sequence[NDArray[np.bool_]],
     seed: int,
-    whole: Fit,
+    whole: FittedModel,
     progress: Stages | None = None,
     workers: Workers = SERIAL,
 ) -> Iterator[ModelErrors]:
@@ -153,39 +153,36 @@ def cross_validate(
         setup: As for `fit_model`.
         masks: The parts, each of shape (N,).
         seed: As for `fit_model`.
-        whole: The fit of all measurements.
+        whole: The model fitted to all measurements.
         progress: Told the stage and the fraction done of all parts.
-        workers: Who fits them.
+        workers: Who fits those parts that take a fit.
     """
-    if whole.problem.many:
+    found: Sequence[ModelErrors | None] = [None] * len(masks)
+    if whole.problem.setup.learned is None:
+        found = left_out(whole.fit, masks)
+    if whole.fit.problem.many:
         # Their kernels keep all cores busy, and every worker would have a copy.
         workers = SERIAL
-    shared = _Whole(chains, measurements, setup, seed, whole)
-    if progress is not None:
-        progress(f"check 1 of {len(masks)}", 0.0)
-    for k, found in enumerate(workers.map(_without, shared, masks), 1):
+    shared = _Whole(chains, measurements, setup, seed, whole.fit)
+    parts = zip(masks, found, strict=True)
+    refits = workers.map(
+        _refitted, shared, [mask for mask, one in parts if one is None]
+    )
+    for k, one in enumerate(found, 1):
         if progress is not None:
-            progress(f"check {min(k + 1, len(masks))} of {len(masks)}", k / len(masks))
-        yield found
+            progress(f"check {k} of {len(found)}", (k - 1) / len(found))
+        yield next(refits) if one is None else one
 
 
 @serial_blas
-def _without(whole: _Whole, mask: NDArray[np.bool_]) -> ModelErrors:
+def _refitted(whole: _Whole, mask: NDArray[np.bool_]) -> ModelErrors:
     """Errors of a part of the measurements, of shape (N,), by a fit of the others."""
     chains, measurements, setup, seed, fit = whole
     # Measurements that the fit of all has rejected stay rejected.
-    kept = ~mask & (measurements.weight > 0.0)
-    some = measurements.rows(kept)
-    model = fit_model(chains, some, setup, seed, part_of=(fit, kept))
-    reason, status = "", model.fit.result.status
-    if not model.fit.structure.scaled:
-        reason = "the absolute scale is unobservable"
-    elif not status.success:
-        reason = "it did not converge"
+    some = measurements.rows(~mask & (measurements.weight > 0.0))
     layout = fit.problem.layout
     try:
-        if status is Status.NOT_FINITE:
-            raise InputError("it ended where no measurement can be")
+        model = fit_model(chains, some, setup, seed, effects_of=fit)
         if model.problem.layout.quantities != layout.quantities:
             raise InputError("all others of an instrument are set aside")
         found = model_errors(model, measurements.rows(mask), np.flatnonzero(mask))
@@ -194,7 +191,7 @@ def _without(whole: _Whole, mask: NDArray[np.bool_]) -> ModelErrors:
         none = np.zeros((0, layout.width))
         positions = np.zeros(0, np.intp)
         return ModelErrors(positions, none, none, none, reason=error.reason)
-    return replace(found, reason=reason)
+    return replace(found, reason=unusable(model.fit))
 
 
 def _checked_on(

@@ -7,7 +7,7 @@ standard error.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,54 +54,31 @@ def gains(
     sigma = layout.table(problem.sigma, len(problem.data))[positions]
     label = np.unique(labels[positions], return_inverse=True)[1].reshape(-1)
     present = np.isfinite(sigma)
-    unit = np.where(present, sigma, 1.0)
     # By what the fit predicts of each: a point near the plane of a camera moves by
     # hundreds of pixels for nothing, and would outweigh all others.
-    spread = np.where(np.isfinite(variance) & present, variance, unit**2) / unit**2
-    unit = unit * np.sqrt(np.maximum(spread, 1.0))
-    whitened = before / unit, after / unit, variance / unit**2
-    return tuple(_gains(method, problem, (before, after), whitened, present, label))
-
-
-def _gains(
-    method: str,
-    problem: Problem,
-    parts: tuple[Floats, Floats],
-    whitened: tuple[Floats, Floats, Floats],
-    present: NDArray[np.bool_],
-    label: NDArray[np.int64],
-) -> Iterator[Gain]:
-    """The test of all quantities, then of each that any measurement has."""
-    every = slice(None)
-    # Root mean square over the components of each: one for noise alone.
-    count = np.maximum(present.sum(axis=1), 1)
-    before, after = (
-        _size(errors, every, present) / np.sqrt(count) for errors in whitened[:2]
-    )
-    ratio = _ratio(whitened[1], whitened[2], present)
-    yield _gain(method, ALL, before, after, label, ratio)
-    for quantity in problem.layout.quantities:
-        columns = quantity.columns
+    larger = np.where(np.isfinite(variance), np.maximum(variance, sigma**2), sigma**2)
+    unit = np.sqrt(larger, where=present, out=np.ones(sigma.shape))
+    found = []
+    every = (ALL, slice(None)), *((q.name, q.columns) for q in layout.quantities)
+    for name, columns in every:
         here = present[:, columns]
         rows = here.any(axis=1)
-        if rows.any():
-            before, after = (_size(errors, columns, present)[rows] for errors in parts)
-            ratio = _ratio(whitened[1][:, columns], whitened[2][:, columns], here)
-            yield _gain(method, quantity.name, before, after, label[rows], ratio)
-
-
-def _size(errors: Floats, columns: slice, present: NDArray[np.bool_]) -> Floats:
-    """Lengths of errors in some columns, shape (N,)."""
-    part = np.where(present, errors, 0.0)[:, columns]
-    return np.asarray(np.linalg.norm(part, axis=1))
-
-
-def _ratio(after: Floats, variance: Floats, present: NDArray[np.bool_]) -> float:
-    """Found by predicted root mean square of whitened errors."""
-    predicted = float(np.sum(variance[present]))
-    if predicted <= 0.0:  # All values were needed to fit, but for rounding.
-        return float("nan")
-    return float(np.sqrt(np.sum(after[present] ** 2) / predicted))
+        if not rows.any():
+            continue
+        # Lengths; of all, root mean square over the components: one for noise alone.
+        scale = unit * np.sqrt(present.sum(axis=1))[:, None] if name == ALL else 1.0
+        pair = (
+            np.linalg.norm(np.where(here, (errors / scale)[:, columns], 0.0), axis=1)
+            for errors in (before, after)
+        )
+        old, new = (sizes[rows] for sizes in pair)
+        predicted = float(np.sum((variance / unit**2)[:, columns][here]))
+        ratio = float("nan")
+        if predicted > 0.0:  # Otherwise all values were needed to fit.
+            square = np.sum((after / unit)[:, columns][here] ** 2)
+            ratio = float(np.sqrt(square / predicted))
+        found.append(_gain(method, name, old, new, label[rows], ratio))
+    return tuple(found)
 
 
 def _gain(

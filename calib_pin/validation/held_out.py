@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,7 +112,10 @@ def check(
         )
     # A fit that fails without its fold says nothing about the robot.
     kept = tuple(part for part in parts if not part.reason)
-    if not _enough(training, kept):
+    held = np.zeros(len(training), bool)
+    for part in kept:
+        held[part.positions] = training.weight[part.positions] > 0.0
+    if training.rows(held).configurations < FEWEST:
         kept = ()
     name = grouping.validation_name(min(len(kept), len(masks)))
     return HeldOut(
@@ -125,14 +127,8 @@ def check(
     )
 
 
-class _Whole(NamedTuple):
-    """The input that all folds share, see `cross_validate`."""
-
-    chains: Chain | Chains
-    measurements: Observations
-    setup: Setup
-    seed: int
-    fit: Fit
+_Whole = tuple[Chain | Chains, Observations, Setup, int, Fit]
+"""What all refits share: chains, measurements, setup, seed, and the fit of all."""
 
 
 def cross_validate(
@@ -163,7 +159,7 @@ def cross_validate(
     if whole.fit.problem.many:
         # Their kernels keep all cores busy, and every worker would have a copy.
         workers = SERIAL
-    shared = _Whole(chains, measurements, setup, seed, whole.fit)
+    shared = chains, measurements, setup, seed, whole.fit
     parts = zip(masks, found, strict=True)
     refits = workers.map(
         _refitted, shared, [mask for mask, one in parts if one is None]
@@ -199,7 +195,9 @@ def _checked_on(
 ) -> HeldOut:
     """The check on validation measurements."""
     findings = []
-    new = ~_repeated(training, validation)
+    q = training.q[training.weight > 0.0]
+    labels = grouped(np.concatenate([q, validation.q]))
+    new = ~np.isin(labels[len(q) :], labels[: len(q)])
     if not new.all():
         some = f"{len(new) - int(new.sum())} of {len(new)}"
         findings.append(
@@ -225,21 +223,3 @@ def _checked_on(
     there, _ = extended(model.problem, model.theta, validation)
     found = gains(method, there, [part], clusters)
     return HeldOut(validation, (part,), method, found, tuple(findings))
-
-
-def _repeated(training: Observations, validation: Observations) -> NDArray[np.bool_]:
-    """Mask of measurements at configurations that were fitted, shape (N,)."""
-    fitted = training.q[training.weight > 0.0]
-    labels = grouped(np.concatenate([fitted, validation.q]))
-    return np.isin(labels[len(fitted) :], labels[: len(fitted)])
-
-
-def _enough(measurements: Observations, parts: Sequence[ModelErrors]) -> bool:
-    """Whether enough distinct configurations are held out to check anything."""
-    if not parts:
-        return False
-    positions = ModelErrors.joined(parts).positions
-    held_out = measurements.rows(
-        np.sort(positions[measurements.weight[positions] > 0.0])
-    )
-    return held_out.configurations >= FEWEST

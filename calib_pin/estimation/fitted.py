@@ -320,8 +320,8 @@ class Fit:
         return self.problem.linearize(self.before)
 
     @cached_property
-    def _by_effects(self) -> Floats | None:
-        """Residuals by effects that the model does not have, shape (M, S)."""
+    def by_effects(self) -> Floats | None:
+        """Residuals of a sample by effects that the model does not have, (M, S)."""
         if self.effects is None:
             return None
         few = replace(self.problem, data=sampled(self.problem))
@@ -351,7 +351,7 @@ def posterior_about(
         fitted.effects,
         sizes,
         (fitted.result.fun, fitted.result.jac) if own else None,
-        fitted._by_effects if own else None,
+        fitted.by_effects if own else None,
     )
     # Without redundancy nobody knows.
     return replace(

@@ -22,7 +22,8 @@ from calib_pin.estimation.statistics.distributions import student_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.gains import gains, press, press_check
+from calib_pin.validation.gains import gains
+from calib_pin.validation.left_out import press_check
 from calib_pin.validation.model_errors import ModelErrors, predicted_variance
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))

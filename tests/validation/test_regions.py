@@ -8,8 +8,8 @@ import pytest
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import Setup
-from calib_pin.validation.regions import OPTIONS, regions
-from calib_pin.validation.splits import Grouping
+from calib_pin.validation.splits import REGIONS as OPTIONS
+from calib_pin.validation.splits import Grouping, regions
 
 
 def grouping(q: Floats) -> Grouping:

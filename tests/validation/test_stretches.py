@@ -8,7 +8,7 @@ import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations
-from calib_pin.validation.stretches import stretches
+from calib_pin.validation.splits import stretches
 
 
 def rows(q: Floats, files: tuple[str, ...] = ()) -> Observations:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Protocol, Self
 
 import numpy as np
 
-from calib_pin.estimation.measured import Block
+from calib_pin.estimation.measured import Block, Prepared
 from calib_pin.estimation.model import (
     ToolPoses,
     kept,
@@ -113,7 +113,8 @@ class RowByRow:
         R = np.zeros((0, len(self._block.part.index) + 1))
         for piece in self._pieces():
             r, J = piece._rows(theta)
-            R = np.linalg.qr(np.vstack([R, np.column_stack([J, r])]), mode="r")
+            rows = np.vstack([R, np.column_stack([J, r])])
+            R = np.asarray(np.linalg.qr(rows, mode="r"))
         return [(R[:, -1], R[:, :-1])]
 
     def _rows(self, theta: Floats) -> tuple[Floats, Floats]:
@@ -150,9 +151,47 @@ def compilable(model: ErrorModel) -> bool:
     return model.learned is None and len(flexures(model)) == 0
 
 
+def prepared(
+    known: Prepared, sigma: Floats, many: bool
+) -> dict[Evaluator, Sequence[int]]:
+    """Evaluators, with the positions of the blocks of each.
+
+    Those of the same measurements with other weights or about other references are
+    used again.
+
+    Args:
+        known: The measurements.
+        sigma: Standard deviations of their residual components, shape (M,).
+        many: Whether a Jacobian of all measurements would be too large to be handy.
+    """
+    found: dict[Evaluator, Sequence[int]] = {}
+    if (last := known.shared.evaluated) is not None and last[2] == many:
+        parts, before, _, found = last
+        if parts is not known.parts:
+            found = _about(known.blocks, found)
+        if not np.array_equal(before, sigma):
+            found = {one.weighted(sigma): at for one, at in found.items()}
+    found = found or evaluated(known.blocks, sigma, many)
+    known.shared.evaluated = known.parts, sigma, many, found
+    return found
+
+
+def _about(
+    blocks: Sequence[Block], found: Mapping[Evaluator, Sequence[int]]
+) -> dict[Evaluator, Sequence[int]]:
+    """Evaluators about the references of blocks; none where one has to begin anew."""
+    result: dict[Evaluator, Sequence[int]] = {}
+    for one, at in found.items():
+        moved = one.about([blocks[k] for k in at])
+        if moved is None:
+            return {}
+        result[moved] = at
+    return result
+
+
 def evaluated(
     blocks: Sequence[Block], sigma: Floats, many: bool
-) -> dict[Evaluator, list[int]]:
+) -> dict[Evaluator, Sequence[int]]:
     """Evaluators, with the positions of the blocks of each.
 
     Compiled kernels take measurements that are many and that they can evaluate. Where

@@ -115,7 +115,7 @@ class ManyRows:
         self._segments = Segments.of(self._error)
         self._measurement = part.measurement
         self._bases = np.array([block.part.error.base.homogeneous for block in blocks])
-        self._linear: _Linear | None = None
+        self._known: list[_Linear] = []
 
     def about(self, blocks: Sequence[Block]) -> ManyRows | None:
         """The same measurements about other references; None where more has changed."""
@@ -154,9 +154,8 @@ class ManyRows:
     def _weigh(self, sigma: Floats) -> None:
         tables = [block.table(sigma) for block in self._blocks]
         table = tables[0] if len(tables) == 1 else np.concatenate(tables)
-        if self._linear is not None:
-            self._linear = self._linear.reweighted(self._sigma, table)
-        self._sigma = table
+        moved = [one.reweighted(self._sigma, table) for one in self._known]
+        self._known, self._sigma = [one for one in moved if one is not None], table
 
     def errors(self, theta: Floats) -> Sequence[Floats]:
         """Residuals of each block in their units, shape (N, d)."""
@@ -180,18 +179,20 @@ class ManyRows:
     def factorize(self, theta: Floats) -> Sequence[tuple[Floats, Floats]]:
         """The residual rows of each block reduced by orthogonal transformations.
 
-        Of parameters that are near those of the call before, it is the linearization
-        about these, see `NEAR`.
+        Of parameters that are near those of one of the last two passes, those of the
+        nominal robot and of the fitted one, it is the linearization there, see `NEAR`.
 
         Returns:
             Residual, shape (M,), and Jacobian, shape (M, p), M <= p + 1.
         """
         values = theta[np.array([block.part.index for block in self._blocks])]
-        if self._linear is None or not self._linear.holds(values):
-            scales = [parameter.scale for parameter in self._blocks[0].part.parameters]
-            near = np.minimum(NEAR, 0.1 * np.array(scales))
-            self._linear = _Linear(values, near, self._factors(theta))
-        return self._linear.at(values)
+        for known in self._known:
+            if known.holds(values):
+                return known.at(values)
+        scales = [parameter.scale for parameter in self._blocks[0].part.parameters]
+        near = np.minimum(NEAR, 0.1 * np.array(scales))
+        self._known = [_Linear(values, near, self._factors(theta)), *self._known[:1]]
+        return self._known[0].factors
 
     def _factors(self, theta: Floats) -> list[tuple[Floats, Floats]]:
         """The same, of all rows."""

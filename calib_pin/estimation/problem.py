@@ -17,10 +17,9 @@ from calib_pin.estimation.elimination import (
     reduced,
     station_parameters,
 )
-from calib_pin.estimation.evaluators import Evaluator, RowByRow, evaluated
+from calib_pin.estimation.evaluators import Evaluator, RowByRow, prepared
 from calib_pin.estimation.measured import Measured, assumed_sigma
 from calib_pin.estimation.row_blocks import Blocks, Expected, KnownDistances, Priors
-from calib_pin.estimation.system import Part
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import needed_conditions
@@ -189,18 +188,6 @@ class Problem(Measured):
             self.linearize(theta)
         return known[theta.tobytes()]
 
-    def with_parts(self, parts: Mapping[BlockKey, Part]) -> Problem:
-        """The same about other references; what was prepared of very many stays."""
-        result = super().with_parts(parts)
-        if "evaluators" in self.__dict__ and list(parts) == list(self.parts):
-            found = {
-                one.about([result.blocks[k] for k in positions]): positions
-                for one, positions in self.evaluators.items()
-            }
-            if None not in found:
-                result.__dict__["evaluators"] = found
-        return result
-
     @cached_property
     def own_of_stations(self) -> Mapping[str, NDArray[np.intp]]:
         """Parameters that are eliminated, by the station that alone has them."""
@@ -235,7 +222,7 @@ class Problem(Measured):
     @cached_property
     def evaluators(self) -> Mapping[Evaluator, Sequence[int]]:
         """Residuals and derivatives of blocks, with the positions of these."""
-        return evaluated(self.blocks, self.sigma, self._large)
+        return prepared(self._prepared, self.sigma, self._large)
 
     @cached_property
     def _large(self) -> bool:

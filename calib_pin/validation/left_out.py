@@ -32,6 +32,7 @@ from calib_pin.validation.model_errors import (
     found_distances,
     predicted_variance,
 )
+from calib_pin.validation.splits import FOLDS, MOST
 
 UNDETERMINED = 1e-9
 """Part of a group that the others predict, below which they do not: rounding."""
@@ -90,9 +91,12 @@ def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
         labels: Group of each, shape (N,).
     """
     problem, layout = fitted.problem, fitted.problem.layout
-    count = len(problem.data)
+    every = np.arange(count := len(problem.data))
     if problem.many:
-        # Among so many, no group has a say.
+        # Among so many, no group has a say, and some of them tell the errors.
+        every = np.arange(0, count, max(1, count // (FOLDS * MOST)))
+        problem = replace(problem, data=problem.data.rows(every))
+        layout, count = problem.layout, len(every)
         before, after = (problem.errors(at) for at in (fitted.before, fitted.theta))
         variance = problem.sigma**2
     else:
@@ -100,7 +104,7 @@ def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
         before, _ = press(nominal, labels)
         after, variance = press(calibrated, labels)
     return ModelErrors(
-        np.arange(count),
+        every,
         layout.table(_or_infinite(before), count),
         layout.table(_or_infinite(after), count),
         layout.table(fitted.unit**2 * variance, count),

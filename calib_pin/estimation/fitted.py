@@ -315,11 +315,6 @@ class Fit:
         return posterior_about(self, self.problem, self.theta)
 
     @cached_property
-    def registered(self) -> tuple[Floats, Floats]:
-        """Whitened residual and Jacobian of the nominal robot, see `before`."""
-        return self.problem.linearize(self.before)
-
-    @cached_property
     def by_effects(self) -> Floats | None:
         """Residuals of a sample by effects that the model does not have, (M, S)."""
         if self.effects is None:

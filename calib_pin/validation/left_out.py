@@ -74,7 +74,7 @@ class Linear:
     def of(cls, fitted: Fit) -> tuple[Linear, Linear]:
         """The nominal robot, its frames registered, and the fitted one."""
         problem, parameters = fitted.problem, fitted.problem.parameters
-        fun, J = fitted.registered
+        fun, J = problem.factorize(fitted.before)
         F = half_covariance(J, visible_nuisances(J, parameters), parameters)
         unit = float(np.sqrt(fun @ fun / max(problem.count - F.shape[1], 1)))
         nominal = cls(problem, fitted.before, fun, J, F, J @ F, unit)
@@ -160,7 +160,7 @@ def left_out(
     """
     problem = fitted.problem
     if problem.own_of_stations:
-        # What stations were eliminated with is no sum over groups.
+        # The elimination of stations is no sum over groups.
         return [None] * len(masks)
     robots = Linear.of(fitted)
     if problem.many:
@@ -200,7 +200,7 @@ class Rest(NamedTuple):
     alone: NDArray[np.bool_]
 
     def beside(self, values: Floats) -> Floats:
-        """What is left of values of the group, shape (m, s), when these are placed."""
+        """The rest of values of the group, shape (m, s), when these are placed."""
         return np.asarray(values - self.placed @ (self.placed.T @ values))
 
 

@@ -38,7 +38,7 @@ class Block(NamedTuple):
 
 @dataclass(eq=False)
 class Shared:
-    """What problems with the same measurements have in common, as soon as it is known.
+    """Known to all problems with the same measurements, as soon as one asks.
 
     Attributes:
         layout: Measurement and quantity of each residual component.
@@ -71,7 +71,7 @@ class Prepared:
     def of(
         self, parts: Mapping[BlockKey, Part], data: Observations, setup: Setup
     ) -> Prepared:
-        """What is prepared of others: the same, as far as they are the same."""
+        """The same of others, with as much in common as these have."""
         if parts is self.parts and data is self.data and setup is self.setup:
             return self
         alike = setup is self.setup and same_but_weights(data, self.data)

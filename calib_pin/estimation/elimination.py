@@ -137,6 +137,8 @@ def reduced(rows: Sequence[Rows], count: int) -> tuple[Floats, Floats]:
 
 def _stacked(rows: Sequence[Rows]) -> Rows:
     """Rows behind one another, by all parameters of any of them."""
+    if len(rows) == 1 and (np.diff(rows[0][0]) > 0).all():
+        return rows[0]
     every = np.unique(np.concatenate([index for index, _, _ in rows]))
     J = np.zeros((sum(len(r) for _, r, _ in rows), len(every)))
     start = 0

@@ -191,8 +191,10 @@ class ManyRows:
                 return known.at(values)
         scales = [parameter.scale for parameter in self._blocks[0].part.parameters]
         near = np.minimum(NEAR, 0.1 * np.array(scales))
-        self._known = [_Linear(values, near, self._factors(theta)), *self._known[:1]]
-        return self._known[0].factors
+        found = self._factors(theta)
+        if all(np.isfinite(r).all() for r, _ in found):
+            self._known = [_Linear(values, near, found), *self._known[:1]]
+        return found
 
     def _factors(self, theta: Floats) -> list[tuple[Floats, Floats]]:
         """The same, of all rows."""

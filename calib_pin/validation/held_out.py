@@ -128,7 +128,7 @@ def check(
 
 
 _Whole = tuple[Chain | Chains, Observations, Setup, int, Fit]
-"""Input that all refits share: chains, measurements, setup, seed, and the fit of all."""
+"""Input that refits share: chains, measurements, setup, seed, and the fit of all."""
 
 
 def cross_validate(

@@ -79,8 +79,12 @@ class Linear:
         unit = float(np.sqrt(fun @ fun / max(problem.count - F.shape[1], 1)))
         nominal = cls(problem, fitted.before, fun, J, F, J @ F, unit)
         problem, held, moved = fitted.held
-        J, F = held.jac, half_covariance(held.jac, moved, parameters)
-        return nominal, cls(problem, held.x, held.fun, J, F, J @ F, fitted.unit)
+        # In the order of the rows of the problem; those of the prior came last.
+        own = len(fitted.result.fun) - len(fitted.problem.further)
+        fun = np.append(held.fun[:own], problem.further.residual(held.x))
+        J = np.vstack([held.jac[:own], problem.further.jacobian(held.x)])
+        F = half_covariance(J, moved, parameters)
+        return nominal, cls(problem, held.x, fun, J, F, J @ F, fitted.unit)
 
 
 def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
@@ -120,11 +124,10 @@ def press(robot: Linear, labels: NDArray[np.int64]) -> tuple[Floats, Floats]:
         labels: Group of each measurement, shape (N,).
 
     Returns:
-        Errors and, for noise of unit weight, their variances, shape (M,) each; those
-        that are set aside keep their error, with an infinite variance.
+        Errors and, for noise of unit weight, their variances, shape (M,) each.
     """
     problem, label = robot.problem, labels[robot.problem.layout.row]
-    sigma, count = problem.sigma, len(label)
+    count = len(label)
     whitened, variance = robot.fun[:count].copy(), np.ones(count)
     order = np.argsort(label, kind="stable")
     counts = np.bincount(label)
@@ -137,12 +140,8 @@ def press(robot: Linear, labels: NDArray[np.int64]) -> tuple[Floats, Floats]:
         along = gain * np.einsum("gms,gm->gs", U, whitened[at])
         whitened[at] += np.einsum("gms,gs->gm", U, along)
         variance[at] += np.einsum("gms,gs->gm", U**2, gain)
-    aside = ~np.isfinite(sigma)
-    with np.errstate(invalid="ignore"):
-        errors, variance = whitened * sigma, variance * sigma**2
-    if aside.any():
-        errors[aside], variance[aside] = problem.errors(robot.theta)[aside], np.inf
-    return errors, variance
+    with np.errstate(invalid="ignore"):  # Of those that are set aside.
+        return whitened * problem.sigma, variance * problem.sigma**2
 
 
 @serial_blas
@@ -159,7 +158,7 @@ def left_out(
         The errors; None where it takes a fit of the others to tell.
     """
     problem = fitted.problem
-    if problem.own_of_stations:
+    if not masks or problem.own_of_stations:
         # The elimination of stations is no sum over groups.
         return [None] * len(masks)
     robots = Linear.of(fitted)

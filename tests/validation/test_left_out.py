@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
@@ -35,7 +36,11 @@ CHAIN = calib_pin.load_chain("space6")
 
 
 def fitted_to(
-    model: str, count: int, repeats: int = 1, kinds: tuple[str, ...] = ("joint-offset",)
+    model: str,
+    count: int,
+    repeats: int = 1,
+    kinds: tuple[str, ...] = ("joint-offset",),
+    prior: Mapping[str, float] | None = None,
 ) -> Fit:
     """A fit of rows of a robot with errors of some kinds, 5e-5 of noise each."""
     setup = replace(SETUP, parameters=kinds)
@@ -48,7 +53,7 @@ def fitted_to(
     shift = 5e-5 * rng.normal(size=(count * repeats, rows.only.values.shape[1]))
     shift = shift[np.unique(rows.groups(), return_index=True)[1]][rows.groups()]
     rows = Observations.of(replace(rows.only, values=rows.only.values + shift))
-    return fit_model(CHAIN, rows, SETUP, 0).fit
+    return fit_model(CHAIN, rows, replace(SETUP, prior=prior or {}), 0).fit
 
 
 def without(fitted: Fit, mask: NDArray[np.bool_]) -> tuple[Floats, Floats, Floats]:
@@ -74,18 +79,23 @@ def without(fitted: Fit, mask: NDArray[np.bool_]) -> tuple[Floats, Floats, Float
 
 
 @pytest.mark.parametrize(
-    ("model", "count", "repeats", "kinds"),
+    ("model", "count", "repeats", "kinds", "prior"),
     [
-        ("position", 12, 1, ("joint-offset",)),
-        ("pose", 10, 3, ("joint-offset",)),
-        ("position", 40, 2, ("joint-offset", "transmission")),
+        ("position", 12, 1, ("joint-offset",), {"joint_2.*": 1e-3, "tool.*": 1e-3}),
+        ("pose", 10, 3, ("joint-offset",), {}),
+        ("position", 40, 2, ("joint-offset", "transmission"), {}),
     ],
 )
 def test_left_out_is_refitted(
-    model: str, count: int, repeats: int, kinds: tuple[str, ...]
+    model: str,
+    count: int,
+    repeats: int,
+    kinds: tuple[str, ...],
+    prior: Mapping[str, float],
 ) -> None:
     """Within a tenth of a deviation it must be; it is within a hundredth."""
-    fitted = fitted_to(model, count, repeats, kinds)
+    fitted = fitted_to(model, count, repeats, kinds, prior)
+    assert not prior or fitted.held[0].expected is not None
     assert "transmission" not in kinds or fitted.effects is not None
     label = fitted.problem.data.groups()
     masks = [np.isin(label, (0, 1)), label % 3 == 2]

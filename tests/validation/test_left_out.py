@@ -62,7 +62,7 @@ def without(fitted: Fit, mask: NDArray[np.bool_]) -> tuple[Floats, Floats, Float
     data, problem, scales = held.data, fitted.problem, held.parameters.scales
     rest = replace(held, data=data.rows(~mask))
     theta = least_squares(rest, fitted.theta, scales[:, None] * moved).x
-    fun, jac = replace(problem, data=data.rows(~mask)).factorize(theta)
+    fun, jac = replace(problem, data=data.rows(~mask)).linearize(theta)
     result = replace(fitted.result, x=theta, fun=fun, jac=jac)
     known = replace(problem, data=data.rows(~mask))
     less = replace(

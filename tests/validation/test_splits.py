@@ -21,6 +21,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.setup import DistanceSetup, FrameSetup, Setup
 from calib_pin.validation import splits
+from calib_pin.validation.left_out import left_out
 from calib_pin.validation.splits import (
     FOLDS,
     REGIONS,
@@ -54,6 +55,23 @@ def measured_rows(
 
 def folds(rows: Observations, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
     return splits.folds(Grouping.of(rows, fitted.problem.setup), fitted, seed)
+
+
+def test_of_very_many_some_are_held_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In whole groups, of every part."""
+    chain, rows = measured_rows(repeats=2)
+    every = folds(rows, fit_model(chain, rows, SETUP, 0).fit, 0)
+    monkeypatch.setattr("calib_pin.estimation.problem.MANY", 1)
+    monkeypatch.setattr("calib_pin.validation.splits.MOST", 4)
+    model = fit_model(chain, rows, SETUP, 0)
+    masks, groups = folds(rows, model.fit, 0), rows.groups()
+    assert model.fit.problem.many and len(masks) == len(every)
+    for mask, whole in zip(masks, every, strict=True):
+        assert 2 <= mask.sum() < whole.sum() and not (mask & ~whole).any()
+        np.testing.assert_array_equal(mask, np.isin(groups, groups[mask]))
+    for part in left_out(model.fit, masks):
+        assert part is not None
+        assert np.abs(part.after).max() < 3e-4 < np.abs(part.before).max()
 
 
 @pytest.mark.parametrize("seed", [0, 1])

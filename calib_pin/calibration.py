@@ -23,6 +23,7 @@ from calib_pin.estimation.formulation import (
 )
 from calib_pin.estimation.time_course import time_course, with_time_course
 from calib_pin.estimation.tip_accuracy import tip_accuracy
+from calib_pin.estimation.variants import in_units
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import as_stated
@@ -219,7 +220,7 @@ def _result(
     parameters, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
     checked = ModelErrors.joined(held_out.parts) if held_out.parts else None
     # Against the sigma that is stated, or was assumed.
-    chi2 = 2.0 * replace(fitted.problem, units=np.zeros(0)).cost(fitted.theta)
+    chi2 = 2.0 * in_units(fitted.problem, np.zeros(0)).cost(fitted.theta)
     names = [parameter.name for parameter in parameters]
     accuracies = {
         name: replace(
@@ -377,11 +378,10 @@ def _measured(
         there = registered(problem, theta, rows)
         problem, theta = there.problem, there.theta
     points, rotations = [], []
-    for part, data, _, _ in problem.blocks:
+    for (part, *_), found in zip(problem.blocks, problem.points(theta), strict=True):
         error, of_robot = part.error, part.values(theta)[0]
-        T = error.poses(data.q, of_robot, error.basis(data.q, data.conditions))
         to_base = (error.base * error.corrections(of_robot)[0]).inverse()
-        points.append(T[:, :3, 3] @ to_base.rotation.T + to_base.translation)
+        points.append(found @ to_base.rotation.T + to_base.translation)
         rotations.append(to_base.rotation)
     return MeasurementErrors(
         rows=rows,

@@ -5,8 +5,8 @@ They work on the chain as a product of constant links and joint motions,
     T(q) = L_0 Z_1(q_1) L_1 ... Z_n(q_n) L_n
 
 where Z turns about z or shifts along it. The links depend on parameters
-(`calib_pin.estimation.segments`); the motions (`calib_pin.compiled.blocks`) do so where
-joint corrections add to them.
+(`calib_pin.estimation.many_rows`); the motions (`calib_pin.compiled.blocks`) do so
+where joint corrections add to them.
 
 No pose is multiplied out. A point or a direction of the tool is carried from the tip
 to the base, which takes half the operations of a matrix product for a beam and a

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Protocol, Self
 
 import numpy as np
 
-from calib_pin.estimation.measured import Block
+from calib_pin.estimation.measured import Block, Prepared
 from calib_pin.estimation.model import (
     ToolPoses,
     kept,
     whitened,
     whitened_jacobian,
 )
-from calib_pin.estimation.segments import compilable
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Linearization
-from calib_pin.parameterizations.error_model import flexures
+from calib_pin.parameterizations.error_model import ErrorModel, flexures
 
 PIECE = 4096
 """Measurements whose Jacobian is held at once, where there are very many."""
@@ -29,7 +28,12 @@ class Evaluator(Protocol):
     """The measurements of some blocks as a function of all parameters, shape (P,).
 
     What it says of each block is by the block's own parameters, shape (p,).
+
+    Attributes:
+        reduces: Whether `factorize` returns fewer rows than there are values.
     """
+
+    reduces: bool
 
     def weighted(self, sigma: Floats) -> Self:
         """The same with other standard deviations of all blocks, shape (M,)."""
@@ -43,22 +47,15 @@ class Evaluator(Protocol):
         """Residuals of each block in their units, predicted minus measured, (N, d)."""
         ...
 
-    def square(self, theta: Floats) -> float:
-        """Sum of squares of the whitened residuals."""
-        ...
-
-    def normal(self, theta: Floats) -> Sequence[Floats] | Floats:
-        """Products of the columns of Jacobian and residual, (p + 1, p + 1) each.
-
-        Half the digits are lost, which is good enough for a step.
-        """
+    def points(self, theta: Floats) -> Sequence[Floats]:
+        """Tool points of each block in the measurement frame, shape (N, 3)."""
         ...
 
     def factorize(self, theta: Floats) -> Sequence[tuple[Floats, Floats]]:
         """Whitened residual, shape (M,), and Jacobian, shape (M, p), of each block.
 
         Of very many measurements they are those of a smaller system with the same
-        normal equations, to full precision.
+        normal equations, its triangular factor.
         """
         ...
 
@@ -70,11 +67,14 @@ class RowByRow:
         block: The block.
         sigma: Standard deviations of the residual components of all blocks of the
             problem, shape (M,).
+        reduces: Whether only the triangular factor of the rows is wanted, which takes
+            no more memory than a piece of them.
     """
 
-    def __init__(self, block: Block, sigma: Floats) -> None:
+    def __init__(self, block: Block, sigma: Floats, reduces: bool = False) -> None:
         """Prepare nothing: what does not change is computed where it is needed."""
         self._block, self._sigma = block, block.table(sigma)
+        self.reduces = reduces
 
     def weighted(self, sigma: Floats) -> RowByRow:
         """The same with other standard deviations of all blocks, shape (M,)."""
@@ -96,22 +96,28 @@ class RowByRow:
         of_robot, instrument = part.values(theta)
         return [part.measurement.residual(self._tool(of_robot), instrument, data)]
 
-    def residual(self, theta: Floats) -> Floats:
-        """Whitened residual, shape (N d,)."""
-        return whitened(self.errors(theta)[0], self._sigma)
-
-    def square(self, theta: Floats) -> float:
-        """Sum of squares of the whitened residuals."""
-        r = self.residual(theta)
-        return float(r @ r)
-
-    def normal(self, theta: Floats) -> list[Floats]:
-        """Products of the columns of Jacobian and residual, (p + 1, p + 1)."""
-        ((r, J),) = self.factorize(theta)
-        columns = np.column_stack([J, r])
-        return [np.asarray(columns.T @ columns)]
+    def points(self, theta: Floats) -> list[Floats]:
+        """Tool points in the measurement frame, shape (N, 3)."""
+        error, data = self._block.part.error, self._block.data
+        of_robot, _ = self._block.part.values(theta)
+        basis = error.basis(data.q, data.conditions)
+        return [error.poses(data.q, of_robot, basis)[:, :3, 3]]
 
     def factorize(self, theta: Floats) -> list[tuple[Floats, Floats]]:
+        """Whitened residual, shape (M,), and Jacobian, shape (M, p), M = N d if whole.
+
+        Its rows are those of all values, or a triangular factor of them.
+        """
+        if not self.reduces:
+            return [self._rows(theta)]
+        R = np.zeros((0, len(self._block.part.index) + 1))
+        for piece in self._pieces():
+            r, J = piece._rows(theta)
+            rows = np.vstack([R, np.column_stack([J, r])])
+            R = np.asarray(np.linalg.qr(rows, mode="r"))
+        return [(R[:, -1], R[:, :-1])]
+
+    def _rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
         part, data = self._block.part, self._block.data
         of_robot, instrument = part.values(theta)
@@ -125,77 +131,67 @@ class RowByRow:
         )
         J = whitened_jacobian(tool, known, self._sigma)
         r = whitened(linear.residual, self._sigma)
-        return [(r, J.reshape(-1, len(part.index)))]
+        return r, J.reshape(-1, len(part.index))
+
+    def _pieces(self) -> Iterator[RowByRow]:
+        """Some thousand measurements at a time."""
+        block = self._block
+        for start in range(0, len(block.data), PIECE):
+            rows = slice(start, start + PIECE)
+            data, sigma = block.data.rows(rows), self._sigma[rows]
+            own = block._replace(data=data, values=slice(0, sigma.size))
+            yield RowByRow(own, sigma.reshape(-1))
 
 
-class InPieces:
-    """Very many measurements of a block by Pinocchio, some thousand at a time.
+def compilable(model: ErrorModel) -> bool:
+    """Whether nothing but the joints' own motions changes row by row.
 
-    Compiled kernels know nothing of places that bend row by row. It takes its time, and
-    no more memory than a piece.
+    Compiled kernels know corrections of these alone.
+    """
+    return model.learned is None and len(flexures(model)) == 0
+
+
+def prepared(
+    known: Prepared, sigma: Floats, many: bool
+) -> dict[Evaluator, Sequence[int]]:
+    """Evaluators, with the positions of the blocks of each.
+
+    Those of the same measurements with other weights or about other references are
+    used again.
 
     Args:
-        block: The block.
-        sigma: Standard deviations of the residual components of all blocks of the
-            problem, shape (M,).
+        known: The measurements.
+        sigma: Standard deviations of their residual components, shape (M,).
+        many: Whether a Jacobian of all measurements would be too large to be handy.
     """
-
-    def __init__(self, block: Block, sigma: Floats) -> None:
-        """Cut the measurements into pieces."""
-        self._pieces = []
-        for start in range(0, len(block.data), PIECE):
-            data = block.data.rows(slice(start, start + PIECE))
-            first = block.values.start + start * block.part.components
-            stop = first + len(data) * block.part.components
-            piece = block._replace(data=data, values=slice(first, stop))
-            self._pieces.append(RowByRow(piece, sigma))
-
-    def weighted(self, sigma: Floats) -> InPieces:
-        """The same with other standard deviations of all blocks, shape (M,)."""
-        result = copy.copy(self)
-        result._pieces = [piece.weighted(sigma) for piece in self._pieces]
-        return result
-
-    def about(self, blocks: Sequence[Block]) -> InPieces | None:
-        """Nothing: there is nothing prepared that would be worth keeping."""
-        return None
-
-    def errors(self, theta: Floats) -> list[Floats]:
-        """Residuals in their units, shape (N, d)."""
-        return [np.concatenate([piece.errors(theta)[0] for piece in self._pieces])]
-
-    def square(self, theta: Floats) -> float:
-        """Sum of squares of the whitened residuals."""
-        return sum((piece.square(theta) for piece in self._pieces), 0.0)
-
-    def normal(self, theta: Floats) -> list[Floats]:
-        """Products of the columns of Jacobian and residual, (p + 1, p + 1)."""
-        first, *others = self._pieces
-        (total,) = first.normal(theta)
-        for piece in others:
-            total += piece.normal(theta)[0]
-        return [total]
-
-    def factorize(self, theta: Floats) -> list[tuple[Floats, Floats]]:
-        """Residual, shape (M,), and Jacobian, shape (M, p), of a smaller system."""
-        R: Floats | None = None
-        for piece in self._pieces:
-            ((r, J),) = piece.factorize(theta)
-            rows = np.column_stack([J, r])
-            rows = rows if R is None else np.concatenate([R, rows])
-            R = np.asarray(np.linalg.qr(rows, mode="r"))
-        assert R is not None
-        return [(R[:, -1], R[:, :-1])]
+    found: dict[Evaluator, Sequence[int]] = {}
+    if (last := known.shared.evaluated) is not None and last[2] == many:
+        parts, before, _, found = last
+        if parts is not known.parts:
+            found = _about(known.blocks, found)
+        if not np.array_equal(before, sigma):
+            found = {one.weighted(sigma): at for one, at in found.items()}
+    found = found or evaluated(known.blocks, sigma, many)
+    known.shared.evaluated = known.parts, sigma, many, found
+    return found
 
 
-def compiled(evaluators: Iterable[Evaluator]) -> bool:
-    """Whether compiled kernels are among some evaluators."""
-    return not all(isinstance(one, RowByRow | InPieces) for one in evaluators)
+def _about(
+    blocks: Sequence[Block], found: Mapping[Evaluator, Sequence[int]]
+) -> dict[Evaluator, Sequence[int]]:
+    """Evaluators about the references of blocks; none where one has to begin anew."""
+    result: dict[Evaluator, Sequence[int]] = {}
+    for one, at in found.items():
+        moved = one.about([blocks[k] for k in at])
+        if moved is None:
+            return {}
+        result[moved] = at
+    return result
 
 
 def evaluated(
     blocks: Sequence[Block], sigma: Floats, many: bool
-) -> dict[Evaluator, list[int]]:
+) -> dict[Evaluator, Sequence[int]]:
     """Evaluators, with the positions of the blocks of each.
 
     Compiled kernels take measurements that are many and that they can evaluate. Where
@@ -215,9 +211,9 @@ def evaluated(
         plain = compilable(block.part.error) and not block.data.start.size
         found.setdefault(alike(block.part) if plain else k, []).append(k)
 
-    def alone(block: Block) -> RowByRow | InPieces:
+    def alone(block: Block) -> RowByRow:
         bent = len(flexures(block.part.error)) and len(block.data) > PIECE
-        return (InPieces if bent else RowByRow)(block, sigma)
+        return RowByRow(block, sigma, reduces=bool(bent))
 
     return {
         alone(blocks[positions[0]])

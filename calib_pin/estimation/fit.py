@@ -7,14 +7,11 @@ from what they leave.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
-from calib_pin.estimation.directions import nuisance_basis
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.learning import (
@@ -24,28 +21,18 @@ from calib_pin.estimation.learning import (
 )
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.robust.weights import robustly
-from calib_pin.estimation.solve import Solver, refine
-from calib_pin.estimation.stages import without_prior
+from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.statistics.systematic import systematic
-from calib_pin.estimation.system import System
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.progress import Progress, portion
 from calib_pin.setup import Setup
-from calib_pin.solvers import LeastSquaresResult
 from calib_pin.solvers.status import Status
-
-_System = TypeVar("_System", bound=System)
 
 FIT_PART = 0.2
 """Part of the time that the parameters take where a correction is learned as well."""
-
-
-CLOSE = 1e-9
-"""Part of the cost that a step must promise where a fit only checks another one: of
-thousands of measurements a thousandth of a standard deviation."""
 
 
 @serial_blas
@@ -68,62 +55,6 @@ def fit(
             exist.
     """
     return robustly(problem, Solver(problem, rng, progress))
-
-
-@serial_blas
-def refitted(fitted: Fit, kept: NDArray[np.bool_]) -> Fit | None:
-    """A fit of some of the measurements of another, from where that stands.
-
-    Noise, directions and sizes of errors are taken from the fit of all of them.
-
-    Args:
-        fitted: The fit.
-        kept: The measurements to fit, shape (N,), none of them set aside.
-
-    Returns:
-        The fit; None where it takes a fit from the start: without some target, with
-        bounds, after a search.
-    """
-    whole, parameters = fitted.problem, fitted.problem.parameters
-    rows = whole.data.rows(kept)
-    complete = len(np.unique(whole.data.things()[kept])) == len(
-        np.unique(whole.data.things())
-    )
-    bounded = np.isfinite(parameters.bounds).any() or whole.many
-    plain = whole.setup.solver.name == "gauss-newton" and fitted.result.status.success
-    if not (complete and plain and fitted.noise) or bounded:
-        return None
-    problem, (held, result, moved) = replace(whole, data=rows), fitted.held
-
-    def again(
-        some: Problem, x: Floats, known: tuple[Floats, Floats], basis: Floats
-    ) -> LeastSquaresResult:
-        # The first step is known from the residual rows of the whole.
-        of_row = kept[whole.layout.row]
-        own = np.ones(len(known[0]), bool)
-        own[: len(of_row)] = of_row
-        r, J = (part[own] for part in known)
-        start = x - basis @ np.linalg.lstsq(J @ basis, r, rcond=None)[0]
-        return refine(some, start, basis, CLOSE)
-
-    frames = nuisance_basis(parameters)
-    before = again(problem, fitted.before, fitted.registered, frames)
-    found = again(
-        replace(held, data=rows),
-        fitted.theta,
-        (result.fun, result.jac),
-        parameters.scales[:, None] * moved,
-    )
-    return replace(
-        fitted,
-        problem=problem,
-        before=before.x,
-        solution=replace(
-            fitted.solution, result=without_prior(problem, held.expected, found)
-        ),
-        effects=None,
-        robust=replace(fitted.robust, outliers=(), squared=None),
-    )
 
 
 @serial_blas
@@ -165,7 +96,7 @@ def fit_model(
     seed: int,
     progress: Progress | None = None,
     *,
-    part_of: tuple[Fit, NDArray[np.bool_]] | None = None,
+    effects_of: Fit | None = None,
 ) -> FittedModel:
     """Fit the parameters of a setup, and let its residual model learn the rest.
 
@@ -175,9 +106,8 @@ def fit_model(
         setup: Estimated, known and learned quantities.
         seed: Seed of random configurations, searches and starts.
         progress: Told how much is done, 0 to 1.
-        part_of: A fit of more measurements with the same setup, and which of them these
-            are. It knows the effects of gears and compliance, and the fit goes on from
-            it where it can.
+        effects_of: A fit of more measurements, which knows the effects of gears and
+            compliance; None to seek them in these.
 
     Raises:
         OptionError: If a name in the setup does not exist.
@@ -188,16 +118,14 @@ def fit_model(
     if setup.learned is not None:
         require_learnable(setup.learned, setup, measurements)
         part = FIT_PART
-    fitted = None if part_of is None else refitted(*part_of)
-    if fitted is None:
-        problem = make_problem(chains, measurements, setup)
-        tell = portion(progress, 0.0, part)
-        fitted = fit(problem, np.random.default_rng(seed), progress=tell)
-        if part_of is None:
-            fitted = with_effects(fitted)
-        else:
-            fitted = replace(fitted, effects=part_of[0].effects)
-    if part_of is None and fitted.result.status is Status.NOT_FINITE:
+    problem = make_problem(chains, measurements, setup)
+    tell = portion(progress, 0.0, part)
+    fitted = fit(problem, np.random.default_rng(seed), progress=tell)
+    if effects_of is None:
+        fitted = with_effects(fitted)
+    else:
+        fitted = replace(fitted, effects=effects_of.effects)
+    if fitted.result.status is Status.NOT_FINITE:
         raise InputError(
             "no fit to these measurements is possible from where the nominal robot is: "
             "some points are behind the camera, say, or beams miss their plane"

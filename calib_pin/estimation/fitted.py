@@ -119,7 +119,7 @@ def posterior(
             been computed.
         effects: The same of `systematic.rows`.
     """
-    fun, jac = problem.factorize(theta) if known is None else known
+    fun, jac = problem.linearize(theta) if known is None else known
     stations = problem.stations(theta)
     basis, held = _held(problem, directions, sizes)
     half = half_covariance(np.concatenate([jac, held]), basis, problem.parameters)
@@ -315,13 +315,8 @@ class Fit:
         return posterior_about(self, self.problem, self.theta)
 
     @cached_property
-    def registered(self) -> tuple[Floats, Floats]:
-        """Whitened residual and Jacobian of the nominal robot, see `before`."""
-        return self.problem.factorize(self.before)
-
-    @cached_property
-    def _by_effects(self) -> Floats | None:
-        """Residuals by effects that the model does not have, shape (M, S)."""
+    def by_effects(self) -> Floats | None:
+        """Residuals of a sample by effects that the model does not have, (M, S)."""
         if self.effects is None:
             return None
         few = replace(self.problem, data=sampled(self.problem))
@@ -351,7 +346,7 @@ def posterior_about(
         fitted.effects,
         sizes,
         (fitted.result.fun, fitted.result.jac) if own else None,
-        fitted._by_effects if own else None,
+        fitted.by_effects if own else None,
     )
     # Without redundancy nobody knows.
     return replace(

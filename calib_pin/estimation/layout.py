@@ -47,9 +47,9 @@ class Layout:
             measurements of a block, shape (d,).
     """
 
-    row: NDArray[np.int64]
-    component: NDArray[np.int64]
-    column: NDArray[np.int64]
+    row: NDArray[np.int32]
+    component: NDArray[np.int32]
+    column: NDArray[np.int32]
     components: tuple[Component, ...]
     quantities: tuple[Quantity, ...]
     of_keys: Mapping[BlockKey, NDArray[np.int64]]
@@ -83,9 +83,10 @@ class Layout:
         row, component, column = [], [], []
         for block, rows in zip(data.blocks, data.slices, strict=True):
             own = of_keys[block.key]
-            row.append(np.repeat(np.arange(rows.start, rows.stop), len(own)))
-            component.append(np.tile(own, len(block)))
-            place = first[block.model] + np.arange(len(own))
+            each = np.arange(rows.start, rows.stop, dtype=np.int32)
+            row.append(np.repeat(each, len(own)))
+            component.append(np.tile(own.astype(np.int32), len(block)))
+            place = first[block.model] + np.arange(len(own), dtype=np.int32)
             column.append(np.tile(place, len(block)))
         return Layout(
             np.concatenate(row),

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from calib_pin.compiled import kernels
 from calib_pin.compiled.blocks import motions
 from calib_pin.compiled.threads import Threads
+from calib_pin.estimation.evaluators import compilable
+from calib_pin.estimation.many_rows import Segments
 from calib_pin.estimation.measured import Block
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.segments import Segments, compilable
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Batch, BatchedModel
 from calib_pin.observations import Conditions

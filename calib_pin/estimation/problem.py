@@ -12,19 +12,14 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import stated_in
 from calib_pin.estimation.elimination import (
-    Products,
     Station,
-    added,
     eliminate,
-    eliminate_products,
     reduced,
-    square_root,
     station_parameters,
 )
-from calib_pin.estimation.evaluators import Evaluator, RowByRow, evaluated
+from calib_pin.estimation.evaluators import Evaluator, RowByRow, prepared
 from calib_pin.estimation.measured import Measured, assumed_sigma
 from calib_pin.estimation.row_blocks import Blocks, Expected, KnownDistances, Priors
-from calib_pin.estimation.system import Part
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import needed_conditions
@@ -100,52 +95,50 @@ class Problem(Measured):
         parts = [part.reshape(-1) for part in parts]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
+    def points(self, theta: Floats) -> list[Floats]:
+        """Tool points of every block in its measurement frame, shape (N, 3)."""
+        return self._by_block(lambda one: one.points(theta))
+
     def residual(self, theta: Floats) -> Floats:
         """Whitened residual: measurements, then `further`."""
         r = self.errors(theta)
         aside = np.isinf(self.sigma)
         if aside.any():  # They may be so wrong that they cannot be predicted.
             r[aside] = 0.0
-        return np.concatenate([r / self.sigma, self.further.residual(theta)])
+        r /= self.sigma
+        further = self.further.residual(theta)
+        return np.concatenate([r, further]) if len(further) else r
 
     def cost(self, theta: Floats) -> float:
-        """Half the sum of squares of the whitened residual."""
-        r = self.further.residual(theta)
-        squares = sum(one.square(theta) for one in self.evaluators)
-        return 0.5 * (squares + float(r @ r))
+        """Half the sum of squares of the whitened residual.
+
+        Very many measurements are linearized, for a step that lowers it leads there.
+        """
+        if not self.many:
+            r = self.residual(theta)
+            return 0.5 * float(r @ r)
+        found = [r for r, _ in self._by_block(lambda one: one.factorize(theta))]
+        return 0.5 * sum(float(r @ r) for r in (*found, self.further.residual(theta)))
+
+    def products(self, theta: Floats) -> list[Floats]:
+        """Products of the columns of Jacobian and residual of every block.
+
+        They are by the block's own parameters, shape (p + 1, p + 1).
+        """
+        found = self._by_block(lambda one: one.factorize(theta))
+        columns = [np.column_stack([J, r]) for r, J in found]
+        return [np.asarray(A.T @ A) for A in columns]
 
     def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual and its Jacobian by all parameters.
 
         Of very many measurements they are those of a smaller system with the same
-        normal equations, in which singular values below 1e-8 of the largest are lost:
-        enough for a step, not for a rank. Of very many stations the parameters of each
-        alone are eliminated: their columns are zero, see `completed`.
+        normal equations, to full precision. Of very many stations the parameters of
+        each alone are eliminated: their columns are zero, see `completed`.
 
         Returns:
             Residual, shape (M,), and Jacobian, shape (M, P).
         """
-        if not self.many:
-            return self.factorize(theta)
-        found = self.products(theta)
-        left = {
-            name: added([found[k] for k in blocks])
-            for name, blocks in self._by_station.items()
-        }
-        own = self.own_of_stations.items()
-        stations, rest = eliminate_products([(p, left.pop(name)) for name, p in own])
-        self._remember(theta, stations)
-        products = added([*left.values(), *rest])
-        return self._with_further(theta, *square_root(products, len(theta)))
-
-    def products(self, theta: Floats) -> list[Products]:
-        """Products of the columns of every block, see `linearize`."""
-        found = self._by_block(lambda one: one.normal(theta))
-        pairs = zip(self.blocks, found, strict=True)
-        return [(np.append(block.part.index, len(theta)), K) for block, K in pairs]
-
-    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
-        """The same as `linearize` to full precision, for decisions about ranks."""
         found = self._by_block(lambda one: one.factorize(theta))
         if not self.own_of_stations:
             return self._with_further(theta, *self._stacked(found))
@@ -155,13 +148,14 @@ class Problem(Measured):
             station, rest = eliminate(self.own_of_stations[name], rows)
             stations.append(station)
             left.append(rest)
-        self._remember(theta, stations)
+        self._eliminated.clear()
+        self._eliminated[theta.tobytes()] = stations
         return self._with_further(theta, *reduced(left, len(theta)))
 
     def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same with a row for every measured value, however many there are."""
         if not self.many:
-            return self.factorize(theta)
+            return self.linearize(theta)
         rows = [
             RowByRow(block, self.sigma).factorize(theta)[0] for block in self.blocks
         ]
@@ -194,18 +188,6 @@ class Problem(Measured):
             self.linearize(theta)
         return known[theta.tobytes()]
 
-    def with_parts(self, parts: Mapping[BlockKey, Part]) -> Problem:
-        """The same about other references; what was prepared of very many stays."""
-        result = super().with_parts(parts)
-        if "evaluators" in self.__dict__ and list(parts) == list(self.parts):
-            found = {
-                one.about([result.blocks[k] for k in positions]): positions
-                for one, positions in self.evaluators.items()
-            }
-            if None not in found:
-                result.__dict__["evaluators"] = found
-        return result
-
     @cached_property
     def own_of_stations(self) -> Mapping[str, NDArray[np.intp]]:
         """Parameters that are eliminated, by the station that alone has them."""
@@ -228,13 +210,19 @@ class Problem(Measured):
     @property
     def many(self) -> bool:
         """Whether `linearize` returns a smaller system in place of the rows."""
-        plain = all(isinstance(one, RowByRow) for one in self.evaluators)
-        return not plain or bool(self.own_of_stations)
+        reduces = any(one.reduces for one in self.evaluators)
+        return reduces or bool(self.own_of_stations)
+
+    @property
+    def evaluator(self) -> str:
+        """Name of the way in which measurements are evaluated."""
+        kernels = not all(isinstance(one, RowByRow) for one in self.evaluators)
+        return "kernel" if kernels else "pinocchio"
 
     @cached_property
     def evaluators(self) -> Mapping[Evaluator, Sequence[int]]:
         """Residuals and derivatives of blocks, with the positions of these."""
-        return evaluated(self.blocks, self.sigma, self._large)
+        return prepared(self._prepared, self.sigma, self._large)
 
     @cached_property
     def _large(self) -> bool:
@@ -244,10 +232,6 @@ class Problem(Measured):
     def _eliminated(self) -> dict[bytes, Sequence[Station]]:
         """The last elimination, by the parameter values at which it was made."""
         return {}
-
-    def _remember(self, theta: Floats, stations: Sequence[Station]) -> None:
-        self._eliminated.clear()
-        self._eliminated[theta.tobytes()] = stations
 
     @cached_property
     def known_distances(self) -> KnownDistances:

@@ -248,6 +248,8 @@ def extended(
         parts = dict(known.parts)
     there = replace(known, parts=parts, data=rows)
     for part, data, _, _ in there.blocks:
+        if not part.measurement.references:
+            continue
         T = part.poses(values[part.index], data)
         measurement = part.measurement.extended(T, data)
         parts[part.key] = replace(part, measurement=measurement)

@@ -14,7 +14,6 @@ import numpy as np
 
 from calib_pin.errors import require_known, stated_in
 from calib_pin.estimation.directions import Directions
-from calib_pin.estimation.evaluators import compiled
 from calib_pin.estimation.problem import SAMPLE, Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import states_sigmas
@@ -136,9 +135,7 @@ class Solver:
                 scales * directions.nuisances,
                 scales * directions.robot,
             )
-            return Solution(
-                result, "kernel" if compiled(problem.evaluators) else "pinocchio"
-            )
+            return Solution(result, problem.evaluator)
         searches = self.searches and directions.count > 0
         if self.name == "de" and searches:
             return self._evolve(problem, directions, nominal, start)
@@ -196,7 +193,7 @@ def descend(problem: Problem, directions: Directions, start: Floats) -> Solution
     """Gauss-Newton in some directions from a start, shape (P,)."""
     basis = problem.parameters.scales[:, None] * directions.basis
     result = least_squares(problem, start, basis)
-    return Solution(result, _evaluator(problem))
+    return Solution(result, problem.evaluator)
 
 
 def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquaresResult:
@@ -243,11 +240,6 @@ def refine(
         spare=problem.many,
         complete=problem.completed,
     )
-
-
-def _evaluator(problem: Problem) -> str:
-    """Name of the way in which measurements are evaluated."""
-    return "kernel" if compiled(problem.evaluators) else "pinocchio"
 
 
 def _box(problem: Problem, directions: Directions, nominal: Floats) -> Floats:

@@ -135,10 +135,6 @@ class _Stage:
 def _judged(problem: Problem, directions: Directions, solution: Solution) -> _Stage:
     """Rank and standard deviation of unit weight of a solution."""
     result = solution.result
-    if problem.many:
-        # They were solved by normal equations, which cannot tell the rank.
-        fun, jac = problem.factorize(result.x)
-        result = replace(result, fun=fun, jac=jac)
     basis = problem.parameters.scales[:, None] * directions.basis
     triangle = np.linalg.qr(result.jac @ basis, mode="r")
     s = np.linalg.svd(triangle, compute_uv=False)
@@ -146,7 +142,7 @@ def _judged(problem: Problem, directions: Directions, solution: Solution) -> _St
     rank += problem.absorbed
     dof = problem.count - rank
     sigma0 = float(np.sqrt(2.0 * result.cost / dof)) if dof > 0 else np.nan
-    return _Stage(directions, replace(solution, result=result), rank, sigma0)
+    return _Stage(directions, solution, rank, sigma0)
 
 
 class _Stages:
@@ -245,9 +241,6 @@ class _Stages:
     def _chosen(self, sigma0: float | None) -> Directions:
         """The directions that the measurements tell at a deviation of unit weight."""
         J, r = self._start
-        if self._problem.many and self.stages:
-            # The start had half the digits; at the solution there are all of them.
-            J, r = self.last.result.jac, self.last.result.fun
         count = self._problem.count - self._problem.absorbed
         parameters = self._problem.parameters
         return practical_directions(J, r, count, parameters, self._visible, sigma0)
@@ -314,10 +307,7 @@ def without_prior(
     """A solution without the rows of an expected size; they stand before priors."""
     if expected is None:
         return found
-    if problem.many:
-        fun, jac = problem.factorize(found.x)
-    else:
-        start = len(found.fun) - problem.further.priors - len(expected)
-        own = np.r_[0:start, start + len(expected) : len(found.fun)]
-        fun, jac = found.fun[own], found.jac[own]
+    start = len(found.fun) - problem.further.priors - len(expected)
+    own = np.r_[0:start, start + len(expected) : len(found.fun)]
+    fun, jac = found.fun[own], found.jac[own]
     return replace(found, fun=fun, jac=jac, cost=0.5 * float(fun @ fun))

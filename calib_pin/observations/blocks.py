@@ -149,6 +149,8 @@ class Observations(SourcedRows):
 
     def rows(self, index: NDArray[Any]) -> Observations:
         """The rows of a boolean mask or of ascending positions."""
+        if index.dtype == bool and index.all():
+            return self
         order = np.arange(len(self))[index]
         picked = [
             block.rows(order[(order >= rows.start) & (order < rows.stop)] - rows.start)
@@ -158,6 +160,8 @@ class Observations(SourcedRows):
 
     def weighted(self, weight: Floats) -> Observations:
         """The same with other weights, shape (N,)."""
+        if np.array_equal(weight, self.weight):
+            return self
         parts = zip(self.blocks, self.slices, strict=True)
         # What the configurations are does not change.
         result = Observations(

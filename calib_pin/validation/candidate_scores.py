@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib_pin.estimation.fit import FittedModel
-from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.residual_models.base import root_mean_square
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.splits import Grouping
-from calib_pin.validation.summaries import Candidate
+from calib_pin.validation.summaries import Candidate, HeldOutErrors, QuantityError
 
 USES = ("both", "near", "away")
 """Where a model must hold: near the fitted configurations, away from them, or both."""
@@ -124,19 +124,32 @@ def standard_error(values: Floats) -> float:
     return float(values.std(ddof=1) / np.sqrt(len(values)))
 
 
-def cluster_sizes(grouping: Grouping, problem: Problem, errors: ModelErrors) -> Floats:
-    """Mean size of the whitened errors of every cluster of measurements, shape (G,).
+def scored(
+    grouping: Grouping, model: FittedModel, parts: Sequence[ModelErrors]
+) -> tuple[Floats, HeldOutErrors]:
+    """Sizes of errors on held-out measurements, see `Judged`, and what they come to.
 
-    NaN where all of a cluster is set aside.
+    Of a cluster of which all is set aside the size is NaN.
     """
-    errors = errors.at(np.argsort(errors.positions, kind="stable"))
-    measurements, positions = grouping.measurements, errors.positions
-    there = replace(problem, data=measurements)
-    sigma = there.layout.table(there.given_sigma, len(measurements))[positions]
-    size = np.sqrt(np.nanmean((errors.after / sigma) ** 2, axis=1))
-    labels = grouping.clusters[positions]
-    kept = measurements.weight[positions] > 0.0
+    measurements, layout = grouping.measurements, model.problem.layout
+    weight = measurements.weight
+    counted = ModelErrors.joined([part.counted(weight) for part in parts])
+    there = replace(model.problem, data=measurements)
+    sigma = layout.table(there.given_sigma, len(measurements))[counted.positions]
+    size = np.sqrt(np.nanmean((counted.after / sigma) ** 2, axis=1))
+    label, kept = grouping.clusters[counted.positions], weight[counted.positions] > 0.0
     count = int(grouping.clusters.max(initial=-1)) + 1
-    counts = np.bincount(labels, kept, count)
-    totals = np.bincount(labels, np.where(kept, size, 0.0), count)
-    return np.where(counts > 0, totals / np.maximum(counts, 1), np.nan)
+    totals, counts = (
+        np.bincount(label[kept], size[kept], count),
+        np.bincount(label[kept], minlength=count),
+    )
+    sizes = np.where(counts > 0, totals / np.maximum(counts, 1), np.nan)
+    lengths = [(q, q.errors(counted.after)) for q in layout.quantities]
+    return sizes, HeldOutErrors(
+        errors=tuple(
+            QuantityError(q.name, q.unit, float(e.mean()), root_mean_square(e))
+            for q, e in lengths
+        ),
+        score=float(np.nanmean(sizes)),
+        deviation=standard_error(sizes),
+    )

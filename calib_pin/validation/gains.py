@@ -7,17 +7,13 @@ standard error.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.directions import half_covariance, visible_nuisances
 from calib_pin.estimation.evidence import Gain
-from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.problem import Problem, error_table
-from calib_pin.estimation.robust.studentized import spectrum
+from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.distributions import student_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.validation.model_errors import ModelErrors
@@ -27,9 +23,6 @@ ALL = "all"
 
 PRESS = "press"
 """Name of the check by the hat matrix."""
-
-UNDETERMINED = 1e-9
-"""Part of a group that the others predict, below which they do not: rounding."""
 
 
 def gains(
@@ -61,143 +54,31 @@ def gains(
     sigma = layout.table(problem.sigma, len(problem.data))[positions]
     label = np.unique(labels[positions], return_inverse=True)[1].reshape(-1)
     present = np.isfinite(sigma)
-    unit = np.where(present, sigma, 1.0)
     # By what the fit predicts of each: a point near the plane of a camera moves by
     # hundreds of pixels for nothing, and would outweigh all others.
-    spread = np.where(np.isfinite(variance) & present, variance, unit**2) / unit**2
-    unit = unit * np.sqrt(np.maximum(spread, 1.0))
-    whitened = before / unit, after / unit, variance / unit**2
-    return tuple(_gains(method, problem, (before, after), whitened, present, label))
-
-
-def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
-    """Errors of every group of measurements by a fit of the others; see `press`.
-
-    Args:
-        fitted: The fit of all measurements.
-        labels: Group of each, shape (N,).
-    """
-    problem = fitted.problem
-    layout, count = problem.layout, len(problem.data)
-    if problem.many:
-        # Among so many, no group has a say.
-        before, after = (
-            error_table(problem, at) for at in (fitted.before, fitted.theta)
-        )
-        variance = layout.table((fitted.unit * problem.sigma) ** 2, count)
-        return ModelErrors(np.arange(count), before, after, variance)
-
-    def left_out(
-        theta: Floats, linear: tuple[Floats, Floats], moved: Floats
-    ) -> tuple[Floats, Floats]:
-        factor = half_covariance(linear[1], moved, problem.parameters)
-        return press(problem, theta, linear, factor, labels)
-
-    nominal = fitted.registered
-    frames = visible_nuisances(nominal[1], problem.parameters)
-    before, _ = left_out(fitted.before, nominal, frames)
-    _, held, moved = fitted.held
-    after, variance = left_out(fitted.theta, (held.fun, held.jac), moved)
-    return ModelErrors(
-        np.arange(count),
-        layout.table(before, count),
-        layout.table(after, count),
-        layout.table(fitted.unit**2 * variance, count),
-    )
-
-
-@serial_blas
-def press(
-    problem: Problem,
-    theta: Floats,
-    linear: tuple[Floats, Floats],
-    factor: Floats,
-    labels: NDArray[np.int64],
-) -> tuple[Floats, Floats]:
-    """Errors of each group of measurements by a fit of the others, made without one.
-
-    With the whitened residual r, its Jacobian J and the normal matrix N of all that is
-    known (measurements, known distances, priors), the errors of a group g are
-    `(I - H_gg)^-1 r_g`, where `H_gg = J_g N^-1 J_g^T`, with the covariance
-    `(I - H_gg)^-1` (Allen 1974; Cook and Weisberg 1982, section 2.2). That is exact
-    where the problem is linear. What only the group itself tells, as the position of a
-    socket of its own, is where it puts it.
-
-    Args:
-        problem: The fitted problem.
-        theta: Its solution, shape (P,).
-        linear: Whitened residual and Jacobian there, the M components of the N
-            measurements first.
-        factor: F of `N^-1 = F F^T`, shape (P, k).
-        labels: Group of each measurement, shape (N,).
-
-    Returns:
-        Errors and, for noise of unit weight, their variances, shape (M,) each; those
-        that are set aside keep their error, with an infinite variance.
-    """
-    sigma, row = problem.sigma, problem.layout.row
-    whitened, variance = np.empty(len(row)), np.empty(len(row))
-    own, jac = (part[: len(row)] for part in linear)
-    columns, label = jac @ factor, labels[row]
-    order = np.argsort(label, kind="stable")
-    counts = np.bincount(label)
-    for count in np.unique(counts[counts > 0]).tolist():
-        at = order[counts[label[order]] == count].reshape(-1, count)
-        r = own[at]
-        U, squares = spectrum(columns[at])
-        left = 1.0 - squares
-        known = left > UNDETERMINED
-        gain = np.where(known, 1.0 / np.where(known, left, 1.0), 0.0) - 1.0
-        along = gain * np.einsum("gms,gm->gs", U, r)
-        whitened[at] = r + np.einsum("gms,gs->gm", U, along)
-        variance[at] = 1.0 + np.einsum("gms,gs->gm", U**2, gain)
-    with np.errstate(invalid="ignore"):
-        errors = whitened * sigma
-    aside = ~np.isfinite(sigma)
-    lost = problem.errors(theta)[aside]
-    errors[aside] = np.where(np.isnan(lost), np.inf, lost)
-    return errors, np.where(aside, np.inf, variance * np.where(aside, 1.0, sigma) ** 2)
-
-
-def _gains(
-    method: str,
-    problem: Problem,
-    parts: tuple[Floats, Floats],
-    whitened: tuple[Floats, Floats, Floats],
-    present: NDArray[np.bool_],
-    label: NDArray[np.int64],
-) -> Iterator[Gain]:
-    """The test of all quantities, then of each that any measurement has."""
-    every = slice(None)
-    # Root mean square over the components of each: one for noise alone.
-    count = np.maximum(present.sum(axis=1), 1)
-    before, after = (
-        _size(errors, every, present) / np.sqrt(count) for errors in whitened[:2]
-    )
-    ratio = _ratio(whitened[1], whitened[2], present)
-    yield _gain(method, ALL, before, after, label, ratio)
-    for quantity in problem.layout.quantities:
-        columns = quantity.columns
+    larger = np.where(np.isfinite(variance), np.maximum(variance, sigma**2), sigma**2)
+    unit = np.sqrt(larger, where=present, out=np.ones(sigma.shape))
+    found = []
+    every = (ALL, slice(None)), *((q.name, q.columns) for q in layout.quantities)
+    for name, columns in every:
         here = present[:, columns]
         rows = here.any(axis=1)
-        if rows.any():
-            before, after = (_size(errors, columns, present)[rows] for errors in parts)
-            ratio = _ratio(whitened[1][:, columns], whitened[2][:, columns], here)
-            yield _gain(method, quantity.name, before, after, label[rows], ratio)
-
-
-def _size(errors: Floats, columns: slice, present: NDArray[np.bool_]) -> Floats:
-    """Lengths of errors in some columns, shape (N,)."""
-    part = np.where(present, errors, 0.0)[:, columns]
-    return np.asarray(np.linalg.norm(part, axis=1))
-
-
-def _ratio(after: Floats, variance: Floats, present: NDArray[np.bool_]) -> float:
-    """Found by predicted root mean square of whitened errors."""
-    predicted = float(np.sum(variance[present]))
-    if predicted <= 0.0:  # All values were needed to fit, but for rounding.
-        return float("nan")
-    return float(np.sqrt(np.sum(after[present] ** 2) / predicted))
+        if not rows.any():
+            continue
+        # Lengths; of all, root mean square over the components: one for noise alone.
+        scale = unit * np.sqrt(present.sum(axis=1))[:, None] if name == ALL else 1.0
+        pair = (
+            np.linalg.norm(np.where(here, (errors / scale)[:, columns], 0.0), axis=1)
+            for errors in (before, after)
+        )
+        old, new = (sizes[rows] for sizes in pair)
+        predicted = float(np.sum((variance / unit**2)[:, columns][here]))
+        ratio = float("nan")
+        if predicted > 0.0:  # Otherwise all values were needed to fit.
+            square = np.sum((after / unit)[:, columns][here] ** 2)
+            ratio = float(np.sqrt(square / predicted))
+        found.append(_gain(method, name, old, new, label[rows], ratio))
+    return tuple(found)
 
 
 def _gain(

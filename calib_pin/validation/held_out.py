@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +25,9 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations, grouped
 from calib_pin.progress import Stages
 from calib_pin.setup import Setup
-from calib_pin.solvers.status import Status
 from calib_pin.validation.findings.moved_instrument import FEWEST, registered_if_moved
-from calib_pin.validation.gains import PRESS, gains, press_check
+from calib_pin.validation.gains import PRESS, gains
+from calib_pin.validation.left_out import left_out, press_check, unusable
 from calib_pin.validation.model_errors import ModelErrors, model_errors, registered
 from calib_pin.validation.splits import Grouping, folds
 from calib_pin.workers import SERIAL, Workers
@@ -108,12 +107,15 @@ def check(
     if parts is None:
         parts = tuple(
             cross_validate(
-                chains, training, setup, masks, seed, fitted, progress, workers
+                chains, training, setup, masks, seed, model, progress, workers
             )
         )
     # A fit that fails without its fold says nothing about the robot.
     kept = tuple(part for part in parts if not part.reason)
-    if not _enough(training, kept):
+    held = np.zeros(len(training), bool)
+    for part in kept:
+        held[part.positions] = training.weight[part.positions] > 0.0
+    if training.rows(held).configurations < FEWEST:
         kept = ()
     name = grouping.validation_name(min(len(kept), len(masks)))
     return HeldOut(
@@ -125,14 +127,8 @@ def check(
     )
 
 
-class _Whole(NamedTuple):
-    """The input that all folds share, see `cross_validate`."""
-
-    chains: Chain | Chains
-    measurements: Observations
-    setup: Setup
-    seed: int
-    fit: Fit
+_Whole = tuple[Chain | Chains, Observations, Setup, int, Fit]
+"""Input that refits share: chains, measurements, setup, seed, and the fit of all."""
 
 
 def cross_validate(
@@ -141,7 +137,7 @@ def cross_validate(
     setup: Setup,
     masks: Sequence[NDArray[np.bool_]],
     seed: int,
-    whole: Fit,
+    whole: FittedModel,
     progress: Stages | None = None,
     workers: Workers = SERIAL,
 ) -> Iterator[ModelErrors]:
@@ -153,39 +149,36 @@ def cross_validate(
         setup: As for `fit_model`.
         masks: The parts, each of shape (N,).
         seed: As for `fit_model`.
-        whole: The fit of all measurements.
+        whole: The model fitted to all measurements.
         progress: Told the stage and the fraction done of all parts.
-        workers: Who fits them.
+        workers: Who fits those parts that take a fit.
     """
-    if whole.problem.many:
+    found: Sequence[ModelErrors | None] = [None] * len(masks)
+    if whole.problem.setup.learned is None:
+        found = left_out(whole.fit, masks)
+    if whole.fit.problem.many:
         # Their kernels keep all cores busy, and every worker would have a copy.
         workers = SERIAL
-    shared = _Whole(chains, measurements, setup, seed, whole)
-    if progress is not None:
-        progress(f"check 1 of {len(masks)}", 0.0)
-    for k, found in enumerate(workers.map(_without, shared, masks), 1):
+    shared = chains, measurements, setup, seed, whole.fit
+    parts = zip(masks, found, strict=True)
+    refits = workers.map(
+        _refitted, shared, [mask for mask, one in parts if one is None]
+    )
+    for k, one in enumerate(found, 1):
         if progress is not None:
-            progress(f"check {min(k + 1, len(masks))} of {len(masks)}", k / len(masks))
-        yield found
+            progress(f"check {k} of {len(found)}", (k - 1) / len(found))
+        yield next(refits) if one is None else one
 
 
 @serial_blas
-def _without(whole: _Whole, mask: NDArray[np.bool_]) -> ModelErrors:
+def _refitted(whole: _Whole, mask: NDArray[np.bool_]) -> ModelErrors:
     """Errors of a part of the measurements, of shape (N,), by a fit of the others."""
     chains, measurements, setup, seed, fit = whole
     # Measurements that the fit of all has rejected stay rejected.
-    kept = ~mask & (measurements.weight > 0.0)
-    some = measurements.rows(kept)
-    model = fit_model(chains, some, setup, seed, part_of=(fit, kept))
-    reason, status = "", model.fit.result.status
-    if not model.fit.structure.scaled:
-        reason = "the absolute scale is unobservable"
-    elif not status.success:
-        reason = "it did not converge"
+    some = measurements.rows(~mask & (measurements.weight > 0.0))
     layout = fit.problem.layout
     try:
-        if status is Status.NOT_FINITE:
-            raise InputError("it ended where no measurement can be")
+        model = fit_model(chains, some, setup, seed, effects_of=fit)
         if model.problem.layout.quantities != layout.quantities:
             raise InputError("all others of an instrument are set aside")
         found = model_errors(model, measurements.rows(mask), np.flatnonzero(mask))
@@ -194,7 +187,7 @@ def _without(whole: _Whole, mask: NDArray[np.bool_]) -> ModelErrors:
         none = np.zeros((0, layout.width))
         positions = np.zeros(0, np.intp)
         return ModelErrors(positions, none, none, none, reason=error.reason)
-    return replace(found, reason=reason)
+    return replace(found, reason=unusable(model.fit))
 
 
 def _checked_on(
@@ -202,7 +195,9 @@ def _checked_on(
 ) -> HeldOut:
     """The check on validation measurements."""
     findings = []
-    new = ~_repeated(training, validation)
+    q = training.q[training.weight > 0.0]
+    labels = grouped(np.concatenate([q, validation.q]))
+    new = ~np.isin(labels[len(q) :], labels[: len(q)])
     if not new.all():
         some = f"{len(new) - int(new.sum())} of {len(new)}"
         findings.append(
@@ -228,21 +223,3 @@ def _checked_on(
     there, _ = extended(model.problem, model.theta, validation)
     found = gains(method, there, [part], clusters)
     return HeldOut(validation, (part,), method, found, tuple(findings))
-
-
-def _repeated(training: Observations, validation: Observations) -> NDArray[np.bool_]:
-    """Mask of measurements at configurations that were fitted, shape (N,)."""
-    fitted = training.q[training.weight > 0.0]
-    labels = grouped(np.concatenate([fitted, validation.q]))
-    return np.isin(labels[len(fitted) :], labels[: len(fitted)])
-
-
-def _enough(measurements: Observations, parts: Sequence[ModelErrors]) -> bool:
-    """Whether enough distinct configurations are held out to check anything."""
-    if not parts:
-        return False
-    positions = ModelErrors.joined(parts).positions
-    held_out = measurements.rows(
-        np.sort(positions[measurements.weight[positions] > 0.0])
-    )
-    return held_out.configurations >= FEWEST

@@ -91,7 +91,8 @@ def judge(
     found = find(case, seek)
     findings = (*found.causes, *held_out.findings, *found.others)
     groups = data.groups()
-    aside = 1.0 - len(np.unique(groups[counting])) / max(groups.max() + 1, 1)
+    seen = np.count_nonzero(np.bincount(groups[counting]))
+    aside = 1.0 - seen / max(groups.max() + 1, 1)
     status, reason = verdict(
         Grounds(
             fitted,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.system import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
+from calib_pin.setup import DistanceSetup
 from calib_pin.validation.result import FoundDistance
 
 
@@ -134,7 +135,7 @@ def fitted_errors(model: FittedModel, training: Observations) -> ModelErrors:
         shown,
         error_table(after.problem, after.theta),
         np.full(shown.shape, np.nan),
-        _found_distances(before, after, None),
+        found_distances(before, after, after.problem.setup.known, fitted=True),
     )
 
 
@@ -158,12 +159,14 @@ def errors_of_registered(
     if not estimated and model.fit.problem.parts.keys() == problem.parts.keys():
         there = replace(model.fit.problem, data=problem.data), model.fit.theta
     variance = predicted_variance(model.fit, *there, estimated)
+    stated = problem.setup.known
+    anew = [d for d in stated if not set(known).intersection(d.between)]
     return ModelErrors(
         positions,
         error_table(before.problem, before.theta),
         error_table(problem, theta),
         problem.layout.table(variance, len(problem.data)),
-        _found_distances(before, after, known),
+        found_distances(before, after, anew),
         tuple(name for name in located_names(problem) if name not in known),
     )
 
@@ -182,18 +185,20 @@ def located_names(problem: Problem) -> tuple[str, ...]:
     )
 
 
-def _found_distances(
-    before: Registered, after: Registered, known: Collection[str] | None
+def found_distances(
+    before: Registered,
+    after: Registered,
+    stated: Sequence[DistanceSetup],
+    fitted: bool = False,
 ) -> tuple[FoundDistance, ...]:
     """Known distances beside those that the nominal and the fitted robot find.
 
-    Only those between objects that are not known, if names of the fitted are given.
+    Args:
+        before: The nominal robot.
+        after: The fitted one.
+        stated: The distances; those that end elsewhere are left out.
+        fitted: Whether they were fitted.
     """
-    stated = [
-        distance
-        for distance in after.problem.setup.known
-        if known is None or not set(known).intersection(distance.between)
-    ]
     (first, nominal), (second, found) = (
         (distances, distances.lengths(at.theta))
         for at in (before, after)
@@ -203,9 +208,7 @@ def _found_distances(
     )
     assert first.stated == second.stated
     return tuple(
-        FoundDistance(
-            d.between, d.value, d.sigma, float(n), float(f), known is None, d.unit
-        )
+        FoundDistance(d.between, d.value, d.sigma, float(n), float(f), fitted, d.unit)
         for d, n, f in zip(first.stated, nominal, found, strict=True)
     )
 

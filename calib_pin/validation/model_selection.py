@@ -2,7 +2,7 @@
 
 Every candidate is judged by two cross-validations, each in the same folds: *near* the
 fitted configurations by random folds, which keep repetitions of a configuration
-together, and *away* from them by whole regions of joint space (`validation.regions`).
+together, and *away* from them by whole regions of joint space (`splits.regions`).
 Physics carries over; what interpolates may or may not, and only the second tells. A
 candidate helps if it lowers the error of the candidates it extends by more than the
 standard error of the difference, and raises it nowhere by as much. Gears and compliance
@@ -15,10 +15,8 @@ which tell more than the scores (Breiman et al., Classification and Regression T
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-
-import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, nearest, require_known
@@ -26,7 +24,6 @@ from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import parameter_names, with_parameters
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import (
     PARAMETERIZATIONS,
@@ -39,27 +36,22 @@ from calib_pin.parameterizations.transmission import MotorRipple, Transmission
 from calib_pin.parameters import matching
 from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import RESIDUAL_MODELS
-from calib_pin.residual_models.base import root_mean_square
 from calib_pin.setup import Setup
 from calib_pin.validation.candidate_scores import (
     USES,
     Judged,
-    cluster_sizes,
     helps,
     mean_score,
+    scored,
     simplest,
-    standard_error,
 )
 from calib_pin.validation.held_out import cross_validate
 from calib_pin.validation.model_errors import ModelErrors
-from calib_pin.validation.regions import regions
-from calib_pin.validation.splits import FOLDS, Grouping, folds
+from calib_pin.validation.splits import Grouping, folds, regions
 from calib_pin.validation.summaries import (
     Candidate,
-    HeldOutErrors,
     MeanError,
     ModelSelection,
-    QuantityError,
 )
 from calib_pin.workers import SERIAL, Workers
 
@@ -68,8 +60,11 @@ OFFSETS = JointOffset.name
 TOGETHER = (Transmission.name, Compliance.name)
 """Effects that are tried together whether they help alone or not."""
 
-LEARNING = 10.0
-"""Time that a training with a residual model takes, in those without."""
+QUICK = 0.05
+"""Part of the time left that a candidate without a learned correction takes."""
+
+FIT_PART = 0.2
+"""Part of the time of a candidate that its fit to all measurements takes."""
 
 
 @dataclass(frozen=True)
@@ -121,47 +116,39 @@ def select_model(
     geometric = geometric or Setup.parameters
     _require_patterns(chains, measurements, setup, (OFFSETS, *geometric, *beyond))
     learned = tuple(RESIDUAL_MODELS) if setup.learned is None else (setup.learned,)
-    learning = LEARNING * len(learned)
-    work = 2.0 + len(beyond) * (len(beyond) + 1) / 2 + learning
-    given = chains, measurements, setup, seed, progress, workers, use, work, learning
-    candidates = _Candidates(*given)
+    given = chains, measurements, setup, seed, progress, workers, use
+    candidates = _Candidates(*given, len(learned))
 
     offset = candidates.add("joint offset", (OFFSETS,))
     if not offset.sizes:
         raise OptionError(f"no model can be selected: {offset.candidate.reason}")
     geometry = candidates.add("geometric", geometric, extends=(offset,))
-    base = geometry if geometry.candidate.helps else offset
-    candidates.combine(base, beyond)
+    candidates.combine(geometry if geometry.candidate.helps else offset, beyond)
+    judged = candidates.judged
     # Learning makes up for what is left near; away, what it builds on decides.
-    base = candidates.judged[simplest(candidates.judged, _carrying(use))]
+    base = judged[simplest(judged, use if use == "near" else "away")]
     for name in learned:
         kinds = base.candidate.parameters
         candidates.add(f"+ {name}", kinds, name, extends=(base,))
-    chosen = simplest(candidates.judged, use)
-    found = candidates.judged[chosen]
+    found = judged[simplest(judged, use)]
     assert found.model is not None
-    every = tuple(judged.candidate for judged in candidates.judged)
     q = measurements.q
     near = zip(q.min(axis=0).tolist(), q.max(axis=0).tolist(), strict=True)
     ranges = dict(zip(measurements.joints, near, strict=True))
-    selection = ModelSelection(every[chosen].name, use, ranges, every)
+    every = tuple(one.candidate for one in judged)
+    selection = ModelSelection(found.candidate.name, use, ranges, every)
     return SelectedModel(selection, found.model, found.parts)
-
-
-def _carrying(use: str) -> str:
-    """The use by which a model is chosen that a correction is learned beside."""
-    return use if use == "near" else "away"
 
 
 @dataclass
 class _Candidates:
     """The candidates that were judged, simplest first; see `select_model`.
 
-    How many there will be is not known beforehand: each takes its part of what is left.
+    How many there will be is not known beforehand: each takes its part of the time that
+    is left.
 
     Attributes:
-        work: Work that is left, in candidates without a learned correction.
-        learning: The part of it that is kept for learned corrections.
+        learning: Number of learned corrections to come.
         done: Part of the time that has passed.
     """
 
@@ -172,8 +159,7 @@ class _Candidates:
     progress: Stages | None
     workers: Workers
     use: str
-    work: float
-    learning: float
+    learning: int
     done: float = 0.0
     judged: list[Judged] = field(default_factory=list)
 
@@ -183,15 +169,11 @@ class _Candidates:
         parameters: tuple[str, ...],
         learned: str | None = None,
         *,
-        extends: Sequence[Judged] = (),
+        extends: Iterable[Judged] = (),
     ) -> Judged:
         """Judge a candidate, and compare it with those that it extends."""
-        if learned is None:
-            own, work = 1.0, max(self.work, self.learning + 1.0)
-        else:
-            own, work = LEARNING, self.learning
-            self.learning -= LEARNING
-        self.work, share = work - own, (1.0 - self.done) * own / work
+        share = (1.0 - self.done) * (QUICK if learned is None else 1.0 / self.learning)
+        self.learning -= learned is not None
         tell = portion(named(self.progress, name), self.done, share)
         self.done += share
         blank = Candidate(name, parameters, learned)
@@ -206,58 +188,52 @@ class _Candidates:
         return found
 
     def combine(self, base: Judged, kinds: Sequence[str]) -> None:
-        """Judge kinds alone, then the best with one more as long as that helps.
+        """Judge kinds alone, then the neighbors of the best as long as one is better.
 
-        Gears and compliance, which may hide each other, are tried together in any case.
-        At last each is left out again.
+        Neighbors have one kind more or less, or another with the same parameters in its
+        place: a larger effect may have hidden others when they were alone, and what
+        came first may have stood for what came later. Gears and compliance, which may
+        hide each other, are tried together in any case.
         """
-        stated = base.candidate.parameters
-        tried: dict[tuple[str, ...], Judged] = {}
+        tried: dict[frozenset[str], Judged] = {}
+        of_names = {kind: PARAMETERIZATIONS[kind].kind for kind in kinds}
 
-        def judged(added: tuple[str, ...], *extends: Judged) -> Judged:
-            added = tuple(kind for kind in kinds if kind in added)
-            if added not in tried:
-                name = f"+ {' + '.join(added)}"
-                tried[added] = self.add(name, (*stated, *added), extends=extends)
-            return tried[added]
+        def judge(added: frozenset[str]) -> None:
+            names = [of_names[kind] for kind in added]
+            # What has parameters of the same names cannot join.
+            if added in tried or not names or len(set(names)) < len(names):
+                return
+            ordered = tuple(kind for kind in kinds if kind in added)
+            fewer = (tried.get(added - {kind}) for kind in ordered)
+            tried[added] = self.add(
+                f"+ {' + '.join(ordered)}",
+                (*base.candidate.parameters, *ordered),
+                extends=[base, *(one for one in fewer if one)],
+            )
 
-        alone = {kind: judged((kind,), base) for kind in kinds}
-        both = tuple(kind for kind in TOGETHER if kind in kinds)
-        if len(both) > 1:
-            judged(both, base, *(alone[kind] for kind in both))
-
-        def best() -> tuple[str, ...]:
-            found = {key: one for key, one in tried.items() if one.candidate.helps}
-            return min(found, key=lambda k: mean_score(found[k], self.use), default=())
-
-        current: tuple[str, ...] = ()
-        while current != best():
-            current = best()
-            of_names = {PARAMETERIZATIONS[kind].kind for kind in current}
+        for kind in kinds:
+            judge(frozenset({kind}))
+        judge(frozenset(TOGETHER).intersection(kinds))
+        current, best = None, frozenset[str]()
+        while current != best:
+            current = best
             for kind in kinds:
-                # What has parameters of the same names cannot join. A larger effect may
-                # have hidden the others when they were alone.
-                if PARAMETERIZATIONS[kind].kind not in of_names:
-                    judged((*current, kind), tried[current])
-        # What came first may have stood for what came later, or for a part of itself.
-        current = ()
-        while current != best() and len(best()) > 1:
-            current = best()
-            for one in current:
-                left = tuple(kind for kind in current if kind != one)
-                judged(left, base)
-                for kind in kinds:
-                    alike = PARAMETERIZATIONS[kind].kind == PARAMETERIZATIONS[one].kind
-                    if alike and kind != one:
-                        judged((*left, kind), base)
+                judge(current | {kind})
+                judge(frozenset(k for k in current if of_names[k] != of_names[kind]))
+                for one in current:
+                    if of_names[one] == of_names[kind]:
+                        judge(current - {one} | {kind})
+            found = {key: one for key, one in tried.items() if one.candidate.helps}
+            best = min(
+                found, key=lambda k: mean_score(found[k], self.use), default=best
+            )
 
     def _judge(self, candidate: Candidate, progress: Progress | None) -> Judged:
-        """Fit a candidate to all measurements once, and then without each fold."""
+        """Fit a candidate to all measurements, and leave parts of them out."""
         chains, measurements, seed = self.chains, self.measurements, self.seed
         setup = replace(self.setup, learned=candidate.learned)
         setup = with_parameters(chains, measurements, setup, candidate.parameters)
-        share = 1.0 / (1 + FOLDS)
-        tell = portion(progress, 0.0, share)
+        tell = portion(progress, 0.0, FIT_PART)
         model = fit_model(chains, measurements, setup, seed, tell)
         measurements = model.weighted(measurements)
         grouping = Grouping.of(measurements, setup)
@@ -265,50 +241,28 @@ class _Candidates:
         if not masks:
             count = measurements.configurations
             raise OptionError(f"{count} configurations are too few to hold out a fold")
-        rest = portion(progress, share, 1.0 - share)
+        rest = portion(progress, FIT_PART, 1.0 - FIT_PART)
         stages = None if rest is None else (lambda stage, part: rest(part))
-        whole, workers = model.fit, self.workers
-        parts = tuple(
-            cross_validate(
-                chains, measurements, setup, masks, seed, whole, stages, workers
+        near, away = (
+            tuple(
+                cross_validate(
+                    chains, measurements, setup, masks, seed, model, tell, self.workers
+                )
             )
+            for masks, tell in ((masks, stages), (regions(grouping, seed), None))
         )
-        sizes, near = _scored(grouping, model, parts)
+        away = tuple(part for part in away if not part.reason and len(part.positions))
+        found = [scored(grouping, model, parts) for parts in (near, away) if parts]
+        sizes, errors = zip(*found, strict=True)
         judged = replace(
             candidate,
             rank=model.fit.rank,
-            errors=tuple(MeanError(e.name, e.unit, e.mean) for e in near.errors),
-            score=near.score,
-            deviation=near.deviation,
+            errors=tuple(MeanError(e.name, e.unit, e.mean) for e in errors[0].errors),
+            score=errors[0].score,
+            deviation=errors[0].deviation,
+            away=errors[1] if away else None,
         )
-        masks = regions(grouping, seed)
-        found = cross_validate(
-            chains, measurements, setup, masks, seed, whole, None, workers
-        )
-        apart = [part for part in found if not part.reason and len(part.positions)]
-        if not apart:
-            return Judged(judged, model, parts, (sizes,))
-        far, away = _scored(grouping, model, apart)
-        return Judged(replace(judged, away=away), model, parts, (sizes, far))
-
-
-def _scored(
-    grouping: Grouping, model: FittedModel, parts: Sequence[ModelErrors]
-) -> tuple[Floats, HeldOutErrors]:
-    """Sizes of errors on held-out measurements, see `Judged`, and what they come to."""
-    sizes = cluster_sizes(grouping, model.problem, ModelErrors.joined(parts))
-    weight = grouping.measurements.weight
-    counted = ModelErrors.joined([part.counted(weight) for part in parts])
-    quantities = model.problem.layout.quantities
-    lengths = [(q, q.errors(counted.after)) for q in quantities]
-    return sizes, HeldOutErrors(
-        errors=tuple(
-            QuantityError(q.name, q.unit, float(e.mean()), root_mean_square(e))
-            for q, e in lengths
-        ),
-        score=float(np.nanmean(sizes)),
-        deviation=standard_error(sizes),
-    )
+        return Judged(judged, model, near, sizes)
 
 
 def _further(measurements: Observations, setup: Setup) -> tuple[str, ...]:

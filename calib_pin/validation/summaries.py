@@ -97,7 +97,7 @@ class Candidate:
             the model is used.
         reason: Why it could not be tried; empty where it was.
         away: Its errors away from the fitted configurations, in regions of joint space
-            that were held out whole (`validation.regions`); None where measurements do
+            that were held out whole (`splits.regions`); None where measurements do
             not suffice for that.
     """
 

@@ -6,12 +6,12 @@ product:
 
 - the pose, a point (25) and three directions (21 each) through every joint: 88 n
 - three covectors of the tool (a turn and a wrench, 58) through every joint: 174 n
-- the products of all pairs of columns, three components: 3 M (M + 1)
-- instead of these, where the rank is decided, Householder reflections: 6 M^2
+- Householder reflections of them into a triangular factor, three components: 6 M^2
 
-A step takes the first three, a cost the first one, a decision the first two and the
-last. What is smaller does not count: residuals, weights, parameters, steps. The peak is
-that of a product of large matrices with one thread, times the threads.
+A pass that linearizes takes all of these, one that predicts the first. What is smaller
+does not count: residuals, weights, parameters, steps. The peak is that of a product of
+large matrices with one thread, times the threads. Beside the fit stands a whole
+calibration with its cross-validation, in a process of its own.
 
 A second table compares models of one robot on the same measurements: joint corrections
 with placements alone, without and with gross errors that the loss has to set aside; the
@@ -30,6 +30,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numba import config
@@ -54,11 +55,7 @@ COLUMNS = 6 * (JOINTS + 1) + 1
 
 POSE = 88 * JOINTS
 COVECTORS = 174 * JOINTS
-OPERATIONS = {
-    "square": POSE,
-    "normal": POSE + COVECTORS + 3 * COLUMNS * (COLUMNS + 1),
-    "factorize": POSE + COVECTORS + 6 * COLUMNS**2,
-}
+OPERATIONS = {"errors": POSE, "_factors": POSE + COVECTORS + 6 * COLUMNS**2}
 """Operations of a measurement by kind of pass."""
 
 ROBOT = "example:ur10_robot"
@@ -88,23 +85,24 @@ def main() -> None:
         f"{peak / 1e9:.0f} GFlop/s at most"
     )
     print(
-        f"{'measured':>10}{'seconds':>9}{'us each':>8}{'MB':>6}{'steps':>7}{'costs':>7}"
-        f"{'factors':>9}{'bound':>8}{'part':>7}{'sigma0':>8}"
+        f"{'measured':>10}{'seconds':>9}{'cpu':>8}{'us each':>8}{'MB':>6}{'passes':>8}"
+        f"{'errors':>8}{'bound':>8}{'part':>6}{'sigma0':>8}{'calibrate':>11}{'cpu':>8}"
+        f"{'MB':>6}{'cpu to fit':>12}"
     )
     for size in SIZES:
-        command = [sys.executable, "-m", "benchmarks.rows", str(size)]
-        answer = subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout
-        found = json.loads(answer)
+        found, whole = (_answer(str(size), what) for what in ("fit", "calibrate"))
         passes, seconds = found["passes"], found["seconds"]
         bound = sum(OPERATIONS[kind] * rows for kind, rows in passes.items()) / peak
-        counts = [passes.get(kind, 0) / size for kind in ("normal", "square")]
+        counts = [passes.get(kind, 0) / size for kind in ("_factors", "errors")]
         print(
-            f"{size:>10}{seconds:>9.3f}{1e6 * seconds / size:>8.2f}"
-            f"{found['memory'] / 1e6:>6.0f}{counts[0]:>7.1f}{counts[1]:>7.1f}"
-            f"{passes.get('factorize', 0) / size:>9.1f}{bound:>7.3f}s"
-            f"{100 * bound / seconds:>6.0f}%{found['sigma0']:>8.4f}"
+            f"{size:>10}{seconds:>9.3f}{found['cpu']:>8.3f}{1e6 * seconds / size:>8.2f}"
+            f"{found['memory'] / 1e6:>6.0f}{counts[0]:>8.1f}{counts[1]:>8.1f}"
+            f"{bound:>7.3f}s{100 * bound / found['cpu'] * threads:>5.0f}%"
+            f"{found['sigma0']:>8.4f}{whole['seconds']:>11.3f}{whole['cpu']:>8.3f}"
+            f"{whole['memory'] / 1e6:>6.0f}{whole['cpu'] / found['cpu']:>12.2f}",
+            flush=True,
         )
-    print("steps, costs, factors: passes over all; bound: floating-point bound")
+    print("passes, errors: over all, linearized and predicted; bound: floating-point")
     _compare(COMPARED)
 
 
@@ -119,10 +117,7 @@ def _compare(size: int) -> None:
         first: dict[str, float] = {}
         for gross in (0.0, GROSS):
             for kinds in (PLACEMENT, JOINTS_TOO):
-                given = [str(size), what, str(gross), *kinds]
-                command = [sys.executable, "-m", "benchmarks.rows", *given]
-                out = subprocess.run(command, check=True, stdout=subprocess.PIPE)
-                found = json.loads(out.stdout)
+                found = _answer(str(size), what, str(gross), *kinds)
                 first = first or found
                 ratios = [found[k] / first[k] for k in ("seconds", "cpu", "memory")]
                 print(
@@ -135,6 +130,13 @@ def _compare(size: int) -> None:
                 )
 
 
+def _answer(*given: str) -> dict[str, Any]:
+    """What a process of its own measures."""
+    command = [sys.executable, "-m", "benchmarks.rows", *given]
+    answer = subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout
+    return dict(json.loads(answer))
+
+
 def _gemm() -> float:
     """Operations per second of a product of matrices, by one thread."""
     size = 1200
@@ -142,8 +144,8 @@ def _gemm() -> float:
     return 2.0 * size**3 / best(lambda: A @ A, 10)
 
 
-def _measure(size: int) -> dict[str, object]:
-    """Calibrate by so many rows; seconds, bytes at most, and passes over rows."""
+def _measure(size: int, what: str) -> dict[str, object]:
+    """Fit or calibrate by so many rows; seconds, bytes at most, passes over rows."""
     rng = np.random.default_rng(0)
     chain = calib_pin.load_chain("space6")
     tool = Setup(tool_frame=FrameSetup((0.05, 0.1, 0.1)))
@@ -155,20 +157,26 @@ def _measure(size: int) -> dict[str, object]:
     data = Measurements(
         chain.joints, q, "position", values, np.full_like(values, NOISE)
     )
+
+    def run(rows: Measurements) -> float:
+        if what == "calibrate":
+            return calib_pin.calibrate(chain, rows).statistics.sigma0
+        problem = make_problem(chain, Observations.of(rows), Setup())
+        return fit(problem, np.random.default_rng(0)).sigma0
+
     # Compiles, and loads what is loaded once.
-    few = data.rows(np.arange(SIZES[0]))
-    calib_pin.calibrate(chain, few, validate=False)
+    run(data.rows(np.arange(SIZES[0])))
     passes: Counter[str] = Counter()
     for kind in OPERATIONS:
         setattr(ManyRows, kind, _counted(getattr(ManyRows, kind), kind, passes))
-    start = time.perf_counter()
-    found = calib_pin.calibrate(chain, data, validate=False)
-    seconds = time.perf_counter() - start
+    start, cpu = time.perf_counter(), time.process_time()
+    sigma0 = run(data)
     return {
-        "seconds": seconds,
+        "seconds": time.perf_counter() - start,
+        "cpu": time.process_time() - cpu,
         "memory": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
         "passes": passes,
-        "sigma0": found.statistics.sigma0,
+        "sigma0": sigma0,
     }
 
 
@@ -182,8 +190,7 @@ def _measure_model(
     nominal = nominal_problem(chain, "position", tool)
     truth = calib_pin.draw_errors(nominal.parameters, rng)
     q = chain.random_configurations(size, rng)
-    pieces = [q[start : start + PIECE] for start in range(0, size, PIECE)]
-    values = np.concatenate([_simulated(nominal, truth, piece) for piece in pieces])
+    values = _simulated(nominal, truth, q)
     values += rng.normal(size=values.shape) * NOISE
     wrong = rng.random(size) < gross
     values[wrong] += rng.normal(size=(int(wrong.sum()), 3)) * WRONG
@@ -214,10 +221,15 @@ def _measure_model(
 
 def _simulated(nominal: Problem, truth: Floats, q: Floats) -> Floats:
     """Exact positions (N, 3), without a pose for each."""
-    empty = Measurements(nominal.data.joints, q, "position", np.zeros((len(q), 3)))
-    problem = replace(nominal, data=Observations.of(empty))
-    (exact,) = ManyRows(problem.blocks, problem.sigma).errors(truth)
-    return exact
+    found = []
+    for start in range(0, len(q), PIECE):
+        piece = q[start : start + PIECE]
+        empty = Measurements(
+            nominal.data.joints, piece, "position", np.zeros((len(piece), 3))
+        )
+        problem = replace(nominal, data=Observations.of(empty))
+        found += ManyRows(problem.blocks, problem.sigma).errors(truth)
+    return np.concatenate(found)
 
 
 def _counted(
@@ -226,20 +238,16 @@ def _counted(
     """A method of `ManyRows` that notes how many rows it has passed over."""
 
     def counted(self: ManyRows, *arguments: object) -> object:
-        before = self._last
-        found = method(self, *arguments)
-        # Products that were remembered are no pass.
-        if kind != "normal" or self._last is not before:
-            passes[kind] += sum(len(chunk.data) for chunk in self._chunks)
-        return found
+        passes[kind] += sum(len(chunk.data) for chunk in self._chunks)
+        return method(self, *arguments)
 
     return counted
 
 
 if __name__ == "__main__":
-    count, *rest = sys.argv[1:]
+    count, what, *rest = sys.argv[1:]
     if rest:
-        answer = _measure_model(int(count), rest[0], float(rest[1]), rest[2:])
+        answer = _measure_model(int(count), what, float(rest[0]), rest[1:])
         print(json.dumps(answer))
     else:
-        print(json.dumps(_measure(int(count))))
+        print(json.dumps(_measure(int(count), what)))

@@ -12,10 +12,9 @@ import pytest
 from calib_pin.compiled import comparisons, kernels, link_kernels
 from calib_pin.compiled.blocks import BLOCK, motions
 from calib_pin.errors import RobotError
-from calib_pin.estimation.many_rows import ManyRows
+from calib_pin.estimation.many_rows import ManyRows, Segments
 from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.segments import Segments
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.robot import Robot
@@ -114,11 +113,8 @@ def test_all_robots(example_robot: Path, measured: Measured) -> None:
         lengths = np.linalg.norm(np.column_stack([J, r]), axis=0)
         lengths[lengths == 0.0] = 1.0
         unit, exact = np.outer(lengths, lengths), products(r, J)
-        for found in (
-            products(*rows.factorize(theta[1])[0]),
-            rows.normal(theta[1])[0],
-        ):
-            np.testing.assert_allclose(found / unit, exact / unit, rtol=0, atol=1e-11)
+        found = products(*rows.factorize(theta[1])[0])
+        np.testing.assert_allclose(found / unit, exact / unit, rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize("kind", ["link-transform", "dh-full", "joint-offset"])
@@ -157,15 +153,18 @@ def test_any_axis_both_ways(
         assert_poses(error, theta, chain.random_configurations(4, rng))
 
 
-@pytest.mark.parametrize("rows", [1, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK + 5])
-def test_any_number_of_rows(rows: int, measured: Measured) -> None:
-    problem = measured(load_chain("space6"), "pose", ["placement"], rows)
-    assert_costs(problem, members(problem, (0.02, 0.02, 0.0)))
-
-
-@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
-def test_every_model_has_a_batch_form(model: str, measured: Measured) -> None:
-    problem = measured(load_chain("space6"), model, ["placement"], 2 * BLOCK + 3)
+@pytest.mark.parametrize(
+    ("model", "rows"),
+    [
+        *((model, 2 * BLOCK + 3) for model in MEASUREMENT_MODELS),
+        *(("pose", rows) for rows in (1, BLOCK - 1, BLOCK, BLOCK + 1)),
+    ],
+)
+def test_every_model_has_a_batch_form(
+    model: str, rows: int, measured: Measured
+) -> None:
+    """Of any number of rows."""
+    problem = measured(load_chain("space6"), model, ["placement"], rows)
     assert_costs(problem, members(problem, (0.02, 0.005, 0.0)))
 
 
@@ -237,13 +236,3 @@ def test_little_rotations_together(angle: float) -> None:
         found = comparisons.little_turned(by_entry, np.tile(weights[:, None], BLOCK))
         expected = np.sum(so3_log(R)[:, i] ** 2)
         np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-30)
-
-
-def test_rotation_vectors_of_half_turns() -> None:
-    """Either sign is right."""
-    axes = axes_of(7)
-    for axis, R in zip(axes, so3_exp(np.pi * axes), strict=True):
-        found = np.array(comparisons.rotation_vector(R))
-        # The cosine of the angle between them, and its square root in rounding.
-        assert np.linalg.norm(found) == pytest.approx(np.pi, rel=1e-9)
-        assert abs(found @ axis) == pytest.approx(np.pi, rel=1e-9)

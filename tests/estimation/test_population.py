@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from calib_pin.compiled.blocks import BLOCK
-from calib_pin.estimation.evaluators import InPieces, RowByRow, compiled
+from calib_pin.estimation.evaluators import RowByRow
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
@@ -209,8 +209,8 @@ def test_very_many_measurements_that_bend_go_piece_by_piece(
     monkeypatch.setattr("calib_pin.estimation.evaluators.PIECE", piece)
     stated = {"payloads": LOAD, "prior": PRIOR}
     plain = measured(load_chain("space6"), model, BENDING, count, **stated)
-    (one,), theta = plain.evaluators, 0.1 * members(plain, 2)[0]
-    assert isinstance(one, RowByRow)
+    theta = 0.1 * members(plain, 2)[0]
+    assert not plain.many
     # Neither other weights nor other references need more than that.
     weight = 1.0 + np.arange(count) % 3
     expected = [
@@ -220,8 +220,8 @@ def test_very_many_measurements_that_bend_go_piece_by_piece(
     monkeypatch.setattr("calib_pin.estimation.problem.MANY", 1)
     pieces = replace(plain)
     (other,) = pieces.evaluators
-    assert isinstance(other, InPieces)
-    assert pieces.many and not compiled(pieces.evaluators)
+    assert isinstance(other, RowByRow)
+    assert pieces.many and pieces.evaluator == "pinocchio"
     changed = (pieces, reweighted(pieces, weight), pieces.rebased(theta)[0])
     for many, (errors, cost, r, J) in zip(changed, expected, strict=True):
         np.testing.assert_array_equal(many.errors(theta), errors)
@@ -229,8 +229,8 @@ def test_very_many_measurements_that_bend_go_piece_by_piece(
         whole = np.column_stack([J, r])
         size = np.linalg.norm(whole, axis=0)
         size[size == 0.0] = 1.0
-        for reduced, slope in (many.linearize(theta), many.factorize(theta)):
-            assert len(reduced) < len(r)
-            rows = np.column_stack([slope, reduced])
-            products = (M.T @ M / np.outer(size, size) for M in (rows, whole))
-            np.testing.assert_allclose(*products, rtol=0, atol=1e-11)
+        reduced, slope = many.linearize(theta)
+        assert len(reduced) < len(r)
+        rows = np.column_stack([slope, reduced])
+        products = (M.T @ M / np.outer(size, size) for M in (rows, whole))
+        np.testing.assert_allclose(*products, rtol=0, atol=1e-11)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,15 +16,21 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.problem import error_table
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Measurements, Observations
-from calib_pin.progress import portion
-from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
+from calib_pin.setup import DistanceSetup, FrameSetup, Setup
 from calib_pin.validation import splits
-from calib_pin.validation.held_out import cross_validate
-from calib_pin.validation.model_errors import fitted_errors, model_errors
-from calib_pin.validation.splits import FOLDS, Grouping, places, split
+from calib_pin.validation.left_out import left_out
+from calib_pin.validation.splits import (
+    FOLDS,
+    REGIONS,
+    Grouping,
+    places,
+    regions,
+    split,
+    stretches,
+)
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 
@@ -48,6 +55,23 @@ def measured_rows(
 
 def folds(rows: Observations, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
     return splits.folds(Grouping.of(rows, fitted.problem.setup), fitted, seed)
+
+
+def test_of_very_many_some_are_held_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In whole groups, of every part."""
+    chain, rows = measured_rows(repeats=2)
+    every = folds(rows, fit_model(chain, rows, SETUP, 0).fit, 0)
+    monkeypatch.setattr("calib_pin.estimation.problem.MANY", 1)
+    monkeypatch.setattr("calib_pin.validation.splits.MOST", 4)
+    model = fit_model(chain, rows, SETUP, 0)
+    masks, groups = folds(rows, model.fit, 0), rows.groups()
+    assert model.fit.problem.many and len(masks) == len(every)
+    for mask, whole in zip(masks, every, strict=True):
+        assert 2 <= mask.sum() < whole.sum() and not (mask & ~whole).any()
+        np.testing.assert_array_equal(mask, np.isin(groups, groups[mask]))
+    for part in left_out(model.fit, masks):
+        assert part is not None
+        assert np.abs(part.after).max() < 3e-4 < np.abs(part.before).max()
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -209,113 +233,122 @@ def test_sockets_of_two_stations_are_at_other_places() -> None:
     assert labels_of(rows, [("hall/a/0", "hall/back")]) == [0, 0, 1, 1, 2, 2, 2, 2]
 
 
-AT = {
-    "front": ((0.6, 0.3, 0.4), (0.65, 0.3, 0.4)),
-    "left": ((0.5, -0.2, 0.6), (0.5, -0.15, 0.6)),
-    "back": ((-0.4, 0.4, 0.5), (-0.4, 0.4, 0.55)),
-}
-SOCKETS = {
-    f"{place}/{k}": PointSetup(xyz)
-    for place, both in AT.items()
-    for k, xyz in enumerate(both)
-}
-BALL = FrameSetup((0.05, 0.08, 0.1), (0.0, 0.0, 0.0), estimate=True)
-FIFTY = tuple(DistanceSetup((f"{place}/0", f"{place}/1"), 0.05, 1e-5) for place in AT)
-IN_SOCKETS = Setup(parameters=("joint-offset",), distances=FIFTY)
+# Stretches of a path.
 
 
-@pytest.fixture(scope="module")
-def in_sockets() -> tuple[Chain, Observations]:
-    """A ball in two sockets at each of three places, 50 mm apart."""
-    chain = calib_pin.load_chain("space6")
-    setup = replace(IN_SOCKETS, sockets=SOCKETS, tool_frame=BALL)
-    problem = nominal_problem(chain, "fixed-point", setup)
+def measured(q: Floats, files: tuple[str, ...] = ()) -> Observations:
+    joints = tuple(f"j{k}" for k in range(q.shape[1]))
+    values = np.zeros((len(q), 3))
+    return Observations.of(Measurements(joints, q, "position", values, files=files))
+
+
+def jogged(rng: np.random.Generator, points: int = 20, steps: int = 10) -> Floats:
+    """Straight lines in joint space from one random configuration to the next."""
+    ends = rng.uniform(-2.0, 2.0, (points + 1, 6))
+    part = np.linspace(0.0, 1.0, steps, endpoint=False)[:, None]
+    lines = [a + part * (b - a) for a, b in pairwise(ends)]
+    return np.concatenate(lines)
+
+
+def test_random_order_is_no_path() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        count, joints = int(rng.integers(2, 80)), int(rng.integers(1, 8))
+        q = rng.uniform(-2.0, 2.0, (count, joints))
+        assert (stretches(measured(q)) == -1).all()
+
+
+def test_a_jogged_file_is_cut_into_blocks() -> None:
     rng = np.random.default_rng(1)
-    truth = 3.0 * calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=90, noise=5e-5)
-    return chain, rows
+    q = jogged(rng)
+    label = stretches(measured(q))
+    sizes = np.bincount(label)
+    assert 10 <= len(sizes) <= 40 and sizes.min() >= 2
+    # They are contiguous.
+    assert (np.diff(label) >= 0).all()
+    # In random order the same configurations are as any others.
+    assert (stretches(measured(q[rng.permutation(len(q))])) == -1).all()
 
 
-def test_places_are_left_out_as_a_whole(in_sockets: tuple[Chain, Observations]) -> None:
-    chain, rows = in_sockets
-    fitted = fit_model(chain, rows, IN_SOCKETS, 0).fit
-    masks = folds(rows, fitted, 0)
-    name = Grouping.of(rows, IN_SOCKETS).validation_name(len(masks))
-    assert name == "leave-one-place-out"
-    left_out = [
-        {name[:-2] for name, left in zip(rows.target, mask, strict=True) if left}
-        for mask in masks
-    ]
-    assert sorted(left_out, key=min) == [{"back"}, {"front"}, {"left"}]
-    np.testing.assert_array_equal(np.sum(masks, axis=0), 1)
-    # Repetitions or not: one place is one part.
-    again = rows.rows(np.repeat(np.arange(90), 2))
-    assert len(folds(again, fitted, 0)) == 3
+def test_a_joint_that_stands_still_and_units_do_not_matter() -> None:
+    q = jogged(np.random.default_rng(1))
+    label = stretches(measured(q))
+    still = np.column_stack([q * [1.0, 1.0, 1e-3, 1.0, 1.0, 5.0], np.ones(len(q))])
+    np.testing.assert_array_equal(stretches(measured(still)), label)
+    assert (stretches(measured(np.ones((30, 6)))) == -1).all()
 
 
-def test_sockets_that_were_not_fitted(in_sockets: tuple[Chain, Observations]) -> None:
-    """They are where their rows put them, and their distance is there to be found."""
-    chain, rows = in_sockets
-    of_back = np.array([name.startswith("back") for name in rows.target])
-    trained = fit_model(chain, rows.rows(~of_back), IN_SOCKETS, 0)
-    known = {name for _, name in trained.problem.references}
-    assert known == set(SOCKETS) - {"back/0", "back/1"}
-    unseen = model_errors(trained, rows.rows(of_back), np.flatnonzero(of_back))
-    np.testing.assert_array_equal(unseen.positions, np.flatnonzero(of_back))
-    sizes = [np.linalg.norm(e, axis=1).mean() for e in (unseen.before, unseen.after)]
-    # The noise of 50 um in three directions, against offsets of 3 mrad.
-    assert sizes[1] < 1.2e-4 and sizes[0] > 2e-3
-    back = np.array(rows.target)[of_back]
-    for name in ("back/0", "back/1"):
-        np.testing.assert_allclose(
-            unseen.after[back == name].mean(axis=0), 0.0, atol=1e-9
+def test_repetitions_belong_to_the_first() -> None:
+    q = jogged(np.random.default_rng(1))
+    label = stretches(measured(q))
+    home = np.concatenate([q, q[:5], q[100:103]])
+    again = stretches(measured(home))
+    np.testing.assert_array_equal(again[: len(q)], label)
+    np.testing.assert_array_equal(
+        again[len(q) :], label[[0, 1, 2, 3, 4, 100, 101, 102]]
+    )
+
+
+def test_files_and_chains_have_paths_of_their_own() -> None:
+    rng = np.random.default_rng(2)
+    q = jogged(rng, 10)
+    label = stretches(measured(q, ("a",) * 37 + ("b",) * 63))
+    assert not set(label[:37]) & set(label[37:])
+    first, second = jogged(rng), jogged(rng)
+    blocks = [
+        replace(
+            measured(q, ("both.csv",) * len(q)).only,
+            chain=chain,
+            lines=2 * np.arange(len(q)) + begin,
         )
-    (distance,) = unseen.distances
-    assert distance.between == ("back/0", "back/1") and not distance.fitted
-    assert (distance.value, distance.sigma) == (0.05, 1e-5)
-    assert abs(distance.found - 0.05) < 1e-4 < abs(distance.nominal - 0.05)
-    # Those that were fitted are told of with the fit.
-    fitted = {
-        d.between[0]: d for d in fitted_errors(trained, rows.rows(~of_back)).distances
-    }
-    assert set(fitted) == {"front/0", "left/0"}
-    for d in fitted.values():
-        assert d.fitted and abs(d.found - 0.05) < 3e-5
-    # A row of a fitted socket has its place, whatever it says.
-    of_others = np.flatnonzero(~of_back)
-    seen = model_errors(trained, rows.rows(~of_back), of_others)
-    assert seen.distances == ()
-    errors = error_table(trained.fit.problem, trained.fit.theta)
-    np.testing.assert_allclose(seen.after, errors, rtol=0, atol=1e-9)
+        for chain, q, begin in (("left", first, 1), ("right", second, 2))
+    ]
+    label = stretches(Observations(tuple(blocks)))
+    left, right = np.split(label, 2)
+    assert not set(left) & set(right)
+    assert (np.diff(left) >= 0).all() and (np.diff(right) >= 0).all()
 
 
-# Cross-validation.
+# Regions of joint space.
 
 
-def test_unseen_rows_are_not_fitted() -> None:
-    chain, rows = measured_rows(repeats=2)
-    alike = fit_model(chain, rows, SETUP, 0).fit
-    masks = folds(rows, alike, 0)
-    parts = list(cross_validate(chain, rows, SETUP, masks, 0, alike))
-    positions = np.concatenate([part.positions for part in parts])
-    assert sorted(positions) == list(range(len(rows)))
-    for part, mask in zip(parts, masks, strict=True):
-        np.testing.assert_array_equal(part.positions, np.flatnonzero(mask))
-        assert part.before.shape == part.after.shape == (mask.sum(), 3)
-        assert np.abs(part.after).max() < 3e-4 < np.abs(part.before).max()
-    # Whatever the left-out values are, the model that meets them is the same.
-    values = rows.only.values.copy()
-    values[masks[2]] += 0.01
-    spoiled = Observations.of(replace(rows.only, values=values))
-    (_, _, third, *_) = cross_validate(chain, spoiled, SETUP, masks, 0, alike)
-    np.testing.assert_allclose(third.after, parts[2].after - 0.01, rtol=0, atol=1e-12)
+def grouping(q: Floats) -> Grouping:
+    return Grouping.of(measured(q), Setup())
 
 
-def test_a_portion_never_goes_back() -> None:
-    told: list[float] = []
-    part = portion(told.append, 0.2, 0.4)
-    assert part is not None
-    for done in (0.5, 0.1, 1.0, 0.0):
-        part(done)
-    np.testing.assert_allclose(told, [0.2, 0.4, 0.4, 0.6, 0.6])
-    assert portion(None, 0.0, 1.0) is None
+@pytest.fixture
+def q() -> Floats:
+    return np.random.default_rng(3).uniform(-1.0, 1.0, (80, 3)) * [1.0, 2.0, 0.5]
+
+
+def test_outer_parts_of_joints_then_clusters(q: Floats) -> None:
+    found = regions(grouping(q), 0)
+    assert len(found) == 3 + REGIONS.clusters
+    # The joint that moved most comes first, at its lower end.
+    for mask, joint, sign in zip(found[:3], (1, 0, 2), (-1, 1, -1), strict=True):
+        assert mask.sum() == round(REGIONS.part * len(q))
+        assert (sign * q[mask, joint]).min() > (sign * q[~mask, joint]).max()
+    np.testing.assert_array_equal(np.sum(found[3:], axis=0), 1)
+    points = np.concatenate([np.sin(q), np.cos(q)], axis=1)
+    inside = sum(points[mask].var(axis=0).sum() * mask.mean() for mask in found[3:])
+    assert inside < 0.8 * points.var(axis=0).sum()
+
+
+def test_repetitions_stay_together_and_still_joints_have_no_part(q: Floats) -> None:
+    q[:, 2] = 0.3
+    twice = np.concatenate([q, q])
+    found = regions(grouping(twice), 0)
+    assert len(found) == 2 + REGIONS.clusters
+    for mask in found:
+        np.testing.assert_array_equal(mask[:80], mask[80:])
+
+
+def test_few_configurations_have_no_regions(q: Floats) -> None:
+    assert regions(grouping(q[:4]), 0) == []
+    assert regions(grouping(np.tile(q[:1], (50, 1))), 0) == []
+
+
+def test_the_seed_moves_clusters_alone(q: Floats) -> None:
+    first, again, other = (regions(grouping(q), seed) for seed in (0, 0, 1))
+    np.testing.assert_array_equal(first, again)
+    np.testing.assert_array_equal(first[:3], other[:3])

@@ -173,9 +173,8 @@ def studentized(
     """
     layout, finite = problem.layout, np.isfinite(problem.sigma)
     if problem.many:
-        with np.errstate(invalid="ignore"):
-            r = np.where(finite, problem.errors(theta) / problem.sigma, 0.0)
-        return Studentized.of(problem, squared_or_infinite(r), finite.astype(float))
+        squares = squared_or_infinite(problem.residual(theta)[: len(finite)])
+        return Studentized.of(problem, squares, finite.astype(float))
     fun, jac = problem.linearize_rows(theta)
     count = len(layout.row)
     r, A = fun[:count], jac @ basis

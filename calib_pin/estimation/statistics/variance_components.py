@@ -235,7 +235,7 @@ def _by_quantity(problem: Problem, theta: Floats) -> Iterator[tuple[int, Part, F
             kept = np.isin(np.arange(len(current)), list(chosen))
             alone = in_units(problem, np.where(kept, current, np.inf))
         products = alone.products(theta)
-        for block, (_, K) in zip(alone.blocks, products, strict=True):
+        for block, K in zip(alone.blocks, products, strict=True):
             found = firsts[block.part.key]
             if place < len(found):
                 yield found[place], block.part, K

@@ -8,7 +8,7 @@ import pytest
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.setup import Setup
-from calib_pin.validation.joint_changes import changes, drifts
+from calib_pin.validation.robot_state import changes, drifts
 
 
 @pytest.mark.parametrize("name", ["placement", "dh", "joint-offset", "link-transform"])
@@ -37,7 +37,7 @@ def test_drifts_and_other_changes() -> None:
     parameters = problem.parameters
     robot = parameters.free & ~parameters.nuisance
     scales, units = parameters.scales[robot], [p.unit for p in parameters if p.free]
-    sizes = np.diag(drifts(problem, robot)["geometry"][robot]) * scales
+    sizes = np.diag(drifts(problem, robot, ())["geometry"][robot]) * scales
     own = [p for p, of in zip(parameters, robot, strict=True) if of]
     lengths = np.array([p.unit in ("m", "rad") for p in own])
     np.testing.assert_allclose(sizes[lengths], 1.0)

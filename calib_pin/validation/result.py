@@ -12,6 +12,7 @@ import numpy as np
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.system import Part
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.plugins import upper
 from calib_pin.setup.arguments import as_array
@@ -306,14 +307,28 @@ class Tables:
         if chain is not None:
             part = self.reference.of_chain(chain)
         q = as_array("q", q, "N", len(there.chain.joints))
-        own, values = part.of_error, np.array([p.value for p in self.parameters])
-        T, J = part.error.jacobian(q, values[part.of_error])
+        T, J, C = self.linearized(part, q)
         J = np.kron(np.eye(2), T[:, :3, :3]) @ J
-        C = J @ np.asarray(self.covariance)[np.ix_(own, own)] @ J.transpose(0, 2, 1)
+        C = J @ C @ J.transpose(0, 2, 1)
         expected = self.accuracies[part.key.chain].workspace
         if expected is not None:
             C += np.diag(np.repeat(np.square(expected.unmodeled) / 3.0, 3))
         return Prediction(there.poses(q), C)
+
+    def linearized(self, part: Part, q: Floats) -> tuple[Floats, Floats, Floats]:
+        """Tool poses of a part, and the errors that they depend on.
+
+        Args:
+            part: A part of `reference`.
+            q: Positions of its joints, shape (N, n) [rad, m].
+
+        Returns:
+            Poses, shape (N, 4, 4), their body twists by the p parameters of its error
+            model, (N, 6, p), and the covariance of these, (p, p).
+        """
+        own, values = part.of_error, np.array([p.value for p in self.parameters])
+        T, J = part.error.jacobian(q, values[own])
+        return T, J, np.asarray(self.covariance)[np.ix_(own, own)]
 
     def figures(self) -> dict[str, Any]:
         """The figures of the report by name, as matplotlib figures."""

@@ -56,10 +56,9 @@ class RobotState:
     @staticmethod
     def of(result: CalibrationResult) -> RobotState:
         """The state that a calibration has found."""
-        values = np.array([p.value for p in result.parameters])
         free = np.array([p.status != "fixed" for p in result.parameters])
         C, file = np.asarray(result.covariance), result.provenance.file
-        return RobotState(result.model, values, C, free, file)
+        return RobotState(result.model, result.model.theta, C, free, file)
 
     @property
     def robot(self) -> NDArray[np.bool_]:

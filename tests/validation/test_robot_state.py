@@ -20,7 +20,7 @@ def test_an_offset_is_one(name) -> None:
     part, q = problem.only, chain.random_configurations(5, np.random.default_rng(0))
     found = changes(problem, robot)
     offsets = [change for change in found.values() if change.kind == "offset"]
-    assert [change.joint for change in offsets] == list(chain.joints)
+    assert [change.name for change in offsets] == list(chain.joints)
     for k, change in enumerate(offsets):
         theta = change.directions[:, 0] * parameters.scales / 1e3
         moved = q.copy()

@@ -83,12 +83,13 @@ def ties(problem: Problem) -> Mapping[BlockKey, tuple[tuple[str, ...], ...]]:
     result = {}
     for key in links:
         groups = _groups(nodes, [found for k, found in links.items() if k != key])
-        named = (
+        named = [
             tuple(f.name for f in group if f.kind in ("station", "tool"))
             for group in groups
-        )
-        told = tuple(filter(None, named))
-        result[key] = told if len(groups) > whole and len(told) > 1 else ()
+            if {f.kind for f in group} & {"station", "tool"}
+        ]
+        torn = len(groups) > whole and len(named) > 1
+        result[key] = tuple(named) if torn else ()
     return result
 
 
@@ -104,15 +105,14 @@ def _links(problem: Problem, part: Part) -> Iterator[Frame]:
 
 def _groups(nodes: list[Frame], links: Iterable[list[Frame]]) -> list[list[Frame]]:
     """Connected components of a graph, in the order of its nodes."""
-    groups = {node: [node] for node in nodes}
-    for first, *others in links:
-        for node in others:
-            if (found := groups[node]) is not (whole := groups[first]):
-                whole += found
-                groups |= dict.fromkeys(found, whole)
-    order = {node: k for k, node in enumerate(nodes)}
-    different = {id(group): group for group in groups.values()}.values()
-    return [sorted(group, key=order.__getitem__) for group in different]
+    groups = [{node} for node in nodes]
+    for link in links:
+        joined = [group for group in groups if not group.isdisjoint(link)]
+        apart = [group for group in groups if group.isdisjoint(link)]
+        groups = [*apart, set[Frame]().union(*joined)]
+    order = {node: k for k, node in enumerate(nodes)}.__getitem__
+    in_order = [sorted(group, key=order) for group in groups]
+    return sorted(in_order, key=lambda group: order(group[0]))
 
 
 def left_open(fitted: Fit, covariance: Floats) -> tuple[Floats, Floats]:
@@ -177,26 +177,21 @@ def coupled_frames(
         for k in index
     }
     found = []
+    scales, names = parameters.scales[nuisances], parameters.names
     for row, pivot in zip(C, pivots, strict=True):
-        coefficients = row * parameters.scales[nuisances[pivot]]
-        coefficients = coefficients / parameters.scales[nuisances]
-        terms = tuple(
-            (int(k), float(c))
-            for k, c in zip(nuisances, coefficients, strict=True)
-            if abs(c) > LEAST
-        )
+        coefficients = (row * scales[pivot] / scales).tolist()
+        pairs = zip(nuisances.tolist(), coefficients, strict=True)
+        terms = tuple((k, c) for k, c in pairs if abs(c) > LEAST)
         frames = dict.fromkeys(frame_of[k] for k, _ in terms if k in frame_of)
-        if len(frames) > 1:
-            unit = parameters[int(nuisances[pivot])].unit
-            known = Combination(terms, unit).expression(parameters.names)
-            moves = []
-            for frame in frames:
-                own = [
-                    parameters.names[k] for k, _ in terms if frame_of.get(k) == frame
-                ]
-                words = [MOTIONS[name.rpartition(".")[2]] for name in own]
-                moves.append(f"a {' and a '.join(words)} of {frame.label}")
-            sentence = f"{' cannot be told from '.join(moves)}; only {known} is known"
-            names = tuple(frame.name for frame in frames)
-            found.append(CoupledFrames(names, known, sentence))
+        if len(frames) < 2:
+            continue
+        unit = parameters[int(nuisances[pivot])].unit
+        known = Combination(terms, unit).expression(names)
+        moves = []
+        for frame in frames:
+            own = (names[k] for k, _ in terms if frame_of.get(k) == frame)
+            words = [MOTIONS[name.rpartition(".")[2]] for name in own]
+            moves.append(f"a {' and a '.join(words)} of {frame.label}")
+        sentence = f"{' cannot be told from '.join(moves)}; only {known} is known"
+        found.append(CoupledFrames(tuple(f.name for f in frames), known, sentence))
     return tuple(found)

@@ -11,7 +11,7 @@ from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.fitted import Fit
 from calib_pin.observations import Observations
 from calib_pin.setup import Setup
-from calib_pin.validation.block_ranks import block_ranks
+from calib_pin.validation.shared import block_ranks
 
 
 def rank(fitted: Fit, kept: Observations) -> int:
@@ -45,7 +45,7 @@ def test_ranks_are_those_of_all_rows_at_once(moved_job) -> None:
     whole = rank(fitted, data)
     for k, block in enumerate(blocks):
         others = Observations.of(*blocks[:k], *blocks[k + 1 :])
-        assert found[k].alone == rank(fitted, Observations.of(block))
-        assert found[k].added == whole - rank(fitted, others)
-    assert max(one.alone for one in found) < whole
-    assert max(one.added for one in found) > 0
+        assert found[k][0] == rank(fitted, Observations.of(block))
+        assert found[k][1] == whole - rank(fitted, others)
+    assert max(alone for alone, _ in found) < whole
+    assert max(added for _, added in found) > 0

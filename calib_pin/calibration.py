@@ -29,14 +29,19 @@ from calib_pin.measurement_models.readings import as_stated
 from calib_pin.observations import AT, Measurements, Observations, states_sigmas
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import ReadingSetup, Setup
-from calib_pin.validation.assessment import estimates, fitted_ranks, leverages
+from calib_pin.validation.assessment import (
+    estimates,
+    fitted_ranks,
+    leverages,
+    robot_errors,
+)
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.candidate_scores import USES
 from calib_pin.validation.findings import explained
 from calib_pin.validation.findings.case import Others
 from calib_pin.validation.findings.older_calibration import older_calibration
 from calib_pin.validation.held_out import HeldOut, check
-from calib_pin.validation.joint_offsets import encoder_steps
+from calib_pin.validation.joint_errors import encoder_steps
 from calib_pin.validation.judgement import (
     Judgement,
     judge,
@@ -48,7 +53,6 @@ from calib_pin.validation.model_errors import ModelErrors, fitted_errors, regist
 from calib_pin.validation.model_selection import select_model
 from calib_pin.validation.recalibration import started
 from calib_pin.validation.result import CalibrationResult, UrdfResult
-from calib_pin.validation.robot_errors import robot_errors
 from calib_pin.validation.shared import breakdown
 from calib_pin.validation.splits import FOLDS, split
 from calib_pin.validation.summaries import (

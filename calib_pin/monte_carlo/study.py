@@ -24,7 +24,7 @@ from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameters import ParameterSet, matching
 from calib_pin.setup import MonteCarloSetup, Setup
 from calib_pin.simulation import simulate
-from calib_pin.validation.expected_accuracy import expected_accuracy
+from calib_pin.validation.judgement import expected_accuracy
 from calib_pin.validation.tip_drift import absorbed, turns
 
 TESTS = 100

@@ -14,7 +14,7 @@ is a single joint that accounts for nearly all.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +24,7 @@ from calib_pin.errors import OptionError
 from calib_pin.estimation.directions import nuisance_basis
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.problem import Problem, error_table
+from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.registration import registered
 from calib_pin.estimation.robot_rows import robot_rows
 from calib_pin.estimation.solve import least_squares
@@ -42,6 +42,7 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
 from calib_pin.validation.accuracy import Accuracy
+from calib_pin.validation.evaluation import error_sizes
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.robot_state import Change, RobotState, changes, drifts
 from calib_pin.validation.summaries import (
@@ -172,12 +173,7 @@ def started(
     theta = least_squares(there, theta, nuisance_basis(there.parameters)).x
     news = Innovations(there, theta, older, noise)
     step, effects, more = news.explained(start, process_noise, len(data))
-    table = error_table(there, theta)
-    errors = tuple(
-        (quantity.name, quantity.unit, Accuracy.of(sizes))
-        for quantity in there.layout.quantities
-        if len(sizes := quantity.errors(table))
-    )
+    errors = tuple((n, u, Accuracy.of(own)) for n, u, own in error_sizes(there, theta))
     steps = () if start.recalibration is None else start.recalibration.steps
     grown = {name: more * sigma for name, sigma in known.items()}
     prior = news.state.prior(effects, grown)
@@ -220,43 +216,39 @@ def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> No
     Raises:
         OptionError: If it is such.
     """
-    file, older = start.provenance.file or None, start.model
+    for reason, given, allowed in _objections(chains, setup, start):
+        file = start.provenance.file or None
+        raise OptionError(reason, file=file, value=given, allowed=allowed)
 
-    def refused(reason: str, given: str = "", other: str = "") -> OptionError:
-        return OptionError(
-            reason, file=file, value=given or None, allowed=other or None
-        )
 
-    difference = robot_type(older.chains).difference(robot_type(chains))
-    ends = [
-        {(c[name].base, c[name].tip) for name in c.names}
-        for c in (older.chains, chains)
-    ]
-    if not difference and ends[0] != ends[1]:
-        base, tip = min(ends[1] - ends[0] or ends[1])
-        difference = f"its chain goes from {base} to {tip}"
+def _objections(
+    chains: Chains, setup: Setup, start: CalibrationResult
+) -> Iterator[tuple[str, str | None, str | None]]:
+    """Why an older calibration says nothing of a robot, what is given, and allowed."""
+    older, now = start.model.setup, setup.report.serial_number
+    pair = start.model.chains, chains
+    difference = robot_type(pair[0]).difference(robot_type(pair[1]))
+    ends, new = ({(c[n].base, c[n].tip) for n in c.names} for c in pair)
+    if not difference and ends != new:
+        difference = "its chain goes from {} to {}".format(*min(new - ends or new))
     if difference:
         reason = f"the older calibration is not of this robot: {difference}"
-        raise refused(reason, chains.robot.name, older.chains.robot.name)
-    before, serial = (one.report.serial_number for one in (older.setup, setup))
-    if before and serial and before != serial:
+        yield reason, chains.robot.name, pair[0].robot.name
+    if (before := older.report.serial_number) and now and before != now:
         reason = f"the older calibration is of serial number '{before}', these "
-        raise refused(f"{reason}measurements are of '{serial}' ({setup.file})")
+        yield f"{reason}measurements are of '{now}' ({setup.file})", None, None
     if start.verdict not in TRUSTED:
         reason = f"an older calibration that is {start.verdict} is no start"
-        raise refused(f"{reason}: {start.reason}")
-    if learned := older.setup.learned or setup.learned:
+        yield f"{reason}: {start.reason}", None, None
+    if learned := older.learned or setup.learned:
         reason = "a learned correction cannot be carried on from an older calibration"
-        raise refused(reason, learned, "parameters alone")
-    names = older.setup.parameters
-    if set(names) != set(setup.parameters):
+        yield reason, learned, "parameters alone"
+    if set(older.parameters) != set(setup.parameters):
         reason = "the older calibration has other parameters"
-        raise refused(reason, ", ".join(setup.parameters), ", ".join(names))
+        yield reason, ", ".join(setup.parameters), ", ".join(older.parameters)
     if not np.isfinite(start.covariance).all() or not start.statistics.noise:
-        raise refused(
-            "the older calibration does not say how sure it is of its parameters",
-            other="a calibration of this version, with noise and redundancy",
-        )
+        reason = "the older calibration does not say how sure it is of its parameters"
+        yield reason, None, "a calibration of this version, with noise and redundancy"
 
 
 def expected_drifts(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from html import escape
 from importlib import import_module
@@ -28,7 +27,6 @@ from calib_pin.validation.summaries import (
     Recalibration,
     SolverSummary,
     Statistics,
-    ToolAccuracy,
     Validation,
 )
 
@@ -99,9 +97,9 @@ class RobotError:
     value: float
     sigma: float | None
     status: str
-    within: tuple[str, ...]
-    expression: str
-    terms: tuple[Term, ...]
+    within: tuple[str, ...] = ()
+    expression: str = ""
+    terms: tuple[Term, ...] = ()
 
 
 class Correlation(NamedTuple):
@@ -232,16 +230,14 @@ class Prediction(NamedTuple):
     covariance: Floats
 
 
-class Tables:
+class Tables(Identification, Breakdown):
     """A result as arrays with names and as tables."""
 
     model: CalibratedModel
     reference: CalibratedModel
-    accuracies: Mapping[str, ToolAccuracy]
     covariance: NamedArray
     verdict: str
     reason: str
-    parameters: tuple[ParameterEstimate, ...]
     errors: tuple[QuantityErrors, ...]
     fitted: MeasurementErrors
     held_out: MeasurementErrors | None
@@ -356,7 +352,7 @@ class Tables:
 
 
 @dataclass(frozen=True, repr=False)
-class CalibrationResult(Tables, Identification, Breakdown):
+class CalibrationResult(Tables):
     """Everything a calibration found, made by a fit or read from a file.
 
     Attributes:

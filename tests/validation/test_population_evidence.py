@@ -11,7 +11,7 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.statistics.population_prior import RobotEvidence
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import Setup
-from calib_pin.validation.population_evidence import robot_evidence
+from calib_pin.validation.robot_state import robot_evidence
 
 
 def information(evidence: RobotEvidence) -> tuple[Floats, Floats]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib_pin.validation.visit_faults import bad_visits, moved_after
+from calib_pin.validation.pose_tests import bad_visits, moved_after
 
 
 def visits(seed: int) -> tuple[np.ndarray, np.ndarray]:

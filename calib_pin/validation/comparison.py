@@ -245,11 +245,10 @@ class Comparison(Printed):
             accuracy = record.accuracies.get(name)
             if accuracy is None or accuracy.tip is None:
                 return None
-            # Without a displacement of base and tool, which older files do not state.
             alone, tip = len(self.drifts[chain].absorbed) == 2, accuracy.tip
-            alone = alone and bool(np.isfinite(tip.of_robot).all())
             sizes.append(tip.of_robot if alone else tip.rms)
-        return math.hypot(*(s[0] for s in sizes)), math.hypot(*(s[1] for s in sizes))
+        position, orientation = (math.hypot(*pair) for pair in zip(*sizes, strict=True))
+        return position, orientation
 
     def _sizes(self, chain: str) -> tuple[float, float]:
         """Drift at a tip [m] and, where it is known, [rad]."""

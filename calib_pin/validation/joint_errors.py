@@ -190,37 +190,30 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
     # Where columns are coupled, the offset of one is made up of those of several.
     weights = columns.values(np.eye(len(joints)) + columns.offsets).T
     estimates = {p.name: p for p in result.parameters if p.status != "fixed"}
+    names = {joint: f"{owner(joint)}.joint-offset.q" for joint in joints}
+    known = {j: estimates[name] for j, name in names.items() if name in estimates}
     absorbed = {e.of[0]: e.within for e in result.robot_errors if e.within}
-    place, found = result.covariance.rows.index, []
-    reverses = told_reversed(columns)
+    place, reverses, found = result.covariance.rows.index, told_reversed(columns), []
     for row, joint, column in zip(weights, columns.joints, columns.names, strict=True):
-        name = "{}.joint-offset.q"
-        parts = {
-            name.format(owner(other)): weight
-            for other, weight in zip(joints, row, strict=True)
-            if weight and name.format(owner(other)) in estimates
-        }
-        estimate = joint and estimates.get(name.format(owner(joint)))
-        if not estimate:
+        if joint not in known:
             continue
-        involved, w = [estimates[part] for part in parts], np.array([*parts.values()])
-        sigma, status = None, "identifiable"
-        if unknown := [one.status for one in involved if one.status != status]:
-            status = unknown[0]
-        else:
-            index = [place(part) for part in parts]
-            C = np.asarray(result.covariance)[np.ix_(index, index)]
-            sigma = float(np.sqrt(w @ C @ w))
-        stepped = estimate.unit == "rad" and joint in steps
+        parts = [k for k, j in enumerate(joints) if row[k] and j in known]
+        involved, w = [known[joints[k]] for k in parts], row[parts]
+        open_ = [one.status for one in involved if one.status != "identifiable"]
+        index = [place(one.name) for one in involved]
+        C = np.asarray(result.covariance)[np.ix_(index, index)]
+        unit = known[joint].unit
         found.append(
             FoundOffset(
                 joint=joint,
                 column=column,
-                unit=estimate.unit,
+                unit=unit,
                 value=float(w @ [one.value for one in involved]),
-                sigma=sigma,
-                steps=steps[joint] / (2.0 * np.pi) if stepped else None,
-                status=status,
+                sigma=None if open_ else float(np.sqrt(w @ C @ w)),
+                steps=steps[joint] / (2.0 * np.pi)
+                if unit == "rad" and joint in steps
+                else None,
+                status=open_[0] if open_ else "identifiable",
                 within=absorbed.get(joint, ()),
                 reverses=reverses.get(joint, ""),
             )

@@ -70,22 +70,6 @@ def test_unseen_rows_keep_the_order_of_the_file(position: CalibrationResult) -> 
     assert not np.array_equal(position.held_out.after, position.fitted.after)
 
 
-def test_points_and_displacements_are_in_the_base_link(
-    position: CalibrationResult,
-) -> None:
-    """A tracker that stands elsewhere must not turn the picture."""
-    rows, chain = position.fitted, position.model.of().chain
-    found = rows.displacements
-    assert found is not None
-    tool = frame_pose(TOOL).homogeneous
-    near = (chain.poses(rows.rows.q) @ tool)[:, :3, 3]
-    np.testing.assert_allclose(rows.points, near, atol=0.05)
-    base = position.model.of().error.base
-    seen = rows.rows.only.values @ base.rotation - base.rotation.T @ base.translation
-    np.testing.assert_allclose(rows.points - found[1], seen, atol=1e-9)
-    assert np.abs(rows.points - found[0] - seen).max() > 1e-3
-
-
 def test_of_distances_there_are_no_displacements() -> None:
     chain, rows = measured("plane-distance", 60, 0.0)
     result = calib_pin.calibrate(

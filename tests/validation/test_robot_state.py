@@ -1,14 +1,17 @@
-"""Joint offsets as combinations of errors, in all parameterizations with them."""
+"""The state of a robot: how it changes, and what a calibration tells a fleet of it."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.setup import Setup
-from calib_pin.validation.robot_state import changes, drifts
+from calib_pin.validation.robot_state import changes, drifts, robot_evidence
 
 
 @pytest.mark.parametrize("name", ["placement", "dh", "joint-offset", "link-transform"])
@@ -36,16 +39,78 @@ def test_drifts_and_other_changes() -> None:
     problem = nominal_problem(chain, "pose", setup)
     parameters = problem.parameters
     robot = parameters.free & ~parameters.nuisance
-    scales, units = parameters.scales[robot], [p.unit for p in parameters if p.free]
-    sizes = np.diag(drifts(problem, robot, ())["geometry"][robot]) * scales
-    own = [p for p, of in zip(parameters, robot, strict=True) if of]
-    lengths = np.array([p.unit in ("m", "rad") for p in own])
-    np.testing.assert_allclose(sizes[lengths], 1.0)
-    np.testing.assert_allclose(sizes[~lengths], scales[~lengths] / 1e-3)
-    assert len(units) > len(own)
-    found = changes(problem, robot)
+    found, scales = changes(problem, robot), parameters.scales[robot]
+    drifting = drifts(problem, robot, found.values())
+    sizes = np.diag(drifting["geometry"][robot]) * scales
+    units = np.array([p.unit for p in parameters])[robot]
+    np.testing.assert_allclose(
+        sizes, np.where(np.isin(units, ["m", "rad"]), 1.0, scales / 1e-3)
+    )
+    assert drifting["joint offsets"].shape == (len(robot), 6)
     placed = found["placement joint_3"].directions
-    names = parameters.names
-    touched = [names[k] for k in np.flatnonzero(placed.any(axis=1))]
+    touched = [parameters.names[k] for k in np.flatnonzero(placed.any(axis=1))]
     assert touched and all(name.startswith("joint_3.") for name in touched)
-    assert found["robot"].directions.shape == (len(names), len(own))
+    assert found["robot"].directions.shape == (len(robot), robot.sum())
+
+
+def information(evidence):
+    """The matrix of the normal equations, and their right side."""
+    W = evidence.rows
+    return W.T @ W, W.T @ evidence.values
+
+
+def test_it_is_the_likelihood(fleet) -> None:
+    """Frames projected out of the normal equations (their Schur complement)."""
+    result = fleet.results[0]
+    evidence = robot_evidence(result)
+    problem = replace(
+        result.model.problem(result.fitted.rows),
+        units=np.array([c.factor for c in result.statistics.noise]),
+    )
+    p = problem.parameters
+    r, J = problem.linearize_rows(result.model.theta)
+    J = J * p.scales
+    N, robot = J.T @ J, p.free & ~p.nuisance
+    frames = p.free & p.nuisance
+    cross = N[np.ix_(robot, frames)]
+    inverse = np.linalg.pinv(N[np.ix_(frames, frames)], hermitian=True)
+    A = N[np.ix_(robot, robot)] - cross @ inverse @ cross.T
+    gradient = J.T @ r
+    b = A @ (result.model.theta / p.scales)[robot]
+    b -= gradient[robot] - cross @ inverse @ gradient[frames]
+    found = information(evidence)
+    # The normal equations have half the digits.
+    np.testing.assert_allclose(found[0], A, atol=1e-7 * np.abs(A).max())
+    np.testing.assert_allclose(found[1], b, atol=1e-7 * np.abs(b).max())
+    assert evidence.names == tuple(np.array(p.names)[robot])
+    assert evidence.rows.shape[0] < evidence.rows.shape[1]
+
+
+def test_a_prior_does_not_count_twice(fleet) -> None:
+    """The evidence of a calibration with a prior is that of one without."""
+    data, _ = fleet.measured(100, 24)
+    chain, noise = fleet.problem.chains[""], {"position": 1e-4}
+    prior = fleet.population.prior()
+    without, with_it = (
+        robot_evidence(
+            calib_pin.calibrate(
+                chain, data, Setup(noise=noise, prior=some), validate=False
+            )
+        )
+        for some in ({}, prior)
+    )
+    A, b = information(without)
+    other = information(with_it)
+    # Linearized elsewhere: errors of a milliradian change derivatives by a thousandth.
+    np.testing.assert_allclose(other[0], A, atol=5e-3 * np.abs(A).max())
+    np.testing.assert_allclose(other[1], b, atol=5e-3 * np.abs(b).max())
+
+
+def test_what_tells_nothing(fleet, refused) -> None:
+    result = fleet.results[0]
+    quiet = replace(result, statistics=replace(result.statistics, noise=()))
+    with refused(InputError, reason="noise"):
+        robot_evidence(quiet)
+    setup = replace(result.model.setup, learned="network")
+    with refused(InputError, reason="learned correction"):
+        robot_evidence(replace(result, model=replace(result.model, setup=setup)))

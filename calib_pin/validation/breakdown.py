@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from calib_pin.estimation.evidence import VarianceComponent
+from calib_pin.estimation.system import FRAME, Part
+from calib_pin.observations import Indices
 from calib_pin.validation.accuracy import QuantityErrors
 from calib_pin.validation.summaries import ToolAccuracy
 
@@ -156,3 +159,33 @@ class Breakdown:
     def accuracy(self) -> ToolAccuracy:
         """The expected errors of the tool of the first chain that moves."""
         return next(iter(self.accuracies.values()), ToolAccuracy())
+
+
+class Frame(NamedTuple):
+    """A frame of a part, or something else that several parts may have.
+
+    Attributes:
+        kind: `station`, `tool`, or the section of a reference object.
+        name: Name among the parameters; `base` or `tool` for the only one.
+    """
+
+    kind: str
+    name: str
+
+    @property
+    def label(self) -> str:
+        """Name in a sentence."""
+        alone = self.name in ("base", "tool")
+        return f"the {self.name}" if alone else f"the {self.kind} '{self.name}'"
+
+
+def frames_of(part: Part) -> tuple[tuple[Frame, Indices], tuple[Frame, Indices]]:
+    """Station and tool of a part, with the positions of their parameters, (6,)."""
+    scope, count = part.scope, len(part.error.screws)
+    tool = scope.tool.rpartition(".")[0]
+    if not scope.offset.isIdentity():
+        tool = part.key.tool
+    return (
+        (Frame("station", scope.station.rpartition(".")[0]), part.index[:FRAME]),
+        (Frame("tool", tool), part.index[count - FRAME : count]),
+    )

@@ -15,6 +15,7 @@ from itertools import product
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.evidence import Finding, PoseErrors
@@ -23,6 +24,7 @@ from calib_pin.estimation.system import FRAME, Part
 from calib_pin.estimation.tip_accuracy import frame_motions
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.observations import BlockKey
+from calib_pin.validation.breakdown import frames_of
 from calib_pin.validation.counterparts import (
     SAME,
     partners,
@@ -403,23 +405,22 @@ def unknown_ends(result: CalibrationResult, chain: str) -> tuple[bool, bool]:
     for part in result.model.parts.values():
         if part.key.chain == chain:
             own = part.parameters[len(part.error.screws) :]
-            free = [p for p in own if p.name not in _fixed(result)]
+            free = _free(result)[part.of_instrument]
+            outer = np.array([p.outer for p in own], bool)
             first, last = _estimated(result, part)
-            base |= first or any(p.outer for p in free)
-            tool |= last or any(not p.outer for p in free)
+            base |= first or bool((free & outer).any())
+            tool |= last or bool((free & ~outer).any())
     return base, tool
 
 
-def _fixed(result: CalibrationResult) -> frozenset[str]:
-    return frozenset(p.name for p in result.parameters if p.status == "fixed")
+def _free(result: CalibrationResult) -> NDArray[np.bool_]:
+    return np.array([p.status != "fixed" for p in result.parameters])
 
 
 def _estimated(result: CalibrationResult, part: Part) -> tuple[bool, bool]:
     """Whether the base frame, and the tool frame, of a part were estimated."""
-    fixed, count = _fixed(result), len(part.error.screws)
-    ends = part.parameters[:FRAME], part.parameters[count - FRAME : count]
-    base, tool = (any(p.name not in fixed for p in end) for end in ends)
-    return base, tool
+    free, ((_, base), (_, tool)) = _free(result), frames_of(part)
+    return bool(free[base].any()), bool(free[tool].any())
 
 
 def _displacements(
@@ -439,8 +440,8 @@ def _displacements(
     pairs = product(first.model.parts.items(), second.model.parts.items())
     for (mine, part), (theirs, other) in pairs:
         a, b = part.scope, other.scope
-        places = [(False, _owner(a.station) or "base")] * (a.station == b.station)
-        places += [(True, _owner(a.tool) or "tool")] * (a.tool == b.tool)
+        places = [(False, _owner(a.station))] * (a.station == b.station)
+        places += [(True, _owner(a.tool))] * (a.tool == b.tool)
         same = chains.get(mine.chain, mine.chain) == theirs.chain
         if not same or not part.error.chain.joints or set(places) <= set(moved):
             continue
@@ -478,8 +479,7 @@ def _moved(
         known, steps = slice(0, 6 if told else 3), (tools - A)[:, :3, 3]
         sigma = (np.sqrt(np.trace(C) / 3.0) for C in (own[:3, :3], own[3:, 3:]))
         yield Displacement(
-            frame=_owner((part.scope.station, part.scope.tool)[k])
-            or ("base", "tool")[k],
+            frame=_owner(part.scope.tool if k else part.scope.station),
             shift=float(np.linalg.norm(motion[:3, 3])),
             turn=float(np.linalg.norm(twist[3:])) if told else None,
             of_tool=k == 1,
@@ -490,7 +490,7 @@ def _moved(
 
 
 def _owner(scope: str) -> str:
-    """The station or tool that a frame belongs to; empty for the only one."""
+    """The station or tool of a frame; `base` and `tool` for the only ones."""
     return scope.rpartition(".")[0]
 
 

@@ -247,13 +247,9 @@ def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
     enough = distinct_values(fitted.problem) >= fitted.structure.rank
     if enough and free.any() and fitted.directions.robot.shape[1] == 0:
         return "the errors are so large that no robot parameter is observable"
-    for quantity in errors:
-        for accuracy in (quantity.after, quantity.validation_after):
-            if accuracy and (
-                reason := too_large(quantity.name, quantity.unit, accuracy)
-            ):
-                return reason
-    return ""
+    stages = ((q, a) for q in errors for a in (q.after, q.validation_after) if a)
+    reasons = (too_large(quantity.name, quantity.unit, a) for quantity, a in stages)
+    return next(filter(None, reasons), "")
 
 
 def too_large(name: str, unit: str, found: Accuracy) -> str:

@@ -17,8 +17,7 @@ from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.simulation import simulate
-from calib_pin.validation.frames import ties
-from calib_pin.validation.shared import block_ranks
+from calib_pin.validation.shared import block_ranks, ties
 
 
 @pytest.fixture(scope="module")

@@ -394,17 +394,14 @@ def _absorbed(
 ) -> Iterator[RobotError]:
     """Errors that base, tool or instrument take along, so that none is known."""
     sizes = np.array([expected_size(p.unit) for p in parameters])[order]
-    nuisance = parameters.nuisance[order]
-    for k, position in enumerate(order):
-        if nuisance[k] or k in pivots:
+    nuisance, leading = parameters.nuisance[order], np.array(pivots, np.intp)
+    weights = np.abs(C * sizes)
+    heavy = weights > SMALL * weights[np.arange(len(C)), leading, None]
+    for k in np.flatnonzero(~nuisance).tolist():
+        takers = leading[heavy[:, k]]
+        if k in pivots or not len(takers) or not nuisance[takers].all():
             continue
-        weights = {
-            pivot: abs(row[k] * sizes[k] / (row[pivot] * sizes[pivot]))
-            for pivot, row in zip(pivots, C, strict=True)
-        }
-        heavy = [p for p, weight in weights.items() if weight > SMALL]
-        if heavy and all(nuisance[p] for p in heavy):
-            owners = (parameters[int(order[p])].name.rpartition(".")[0] for p in heavy)
-            label, unit = columns.labels[int(position)], parameters[int(position)].unit
-            own, within = (label.kind, (label.of,), unit), tuple(dict.fromkeys(owners))
-            yield RobotError(*own, 0.0, None, "absorbed", within)
+        owners = [parameters[p].name.rpartition(".")[0] for p in order[takers].tolist()]
+        label, unit = columns.labels[int(order[k])], parameters[int(order[k])].unit
+        own, within = (label.kind, (label.of,), unit), tuple(dict.fromkeys(owners))
+        yield RobotError(*own, 0.0, None, "absorbed", within)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, enumerated
+from calib_pin.estimation.directions import column_space
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem, error_table
@@ -455,12 +456,12 @@ def moved_after(attained: Floats, pose: Indices) -> int | None:
         """Orthonormal poses' own means and a drift, and what they leave."""
         time = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), degree)
         drift = np.einsum("np,nij->nipj", time[:, 1:], rigid).reshape(3 * n, -1)
-        Q = _range(np.column_stack([own, drift]))
+        Q = column_space(np.column_stack([own, drift]))
         return Q, values - Q @ (Q.T @ values)
 
     def gain(k: int) -> float:
         Z = np.where(np.arange(n)[:, None, None] >= k, rigid, 0.0).reshape(3 * n, 6)
-        return float(np.sum((_range(Z - few @ (few.T @ Z)).T @ r) ** 2))
+        return float(np.sum((column_space(Z - few @ (few.T @ Z)).T @ r) ** 2))
 
     (few, r), (many, rest) = map(smooth, DEGREES)
     least = max(2 * K, n // 10)
@@ -475,9 +476,3 @@ def moved_after(attained: Floats, pose: Indices) -> int | None:
     beaten = left * (3 * n - many.shape[1]) < float(rest @ rest)
     sure = n * f_tail(best / 6.0 / left, 6, free) < CHANCE
     return place if beaten and sure else None
-
-
-def _range(A: Floats) -> Floats:
-    """Orthonormal basis of columns, rounding left out."""
-    U, s, _ = np.linalg.svd(A, full_matrices=False)
-    return np.asarray(U[:, s > 1e-9 * s.max(initial=0.0)])

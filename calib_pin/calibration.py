@@ -52,17 +52,18 @@ from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
 from calib_pin.validation.model_selection import select_model
 from calib_pin.validation.recalibration import started
-from calib_pin.validation.result import CalibrationResult, UrdfResult
-from calib_pin.validation.shared import breakdown
-from calib_pin.validation.splits import FOLDS, split
-from calib_pin.validation.summaries import (
+from calib_pin.validation.result import (
+    CalibrationResult,
     ModelSelection,
     NamedArray,
     Recalibration,
     SolverSummary,
     Statistics,
+    UrdfResult,
     Validation,
 )
+from calib_pin.validation.shared import breakdown
+from calib_pin.validation.splits import FOLDS, split
 from calib_pin.workers import SERIAL, Workers
 
 

@@ -535,7 +535,7 @@ def recorded() -> Callable[..., Any]:
         noise: float = 1e-4,
     ) -> Any:
         from calib_pin.calibration import calibrate
-        from calib_pin.validation.summaries import Provenance
+        from calib_pin.validation.result import Provenance
 
         problem = nominal_problem(chain, model, truth or setup or Setup())
         drawn = draw_errors(problem.parameters, np.random.default_rng(0))

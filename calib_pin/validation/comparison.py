@@ -24,7 +24,6 @@ from calib_pin.estimation.system import FRAME, Part
 from calib_pin.estimation.tip_accuracy import frame_motions
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.observations import BlockKey
-from calib_pin.validation.breakdown import frames_of
 from calib_pin.validation.counterparts import (
     SAME,
     partners,
@@ -38,6 +37,7 @@ from calib_pin.validation.result import (
     ParameterEstimate,
     Printed,
     Term,
+    frames_of,
 )
 from calib_pin.validation.tip_drift import TipDrift, absorbing, tip_drift
 
@@ -372,7 +372,7 @@ _Pair = tuple[str, _Estimate, _Estimate | None]
 
 
 def _pairs(record: CalibrationResult, other: CalibrationResult) -> Iterator[_Pair]:
-    """What a calibration knows of its robot, and the same in another one.
+    """Known parameters and sums of a robot, and the same in another calibration.
 
     Parameters are matched by name and sums by their terms, whatever their number.
     """

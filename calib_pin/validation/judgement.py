@@ -36,7 +36,7 @@ from calib_pin.validation.findings.case import Case, Others
 from calib_pin.validation.gains import PRESS
 from calib_pin.validation.held_out import HeldOut
 from calib_pin.validation.model_errors import ModelErrors
-from calib_pin.validation.summaries import ToolAccuracy
+from calib_pin.validation.result import ToolAccuracy
 
 SCALE = (
     "the absolute scale is unobservable: a robot larger by any factor fits these "

@@ -53,14 +53,14 @@ from calib_pin.validation.candidate_scores import (
 from calib_pin.validation.held_out import cross_validate
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.regions import regions
-from calib_pin.validation.splits import FOLDS, Grouping, folds
-from calib_pin.validation.summaries import (
+from calib_pin.validation.result import (
     Candidate,
     HeldOutErrors,
     MeanError,
     ModelSelection,
     QuantityError,
 )
+from calib_pin.validation.splits import FOLDS, Grouping, folds
 from calib_pin.workers import SERIAL, Workers
 
 OFFSETS = JointOffset.name

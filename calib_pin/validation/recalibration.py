@@ -43,15 +43,15 @@ from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
 from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.evaluation import error_sizes
-from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.robot_state import Change, RobotState, changes, drifts
-from calib_pin.validation.summaries import (
+from calib_pin.validation.result import (
+    CalibrationResult,
     DriftSize,
     Jump,
     NoiseSize,
     Recalibration,
     RecalibrationStep,
 )
+from calib_pin.validation.robot_state import Change, RobotState, changes, drifts
 
 EXPECTED = (DriftSize("geometry", 1e-5, 2.0), DriftSize("joint offsets", 3e-5, 2.0))
 """Drift between two calibrations that is expected where nothing is known yet."""

@@ -1,4 +1,4 @@
-"""What is known of a robot: a normal distribution of its errors, and how it changes.
+"""The state of a robot: a normal distribution of its errors, and how it changes.
 
 An older calibration is the state of a robot: the values of its parameters, with their
 covariance, about the frames in which it stood. It moves to the frames of new

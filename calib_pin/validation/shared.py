@@ -28,20 +28,20 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices
 from calib_pin.parameterizations.linearization import ordered_screws
 from calib_pin.validation.accuracy import QuantityErrors
-from calib_pin.validation.breakdown import (
+from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.findings.unmoved_joints import still_joints
+from calib_pin.validation.judgement import quantity_errors
+from calib_pin.validation.model_errors import ModelErrors
+from calib_pin.validation.result import (
     BlockSummary,
     Breakdown,
     ChainSummary,
     CoupledFrames,
     Frame,
     FrameSummary,
+    ToolAccuracy,
     frames_of,
 )
-from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.findings.unmoved_joints import still_joints
-from calib_pin.validation.judgement import quantity_errors
-from calib_pin.validation.model_errors import ModelErrors
-from calib_pin.validation.summaries import ToolAccuracy
 
 ROUNDING = 1e-12
 """Standard deviation below which a motion is given [m, rad]."""

@@ -21,7 +21,7 @@ from calib_pin.validation.comparison import (
     robot_groups,
     shared_files,
 )
-from calib_pin.validation.summaries import ToolAccuracy
+from calib_pin.validation.result import ToolAccuracy
 
 
 @pytest.fixture(scope="module")

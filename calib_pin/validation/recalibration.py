@@ -382,23 +382,23 @@ class Innovations:
         more_still -= found.likelihood + first.expected(found)
         still = more_still + (CALM if begun is None else begun.last.still)
         _, told = found.fitted()
-        drifts = tuple(
+        sizes = tuple(
             replace(drift, size=cause.size, worth=min(drift.worth + n, REMEMBERED))
             if np.isfinite(drift.worth)
             else drift
             for drift, cause, n in zip(expected, found.causes, told, strict=False)
         )
-        wider = np.ones(len(drifts))
+        wider = np.ones(len(sizes))
         if np.isfinite(expected[0].worth):
             # A robot that may drift is as uncertain as that is likely; and squares of
             # sizes that few errors tell are larger in the mean than their likeliest.
             part = float(np.exp(-np.logaddexp(0.0, still)))
-            worth = np.array([d.worth for d in drifts])
+            worth = np.array([d.worth for d in sizes])
             wider = np.sqrt(part * worth / np.maximum(worth - 2.0, 1.0))
             found = calm if still > 0.0 else found
         effects = [
             (by * drift.size, self.drifting[drift.name])
-            for by, drift in zip(wider.tolist(), drifts, strict=True)
+            for by, drift in zip(wider.tolist(), sizes, strict=True)
         ]
         sudden, jumps = [c for c in sparse if c.name in self.sudden], list[Jump]()
         hit = dict[str, float]()
@@ -417,7 +417,7 @@ class Innovations:
             chi2=replace(first, causes=(*first.causes, *moved)).square,
             dof=len(self.values),
             noise=self.known,
-            drifts=drifts,
+            drifts=sizes,
             jumps=tuple(jumps),
             still=float(still - (CALM if begun is None else 0.0)),
         )

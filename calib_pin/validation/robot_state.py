@@ -83,26 +83,23 @@ class RobotState:
         Returns:
             The state, and the positions of the parameters of frames that both have.
         """
-        place = {name: k for k, name in enumerate(system.given.names)}
-        there = self.places(system.given, robot)
-        values, frames = np.zeros(len(place)), dict[Frame, list[int]]()
-        values[robot] = self.values[there]
-        before = _frames(self.system)
-        for frame, (pose, names) in _frames(system).items():
+        names, old = system.given.names, self.system.given.names
+        values, frames = np.zeros(len(names)), dict[Frame, list[int]]()
+        values[robot] = self.values[self.places(system.given, robot)]
+        before, known = _frames(self.system), robot.copy()
+        for frame, (pose, own) in _frames(system).items():
             if frame in before:
                 moved = pose.actInv(before[frame][0])
+                frames[frame] = [names.index(name) for name in own]
+                known[frames[frame]] = True
                 # Positions alone do not tell how a tool is turned, and move it nowhere.
                 twist = np.append(moved.translation, so3_log(moved.rotation))
-                frames[frame] = [place[name] for name in names]
                 values[frames[frame]] = twist
-        kept = np.zeros(len(place), bool)
-        kept[[*np.flatnonzero(robot), *(k for own in frames.values() for k in own)]] = 1
-        names = self.system.given.names
-        pairs = [(place[n], k) for k, n in enumerate(names) if n in place]
-        here, of_old = np.array([pair for pair in pairs if kept[pair[0]]]).T
-        covariance = np.zeros((len(place), len(place)))
-        covariance[np.ix_(here, here)] = self.covariance[np.ix_(of_old, of_old)]
-        return RobotState(system, values, covariance, kept, self.file), frames
+        here = [k for k in np.flatnonzero(known).tolist() if names[k] in old]
+        there = [old.index(names[k]) for k in here]
+        covariance = np.zeros((len(names), len(names)))
+        covariance[np.ix_(here, here)] = self.covariance[np.ix_(there, there)]
+        return RobotState(system, values, covariance, known, self.file), frames
 
     def places(self, parameters: ParameterSet, robot: NDArray[np.bool_]) -> list[int]:
         """Positions of the errors of the robot among the parameters of a problem.

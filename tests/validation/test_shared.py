@@ -12,11 +12,10 @@ import calib_pin
 from calib_pin.estimation.directions import WEAK, projected
 from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.formulation import make_problem, nominal_problem
-from calib_pin.observations import BlockKey, Observations
+from calib_pin.estimation.formulation import make_problem
+from calib_pin.observations import Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
-from calib_pin.simulation import simulate
 from calib_pin.validation.shared import block_ranks, ties
 
 
@@ -185,42 +184,3 @@ def test_ranks_are_those_of_all_rows_at_once(moved_job) -> None:
         assert found[k][1] == whole - rank(fitted, others)
     assert max(alone for alone, _ in found) < whole
     assert max(added for _, added in found) > 0
-
-
-ARMS = {"left": "arm_left_7_link", "right": "arm_right_7_link"}
-
-
-@pytest.fixture(scope="module")
-def humanoid():
-    """A few joints of both arms of TALOS, each with a tracker of its own."""
-    from calib_pin.kinematics.chains import Chains
-    from calib_pin.setup import ChainSetup
-
-    tip = ARMS["left"]
-    robot = calib_pin.load_chain("example:talos_reduced", tip=tip).robot
-    stated = {name: ChainSetup(tip) for name, tip in ARMS.items()}
-    chains = Chains(robot, stated=stated, names=tuple(ARMS))
-    keys = [BlockKey("position", name, name) for name in ARMS]
-    place = FrameSetup((1.0, 2.0, 0.3), (0.1, 0.2, 0.3))
-    setup = Setup(chains=stated, stations=dict.fromkeys(ARMS, place))
-    problem = nominal_problem(chains, keys, setup)
-    rng = np.random.default_rng(1)
-    theta = calib_pin.draw_errors(problem.parameters, rng)
-    rows = simulate(problem, theta, rng, count=100, noise=5e-5)
-    return calib_pin.calibrate(chains, rows, Setup(chains=stated))
-
-
-@pytest.mark.slow
-def test_both_arms_are_judged(humanoid) -> None:
-    """The torso is common: each arm tells it without the other."""
-    assert humanoid.verdict == "good" and "of the chain '" in humanoid.reason
-    assert list(humanoid.accuracies) == ["left", "right"]
-    for accuracy in humanoid.accuracies.values():
-        assert accuracy.workspace.better > 0.9
-        assert accuracy.workspace.calibrated.position < 1e-3
-    assert [c.tip for c in humanoid.chains] == list(ARMS.values())
-    left, right = humanoid.blocks
-    assert 0 < left.added < left.rank and 0 < right.added < right.rank
-    frames = 2 * (6 + 3)
-    assert left.rank + right.added + frames == humanoid.identifiability.rank
-    assert left.ties == (("left",), ("right",))

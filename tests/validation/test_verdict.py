@@ -14,9 +14,12 @@ import pytest
 import calib_pin
 from benchmarks.verdict import components, defects, workspace
 from benchmarks.verdict.jobs import Job, draw, stream
+from calib_pin.estimation.evidence import ExpectedAccuracy, PoseErrors
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import AnchorSetup, Setup
+from calib_pin.validation.judgement import Judgement
+from calib_pin.validation.result import ToolAccuracy
 
 
 def tracked(number: int = 0, **changes: float | str | bool) -> Job:
@@ -115,3 +118,17 @@ def test_never_worse_than_nominal(number: int) -> None:
     assert outcome.verdict not in ("crash", "refused"), outcome.reason
     assert not outcome.worse, outcome
     assert not outcome.false, outcome
+
+
+def test_the_worst_chain_is_named() -> None:
+    """The least sure one, of those that are corrected."""
+    size, other = PoseErrors(1e-3, 1e-3), PoseErrors(2e-3, 2e-3)
+    sure, unsure, same = (
+        ToolAccuracy(workspace=ExpectedAccuracy(before, size, size, size, better, 1.0))
+        for before, better in ((other, 0.99), (other, 0.6), (size, 0.1))
+    )
+    of_chain = {"left": sure, "right": unsure, "head": same}
+    found = Judgement(None, (), (), (), of_chain, 0.0, ())  # type: ignore[arg-type]
+    assert found.worst == (" of the chain 'right'", unsure.workspace)
+    alone = replace(found, accuracies={"": sure})
+    assert alone.worst == ("", sure.workspace)

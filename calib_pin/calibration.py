@@ -30,32 +30,41 @@ from calib_pin.measurement_models.readings import as_stated
 from calib_pin.observations import AT, Measurements, Observations, states_sigmas
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import ReadingSetup, Setup
-from calib_pin.validation.assessment import estimates, fitted_ranks, leverages
+from calib_pin.validation.assessment import (
+    estimates,
+    fitted_ranks,
+    leverages,
+    robot_errors,
+)
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.candidate_scores import USES
 from calib_pin.validation.findings import explained
 from calib_pin.validation.findings.case import Others
 from calib_pin.validation.findings.older_calibration import older_calibration
 from calib_pin.validation.held_out import HeldOut, check
-from calib_pin.validation.joint_offsets import encoder_steps
-from calib_pin.validation.judgement import Judgement, judge, quantity_errors
+from calib_pin.validation.joint_errors import encoder_steps
+from calib_pin.validation.judgement import (
+    Judgement,
+    judge,
+    quantity_errors,
+    unexplained,
+)
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
 from calib_pin.validation.model_selection import select_model
 from calib_pin.validation.recalibration import started
-from calib_pin.validation.result import CalibrationResult, UrdfResult
-from calib_pin.validation.robot_errors import robot_errors
-from calib_pin.validation.shared import breakdown
-from calib_pin.validation.splits import FOLDS, split
-from calib_pin.validation.summaries import (
+from calib_pin.validation.result import (
+    CalibrationResult,
     ModelSelection,
     NamedArray,
     Recalibration,
     SolverSummary,
     Statistics,
+    UrdfResult,
     Validation,
 )
-from calib_pin.validation.verdict import unexplained
+from calib_pin.validation.shared import breakdown
+from calib_pin.validation.splits import FOLDS, split
 from calib_pin.workers import SERIAL, Workers
 
 
@@ -232,8 +241,8 @@ def _result(
     return CalibrationResult(
         model=CalibratedModel.create(model.problem, model.theta),
         reference=CalibratedModel.create(fitted.problem, np.zeros_like(fitted.theta)),
-        verdict=judgement.status,
-        reason=judgement.reason,
+        verdict=judgement.verdict[0],
+        reason=judgement.verdict[1],
         parameters=parameters,
         groups=groups,
         identifiability=fitted_ranks(fitted),
@@ -328,7 +337,7 @@ def _urdf(
     if all(part.error.geometric for part in model.problem.parts.values()):
         return None
     fitted = model.fit
-    if judgement.status == "untrusted":
+    if judgement.verdict[0] == "untrusted":
         return UrdfResult(None, (), "the calibration is untrusted")
     setup = geometric_setup(chains, training, fitted.problem.setup)
     if not setup.parameters:
@@ -352,7 +361,7 @@ def _urdf(
     return UrdfResult(
         CalibratedModel.create(geometry.problem, geometry.theta),
         own.errors,
-        "" if own.status == "good" else own.reason,
+        "" if own.verdict[0] == "good" else own.verdict[1],
     )
 
 

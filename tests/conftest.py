@@ -535,7 +535,7 @@ def recorded() -> Callable[..., Any]:
         noise: float = 1e-4,
     ) -> Any:
         from calib_pin.calibration import calibrate
-        from calib_pin.validation.summaries import Provenance
+        from calib_pin.validation.result import Provenance
 
         problem = nominal_problem(chain, model, truth or setup or Setup())
         drawn = draw_errors(problem.parameters, np.random.default_rng(0))
@@ -737,7 +737,7 @@ def fleet() -> Fleet:
     """Sixteen calibrated robots of one type."""
     from calib_pin.calibration import calibrate
     from calib_pin.estimation.statistics.population_prior import population_of
-    from calib_pin.validation.population_evidence import robot_evidence
+    from calib_pin.validation.robot_state import robot_evidence
 
     setup = Setup(tool_frame=FrameSetup((0.05, 0.08, 0.12)))
     problem = nominal_problem(load_chain("space6"), "position", setup)

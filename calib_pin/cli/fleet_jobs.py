@@ -108,7 +108,7 @@ def lost_job(job: Job) -> Outcome:
 
 def _evidence(result: CalibrationResult) -> RobotEvidence | None:
     """The evidence of a calibration for its type; None where there is none."""
-    from calib_pin.validation.population_evidence import robot_evidence
+    from calib_pin.validation.robot_state import robot_evidence
 
     if result.verdict not in TRUSTED:
         return None

@@ -16,10 +16,8 @@ from calib_pin.observations import UNSTATED, BlockKey, Conditions, Signs
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.units import DISPLAY
-from calib_pin.validation.breakdown import REMEDY
 from calib_pin.validation.calibrated_model import CalibratedChain
-from calib_pin.validation.frames import frames_of
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.result import REMEDY, CalibrationResult, frames_of
 
 NOTHING_LEFT = 1e-9
 """Standard deviation that is rounding [m]."""

@@ -29,6 +29,8 @@ ROUNDING = 1e-7
 """Least singular value, of columns of unit length, with which they determine all: by
 rounding it is up to 2e-8 where they do not."""
 
+FRAMES = np.r_[0:6, -6:0]
+"""Columns of base and tool in an error model."""
 
 LEVER = 1e-4
 """Weight of a radian where frames are fitted to poses [m].
@@ -169,11 +171,18 @@ def without_frames(twists: Floats, J: Floats) -> Floats:
         J: Those by the parameters of an error model, the first six of the base and the
             last six of the tool, shape (N, 6, P).
     """
+    return np.asarray(twists - J[:, :, FRAMES] @ frame_motions(twists, J))
+
+
+def frame_motions(twists: Floats, J: Floats) -> Floats:
+    """The motions of base and tool that come closest to twists of the tool, (12, k).
+
+    Arguments as for `without_frames`.
+    """
     lever = np.repeat([1.0, LEVER], 3)[:, None]
-    frames = J[:, :, np.r_[0:6, -6:0]]
     rows = (twists * lever).reshape(-1, twists.shape[2])
-    F = (frames * lever).reshape(-1, 12)
+    F = (J[:, :, FRAMES] * lever).reshape(-1, 12)
     # Of thousands of rows the normal equations take a tenth of the time, and a lever of
     # 1e-4 leaves them digits enough.
-    absorbed = np.linalg.pinv(F.T @ F, rcond=1e-13, hermitian=True) @ (F.T @ rows)
-    return np.asarray(twists - frames @ absorbed)
+    inverse = np.linalg.pinv(F.T @ F, rcond=1e-13, hermitian=True)
+    return np.asarray(inverse @ (F.T @ rows))

@@ -66,15 +66,17 @@ from calib_pin.planning.suggestions import Suggestion
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import QuantityErrors
 from calib_pin.validation.assessment import chi2_interval
-from calib_pin.validation.breakdown import Breakdown
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.result import (
+    Breakdown,
     CalibrationResult,
     Identification,
+    NamedArray,
+    Provenance,
+    ToolAccuracy,
     UrdfResult,
 )
-from calib_pin.validation.summaries import NamedArray, Provenance, ToolAccuracy
 
 FORMAT = "calib-pin/calibration"
 

@@ -35,9 +35,8 @@ from calib_pin.planning.search import METHODS, Search
 from calib_pin.planning.travel import visits
 from calib_pin.planning.workspace import Workspace
 from calib_pin.solvers import Status
-from calib_pin.validation.assessment import estimates
+from calib_pin.validation.assessment import estimates, robot_errors
 from calib_pin.validation.result import CoupledGroup, ParameterEstimate, Printed
-from calib_pin.validation.robot_errors import robot_errors
 from calib_pin.workers import SERIAL, Workers
 
 CRITERION_NAMES = (*CRITERIA, "prediction")

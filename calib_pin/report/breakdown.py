@@ -23,7 +23,7 @@ from calib_pin.report.blocks import (
 from calib_pin.report.tables import known, quantity
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import QuantityErrors
-from calib_pin.validation.breakdown import Breakdown
+from calib_pin.validation.result import Breakdown
 
 KINDS: Mapping[str, Kind] = {"quantity": "word", "measurements": "number"}
 """Columns that are not what they are elsewhere."""

@@ -26,6 +26,7 @@ from calib_pin.validation.comparison import (
     BOUND,
     Comparison,
     Difference,
+    Displacement,
     chained,
     faults,
     robot_groups,
@@ -33,7 +34,6 @@ from calib_pin.validation.comparison import (
     shared_files,
     stated_noise,
 )
-from calib_pin.validation.frame_drift import Displacement
 from calib_pin.validation.result import CalibrationResult
 
 

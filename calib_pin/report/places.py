@@ -14,8 +14,7 @@ from calib_pin.report.blocks import Block, Cell, Code, Column, Line, Table, colu
 from calib_pin.report.tables import decimals, significant
 from calib_pin.setup import CameraSetup
 from calib_pin.units import DISPLAY
-from calib_pin.validation.breakdown import REMEDY, FrameSummary
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.result import REMEDY, CalibrationResult, FrameSummary
 
 DIGITS = 9
 """Decimals of lines to be copied [m, rad]: beyond any measurement."""

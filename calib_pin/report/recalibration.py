@@ -6,8 +6,7 @@ from collections.abc import Iterator
 
 from calib_pin.report.blocks import Block, Cell, Facts, Table, columns
 from calib_pin.report.tables import SIZES, amount, known, number, sizes
-from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import RecalibrationStep
+from calib_pin.validation.result import CalibrationResult, RecalibrationStep
 
 STEPS = 12
 """Calibrations of the history that are listed, the last ones."""

@@ -9,7 +9,7 @@ from calib_pin.planning.suggestions import Suggestion
 from calib_pin.report.blocks import Block, Cell, Column, Line, Table
 from calib_pin.report.tables import uncertain
 from calib_pin.units import DISPLAY
-from calib_pin.validation.joint_offsets import FoundOffset, joint_offsets
+from calib_pin.validation.joint_errors import FoundOffset, joint_offsets
 from calib_pin.validation.result import CalibrationResult, RobotError
 
 CLEAR = 2.0

@@ -11,11 +11,12 @@ from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.result import (
     CalibrationResult,
+    Candidate,
     CoupledGroup,
     FoundDistance,
+    ModelSelection,
     ParameterEstimate,
 )
-from calib_pin.validation.summaries import Candidate, ModelSelection
 
 ESTIMATE = ("value", "std. dev.", "unit")
 """Columns that can stand beside a parameter or a group."""

@@ -25,7 +25,7 @@ square of what no motion takes away, `|(I - B B^+) d| / sqrt(K)`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, repeat
 
@@ -207,27 +207,27 @@ def acceptance(
     deviations = [attained[visits[k]] - commanded[visits[k]] for k in kept]
     poses, distances = [], []
     for k, own in zip(kept, deviations, strict=True):
-        effects, dof = frames.effects[first[k]], frames.dof
-        turned = [] if angles is None else angles[visits[k]].T
-        position, turns = effects[:3], effects[3:]
+        position, turns = frames.effects[first[k], :3], frames.effects[first[k], 3:]
+        turned = np.zeros((0, len(own))) if angles is None else angles[visits[k]].T
+        accuracy, deviating = UNTESTABLE, (UNTESTABLE,) * len(turned)
+        if not frames.fitted:
+            accuracy = mean_distance(own, rng, position, frames.dof)
+            deviating = tuple(map(mean, turned, turns, repeat(frames.dof)))
         poses.append(
             PoseTest(
-                int(called[k]),
-                len(own),
-                UNTESTABLE if frames.fitted else mean_distance(own, rng, position, dof),
-                tuple(map(mean, own.T, position, repeat(dof))),
-                repeatability(own, rng),
-                (UNTESTABLE,) * len(turned)
-                if frames.fitted
-                else tuple(map(mean, turned, turns, repeat(dof))),
-                tuple(map(three_sigma, turned)),
-                _directions(own, before[visits[k]]),
+                pose=int(called[k]),
+                visits=len(own),
+                accuracy=accuracy,
+                components=tuple(map(mean, own.T, position, repeat(frames.dof))),
+                repeatability=repeatability(own, rng),
+                angles=deviating,
+                angle_repeatability=tuple(map(three_sigma, turned)),
+                directions=_directions(own, before[visits[k]]),
             )
         )
     for k, m in combinations(kept, 2):
-        _, a, b = np.intersect1d(
-            cycles[visits[k]], cycles[visits[m]], return_indices=True
-        )
+        turns_of = cycles[visits[k]], cycles[visits[m]]
+        _, a, b = np.intersect1d(*turns_of, return_indices=True)
         if len(a) < LEAST:
             continue
         one, other = visits[k][a], visits[m][b]
@@ -235,8 +235,7 @@ def acceptance(
         D_c = np.linalg.norm(apart, axis=1)
         D = np.linalg.norm(attained[one] - attained[other], axis=1)
         effect = frames.effects[one[0], :3] - frames.effects[other[0], :3]
-        along = apart[0] / (D_c[0] or 1.0)
-        accuracy = mean(D - D_c, along @ effect, frames.dof)
+        accuracy = mean(D - D_c, apart[0] @ effect / (D_c[0] or 1.0), frames.dof)
         pair, distance = (int(called[k]), int(called[m])), float(D_c.mean())
         distances.append(DistanceTest(pair, len(D), distance, accuracy, three_sigma(D)))
     test = Acceptance(tuple(poses), tuple(distances), _drift(deviations))
@@ -304,14 +303,20 @@ def _directions(deviations: Floats, before: Indices) -> float | None:
 
 
 def _drift(deviations: Sequence[Floats]) -> tuple[float, float] | None:
+    """Largest change of AP and of RP from the first to the last third of the visits."""
     thirds = [np.array_split(d, 3) for d in deviations if len(d) >= 3 * LEAST]
-    if not thirds:
+    ends = [(_sizes(first), _sizes(last)) for first, _, last in thirds]
+    if not ends:
         return None
+    accuracy, scatter = np.abs(np.diff(ends, axis=1)[:, 0]).max(axis=0).tolist()
+    return accuracy, scatter
 
-    def change(of: Callable[[Floats], float]) -> float:
-        return max(abs(of(last) - of(first)) for first, _, last in thirds)
 
-    return change(_accuracy), change(_repeatability)
+def _sizes(deviations: Floats) -> tuple[float, float]:
+    """AP and RP of the visits of a pose, shape (n, 3)."""
+    m = deviations.mean(axis=0)
+    away = np.linalg.norm(deviations - m, axis=1)
+    return float(np.linalg.norm(m)), float(away.mean() + 3.0 * away.std(ddof=1))
 
 
 def mean(values: Floats, effect: Floats | None = None, dof: float = np.inf) -> Interval:
@@ -402,7 +407,7 @@ def _length(m: Floats, noise: Floats) -> Interval:
 
 def repeatability(deviations: Floats, rng: np.random.Generator) -> Interval:
     """RP, shape (n, 3), by the distribution of its ratio to the true one."""
-    n, found = len(deviations), _repeatability(deviations)
+    n, found = len(deviations), _sizes(deviations)[1]
     if not found > 0.0:
         return Interval(0.0, 0.0, 0.0)
     L = _root(np.cov(deviations.T))
@@ -414,15 +419,6 @@ def repeatability(deviations: Floats, rng: np.random.Generator) -> Interval:
     ratios = (away.mean(axis=1) + 3.0 * away.std(axis=1, ddof=1)) / true
     low, high = np.quantile(ratios, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
     return Interval(found, found / float(high), found / float(low))
-
-
-def _accuracy(deviations: Floats) -> float:
-    return float(np.linalg.norm(deviations.mean(axis=0)))
-
-
-def _repeatability(deviations: Floats) -> float:
-    away = np.linalg.norm(deviations - deviations.mean(axis=0), axis=1)
-    return float(away.mean() + 3.0 * away.std(ddof=1))
 
 
 def _root(C: Floats) -> Floats:
@@ -439,36 +435,31 @@ def judged(
     The worst pose counts: it passes where all of its interval is below the limit and
     nothing is in doubt, and fails where all of it is above.
     """
-    limits = {
-        "AP": (limit.position, "m"),
-        "RP": (limit.repeatability, "m"),
-        "AD": (limit.distance, "m"),
-        "orientation": (limit.orientation, "rad"),
-    }
     found = measured(test)
-    for name, (allowed, unit) in limits.items():
-        if allowed is None:
+    allowed = limit.position, limit.repeatability, limit.distance, limit.orientation
+    for name, most in zip(("AP", "RP", "AD", "orientation"), allowed, strict=True):
+        if most is None:
             continue
+        unit = "rad" if name == "orientation" else "m"
         interval = worst(found[name][0]) if name in found else UNTESTABLE
         status = "undecided"
-        if interval.high <= allowed and not test.doubts:
+        if interval.high <= most and not test.doubts:
             status = "pass"
-        elif interval.low > allowed and not test.moved:
+        elif interval.low > most and not test.moved:
             status = "fail"
-        yield name, status, interval, allowed, unit
+        yield name, status, interval, most, unit
 
 
 def measured(test: Acceptance) -> dict[str, tuple[list[Interval], str]]:
     """Intervals of absolute values, and their unit, of each quantity that there is."""
-    angles = [_away(angle) for p in test.poses for angle in p.angles]
     accuracies = [p.accuracy for p in test.poses]
     found = {
         "AP": ([test.bound] if test.untestable else accuracies, "m"),
         "RP": ([p.repeatability for p in test.poses], "m"),
         "AD": ([_away(d.accuracy) for d in test.distances], "m"),
-        "orientation": (angles, "rad"),
+        "orientation": ([_away(a) for p in test.poses for a in p.angles], "rad"),
     }
-    return {name: (values, unit) for name, (values, unit) in found.items() if values}
+    return {name: both for name, both in found.items() if both[0]}
 
 
 def worst(intervals: Sequence[Interval]) -> Interval:

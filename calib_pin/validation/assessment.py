@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import (
+    Directions,
     half_covariance,
     practical_directions,
     robot_singular_values,
@@ -19,13 +23,22 @@ from calib_pin.estimation.formulation import (
     require_known,
     setup_of,
 )
-from calib_pin.estimation.identifiability import Structure, everett_count, observability
+from calib_pin.estimation.geometric_columns import KINDS, Columns, geometric_columns
+from calib_pin.estimation.identifiability import (
+    Combination,
+    Structure,
+    combinations,
+    everett_count,
+    observability,
+)
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem, distinct_values
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
+from calib_pin.estimation.system import System
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameters import ParameterSet
 from calib_pin.solvers import LeastSquaresResult
 from calib_pin.solvers.status import Status
@@ -35,12 +48,37 @@ from calib_pin.validation.result import (
     Identifiability,
     Identification,
     ParameterEstimate,
+    RobotError,
     Term,
 )
-from calib_pin.validation.robot_errors import WEAK_PART, Estimated, robot_errors
 
 CORRELATED = 0.95
 """Absolute correlation above which two estimates are reported as a pair."""
+
+WEAK_PART = 0.1
+"""Part of a sum in directions held at nominal from which it counts as weak."""
+
+SMALL = 1e-3
+"""Weight of a term, by that of the first, below which it does not matter."""
+
+EQUAL = 0.02
+"""Difference of coefficients up to which terms of one kind are a plain sum."""
+
+
+class Estimated(Protocol):
+    """Estimates of parameters, those of a fit or of a plan for one."""
+
+    @property
+    def theta(self) -> Floats:
+        """Parameter values, shape (P,)."""
+
+    @property
+    def covariance(self) -> Floats:
+        """Their covariance, shape (P, P)."""
+
+    @property
+    def directions(self) -> Directions:
+        """The directions that are estimated and those held at nominal."""
 
 
 def identify(
@@ -109,42 +147,28 @@ def estimates(
         structure: Their structural analysis.
         fitted: The estimates, if there are any; otherwise values are zero.
     """
-    theta = np.zeros(len(parameters)) if fitted is None else fitted.theta
-    groups: list[CoupledGroup] = []
-    member: dict[int, list[int]] = {}
-    alone: dict[int, bool] = {}
-    sigmas: dict[int, float | None] = {}
-    weak: set[int] = set()
+    groups = list[CoupledGroup]()
+    member = defaultdict[int, list[int]](list)
+    alone, weak = dict[int, tuple[float | None, bool]](), set[int]()
     for combination in structure.combinations:
         row = combination.row(len(parameters))
-        known, sigma = True, None
-        if fitted is not None:
-            known = fitted.directions.weak_part(row, parameters) <= WEAK_PART
-            deviation = float(np.sqrt(row @ fitted.covariance @ row))
-            sigma = deviation if known and np.isfinite(deviation) else None
+        value, sigma, told = _estimate(row, parameters, fitted)
         if len(combination.terms) == 1:
-            position = combination.terms[0][0]
-            alone[position], sigmas[position] = known, sigma
+            alone[combination.terms[0][0]] = sigma, told
             continue
         number = len(groups) + 1
-        if not known:
+        if not told:
             weak.add(number)
         for position, _ in combination.terms:
-            member.setdefault(position, []).append(number)
-        groups.append(
-            CoupledGroup(
-                number=number,
-                expression=combination.expression(parameters.names),
-                unit=combination.unit,
-                value=float(row @ theta),
-                sigma=sigma,
-                terms=tuple(Term(parameters[k].name, c) for k, c in combination.terms),
-            )
-        )
-
-    for position, other in structure.alike.items():
-        if fitted is not None and alone.get(other) and sigmas[other] is not None:
-            sigmas[position] = float(fitted.covariance[position, position] ** 0.5)
+            member[position].append(number)
+        terms = tuple(Term(parameters[k].name, c) for k, c in combination.terms)
+        formula = combination.expression(parameters.names)
+        known = value, sigma, terms
+        groups.append(CoupledGroup(number, formula, combination.unit, *known))
+    sigmas = {k: sigma for k, (sigma, _) in alone.items()}
+    for k, other in structure.alike.items():
+        if fitted is not None and sigmas.get(other) is not None:
+            sigmas[k] = float(fitted.covariance[k, k] ** 0.5)
 
     def status(k: int) -> str:
         if not parameters[k].free:
@@ -155,9 +179,10 @@ def estimates(
             moved = fitted is not None and fitted.directions.hidden[k].any()
             return "weak" if moved else "unidentifiable"
         if k in alone:
-            return "identifiable" if alone[k] else "weak"
+            return "identifiable" if alone[k][1] else "weak"
         return "weak" if weak.issuperset(member[k]) else "coupled"
 
+    theta = np.zeros(len(parameters)) if fitted is None else fitted.theta
     return tuple(
         ParameterEstimate(
             name=parameter.name,
@@ -169,6 +194,24 @@ def estimates(
         )
         for k, parameter in enumerate(parameters)
     ), tuple(groups)
+
+
+def _estimate(
+    row: Floats, parameters: ParameterSet, fitted: Estimated | None
+) -> tuple[float, float | None, bool]:
+    """Value and deviation of a sum of parameters, and whether measurements tell it.
+
+    Args:
+        row: Its coefficients, shape (P,).
+        parameters: The parameters.
+        fitted: The estimates, if there are any; otherwise the value is zero.
+    """
+    if fitted is None:
+        return 0.0, None, True
+    told = fitted.directions.weak_part(row, parameters) <= WEAK_PART
+    sigma = float(np.sqrt(max(float(row @ fitted.covariance @ row), 0.0)))
+    known = told and np.isfinite(sigma)
+    return float(row @ fitted.theta), sigma if known else None, told
 
 
 def fitted_ranks(fitted: Fit) -> Identifiability:
@@ -238,7 +281,7 @@ def _correlated(fitted: Fit) -> Iterator[Correlation]:
         row = combination.row(len(parameters))
         if parameters[combination.terms[0][0]].nuisance:
             continue
-        if fitted.directions.weak_part(row, parameters) <= WEAK_PART:
+        if _estimate(row, parameters, fitted)[2]:
             rows.append(row)
             names.append(combination.expression(parameters.names))
     if not rows or not np.isfinite(fitted.covariance).all():
@@ -267,3 +310,98 @@ def leverages(fitted: Fit) -> Floats:
 def chi2_interval(dof: int) -> tuple[float, float]:
     """The interval that holds chi-square in 95 of 100 cases if all sigmas are right."""
     return chi_square_quantile(dof, 0.975), chi_square_quantile(dof, 0.025)
+
+
+def robot_errors(
+    system: System, structure: Structure, fitted: Estimated | None = None
+) -> tuple[RobotError, ...]:
+    """The identifiable errors of a robot, each direction once, and those in frames.
+
+    Base, tool and instrument are eliminated first: what a frame absorbs is no error of
+    the robot. Then come the directions of `geometric_columns` in their order, so that
+    there are as many errors as independent ones of the robot.
+
+    Args:
+        system: The robot and how it is measured.
+        structure: Its structural analysis.
+        fitted: The estimates, if there are any; otherwise values are zero.
+    """
+    parameters = structure.parameters
+    columns = geometric_columns(system, parameters)
+    free = np.flatnonzero(parameters.free)
+    nuisances = [int(k) for k in free if parameters[int(k)].nuisance]
+    order = np.array([*nuisances, *columns.order], np.intp)
+    A = np.zeros((len(structure.relations), len(parameters)))
+    A[:, free] = structure.relations
+    pivots, C = combinations((A @ columns.turned)[:, order], structure.rank)
+    # Columns are scaled by the expected sizes; the coefficients are not.
+    C = C / parameters.scales[order]
+    found = []
+    for pivot, row in zip(pivots, C, strict=True):
+        if pivot >= len(nuisances):
+            full = np.zeros(len(parameters))
+            full[order] = row / row[pivot]
+            found.append(_error(int(order[pivot]), full, columns, parameters, fitted))
+    found += _absorbed(pivots, C, order, columns, parameters)
+    ranks = {name: k for k, name in enumerate((*KINDS, *system.chains.joints))}
+    last = len(ranks)
+    return tuple(
+        sorted(found, key=lambda e: [ranks.get(n, last) for n in (e.kind, e.of[0])])
+    )
+
+
+def _error(
+    lead: int,
+    full: Floats,
+    columns: Columns,
+    parameters: ParameterSet,
+    fitted: Estimated | None,
+) -> RobotError:
+    """An identifiable error by its coefficients in the named directions, (P,)."""
+    label = columns.labels[lead]
+    row = columns.turned @ full
+    value, sigma, told = _estimate(row, parameters, fitted)
+    sizes = np.array([expected_size(p.unit) for p in parameters])
+    least = max(sigma or 0.0, float(SMALL * sizes[lead]))
+    # A minus where the axis points the other way; what comes first says so.
+    signs: dict[str, str] = {}
+    for k in columns.order:
+        if columns.labels[k].kind == label.kind and abs(abs(full[k]) - 1.0) < EQUAL:
+            signs.setdefault(columns.labels[k].of, "-" if full[k] < 0.0 else "")
+    kept = np.where(np.abs(row) * sizes >= least, row, 0.0)
+    if not kept.any():
+        kept = np.where(np.abs(row) * sizes >= 0.5 * sizes[lead], row, 0.0)
+    terms = tuple((int(k), float(kept[k])) for k in np.flatnonzero(kept))
+    expression = Combination(terms, parameters[lead].unit).expression(parameters.names)
+    return RobotError(
+        label.kind,
+        tuple(f"{sign}{of}" for of, sign in signs.items()),
+        parameters[lead].unit,
+        value,
+        sigma,
+        "identifiable" if told else "weak",
+        expression=expression,
+        terms=tuple(Term(parameters[k].name, c) for k, c in terms),
+    )
+
+
+def _absorbed(
+    pivots: Sequence[int],
+    C: Floats,
+    order: NDArray[np.intp],
+    columns: Columns,
+    parameters: ParameterSet,
+) -> Iterator[RobotError]:
+    """Errors that base, tool or instrument take along, so that none is known."""
+    sizes = np.array([expected_size(p.unit) for p in parameters])[order]
+    nuisance, leading = parameters.nuisance[order], np.array(pivots, np.intp)
+    weights = np.abs(C * sizes)
+    heavy = weights > SMALL * weights[np.arange(len(C)), leading, None]
+    for k in np.flatnonzero(~nuisance).tolist():
+        takers = leading[heavy[:, k]]
+        if k in pivots or not len(takers) or not nuisance[takers].all():
+            continue
+        owners = [parameters[p].name.rpartition(".")[0] for p in order[takers].tolist()]
+        label, unit = columns.labels[int(order[k])], parameters[int(order[k])].unit
+        own, within = (label.kind, (label.of,), unit), tuple(dict.fromkeys(owners))
+        yield RobotError(*own, 0.0, None, "absorbed", within)

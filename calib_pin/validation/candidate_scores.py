@@ -11,8 +11,8 @@ from calib_pin.estimation.fit import FittedModel
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.base import root_mean_square
 from calib_pin.validation.model_errors import ModelErrors
+from calib_pin.validation.result import Candidate, HeldOutErrors, QuantityError
 from calib_pin.validation.splits import Grouping
-from calib_pin.validation.summaries import Candidate, HeldOutErrors, QuantityError
 
 USES = ("both", "near", "away")
 """Where a model must hold: near the fitted configurations, away from them, or both."""

@@ -1,37 +1,84 @@
-"""Two calibrations of one robot: what moved between them, beyond their uncertainty."""
+"""Two calibrations of one robot: what moved between them, beyond their uncertainty.
+
+Of the change of the tool poses in the measurement frame, `T_A(q)` to `T_B(q)`, one
+motion of the instrument and one of the tool explain as much as they can; the rest is of
+the robot. Parameters do not enter, so that it does not matter which of them hold what a
+frame can absorb: with another base, another first joint is the same robot.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.evidence import Finding
-from calib_pin.estimation.system import FRAME
+from calib_pin.estimation.evidence import Finding, PoseErrors
+from calib_pin.estimation.statistics.distributions import chi_square_tail
+from calib_pin.estimation.system import FRAME, Part
+from calib_pin.estimation.tip_accuracy import frame_motions
+from calib_pin.kinematics.spatial import Floats, invert
+from calib_pin.observations import BlockKey
 from calib_pin.validation.counterparts import (
+    SAME,
     partners,
     require_comparable,
     same_nominal,
 )
 from calib_pin.validation.findings.different_robots import different_robots
-from calib_pin.validation.frame_drift import Displacement, displacements
 from calib_pin.validation.result import (
     CalibrationResult,
     CoupledGroup,
     ParameterEstimate,
     Printed,
     Term,
+    frames_of,
 )
-from calib_pin.validation.summaries import ToolAccuracy
-from calib_pin.validation.tip_drift import TipDrift, tip_drift
-
-_Estimate = ParameterEstimate | CoupledGroup
+from calib_pin.validation.tip_drift import TipDrift, absorbing, tip_drift
 
 RESOLUTION = 1e-9
 """Least standard deviation of a difference [SI]: of noise-free data only rounding."""
+
+BOUND = 3.0
+"""Standard deviations within which estimates agree; one in 370 lies beyond by chance.
+
+Among the about 50 of a robot that is one in every seven comparisons.
+"""
+
+CERTAIN = 5.0
+"""Standard deviations beyond which a single parameter shows that the robot changed."""
+
+EXPLAINED = 2.0
+"""Drift that noise does not explain any more, as a multiple of what it explains.
+
+The square of a drift is a weighted sum of squares of normal variables. Were it a single
+one, one comparison in 20 would lie beyond by chance; with ten alike it is one in
+100 000. Simulated pairs of one robot and new noise have a ratio of 1, and up to 1.8.
+"""
+
+NEGLIGIBLE = 1e-6
+"""Drift that is none, whatever explains it [m, rad]."""
+
+DESCRIBED = 1.2
+"""Errors left of a fit, in stated standard deviations, up to which they are noise."""
+
+ORIENTED = ("orientation", "pixel")
+"""Quantities that depend on how the tool is turned, whatever point of it is seen."""
+
+SAMPLES = 300
+"""Configurations at which displacements of frames are found."""
+
+SEEN = 1e-6
+"""Part of the largest deviation below which nothing is known of a direction."""
+
+
+UNKNOWN = PoseErrors(math.nan, math.nan)
+"""Sizes that nobody knows."""
 
 
 @dataclass(frozen=True)
@@ -65,91 +112,32 @@ class Difference:
         return abs(self.change) / self.sigma
 
 
-def robot_parameters(result: CalibrationResult) -> frozenset[str]:
-    """Names of the parameters that belong to the robot, not to a measurement."""
-    return frozenset(p.name for p in result.model.given if not p.nuisance)
+@dataclass(frozen=True)
+class Displacement:
+    """How far a frame stands from where it stood.
 
-
-def robot_groups(result: CalibrationResult) -> tuple[CoupledGroup, ...]:
-    """Linear combinations without a term of base, tool or instrument.
-
-    The others deviate from where these were registered, each time anew.
+    Attributes:
+        frame: `base`, seen from the measurement frame, or `tool`, seen from the tip; of
+            several the name of the station or the tool.
+        shift: Distance between both origins [m].
+        turn: Angle between both orientations [rad]; None where rows do not tell.
+        of_tool: Whether it is that of a tool.
+        sigma: Standard deviation of a component of the shift [m] and of the turn [rad],
+            by the noise of both calibrations and by a drift of the robot that looks
+            like it; NaN where it is not known.
+        chance: Probability that these alone displace it as far; NaN where that is not
+            known.
+        motion: How far that moves the tool points, root mean square over the workspace
+            [m].
     """
-    known = robot_parameters(result)
-    return tuple(g for g in result.groups if {term[0] for term in g.terms} <= known)
 
-
-def differences(
-    first: CalibrationResult, second: CalibrationResult
-) -> tuple[Difference, ...]:
-    """Differences of what both know of the robot, most significant first.
-
-    Parameters are matched by name and sums by their terms, whatever their number.
-    """
-    others = {p.name: p for p in second.parameters}
-    both = robot_parameters(first) & robot_parameters(second) & others.keys()
-    pairs: list[tuple[str, _Estimate, _Estimate | None, tuple[Term, ...]]] = [
-        (p.name, p, others[p.name], ()) for p in first.parameters if p.name in both
-    ]
-    for group in robot_groups(first):
-        pairs.append((group.expression, group, _partner(group, second), group.terms))
-    found = []
-    for name, a, b, terms in pairs:
-        if b is not None and a.sigma is not None and b.sigma is not None:
-            sigma = max(math.hypot(a.sigma, b.sigma), RESOLUTION)
-            found.append(Difference(name, a.unit, a.value, b.value, sigma, terms))
-    return tuple(sorted(found, key=lambda d: d.significance, reverse=True))
-
-
-def _alone(
-    record: CalibrationResult, other: CalibrationResult
-) -> tuple[tuple[str, ...], int]:
-    """Robot parameters, and number of their sums, that are known here only."""
-    names = robot_parameters(record)
-    names -= {p.name for p in other.parameters if p.sigma is not None}
-    known = (p.name for p in record.parameters if p.sigma is not None)
-    sums = sum(_partner(group, other) is None for group in robot_groups(record))
-    return tuple(name for name in known if name in names), sums
-
-
-def _partner(group: CoupledGroup, record: CalibrationResult) -> CoupledGroup | None:
-    """The sum of the same terms in another calibration."""
-    mine = dict(group.terms)
-    for other in robot_groups(record):
-        theirs = dict(other.terms)
-        if mine.keys() == theirs.keys() and all(
-            math.isclose(value, theirs[name], rel_tol=1e-6, abs_tol=1e-9)
-            for name, value in mine.items()
-        ):
-            return other
-    return None
-
-
-BOUND = 3.0
-"""Standard deviations within which estimates agree; one in 370 lies beyond by chance.
-
-Among the about 50 of a robot that is one in every seven comparisons.
-"""
-
-CERTAIN = 5.0
-"""Standard deviations beyond which a single parameter shows that the robot changed."""
-
-EXPLAINED = 2.0
-"""Drift that noise does not explain any more, as a multiple of what it explains.
-
-The square of a drift is a weighted sum of squares of normal variables. Were it a single
-one, one comparison in 20 would lie beyond by chance; with ten alike it is one in
-100 000. Simulated pairs of one robot and new noise have a ratio of 1, and up to 1.8.
-"""
-
-NEGLIGIBLE = 1e-6
-"""Drift that is none, whatever explains it [m, rad]."""
-
-DESCRIBED = 1.2
-"""Errors left of a fit, in stated standard deviations, up to which they are noise."""
-
-ORIENTED = ("orientation", "pixel")
-"""Quantities that depend on how the tool is turned, whatever point of it is seen."""
+    frame: str
+    shift: float = field(metadata={"key": "position"})
+    turn: float | None = field(metadata={"key": "orientation"})
+    of_tool: bool = False
+    sigma: PoseErrors = UNKNOWN
+    chance: float = math.nan
+    motion: float = field(default=math.nan, metadata={"key": "tool_point"})
 
 
 @dataclass(frozen=True, repr=False)
@@ -212,17 +200,17 @@ class Comparison(Printed):
         Otherwise errors that no parameter describes are part of both, and at other
         configurations they are others.
         """
-        return (
-            self.same_parameters
-            and not self.same_rows
-            and described(self.first)
-            and described(self.second)
-        )
+        left = [stated_noise(record) for record in (self.first, self.second)]
+        noise = all(size is not None and size <= DESCRIBED for size in left)
+        return self.same_parameters and not self.same_rows and noise
 
     @property
     def oriented(self) -> bool:
         """Whether orientations can be compared: the rows of both tell them."""
-        return _oriented(self.first) and _oriented(self.second)
+        return all(
+            any(error.name in ORIENTED for error in record.errors)
+            for record in (self.first, self.second)
+        )
 
     @property
     def chain(self) -> str:
@@ -242,39 +230,41 @@ class Comparison(Printed):
     @property
     def identical(self) -> bool:
         """Whether the tips are at the same places, whatever noise explains."""
-        return all(self._identical(drift) for drift in self.drifts.values())
+        return all(max(self._sizes(chain)) <= NEGLIGIBLE for chain in self.drifts)
 
     @property
     def drifted(self) -> bool | None:
         """Whether the drift is more than noise explains; None if that is unknown."""
+        chain = self.chain
         if self.explained is None:
             return None
-        return not self._identical(self.drift) and self._size(self.chain) > EXPLAINED
+        return max(self._sizes(chain)) > NEGLIGIBLE and self._size(chain) > EXPLAINED
 
     def explained_at(self, chain: str) -> tuple[float, float] | None:
         """The same at the tip of a chain."""
-        alone = len(self.drifts[chain].absorbed) == 2
-        other = partners(self.first.model, self.second.model)[chain]
-        pairs = (self.first, chain), (self.second, other)
-        first, second = (_predicted(record, name, alone) for record, name in pairs)
-        if first is None or second is None:
-            return None
-        return math.hypot(first[0], second[0]), math.hypot(first[1], second[1])
+        other, sizes = partners(self.first.model, self.second.model)[chain], []
+        for record, name in ((self.first, chain), (self.second, other)):
+            accuracy = record.accuracies.get(name)
+            if accuracy is None or accuracy.tip is None:
+                return None
+            alone, tip = len(self.drifts[chain].absorbed) == 2, accuracy.tip
+            sizes.append(tip.of_robot if alone else tip.rms)
+        position, orientation = (math.hypot(*pair) for pair in zip(*sizes, strict=True))
+        return position, orientation
 
-    def _identical(self, drift: TipDrift) -> bool:
-        turned = self.oriented and drift.orientation.rms > NEGLIGIBLE
-        return not turned and drift.position.rms <= NEGLIGIBLE
+    def _sizes(self, chain: str) -> tuple[float, float]:
+        """Drift at a tip [m] and, where it is known, [rad]."""
+        drift = self.drifts[chain]
+        return drift.position.rms, self.oriented * drift.orientation.rms
 
     def _size(self, chain: str) -> float:
         """Size of a drift by what noise explains; in meters if that is unknown."""
-        drift, noise = self.drifts[chain], self.explained_at(chain)
+        sizes, noise = self._sizes(chain), self.explained_at(chain)
         if noise is None:
-            return drift.position.rms
-        sizes = drift.position.rms, self.oriented * drift.orientation.rms
+            return sizes[0]
+        # Exact measurements explain nothing.
         return max(
-            # Exact measurements explain nothing.
-            size / max(least, 1e-300)
-            for size, least in zip(sizes, noise, strict=True)
+            s / max(least, 1e-300) for s, least in zip(sizes, noise, strict=True)
         )
 
 
@@ -298,31 +288,41 @@ def compare(
     for name, other in partners(first.model, second.model).items():
         ends = zip(unknown_ends(first, name), unknown_ends(second, other), strict=True)
         base, tool = (any(pair) for pair in ends)
-        drifts[name] = tip_drift(
-            first.model.of(name),
-            second.model.of(other),
-            base=base,
-            tool=tool,
-            seed=seed,
+        models = first.model.of(name), second.model.of(other)
+        drifts[name] = tip_drift(*models, base=base, tool=tool, seed=seed)
+    here, there = (
+        list(_pairs(*pair)) if same else []
+        for pair in ((first, second), (second, first))
+    )
+    differences = [
+        Difference(
+            name,
+            a.unit,
+            a.value,
+            b.value,
+            max(math.hypot(a.sigma, b.sigma), RESOLUTION),
+            a.terms if isinstance(a, CoupledGroup) else (),
         )
-    nothing: tuple[tuple[str, ...], int] = (), 0
-    here = _alone(first, second) if same else nothing
-    there = _alone(second, first) if same else nothing
+        for name, a, b in here
+        if b is not None and a.sigma is not None and b.sigma is not None
+    ]
     found = Comparison(
         first=first,
         second=second,
         same_nominal=same,
-        differences=differences(first, second) if same else (),
-        alone=(here[0], there[0]),
-        sums_alone=(here[1], there[1]),
+        differences=tuple(sorted(differences, key=lambda d: -d.significance)),
+        alone=(_alone(here), _alone(there)),
+        sums_alone=(
+            sum(b is None and isinstance(a, CoupledGroup) for _, a, b in here),
+            sum(b is None and isinstance(a, CoupledGroup) for _, a, b in there),
+        ),
         displacements=(),
         drifts=drifts,
     )
     blurred = 1.0
     if found.explained is not None and not found.identical:
         blurred = max(found._size(found.chain), 1.0)
-    moved = displacements(first, second, found.oriented, seed, blurred)
-    return replace(found, displacements=moved)
+    return replace(found, displacements=_displacements(found, seed, blurred))
 
 
 def faults(found: Comparison) -> tuple[Finding, ...]:
@@ -346,12 +346,6 @@ def _hashes(result: CalibrationResult) -> frozenset[str]:
     return frozenset(filter(None, result.provenance.hashes))
 
 
-def described(result: CalibrationResult) -> bool:
-    """Whether the errors left are the stated noise, and nothing more."""
-    noise = stated_noise(result)
-    return noise is not None and noise <= DESCRIBED
-
-
 def stated_noise(result: CalibrationResult) -> float | None:
     """Errors that are left, in stated standard deviations; None for assumed ones."""
     statistics = result.statistics
@@ -359,34 +353,167 @@ def stated_noise(result: CalibrationResult) -> float | None:
     return statistics.sigma0 if known else None
 
 
-def _oriented(result: CalibrationResult) -> bool:
-    """Whether the measurements tell how the tool is turned."""
-    return any(error.name in ORIENTED for error in result.errors)
+def robot_parameters(result: CalibrationResult) -> frozenset[str]:
+    """Names of the parameters that belong to the robot, not to a measurement."""
+    return frozenset(p.name for p in result.model.given if not p.nuisance)
 
 
-def _predicted(
-    result: CalibrationResult, chain: str, alone: bool
-) -> tuple[float, float] | None:
-    """Predicted uncertainty of the tool point, rms [m] and [rad]; None if unknown.
+def robot_groups(result: CalibrationResult) -> tuple[CoupledGroup, ...]:
+    """Linear combinations without a term of base, tool or instrument.
 
-    Alone is without a displacement of base and tool, which older files do not state.
+    The others deviate from where these were registered, each time anew.
     """
-    tip = result.accuracies.get(chain, ToolAccuracy()).tip
-    if tip is None:
-        return None
-    return tip.of_robot if alone and np.isfinite(tip.of_robot).all() else tip.rms
+    known = robot_parameters(result)
+    return tuple(g for g in result.groups if {term[0] for term in g.terms} <= known)
+
+
+_Estimate = ParameterEstimate | CoupledGroup
+_Pair = tuple[str, _Estimate, _Estimate | None]
+
+
+def _pairs(record: CalibrationResult, other: CalibrationResult) -> Iterator[_Pair]:
+    """Known parameters and sums of a robot, and the same in another calibration.
+
+    Parameters are matched by name and sums by their terms, whatever their number.
+    """
+    theirs = {p.name: p for p in other.parameters if p.sigma is not None}
+    robot = robot_parameters(record)
+    for p in record.parameters:
+        if p.name in robot and p.sigma is not None:
+            yield p.name, p, theirs.get(p.name)
+    for group in robot_groups(record):
+        mine = dict(group.terms)
+        alike = (
+            partner
+            for partner in robot_groups(other)
+            for terms in [dict(partner.terms)]
+            if mine.keys() == terms.keys()
+            and np.allclose([*mine.values()], [terms[n] for n in mine], 1e-6, 1e-9)
+        )
+        yield group.expression, group, next(alike, None)
+
+
+def _alone(pairs: Iterable[_Pair]) -> tuple[str, ...]:
+    """Names of parameters that have no partner."""
+    known = (n for n, a, b in pairs if b is None and isinstance(a, ParameterEstimate))
+    return tuple(known)
 
 
 def unknown_ends(result: CalibrationResult, chain: str) -> tuple[bool, bool]:
     """Whether something at the base, and at the tool, of a chain was estimated."""
-    free = {p.name for p in result.parameters if p.status != "fixed"}
     base = tool = False
     for part in result.model.parts.values():
         if part.key.chain == chain:
-            count = len(part.error.screws)
-            own = [p for p in part.parameters[count:] if p.name in free]
-            ends = part.parameters[:FRAME], part.parameters[count - FRAME : count]
-            first, last = (any(p.name in free for p in end) for end in ends)
-            base |= first or any(p.outer for p in own)
-            tool |= last or any(not p.outer for p in own)
+            own = part.parameters[len(part.error.screws) :]
+            free = _free(result)[part.of_instrument]
+            outer = np.array([p.outer for p in own], bool)
+            first, last = _estimated(result, part)
+            base |= first or bool((free & outer).any())
+            tool |= last or bool((free & ~outer).any())
     return base, tool
+
+
+def _free(result: CalibrationResult) -> NDArray[np.bool_]:
+    return np.array([p.status != "fixed" for p in result.parameters])
+
+
+def _estimated(result: CalibrationResult, part: Part) -> tuple[bool, bool]:
+    """Whether the base frame, and the tool frame, of a part were estimated."""
+    free, ((_, base), (_, tool)) = _free(result), frames_of(part)
+    return bool(free[base].any()), bool(free[tool].any())
+
+
+def _displacements(
+    found: Comparison, seed: int, blurred: float
+) -> tuple[Displacement, ...]:
+    """How far the frames that two calibrations have stand from where they stood.
+
+    Args:
+        found: Their comparison so far.
+        seed: Seed of the configurations.
+        blurred: Drift of the robot by what noise explains, at least 1: so many times as
+            much of it may look like a displacement.
+    """
+    first, second = found.first, found.second
+    moved: dict[tuple[bool, str], Displacement] = {}
+    chains = partners(first.model, second.model)
+    pairs = product(first.model.parts.items(), second.model.parts.items())
+    for (mine, part), (theirs, other) in pairs:
+        a, b = part.scope, other.scope
+        places = [(False, _owner(a.station))] * (a.station == b.station)
+        places += [(True, _owner(a.tool))] * (a.tool == b.tool)
+        same = chains.get(mine.chain, mine.chain) == theirs.chain
+        if not same or not part.error.chain.joints or set(places) <= set(moved):
+            continue
+        for one in _moved(found, mine, theirs, seed, blurred):
+            if (place := (one.of_tool, one.frame)) in places:
+                moved.setdefault(place, one)
+    far = (d for d in moved.values() if max(d.shift, d.turn or 0.0) > SAME)
+    return tuple(sorted(far, key=lambda d: (d.of_tool, d.frame)))
+
+
+def _moved(
+    found: Comparison, mine: BlockKey, theirs: BlockKey, seed: int, blurred: float
+) -> Iterator[Displacement]:
+    """The displacements of both frames of a part of each calibration."""
+    records = (found.first, mine), (found.second, theirs)
+    part = found.first.model.parts[mine]
+    free = [_estimated(record, record.model.parts[key]) for record, key in records]
+    base, tool = (any(pair) for pair in zip(*free, strict=True))
+    rng = np.random.default_rng(seed)
+    q = part.error.chain.random_configurations(SAMPLES, rng)
+    here, there = (record.model.of(key) for record, key in records)
+    A, B = here.poses(q), there.poses(q)
+    _, L, R = absorbing(A, B, left=base, right=tool)
+    stood, tool_of = here.error.base.homogeneous, here.tool.homogeneous
+    left = invert(L) if base else there.error.base.homogeneous @ invert(stood)
+    right = invert(R) if tool else invert(tool_of) @ there.tool.homogeneous
+    C = blurred**2 * np.sum([_covariance(*record, q) for record in records], axis=0)
+    if not (base or tool):
+        C = np.full((12, 12), np.nan)
+    for k, (motion, tools) in enumerate(
+        [(invert(stood) @ left @ stood, left @ A), (right, A @ right)]
+    ):
+        twist, told = pin.log6(pin.SE3(motion)).vector, found.oriented or k == 0
+        own = C[FRAME * k : FRAME * (k + 1), FRAME * k : FRAME * (k + 1)]
+        known, steps = slice(0, 6 if told else 3), (tools - A)[:, :3, 3]
+        sigma = (np.sqrt(np.trace(C) / 3.0) for C in (own[:3, :3], own[3:, 3:]))
+        yield Displacement(
+            frame=_owner(part.scope.tool if k else part.scope.station),
+            shift=float(np.linalg.norm(motion[:3, 3])),
+            turn=float(np.linalg.norm(twist[3:])) if told else None,
+            of_tool=k == 1,
+            sigma=PoseErrors(*map(float, sigma)),
+            chance=_chance(twist[known], own[known, known]),
+            motion=float(np.sqrt(np.mean(np.sum(steps**2, axis=1)))),
+        )
+
+
+def _owner(scope: str) -> str:
+    """The station or tool of a frame; `base` and `tool` for the only ones."""
+    return scope.rpartition(".")[0]
+
+
+def _covariance(result: CalibrationResult, key: BlockKey, q: Floats) -> Floats:
+    """Covariance of the motions of base and tool that noise looks like, (12, 12).
+
+    NaN where the calibration does not know its own.
+    """
+    _, J, C = result.linearized(result.reference.parts[key], q)
+    if not np.isfinite(C).all():
+        return np.full((12, 12), np.nan)
+    squares, V = np.linalg.eigh(C)
+    motions = frame_motions(J @ (V * np.sqrt(np.maximum(squares, 0.0))), J)
+    return np.asarray(motions @ motions.T)
+
+
+def _chance(twist: Floats, C: Floats) -> float:
+    """Probability that noise of a covariance alone brings as large a twist."""
+    if not np.isfinite(C).all():
+        return float("nan")
+    squares, V = np.linalg.eigh(C)
+    seen = squares > SEEN**2 * squares.max(initial=0.0)
+    if not seen.any():
+        return float(not twist.any())
+    square = float(np.sum((V[:, seen].T @ twist) ** 2 / squares[seen]))
+    return chi_square_tail(square, int(seen.sum()))

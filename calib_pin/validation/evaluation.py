@@ -27,9 +27,9 @@ from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings import explained, find
 from calib_pin.validation.findings.case import Case, Others, some_of
+from calib_pin.validation.judgement import CHECK, told, too_large
 from calib_pin.validation.model_errors import located_names, registered
 from calib_pin.validation.result import Evaluation
-from calib_pin.validation.verdict import CHECK, told, too_large
 
 MOVED = 0.5
 """Part of the errors that a registration may leave to be worth a word."""
@@ -62,38 +62,34 @@ def evaluate(
     Raises:
         InputError: If the measurements do not fit the model.
     """
-    chains, plain = _nominal(robot, setup)
+    if isinstance(robot, CalibratedModel):
+        chains, plain = robot.chains, robot.setup
+    else:
+        plain = setup_of(setup)
+        chains = Chains.of(robot, plain)
     rows = as_stated(Observations.of(measurements), plain.reading)
     chains, (rows,) = fitting(chains, plain, rows)
-    outside = 0
-    if not isinstance(robot, CalibratedModel):
-        robot = chains
+    there = robot if isinstance(robot, CalibratedModel) else chains
     with explained(chains, rows, plain, others):
-        ready = prepared(robot, rows, plain, registration=registration)
-    if isinstance(robot, CalibratedModel):
-        outside = sum(
-            int(robot.of(block.part.key.chain).outside(block.data.q).sum())
-            for block in ready.problem.blocks
-        )
-    residual = error_table(ready.problem, ready.theta)
-    errors, counts = [], []
-    for quantity in ready.problem.layout.quantities:
-        sizes = quantity.errors(residual)
-        if len(sizes):  # There may be no measurements of that model.
-            errors.append((quantity.name, quantity.unit, Accuracy.of(sizes)))
-            counts.append(len(sizes))
-    findings = (
-        *_findings(chains, rows, plain, others),
-        *(() if ready.registered else _unregistered(robot, rows)),
-    )
+        ready = prepared(there, rows, plain, registration=registration)
+    sizes = error_sizes(ready.problem, ready.theta)
+    errors = tuple((name, unit, Accuracy.of(own)) for name, unit, own in sizes)
+    findings = _findings(chains, rows, plain, others)
+    if not ready.registered:
+        findings += tuple(_unregistered(there, rows))
     reason = ready.reason or told([f for f in findings if f.severity == "error"])
     unexplained = [said for error in errors if (said := too_large(*error))]
     if unexplained and not reason:
         reason = f"{unexplained[0]}; {CHECK}"
+    outside = 0
+    if isinstance(there, CalibratedModel):
+        for block in ready.problem.blocks:
+            chain = there.of(block.part.key.chain)
+            outside += int(chain.outside(block.data.q).sum())
     return Evaluation(
-        errors=tuple(errors),
+        errors=errors,
         rows=len(rows),
-        counts=tuple(counts),
+        counts=tuple(len(own) for _, _, own in sizes),
         registered=ready.registered,
         verdict="untrusted" if reason else "good",
         reason=reason,
@@ -103,12 +99,11 @@ def evaluate(
     )
 
 
-def _nominal(robot: Robots | CalibratedModel, setup: Stated) -> tuple[Chains, Setup]:
-    """The nominal robot and the setup of a comparison."""
-    if isinstance(robot, CalibratedModel):
-        return robot.chains, robot.setup
-    stated = setup_of(setup)
-    return Chains.of(robot, stated), stated
+def error_sizes(problem: Problem, theta: Floats) -> list[tuple[str, str, Floats]]:
+    """Name, unit and sizes of the errors of each quantity that was measured."""
+    table = error_table(problem, theta)
+    every = ((q.name, q.unit, q.errors(table)) for q in problem.layout.quantities)
+    return [one for one in every if len(one[2])]
 
 
 def _findings(
@@ -136,19 +131,17 @@ def _unregistered(
     again = prepared(robot, some, registration=True)
     if again.reason:
         return
-    quantity = ready.problem.layout.quantities[0]
-    before, after = (
-        float(np.sqrt(np.mean(quantity.errors(error_table(p.problem, p.theta)) ** 2)))
-        for p in (ready, again)
-    )
+    pair = [error_sizes(one.problem, one.theta)[0] for one in (ready, again)]
+    name, measured_in, _ = pair[0]
+    before, after = (float(np.sqrt(np.mean(sizes**2))) for _, _, sizes in pair)
     if not after < MOVED * before:
         return
-    unit, factor = DISPLAY[quantity.unit]
+    unit, factor = DISPLAY[measured_in]
     yield Finding(
         "frames-moved",
-        "error" if before > LARGE * expected_size(quantity.unit) else "warning",
+        "error" if before > LARGE * expected_size(measured_in) else "warning",
         "base, tool or instrument stand elsewhere than at the calibration: registered "
-        f"on these measurements, the {quantity.name} errors fall from "
+        f"on these measurements, the {name} errors fall from "
         f"{factor * before:.3g} to {factor * after:.3g} {unit} rms",
         {"rms_before": before, "rms_after": after},
         "evaluate with --register",
@@ -198,18 +191,16 @@ def prepared(
         problem, theta = robot.problem(rows), robot.theta
     else:
         setup = replace(setup or Setup(), parameters=(), fixed=(), bounds={}, prior={})
-        problem = make_problem(robot, rows, setup)
+        problem, registration = make_problem(robot, rows, setup), True
         theta = np.zeros(len(problem.parameters))
-        registration = True
     if len(rows) == 0:
         raise InputError("there are no measurements to evaluate")
     reason, known = "", located_names(problem)
     if registration:
-        if isinstance(robot, CalibratedModel):
-            problem, theta = extended(problem, theta, rows)
+        # Of a chain nothing is new.
+        problem, theta = extended(problem, theta, rows)
         problem, result = register(problem, theta)
-        theta = result.x
-        reason = registration_reason(problem, result)
+        theta, reason = result.x, registration_reason(problem, result)
     there = registered(problem, theta, rows)
     problem, theta = there.problem, there.theta
     new = tuple(name for name in located_names(problem) if name not in known)

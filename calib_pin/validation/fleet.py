@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.estimation.statistics.population_prior import JointDeviation
 from calib_pin.validation.comparison import Comparison, faults
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import ToolAccuracy
 
 FAILED = "failed"
 """Verdict of a job that ended in an error."""
@@ -141,10 +140,10 @@ def fleet_row(
     error, about = result.errors[0], result.model.setup.report
     before = error.validation_before or error.before
     after = error.validation_after or error.after
-    worst = max(
-        result.accuracies.values(), key=_expected_error, default=ToolAccuracy()
-    ).workspace
-    row = FleetRow(
+    known = [a.workspace for a in result.accuracies.values() if a.workspace]
+    worst = max(known, key=lambda one: one.calibrated.position, default=None)
+    sizes = (worst.nominal, worst.calibrated, worst.bound) if worst else ()
+    return FleetRow(
         job=job,
         serial_number=serial_number or about.serial_number,
         date=date or about.date or "",
@@ -157,20 +156,12 @@ def fleet_row(
         held_out=result.validation.count,
         nominal=before.rms,
         calibrated=after.rms,
+        expected=Expected(*(size.position for size in sizes)),
         outliers=len(result.statistics.outliers),
         findings=tuple(
             dict.fromkeys(f.code for f in result.findings if f.severity != "info")
         ),
     )
-    if worst is None:
-        return row
-    sizes = (worst.nominal, worst.calibrated, worst.bound)
-    return replace(row, expected=Expected(*(size.position for size in sizes)))
-
-
-def _expected_error(accuracy: ToolAccuracy) -> float:
-    found = accuracy.workspace
-    return -math.inf if found is None else found.calibrated.position
 
 
 def with_drift(row: FleetRow, found: Comparison, previous: str) -> FleetRow:
@@ -214,20 +205,16 @@ def fleet_columns(rows: Iterable[FleetRow]) -> dict[str, list[object]]:
         >>> list(fleet_columns([FleetRow("a")]))[-6:-2]
         ['drift_beyond', 'joint_name', 'joint_spreads', 'joint_significant']
     """
-    found: dict[str, list[object]] = {}
-    for row in rows:
-        for name, value in _cells(row):
-            unknown = isinstance(value, float) and math.isnan(value)
-            found.setdefault(name, []).append("" if unknown else value)
-    return found
+    tables = [dict(_cells(row)) for row in rows]
+    names = tables[0] if tables else ()
+    return {name: [table[name] for table in tables] for name in names}
 
 
 def _cells(row: FleetRow) -> Iterator[tuple[str, object]]:
-    for column in fields(row):
-        value = getattr(row, column.name)
-        if hasattr(value, "_asdict"):
-            for name, part in value._asdict().items():
-                yield f"{column.name}_{name}", part
-        else:
-            text = " ".join(value) if isinstance(value, tuple) else value
-            yield column.name, text
+    for column, value in vars(row).items():
+        parts = value._asdict() if hasattr(value, "_asdict") else {"": value}
+        for part, own in parts.items():
+            name = f"{column}_{part}" if part else column
+            unknown = isinstance(own, float) and math.isnan(own)
+            cell = " ".join(own) if isinstance(own, tuple) else own
+            yield name, "" if unknown else cell

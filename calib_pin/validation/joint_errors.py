@@ -12,8 +12,11 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.setup import JointMap
+from calib_pin.parameterizations.base import owner
+from calib_pin.parameters import by_joint
+from calib_pin.setup import JointMap, Setup
 from calib_pin.validation.calibrated_model import CalibratedChain
+from calib_pin.validation.result import CalibrationResult
 
 CONFIGURATIONS = 40
 """Random configurations at which robots are compared."""
@@ -128,3 +131,91 @@ def configurations(chain: Chain) -> Floats:
 def in_base(fitted: CalibratedChain, q: Floats) -> Floats:
     """Poses of the tool in the base link by a calibration, shape (N, 4, 4)."""
     return np.asarray(fitted.error.base.inverse().homogeneous @ fitted.poses(q))
+
+
+@dataclass(frozen=True)
+class FoundOffset:
+    """How far a joint stands from what its column says.
+
+    Attributes:
+        joint: URDF joint.
+        column: Its file column.
+        unit: Unit of the offset, rad or m.
+        value: Where the joint stands minus what the column says.
+        sigma: Standard deviation; None where the offset is not known.
+        steps: Steps of its encoder per unit; None where they are not stated.
+        status: That of the parameter, or of one less known that it is coupled to.
+        within: Frames or instruments that the offset cannot be told from.
+        reverses: A sentence where the joint turns back as its column goes on.
+    """
+
+    joint: str
+    column: str
+    unit: str
+    value: float
+    sigma: float | None
+    steps: float | None
+    status: str
+    within: tuple[str, ...]
+    reverses: str = ""
+
+
+def encoder_steps(setup: Setup, joints: Sequence[str]) -> Mapping[str, float]:
+    """Steps per turn by joint, of those that have any.
+
+    Raises:
+        OptionError: If a name or glob of the setup is no joint.
+    """
+    stated = setup.encoder_steps.items()
+    return by_joint(stated, joints, "encoder_steps", setup.file or None)
+
+
+def told_reversed(columns: JointColumns) -> dict[str, str]:
+    """A sentence by joint that turns back as its column goes on."""
+    factors = {j: given.sign * given.gear for j, (_, given) in columns.maps.items()}
+    return {
+        joint: f"{joint} is reversed: q = -{f'{-factor:g} '.removeprefix('1 ')}"
+        "(reading + offset)"
+        for joint, factor in factors.items()
+        if factor < 0.0
+    }
+
+
+def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
+    """The offsets of the columns of all joints that have one as a parameter."""
+    model = result.model
+    columns = JointColumns.of(model.chains, model.setup.joints)
+    joints = model.chains.joints
+    steps = encoder_steps(model.setup, joints)
+    # Where columns are coupled, the offset of one is made up of those of several.
+    weights = columns.values(np.eye(len(joints)) + columns.offsets).T
+    estimates = {p.name: p for p in result.parameters if p.status != "fixed"}
+    names = {joint: f"{owner(joint)}.joint-offset.q" for joint in joints}
+    known = {j: estimates[name] for j, name in names.items() if name in estimates}
+    absorbed = {e.of[0]: e.within for e in result.robot_errors if e.within}
+    place, reverses, found = result.covariance.rows.index, told_reversed(columns), []
+    for row, joint, column in zip(weights, columns.joints, columns.names, strict=True):
+        if joint not in known:
+            continue
+        parts = [k for k, j in enumerate(joints) if row[k] and j in known]
+        involved, w = [known[joints[k]] for k in parts], row[parts]
+        open_ = [one.status for one in involved if one.status != "identifiable"]
+        index = [place(one.name) for one in involved]
+        C = np.asarray(result.covariance)[np.ix_(index, index)]
+        unit = known[joint].unit
+        found.append(
+            FoundOffset(
+                joint=joint,
+                column=column,
+                unit=unit,
+                value=float(w @ [one.value for one in involved]),
+                sigma=None if open_ else float(np.sqrt(w @ C @ w)),
+                steps=steps[joint] / (2.0 * np.pi)
+                if unit == "rad" and joint in steps
+                else None,
+                status=open_[0] if open_ else "identifiable",
+                within=absorbed.get(joint, ()),
+                reverses=reverses.get(joint, ""),
+            )
+        )
+    return tuple(found)

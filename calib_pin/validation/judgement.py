@@ -1,18 +1,24 @@
-"""The judgement of a fitted model: its accuracy, what is wrong with it, the verdict."""
+"""The judgement of a fitted model: its accuracy, what is wrong with it, the verdict.
+
+The verdict says what a user may do with a calibration, in one word and one sentence. It
+reads what the other modules have found and finds nothing by itself.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import starmap
 from math import erf
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib_pin.estimation.evidence import ExpectedAccuracy, Finding, PoseErrors
+from calib_pin.estimation.evidence import ExpectedAccuracy, Finding, Gain, PoseErrors
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit, likely_posteriors
+from calib_pin.estimation.problem import distinct_values, known_values
+from calib_pin.estimation.statistics.distributions import chi_square_quantile, f_tail
 from calib_pin.estimation.system import Part
 from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.kinematics.chain import Chain
@@ -20,31 +26,141 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import Observations
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.progress import Progress
+from calib_pin.setup import JointPrior
+from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.findings import find
 from calib_pin.validation.findings.case import Case, Others
+from calib_pin.validation.gains import PRESS
 from calib_pin.validation.held_out import HeldOut
 from calib_pin.validation.model_errors import ModelErrors
-from calib_pin.validation.summaries import ToolAccuracy
-from calib_pin.validation.verdict import Grounds, verdict
+from calib_pin.validation.result import ToolAccuracy
 
-MEASURED, SAMPLES = 100, 300
-"""Configurations at which the tool is predicted, measured ones and others."""
+SCALE = (
+    "the absolute scale is unobservable: a robot larger by any factor fits these "
+    "measurements as well"
+)
+"""Why a robot of unknown size must not be trusted."""
+
+MISSING = (
+    "add a known length: a distance between two sockets, say ('distances' in the setup "
+    "file), or a length of the robot that is held ('fixed')"
+)
+"""The advice where no distance is stated."""
+
+STATED = (
+    "the stated distances are too uncertain, or their ends are not measured, or set "
+    "aside"
+)
+"""The advice where there are distances."""
+
+CHECK = (
+    "check the base and tip links, the joint columns with their signs and offsets, and "
+    "units"
+)
+"""The advice about measurements that nothing explains."""
+
+
+NAMED = 3
+"""Causes that a reason names; findings name all of them."""
+
+UNEXPLAINED = 20.0
+"""Remaining errors, in expected sizes of an error, that no calibration leaves."""
+
+BREAKDOWN = 0.4
+"""Part of the configurations beyond which what is set aside may be the better part."""
+
+CLUSTERS, CONFIGURATIONS = 5, 8
+"""Independent held-out configurations, or stretches of a path, and distinct
+configurations, without which a fit counts as unchecked."""
+
+REDUNDANT = 10.0
+"""Redundant values by which noise that nobody has stated is known to a factor of two.
+
+By fewer it comes out less than half as large in one of a hundred cases.
+"""
+
+GAIN_CHANCE = 0.01
+"""Probability by chance below which a gain counts as shown."""
+
+LOSS_CHANCE = 1e-3
+"""Probability by chance below which a loss on held-out measurements takes the trust.
+
+Of a thousand perfect robots one is refused.
+"""
+
+MISJUDGED = 2.0
+"""Found by predicted held-out error from which a fit misjudges itself."""
+
+EXACT = 1e-6
+"""Gain on exact measurements, in given standard deviations, that is rounding."""
+
+SURE = 0.9
+"""Probability that the corrected robot is better over the workspace for `good`.
+
+Of 345 simulated jobs with 0.95 or more, narrow ones and paths among them, one was
+worse; a real arm of a humanoid, measured in front of it, has 0.95.
+"""
 
 
 @dataclass(frozen=True)
 class Judgement:
     """A verdict with what it is based on; see `CalibrationResult`.
 
-    Accuracies are those to expect, without the predicted uncertainty of tips.
+    Attributes:
+        fitted: The fit.
+        errors: Accuracy by quantity.
+        gains: Paired tests on held-out configurations, the first of all quantities.
+        findings: Defects of the data or the result.
+        accuracies: Errors of the tool to expect by chain, without the predicted
+            uncertainty of tips.
+        aside: Part of the configurations that was set aside, or would have to be.
+        causes: Findings from which errors follow that no robot explains.
     """
 
-    status: str
-    reason: str
+    fitted: Fit
     errors: tuple[QuantityErrors, ...]
+    gains: Sequence[Gain]
     findings: tuple[Finding, ...]
     accuracies: Mapping[str, ToolAccuracy]
+    aside: float
+    causes: Sequence[Finding]
+
+    @cached_property
+    def verdict(self) -> tuple[str, str]:
+        """`good`, `no-gain`, `unchecked` or `untrusted`, and the reason."""
+        if reason := _distrust(self):
+            return "untrusted", reason
+        nothing = _chance(self) > GAIN_CHANCE
+        if reason := _unchecked(self):
+            if nothing and _as_nominal(self.fitted):
+                return "no-gain", _nothing(self)
+            return "unchecked", reason
+        first = self.gains[0]
+        # Where parts are left out little may be left; PRESS leaves out one each.
+        chances = [g.better for g in self.gains if g.quantity == first.quantity]
+        shown = first.mean > 0.0 and min(chances) < GAIN_CHANCE
+        if nothing and not shown:
+            return "no-gain", _nothing(self)
+        if reason := _disproved(self):
+            return "untrusted", reason
+        return _gain(self, shown, nothing)
+
+    @property
+    def worst(self) -> tuple[str, ExpectedAccuracy | None]:
+        """The chain that is the least sure to be better, and its accuracy.
+
+        Of several chains one that nothing has corrected is as good as it was.
+        """
+        every = {n: a.workspace for n, a in self.accuracies.items() if a.workspace}
+        found = {n: w for n, w in every.items() if w.nominal != w.calibrated} or every
+        if not found:
+            return "", None
+        name = min(found, key=lambda name: found[name].better)
+        told = f" of the chain '{name}'" if name and len(every) > 1 else ""
+        return told, found[name]
 
 
 def judge(
@@ -84,7 +200,7 @@ def judge(
     if fitted.noise:
         kept = data.rows(counting)
         accuracies = {
-            name: _expected(model, part, kept, np.random.default_rng(seed))
+            name: tool_accuracy(model, part, kept, np.random.default_rng(seed))
             for name, part in model.problem.by_chain.items()
         }
     case = Case.of(fitted, chains, validation, progress, others, accuracies)
@@ -93,21 +209,259 @@ def judge(
     groups = data.groups()
     seen = np.count_nonzero(np.bincount(groups[counting]))
     aside = 1.0 - seen / max(groups.max() + 1, 1)
-    status, reason = verdict(
-        Grounds(
-            fitted,
-            errors,
-            held_out.gains,
-            findings,
-            {name: a.workspace for name, a in accuracies.items() if a.workspace},
-            max(aside, fitted.robust.disagreement),
-            found.causes,
-        )
+    return Judgement(
+        fitted,
+        errors,
+        held_out.gains,
+        findings,
+        accuracies,
+        max(aside, fitted.robust.disagreement),
+        found.causes,
     )
-    return Judgement(status, reason, errors, findings, accuracies)
 
 
-def _expected(
+def quantity_errors(
+    quantities: Iterable[Quantity],
+    fitted: ModelErrors,
+    held_out: ModelErrors | None = None,
+) -> tuple[QuantityErrors, ...]:
+    """Accuracy before and after, of fitted and of held-out measurements.
+
+    Of the quantities that fitted measurements have.
+    """
+    found = list[QuantityErrors]()
+    parts = [part for part in (fitted, held_out) if part is not None]
+    for quantity in quantities:
+        # Of mixed measurements, those held out may all be of another model.
+        sizes = [quantity.errors(e) for p in parts for e in (p.before, p.after)]
+        pairs = [Accuracy.of(size) if len(size) else None for size in sizes]
+        before, after, *held = *pairs, None, None
+        if before is not None and after is not None:
+            own = (before, after, held[0], held[1])
+            found.append(QuantityErrors(quantity.name, quantity.unit, *own))
+    return tuple(found)
+
+
+def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
+    """The errors that no calibration explains; empty where there are none."""
+    free = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
+    enough = distinct_values(fitted.problem) >= fitted.structure.rank
+    if enough and free.any() and fitted.directions.robot.shape[1] == 0:
+        return "the errors are so large that no robot parameter is observable"
+    stages = ((q, a) for q in errors for a in (q.after, q.validation_after) if a)
+    reasons = (too_large(quantity.name, quantity.unit, a) for quantity, a in stages)
+    return next(filter(None, reasons), "")
+
+
+def too_large(name: str, unit: str, found: Accuracy) -> str:
+    """Why errors of a quantity are more than a robot has; empty where they are not."""
+    if not found.rms > UNEXPLAINED * expected_size(unit):
+        return ""
+    size = _shown(found.rms, unit)
+    return (
+        f"{name} errors of {size} rms remain, far more than a robot's geometry explains"
+    )
+
+
+def _distrust(grounds: Judgement) -> str:
+    """The reason to distrust a fit whatever a check says."""
+    fitted = grounds.fitted
+    if causes := grounds.causes:
+        return told(causes)
+    if not fitted.structure.scaled:
+        stated = bool(fitted.problem.setup.distances)
+        return f"{SCALE}; {STATED if stated else MISSING}"
+    if not fitted.result.status.success:
+        return fitted.result.status.advice
+    if grounds.aside > BREAKDOWN:
+        return (
+            f"{100.0 * grounds.aside:.0f} % of the configurations are outliers; beyond "
+            f"{100.0 * BREAKDOWN:.0f} % they cannot be told from the others; "
+            f"{CHECK}"
+        )
+    if reason := unexplained(fitted, grounds.errors):
+        return f"{reason}; {CHECK}"
+    for finding in grounds.findings:
+        if finding.severity == "error":
+            return "; ".join(filter(None, (finding.message, finding.remedy)))
+    return ""
+
+
+def told(findings: Sequence[Finding]) -> str:
+    """The first of some findings as one sentence, with what corrects them."""
+    said = [finding.message for finding in findings[:NAMED]]
+    if len(findings) > NAMED:
+        said.append(f"and {len(findings) - NAMED} more")
+    remedies = dict.fromkeys(finding.remedy for finding in findings)
+    return "; ".join(filter(None, (*said, *remedies)))
+
+
+def _unchecked(grounds: Judgement) -> str:
+    """The reason why there is no check; empty where there is one."""
+    fitted = grounds.fitted
+    values, rank = known_values(fitted.problem), fitted.structure.rank
+    known = "values and priors" if fitted.problem.further.priors else "values"
+    if values < rank:
+        return (
+            f"{values} measured {known} cannot determine {rank} identifiable "
+            "parameters; measure more configurations or estimate fewer parameters"
+        )
+    if values <= fitted.rank:
+        return (
+            f"{values} measured {known} for {fitted.rank} estimated parameters leave "
+            "nothing to check the fit with; measure more configurations"
+        )
+    left = sum(v.redundancy * v.values for v in fitted.noise)
+    sure = all(noise.stated and not noise.contradicted for noise in fitted.noise)
+    prior = fitted.problem.setup.prior
+    sure |= isinstance(prior, JointPrior) and bool(prior.noise)
+    if not sure and left < REDUNDANT:
+        return (
+            f"{left:.1f} redundant values are too few to estimate the noise; measure "
+            "more configurations, or state the standard deviations"
+        )
+    held = grounds.gains[0].configurations if grounds.gains else 0
+    data = fitted.problem.data
+    distinct = data.rows(data.weight > 0.0).configurations
+    # Exact rows say by one what noisy ones say by many.
+    least = (CLUSTERS, CONFIGURATIONS) if fitted.noise else (1, 1)
+    if held < least[0] or distinct < least[1]:
+        return (
+            f"{held} independent held-out configurations of {distinct} are too few to "
+            "check the fit with; measure more configurations"
+        )
+    return ""
+
+
+def _disproved(grounds: Judgement) -> str:
+    """The objection of held-out measurements to the fit; empty where there is none."""
+    units = {quantity.name: DISPLAY[quantity.unit] for quantity in grounds.errors}
+    # A quantity says more than all of them together, which have no unit.
+    for gain in sorted(grounds.gains, key=lambda gain: gain.quantity not in units):
+        if gain.worse < LOSS_CHANCE:
+            unit, factor = units.get(gain.quantity, ("standard deviations", 1.0))
+            return (
+                "on held-out measurements the corrected robot is worse than the "
+                f"nominal one: {gain.quantity} errors larger by "
+                f"{-factor * gain.mean:.3g} +- {factor * gain.deviation:.1g} {unit}"
+            )
+    first = grounds.gains[0]
+    # Of few configurations the ratio itself is uncertain.
+    limit = MISJUDGED * (1.0 + 2.0 / np.sqrt(2.0 * first.configurations))
+    if first.ratio > limit:
+        return (
+            f"errors on held-out measurements are {first.ratio:.1f} times as large as "
+            "the fit predicts"
+        )
+    return ""
+
+
+def _gain(grounds: Judgement, shown: bool, nothing: bool) -> tuple[str, str]:
+    """`good` where a gain is shown, here and over the workspace; else why not.
+
+    Shown is by held-out measurements; nothing, that the errors may be chance.
+    """
+    gain, (chain, workspace) = grounds.gains[0], grounds.worst
+    name, before, after = _errors(grounds)
+    held = f"{gain.configurations} independent held-out configurations"
+    found = f"{name} error {after} rms instead of {before}"
+    first = grounds.errors[0].validation_before
+    last = grounds.errors[0].validation_after
+    if gain.mean > 0.0 and first and last and last.rms > first.rms:
+        # A few that nobody can predict, near the plane of a camera say, outweigh all.
+        found = (
+            f"errors smaller by {gain.mean:.2g} +- {gain.deviation:.1g} of their "
+            "standard deviations"
+        )
+    if workspace is None:
+        # Exact rows leave no doubt.
+        return "good", f"{found} on {held}"
+    nominal, calibrated = (
+        _shown(size[0], "m") for size in (workspace.nominal, workspace.calibrated)
+    )
+    sure = workspace.better >= SURE
+    if shown and sure:
+        return "good", (
+            f"{found} on {held}; over the workspace{chain} {calibrated} instead of "
+            f"{nominal} are expected"
+        )
+    halved = workspace.calibrated[0] < 0.5 * workspace.nominal[0]
+    if not shown and sure and halved:
+        return "unchecked", (
+            f"{held} do not confirm the correction: {found}; measure more "
+            "configurations"
+        )
+    if nothing or not shown:
+        return "no-gain", _nothing(grounds)
+    return "untrusted", (
+        "the corrected robot is better where it was measured, but over the workspace"
+        f"{chain} {calibrated} instead of {nominal} are expected, better with a "
+        f"probability of only {100.0 * workspace.better:.0f} %; measure configurations "
+        "that differ more"
+    )
+
+
+def _as_nominal(fitted: Fit) -> bool:
+    """Whether the nominal robot leaves no more than what is stated or assumed.
+
+    Frames and instrument alone explain a few values, which then say nothing of it.
+    """
+    plain = replace(fitted.problem, units=np.zeros(0))
+    nuisances = int((plain.parameters.free & plain.parameters.nuisance).sum())
+    left = plain.count - nuisances
+    if left < REDUNDANT:
+        return False
+    return 2.0 * plain.cost(fitted.before) < chi_square_quantile(left, LOSS_CHANCE)
+
+
+def _nothing(grounds: Judgement) -> str:
+    """The reason why nothing is to be corrected."""
+    name, before, after = _errors(grounds)
+    count = grounds.gains[0].configurations if grounds.gains else 0
+    return (
+        f"the measurements show no error of the robot: {name} error {before} rms as it "
+        f"is, {after} corrected, on {count} independent held-out configurations"
+    )
+
+
+def _chance(grounds: Judgement) -> float:
+    """Probability of so large errors by chance if the robot were as nominal."""
+    fitted, evidence = grounds.fitted, grounds.fitted.evidence
+    if evidence is None or evidence.count == 0:
+        # Exact rows leave no doubt, but for rounding.
+        return float(all(abs(gain.mean) < EXACT for gain in grounds.gains))
+    return f_tail(evidence.square / evidence.count, evidence.count, max(fitted.dof, 1))
+
+
+def _errors(grounds: Judgement) -> tuple[str, str, str]:
+    """The first quantity that was held out, its errors before and after."""
+    method = grounds.gains[0].method if grounds.gains else PRESS
+    for quantity in grounds.errors:
+        pair = quantity.validation_before, quantity.validation_after
+        if method == PRESS or not all(pair):
+            # Without rows of its own the test leaves out one configuration each.
+            pair = quantity.before, quantity.after
+        before, after = (_shown(a.rms, quantity.unit) for a in pair if a)
+        return quantity.name, before, after
+    return "", "", ""
+
+
+def _shown(size: float, unit: str) -> str:
+    shown, factor = DISPLAY[unit]
+    return f"{factor * size:.3g} {shown}"
+
+
+MEASURED, SAMPLES = 100, 300
+"""Configurations at which the tool is predicted, measured ones and others."""
+
+LIKELY = 0.95
+"""Probability of a bound, and from which a configuration counts as better."""
+
+DRAWS = 400
+"""Draws of an error by which a bound is found, for each size of errors."""
+
+
+def tool_accuracy(
     model: FittedModel, part: Part, data: Observations, rng: np.random.Generator
 ) -> ToolAccuracy:
     """The accuracy to expect of a chain where it was measured and elsewhere."""
@@ -121,45 +475,6 @@ def _expected(
         for q in (kept, spread)
     )
     return ToolAccuracy(None, measured, workspace)
-
-
-def quantity_errors(
-    quantities: Iterable[Quantity],
-    fitted: ModelErrors,
-    held_out: ModelErrors | None = None,
-) -> tuple[QuantityErrors, ...]:
-    """Accuracy before and after, of fitted and of held-out measurements.
-
-    Of the quantities that fitted measurements have.
-    """
-    found = []
-    for quantity in quantities:
-        before, after = _accuracies(quantity, fitted)
-        if before is not None and after is not None:
-            pair = _accuracies(quantity, held_out) if held_out else (None, None)
-            found.append(
-                QuantityErrors(quantity.name, quantity.unit, before, after, *pair)
-            )
-    return tuple(found)
-
-
-def _accuracies(
-    quantity: Quantity, errors: ModelErrors
-) -> tuple[Accuracy | None, Accuracy | None]:
-    """Accuracy before and after; None where no measurement has the quantity."""
-    # Of mixed measurements, those held out may all be of another model.
-    before, after = (
-        Accuracy.of(sizes) if len(sizes) else None
-        for sizes in map(quantity.errors, (errors.before, errors.after))
-    )
-    return before, after
-
-
-SURE = 0.95
-"""Probability of a bound, and from which a configuration counts as better."""
-
-DRAWS = 400
-"""Draws of an error by which a bound is found, for each size of errors."""
 
 
 def expected_accuracy(
@@ -196,7 +511,12 @@ def expected_accuracy(
         absorbed = np.where(nuisance[:, None], 0.0, absorbed)
         there = fitted.effects.twists(part, q)
         effects = without_frames(J @ absorbed - there, J)
-    mean, C = (theta[index] / scales)[robot], _covariances(fitted, index[robot])
+    mean, own_scales = (theta[index] / scales)[robot], scales[robot, None]
+    halves = [
+        likely.by_noise[index[robot]] / own_scales
+        for likely in likely_posteriors(fitted)
+    ]
+    C = np.array([half @ half.T for half in halves])
     sizes = zip(
         *(
             _sizes(mean, own[:, k], effects[:, k], _scatter(fitted, part, unit), C, rng)
@@ -241,7 +561,7 @@ def _sizes(
     # At so many configurations, what scatters is about its mean.
     others = float(lacking.sum()) + 3.0 * scatter
     gain = np.sum((J @ mean) ** 2, axis=1).mean()
-    bound = np.quantile(np.concatenate(draws), SURE) + 3.0 * scatter
+    bound = np.quantile(np.concatenate(draws), LIKELY) + 3.0 * scatter
     nominal, calibrated, bounded, unmodeled = np.sqrt(
         [gain + left + others, left + others, bound, others]
     ).tolist()
@@ -252,16 +572,21 @@ def _better(mean: Floats, J: Floats, effects: Floats, C: Floats) -> tuple[float,
     """Probability of the corrected robot to be better, and share where it surely is.
 
     The differences of single configurations, and of the whole, are normal along one
-    direction of the errors each.
+    direction of the errors each: `gain + 2 (along^T z + beside^T g)`, errors `z ~ N(0,
+    C)` with all C equally likely, effects `g ~ N(0, I)`.
     """
     moved = J @ mean
-    gain = np.sum(moved**2, axis=1)
-    along = np.einsum("nd,ndi->ni", moved, J)
-    beside = np.einsum("nd,ndi->ni", moved, effects)
-    chances = _chance(
-        gain.mean()[None], along.mean(axis=0)[None], beside.mean(axis=0)[None], C
+    parts = (
+        np.sum(moved**2, axis=1),
+        np.einsum("nd,ndi->ni", moved, J),
+        np.einsum("nd,ndi->ni", moved, effects),
     )
-    return float(chances[0]), float(np.mean(_chance(gain, along, beside, C) >= SURE))
+    # The last one is the whole.
+    gain, along, beside = (np.concatenate([p, p.mean(axis=0)[None]]) for p in parts)
+    variances = np.sum((along @ C) * along, axis=2) + np.sum(beside**2, axis=1)
+    ratios = gain / np.sqrt(np.maximum(8.0 * variances, 1e-300))
+    chances = 0.5 + 0.5 * np.vectorize(erf)(ratios).mean(axis=0)
+    return float(chances[-1]), float(np.mean(chances[:-1] >= LIKELY))
 
 
 def _scatter(fitted: Fit, part: Part, unit: str) -> float:
@@ -284,25 +609,3 @@ def _scatter(fitted: Fit, part: Part, unit: str) -> float:
                 found -= explained * (noise.factor * noise.given) ** 2
             return max(found, 0.0)
     return 0.0
-
-
-def _chance(gain: Floats, along: Floats, beside: Floats, C: Floats) -> Floats:
-    """Probability that `gain + 2 (along^T z + beside^T g)` is positive, shape (N,).
-
-    With `z ~ N(0, C)`, all C of shape (S, p, p) equally likely, and effects
-    `g ~ N(0, I)`; along has the shape (N, p), beside (N, S).
-    """
-    variances = np.sum((along @ C) * along, axis=2)
-    variances += np.sum(beside**2, axis=1)
-    ratios = gain / np.sqrt(np.maximum(8.0 * variances, 1e-300))
-    chances = np.array([[0.5 + 0.5 * erf(x) for x in row] for row in ratios])
-    return np.asarray(chances.mean(axis=0))
-
-
-def _covariances(fitted: Fit, index: NDArray[np.intp]) -> Floats:
-    """Of scaled errors by their positions, for each likely size, (S, p, p)."""
-    scales = fitted.problem.parameters.scales[index]
-    halves = [
-        found.by_noise[index] / scales[:, None] for found in likely_posteriors(fitted)
-    ]
-    return np.array([half @ half.T for half in halves])

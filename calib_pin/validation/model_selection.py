@@ -47,12 +47,12 @@ from calib_pin.validation.candidate_scores import (
 )
 from calib_pin.validation.held_out import cross_validate
 from calib_pin.validation.model_errors import ModelErrors
-from calib_pin.validation.splits import Grouping, folds, regions
-from calib_pin.validation.summaries import (
+from calib_pin.validation.result import (
     Candidate,
     MeanError,
     ModelSelection,
 )
+from calib_pin.validation.splits import Grouping, folds, regions
 from calib_pin.workers import SERIAL, Workers
 
 OFFSETS = JointOffset.name

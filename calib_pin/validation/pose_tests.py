@@ -4,36 +4,39 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, enumerated
-from calib_pin.estimation.problem import error_table
+from calib_pin.estimation.directions import column_space
+from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.nominal import register
+from calib_pin.estimation.problem import Problem, error_table
+from calib_pin.estimation.registration import extended, registered, relocated
+from calib_pin.estimation.solve import least_squares
+from calib_pin.estimation.statistics.distributions import f_tail
+from calib_pin.estimation.system import FRAME
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Observations
+from calib_pin.parameters import matching
 from calib_pin.setup import Setup
 from calib_pin.validation.acceptance import (
+    DRAWS,
     Acceptance,
     FrameErrors,
+    Interval,
     acceptance,
     cycles_in_order,
     ranked,
     told,
 )
-from calib_pin.validation.frame_fit import (
-    FrameFit,
-    derivatives,
-    fitted_frames,
-    fitted_station,
-    frames_alone,
-    misfit,
-)
-from calib_pin.validation.model_errors import registered
+from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.model_errors import registered as registered_on
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.visit_faults import bad_visits, moved_after
 
 MODELS = ("position", "pose")
 """Measurement models that tell where a point is."""
@@ -66,24 +69,26 @@ class Tested:
     def table(self) -> dict[str, Sequence[object]]:
         """A table by robot and pose, in SI units."""
         rows = [
-            (name, pose) for name, test in self.tests.items() for pose in test.poses
+            {
+                "robot": name,
+                "pose": pose.pose,
+                "visits": pose.visits,
+                **_cells("AP", pose.accuracy),
+                **_cells("RP", pose.repeatability),
+                "vAP [m]": "" if pose.directions is None else pose.directions,
+            }
+            for name, test in self.tests.items()
+            for pose in test.poses
         ]
-        table: dict[str, Sequence[object]] = {
-            "robot": [name for name, _ in rows],
-            "pose": [pose.pose for _, pose in rows],
-            "visits": [pose.visits for _, pose in rows],
-        }
-        for key, of in (
-            ("AP", [pose.accuracy for _, pose in rows]),
-            ("RP", [pose.repeatability for _, pose in rows]),
-        ):
-            table[f"{key} [m]"] = [i.value for i in of]
-            table[f"{key}_low [m]"] = [i.low for i in of]
-            table[f"{key}_high [m]"] = [i.high for i in of]
-        table["vAP [m]"] = [
-            "" if pose.directions is None else pose.directions for _, pose in rows
-        ]
-        return table
+        return {key: [row[key] for row in rows] for key in rows[0]}
+
+
+def _cells(name: str, found: Interval) -> dict[str, float]:
+    return {
+        f"{name} [m]": found.value,
+        f"{name}_low [m]": found.low,
+        f"{name}_high [m]": found.high,
+    }
 
 
 @serial_blas
@@ -144,7 +149,7 @@ def tested(
     tests = {}
     for name, fit in frames.items():
         fit = fit.unknown if fitted else fit
-        there = registered(fit.problem, fit.theta, visits)
+        there = registered_on(fit.problem, fit.theta, visits)
         errors = error_table(there.problem, there.theta)[order][good]
         effects = derivatives(there.problem, there.theta)[order][good] @ fit.known
         test = acceptance(
@@ -258,3 +263,216 @@ def _misplaced(
         other = f", where P{near} is" if away[near] < NEAR * own else ""
         said = f"{told(own)} from the other visits of its pose{other}"
         yield f"{places[k]} is left out: {said}"
+
+
+UNLIKELY = 0.01
+"""Probability of a misfit by chance below which no test passes."""
+
+
+class FrameFit(NamedTuple):
+    """A robot with base and tool, as far as anything tells them.
+
+    Attributes:
+        problem: The problem of the measurements that tell them.
+        theta: Parameter values, shape (P,).
+        known: Deviations of the parameters by independent ones of size one, (P, r); of
+            a fit that has nothing left a meter and a radian each.
+        dof: Degrees of freedom that tell the size of deviations; zero for such a fit.
+    """
+
+    problem: Problem
+    theta: Floats
+    known: Floats
+    dof: float = np.inf
+
+    @staticmethod
+    def of(model: CalibratedModel, rows: Observations) -> FrameFit:
+        """A model's own frames."""
+        none = np.zeros((len(model.theta), 0))
+        return FrameFit(model.problem(rows), model.theta, none)
+
+    @property
+    def unknown(self) -> FrameFit:
+        """The same where nothing tells by how much they are off."""
+        free = self.known.any(axis=1)
+        scales = np.diag(self.problem.parameters.scales)
+        return self._replace(known=scales[:, free], dof=np.inf)
+
+
+def frames_alone(chains: Chains, rows: Observations, setup: Setup) -> FrameFit:
+    """The nominal robot with frames as a setup states them, and their priors."""
+    bare = replace(setup, parameters=(), learned=None, fixed=(), bounds={}, prior={})
+    names = make_problem(chains, rows, bare).parameters.names
+    fixed = tuple(glob for glob in setup.fixed if matching(glob, names))
+    priors = setup.prior_by_glob.items()
+    prior = {glob: sigma for glob, sigma in priors if matching(glob, names)}
+    problem = make_problem(chains, rows, replace(bare, fixed=fixed, prior=prior))
+    theta, parameters = np.zeros(len(names)), problem.parameters
+    known = np.diag(parameters.priors)[:, parameters.free]
+    return FrameFit(registered(problem, theta), theta, known)
+
+
+def fitted_frames(problem: Problem, theta: Floats) -> FrameFit:
+    """A robot with all of its frames fitted to the measurements of a problem."""
+    problem, found = register(problem, theta)
+    parameters = problem.parameters
+    return _fitted(problem, found.x, parameters.free & parameters.nuisance)
+
+
+def fitted_station(model: CalibratedModel, rows: Observations) -> FrameFit:
+    """A robot with its tool, whose station is fitted to measurements of one block."""
+    problem, theta = extended(model.problem(rows), model.theta, rows)
+    part = problem.parts[rows.only.key]
+    problem = relocated(problem, theta, part.scope.station)
+    free = np.isin(np.arange(len(theta)), part.index[:FRAME])
+    basis = np.diag(problem.parameters.scales)[:, free]
+    return _fitted(problem, least_squares(problem, theta, basis).x, free)
+
+
+def derivatives(problem: Problem, theta: Floats) -> Floats:
+    """Derivatives of the errors of one block by all parameters, shape (N, D, P)."""
+    sigma = problem.sigma
+    J = problem.linearize_rows(theta)[1][: len(sigma)] * sigma[:, None]
+    return np.asarray(J.reshape(len(problem.data), -1, len(theta)))
+
+
+def _fitted(problem: Problem, theta: Floats, free: NDArray[np.bool_]) -> FrameFit:
+    """Free parameters that were fitted to measurements, and how surely.
+
+    Those of one configuration have the errors of the robot in common, and count as one.
+    """
+    r, J = problem.linearize_rows(theta)
+    count, scales = len(problem.sigma), problem.parameters.scales[free]
+    A = J[:count, free] * scales
+    share = problem.data.configurations / len(problem.data)
+    dof = round(share * count) - int(np.linalg.matrix_rank(A, 1e-6 * len(A) ** 0.5))
+    back = np.diag(problem.parameters.scales)[:, free]
+    if dof <= 0:
+        return FrameFit(problem, theta, back, 0)
+    square = max(float(r[:count] @ r[:count]) * share / dof, 1e-12)
+    # What nothing tells is known to a meter and a radian.
+    prior = np.maximum(scales / problem.parameters.priors[free], 1.0)
+    C = np.linalg.inv(A.T @ A * (share / square) + np.diag(prior**2))
+    return FrameFit(problem, theta, back @ np.linalg.cholesky(C), dof)
+
+
+def misfit(calibration: CalibrationResult, fit: FrameFit) -> tuple[str, bool]:
+    """The misfit of a fitted station beside that to expect, in words.
+
+    And whether chance does not explain it.
+
+    Args:
+        calibration: The calibration, which knows its covariance and its noise.
+        fit: Its station by measurements of one block.
+    """
+    problem, C = fit.problem, np.asarray(calibration.covariance)
+    noise = [n for n in calibration.statistics.noise if n.quantity == "position"]
+    if not np.isfinite(C).all() or not noise:
+        return "which misfit to expect the calibration does not say", False
+    _, first = ranked(problem.data.groups())
+    d = error_table(problem, fit.theta)[first, :3].reshape(-1)
+    J = derivatives(problem, fit.theta)[first, :3].reshape(len(d), -1)
+    # Another station has parameters beside those of the calibration, in their order.
+    own = np.isin(problem.parameters.names, calibration.covariance.rows)
+    S = J[:, own] @ C @ J[:, own].T
+    S += noise[0].estimate ** 2 * np.eye(len(d))
+    Q = np.linalg.qr(J[:, problem.parts[problem.data.only.key].index[:FRAME]])[0]
+    left = np.eye(len(d)) - Q @ Q.T
+    squares = np.maximum(np.linalg.eigvalsh(left @ S @ left), 0.0)
+    draws = np.random.default_rng(0).standard_normal((DRAWS, len(d))) ** 2 @ squares
+    found = float(np.sum((left @ d) ** 2))
+    sizes = [told((square / len(first)) ** 0.5) for square in (found, squares.sum())]
+    said = f"the misfit of the station is {sizes[0]} where {sizes[1]} is expected"
+    return said, float(np.mean(draws >= found)) < UNLIKELY
+
+
+CHANCE = 0.01
+"""Probability with which a test without any fault is told to have one of a kind."""
+
+MOST = 5
+"""Of so many visits of a pose one is bad at most."""
+
+RESOLUTION = 1e-6
+"""Scatter of visits that no instrument resolves [m]."""
+
+SPLITS = 200
+"""Places at which a move is sought."""
+
+FEW = 6
+"""Visits by whose number the scatter of all poses counts for each."""
+
+DEGREES = (2, 4)
+"""Degrees of the drift beside which a move is sought, and of that which it beats."""
+
+
+def bad_visits(attained: Floats, pose: Indices) -> list[int]:
+    """Visits that do not belong to the others of their pose.
+
+    Args:
+        attained: Measured positions, shape (N, 3) [m].
+        pose: Pose of each visit from 0, shape (N,).
+    """
+    count, found = int(pose.max()) + 1, list[int]()
+    for k in range(count):
+        left, gone, last = np.flatnonzero(pose == k).tolist(), list[int](), 0
+        most = len(left) // MOST
+        while len(gone) < most and (n := len(left)) > 4:
+            d = attained[left] - attained[left].mean(axis=0)
+            C = d.T @ d / (n - 1) + RESOLUTION**2 * np.eye(3)
+            squares = np.einsum("ni,ij,nj->n", d, np.linalg.inv(C), d)
+            worst = int(np.argmax(squares))
+            gone.append(left.pop(worst))
+            # The part that one of n visits has of their scatter.
+            part = n * squares[worst] / (n - 1) ** 2
+            ratio = part / max(1.0 - part, np.finfo(float).eps) * (n - 4) / 3.0
+            if n * count * f_tail(ratio, 3, n - 4) < CHANCE:
+                last = len(gone)
+        found += gone[:last]
+    return sorted(found)
+
+
+def moved_after(attained: Floats, pose: Indices) -> int | None:
+    """The first visit after which the instrument was moved; None where it was not.
+
+    Args:
+        attained: Measured positions in their order, shape (N, 3) [m].
+        pose: Pose of each visit from 0, shape (N,).
+    """
+    n, K = len(pose), int(pose.max()) + 1
+    x = np.array([attained[pose == k].mean(axis=0) for k in range(K)])
+    d, centered = attained - x[pose], (x - x.mean(axis=0))[pose]
+    # In standard deviations of a visit, which no drift and no move makes larger.
+    steps = [np.diff(d[pose == k], axis=0) for k in range(K)]
+    every = np.concatenate(steps)
+    shared = FEW * (every.T @ every) / max(len(every), 1)
+    scatter = np.array([(s.T @ s + shared) / (len(s) + FEW) for s in steps])
+    W = np.linalg.inv(np.linalg.cholesky(scatter + RESOLUTION**2 * np.eye(3)))[pose]
+    turns = np.cross(np.eye(3), centered[:, None]).transpose(0, 2, 1)
+    rigid = W @ np.concatenate([np.tile(np.eye(3), (n, 1, 1)), turns], axis=2)
+    own = np.einsum("nk,ij->nikj", np.eye(K)[pose], np.eye(3)).reshape(3 * n, -1)
+    values = (W @ d[:, :, None]).reshape(-1)
+
+    def smooth(degree: int) -> tuple[Floats, Floats]:
+        """Orthonormal poses' own means and a drift, and what they leave."""
+        time = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), degree)
+        drift = np.einsum("np,nij->nipj", time[:, 1:], rigid).reshape(3 * n, -1)
+        Q = column_space(np.column_stack([own, drift]))
+        return Q, values - Q @ (Q.T @ values)
+
+    def gain(k: int) -> float:
+        Z = np.where(np.arange(n)[:, None, None] >= k, rigid, 0.0).reshape(3 * n, 6)
+        return float(np.sum((column_space(Z - few @ (few.T @ Z)).T @ r) ** 2))
+
+    (few, r), (many, rest) = map(smooth, DEGREES)
+    least = max(2 * K, n // 10)
+    places = np.unique(np.linspace(least, n - least, SPLITS).astype(int))
+    free = 3 * n - few.shape[1] - 6
+    if free <= 0 or least > n - least:
+        return None
+    place = max(places.tolist(), key=gain)
+    best = gain(place)
+    # No scatter is that of rounding.
+    left = max((float(r @ r) - best) / free, 1e-3)
+    beaten = left * (3 * n - many.shape[1]) < float(rest @ rest)
+    sure = n * f_tail(best / 6.0 / left, 6, free) < CHANCE
+    return place if beaten and sure else None

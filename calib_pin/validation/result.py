@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from importlib import import_module
@@ -11,25 +12,539 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calib_pin.errors import OptionError
-from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.evidence import (
+    ExpectedAccuracy,
+    Finding,
+    Gain,
+    Outlier,
+    TipAccuracy,
+    VarianceComponent,
+)
+from calib_pin.estimation.system import FRAME, Part
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Indices
 from calib_pin.plugins import upper
 from calib_pin.setup.arguments import as_array
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
-from calib_pin.validation.breakdown import Breakdown
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import MeasurementErrors
-from calib_pin.validation.summaries import (
-    ModelSelection,
-    NamedArray,
-    Provenance,
-    Recalibration,
-    SolverSummary,
-    Statistics,
-    ToolAccuracy,
-    Validation,
+
+REMEDY = (
+    "measure it otherwise and hold it in the setup file: 'estimate: false', or "
+    "'fixed: [tool.frame.z]' for one value of a stated frame"
 )
+"""Advice on values that measurements leave open."""
+
+
+class NamedArray(np.ndarray):
+    """A numpy array with names of its rows and columns; what is made of it has none.
+
+    Attributes:
+        rows: Names of the rows.
+        columns: Names of the columns.
+
+    Examples:
+        >>> found = NamedArray.of(np.eye(2), ("a", "b"), ("x", "y"))
+        >>> found.columns, found[1].columns, float(found[found.rows.index("b"), 1])
+        (('x', 'y'), (), 1.0)
+    """
+
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+
+    @staticmethod
+    def of(values: Any, rows: Sequence[str], columns: Sequence[str]) -> NamedArray:
+        """A view of an array of shape (len(rows), len(columns)) with names."""
+        result = np.asarray(values, float).view(NamedArray)
+        result.rows, result.columns = tuple(rows), tuple(columns)
+        return result
+
+    def __array_finalize__(self, array: object) -> None:
+        """Leave the names behind: a part or a product has others."""
+        self.rows, self.columns = (), ()
+
+
+class MeanError(NamedTuple):
+    """Mean error of one quantity of held-out measurements, in its unit."""
+
+    name: str
+    unit: str
+    mean: float
+
+
+class QuantityError(NamedTuple):
+    """Errors of one quantity of held-out measurements, in its unit."""
+
+    name: str
+    unit: str
+    mean: float
+    rms: float
+
+
+@dataclass(frozen=True)
+class HeldOutErrors:
+    """Errors of a candidate on measurements that were held out.
+
+    Attributes:
+        errors: Those of every quantity.
+        score: Their mean, as that of a candidate.
+        deviation: Standard error of the score.
+    """
+
+    errors: tuple[QuantityError, ...] = field(metadata={"by": "name"})
+    score: float
+    deviation: float
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A candidate of the model selection, judged by cross-validation.
+
+    Attributes:
+        name: Name of the effect that it adds.
+        parameters: Names of its parameterizations.
+        learned: Its residual model, None for none.
+        rank: Practical rank of its fit; 0 where it could not be tried.
+        errors: Mean error on held-out measurements of every quantity.
+        score: Mean error on held-out measurements, root mean square of the components
+            in standard deviations; NaN where it could not be tried.
+        deviation: Standard error of the score.
+        helps: Whether it lowers the errors of the candidates that it extends by more
+            than the standard error of the difference, and does not raise them where
+            the model is used.
+        reason: Why it could not be tried; empty where it was.
+        away: Its errors away from the fitted configurations, in regions of joint space
+            that were held out whole (`splits.regions`); None where measurements do
+            not suffice for that.
+    """
+
+    name: str
+    parameters: tuple[str, ...]
+    learned: str | None
+    rank: int = 0
+    errors: tuple[MeanError, ...] = field(default=(), metadata={"by": "name"})
+    score: float = float("nan")
+    deviation: float = float("nan")
+    helps: bool = False
+    reason: str = ""
+    away: HeldOutErrors | None = None
+
+
+@dataclass(frozen=True)
+class ModelSelection:
+    """The model selection.
+
+    Attributes:
+        selected: Name of the candidate that is kept.
+        use: Where it must hold: `near` the fitted configurations, `away` from them, or
+            `both`.
+        near: Least and largest fitted position of every joint, by name [rad, m].
+        candidates: All of them, simplest first.
+
+    Raises:
+        ValueError: If no candidate has the name.
+    """
+
+    selected: str = field(metadata={"key": "chosen"})
+    use: str
+    near: Mapping[str, tuple[float, float]]
+    candidates: tuple[Candidate, ...] = field(metadata={"key": "rungs"})
+
+    def __post_init__(self) -> None:
+        """Refuse a selection of none of the candidates."""
+        _ = self.chosen
+
+    @property
+    def chosen(self) -> int:
+        """Position of the candidate that is kept."""
+        return [candidate.name for candidate in self.candidates].index(self.selected)
+
+
+@dataclass(frozen=True)
+class SolverSummary:
+    """How the solver ended.
+
+    Attributes:
+        name: Name of the solver.
+        evaluator: Evaluator of the residuals, see `solve.Solution`.
+        status: One of `solvers.Status`, in words.
+        iterations: Steps of the solver.
+        evaluations: Evaluations of the cost; an evolution counts its members.
+        history: Best cost of every generation, if it searched by evolution: half the
+            sum of squared whitened residuals of the measurements that the search
+            looks at, a sample with `hybrid` and thousands of measurements.
+        at_bounds: Names of the parameters that stand at a bound.
+        seed: Seed of configurations and splits.
+    """
+
+    name: str
+    evaluator: str
+    status: str
+    iterations: int
+    evaluations: int
+    history: tuple[float, ...]
+    at_bounds: tuple[str, ...]
+    seed: int
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """The statistics of the residuals.
+
+    Attributes:
+        chi2: Sum of squared whitened residuals.
+        dof: Residual components minus rank.
+        sigma0: Standard deviation of unit weight.
+        stated_sigma: Whether the measurements state their standard deviations.
+        noise: Variance components.
+        outliers: Measurements with residuals too large to be chance, worst first.
+        displaced: How far the tool would be off from here, root mean square over the
+            workspace, with the rejected measurements fitted like the rest [m]; None
+            where none was rejected.
+        gains: Paired tests on held-out configurations, the first of all quantities.
+    """
+
+    chi2: float
+    dof: int
+    sigma0: float
+    stated_sigma: bool
+    noise: tuple[VarianceComponent, ...] = ()
+    outliers: tuple[Outlier, ...] = ()
+    displaced: float | None = None
+    gains: tuple[Gain, ...] = ()
+
+
+@dataclass(frozen=True)
+class Validation:
+    """How the fit was checked on held-out measurements.
+
+    Attributes:
+        method: `set`, `file`, `holdout`, `5-fold by stretch`, ..., or `none`.
+        count: Number of validation measurements.
+        located: Names of references and stations (`station day2`) that only validation
+            measurements name, and that were estimated from these.
+        skipped: Why folds of a cross-validation were skipped: a fit without them
+            says nothing of the robot.
+    """
+
+    method: str
+    count: int
+    located: tuple[str, ...] = field(default=(), metadata={"key": "placed"})
+    skipped: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ToolAccuracy:
+    """The expected errors of the tool.
+
+    Attributes:
+        tip: The predicted tool-point uncertainty over the workspace; None for a fit
+            without redundancy.
+        measured: The accuracy to expect where it was measured.
+        workspace: The accuracy to expect over the workspace.
+    """
+
+    tip: TipAccuracy | None = None
+    measured: ExpectedAccuracy | None = None
+    workspace: ExpectedAccuracy | None = None
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How a result came about.
+
+    Attributes:
+        command: The command line.
+        created: Time of writing, ISO 8601; empty where it is unknown.
+        seconds: Time the solver took.
+        versions: Version of each package by name.
+        file: The `calibration.json` that a result was read from.
+        hashes: SHA-256 of the measurement files; of a pipe there is none.
+    """
+
+    command: tuple[str, ...] = ()
+    created: str = ""
+    seconds: float = math.nan
+    versions: Mapping[str, str] = field(default_factory=dict)
+    file: str = ""
+    hashes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class DriftSize:
+    """How far errors of a robot drift from one calibration to the next.
+
+    Attributes:
+        name: The errors: `geometry` for each of them, `joint offsets`.
+        size: Standard deviation of one, of an angle as of a length [rad, m].
+        worth: Number of errors that have told it, or that it was given the weight of;
+            infinite where the user states it.
+    """
+
+    name: str
+    size: float
+    worth: float
+
+
+@dataclass(frozen=True)
+class NoiseSize:
+    """The noise of a quantity, as several calibrations have shown it.
+
+    Attributes:
+        quantity: Name of the quantity.
+        sigma: Standard deviation of a component [unit of the quantity].
+        worth: Number of redundant values that have told it.
+    """
+
+    quantity: str
+    sigma: float
+    worth: float
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A sudden change since the older calibration.
+
+    Attributes:
+        name: The joint, station or tool; empty for the whole robot or the only one.
+        kind: `offset` of the joint, `placement` for all of its errors, `robot`, or the
+            frame, `base` or `tool`.
+        unit: Unit of the offset, rad or m; of others m.
+        change: The offset, or how far the origin of the joint or frame has moved.
+        sigma: Standard deviation of the offset; NaN for others.
+        turn: How far the joint has turned beside [rad]; zero for an offset.
+        instead: Changes that may have come about instead, which nothing separates.
+        beside: Joints whose offset may have changed as well: nothing would show.
+    """
+
+    name: str
+    kind: str
+    unit: str
+    change: float
+    sigma: float
+    turn: float = 0.0
+    instead: tuple[str, ...] = ()
+    beside: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class RecalibrationStep:
+    """A calibration that began with an older one.
+
+    Attributes:
+        start: File of the older one; empty for one in memory.
+        created: When that was made, ISO 8601; empty where nobody knows.
+        measurements: Number of new measurements.
+        chi2: Chi-square of the differences from what the older one predicted, with the
+            drift that was expected.
+        dof: Its degrees of freedom.
+        noise: The noise of every quantity, as far as it was known before.
+        drifts: How far the robot drifts, as far as is known now.
+        jumps: Sudden changes, the surest first.
+        still: Logarithm of the evidence, by all such calibrations, that it does not
+            drift; where it is positive no drift is expected.
+    """
+
+    start: str
+    created: str
+    measurements: int
+    chi2: float
+    dof: int
+    noise: tuple[NoiseSize, ...]
+    drifts: tuple[DriftSize, ...]
+    jumps: tuple[Jump, ...]
+    still: float = 0.0
+
+
+@dataclass(frozen=True)
+class Recalibration:
+    """How a calibration went on from an older one.
+
+    Attributes:
+        errors: Name, unit and accuracy of every quantity of the new measurements by the
+            older calibration, base, tool and instrument registered.
+        steps: All such calibrations since the first one, the last is this one.
+    """
+
+    errors: tuple[tuple[str, str, Accuracy], ...]
+    steps: tuple[RecalibrationStep, ...]
+
+    @property
+    def last(self) -> RecalibrationStep:
+        """This calibration."""
+        return self.steps[-1]
+
+
+@dataclass(frozen=True)
+class FrameSummary:
+    """A station or a tool, and where the calibration puts it.
+
+    Attributes:
+        name: Its name among the parameters; `base` or `tool` for the only one.
+        link: The link that a station stands before, or that a tool is mounted on.
+        measurements: Number of fitted measurements.
+        errors: Accuracy of these by quantity.
+        noise: Their variance components.
+        xyz: Of a station where the link is in its measurement frame, of a tool where it
+            is in the link [m].
+        rpy: The orientation that belongs to it [rad].
+        sigma: Standard deviations of the position along, and of the orientation about,
+            the axes of the frame that `xyz` is in, shape (6,) [m, rad]: zero for what
+            is known, NaN for what measurements leave open. Empty without redundancy.
+        estimated: Whether anything of it was estimated.
+    """
+
+    name: str
+    link: str
+    measurements: int
+    errors: tuple[QuantityErrors, ...]
+    noise: tuple[VarianceComponent, ...]
+    xyz: tuple[float, float, float]
+    rpy: tuple[float, float, float]
+    sigma: tuple[float, ...]
+    estimated: bool
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Names of what measurements leave open: x, y, z, and rx, ry, rz about them."""
+        names = ("x", "y", "z", "rx", "ry", "rz")
+        return tuple(names[k] for k, s in enumerate(self.sigma) if math.isnan(s))
+
+
+@dataclass(frozen=True)
+class ChainSummary:
+    """A chain, and the errors of its measurements.
+
+    Attributes:
+        name: Its name in the measurements; empty for the only one.
+        base: The link that it starts at.
+        tip: The link that it ends at.
+        joints: Names of its moving joints.
+        measurements: Number of fitted measurements.
+        errors: Accuracy of these by quantity.
+        still: Those of its joints that no measurement moves; they stay at nominal.
+    """
+
+    name: str
+    base: str
+    tip: str
+    joints: tuple[str, ...]
+    measurements: int
+    errors: tuple[QuantityErrors, ...]
+    still: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class BlockSummary:
+    """A block of measurements, and the errors of the robot that it tells.
+
+    Attributes:
+        model: Name of the measurement model.
+        chain: Name of the chain; empty for the only one.
+        station: Name of the station among the parameters, see `FrameSummary.name`.
+        tool: Name of the tool.
+        measurements: Number of fitted measurements.
+        targets: Names of what was measured.
+        errors: Accuracy by quantity.
+        noise: Variance components.
+        rank: Errors of the robot that these measurements alone tell.
+        added: Errors of the robot that the others do not tell without these.
+        ties: Frames that hang together through these measurements alone: without
+            them the frames fall apart into these groups. Empty where they do not.
+    """
+
+    model: str
+    chain: str
+    station: str
+    tool: str
+    measurements: int
+    targets: tuple[str, ...]
+    errors: tuple[QuantityErrors, ...]
+    noise: tuple[VarianceComponent, ...]
+    rank: int
+    added: int
+    ties: tuple[tuple[str, ...], ...] = ()
+
+
+@dataclass(frozen=True)
+class CoupledFrames:
+    """Frames that measurements cannot tell apart, even if the robot were known.
+
+    Attributes:
+        frames: Their names, see `FrameSummary.name`.
+        expression: The linear combination of their parameters that is known.
+        sentence: The same in words.
+    """
+
+    frames: tuple[str, ...]
+    expression: str
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Breakdown:
+    """The findings of a calibration, part by part.
+
+    Attributes:
+        accuracies: The expected errors of the tool by the name of the chain; the first
+            chain that moves is the first.
+        stations: The stations.
+        tools: The tools.
+        chains: The chains that were measured.
+        blocks: The blocks of measurements.
+        coupled_frames: Frames that cannot be told apart.
+        unknown: Names of parameters of frames and instruments whose values the
+            measurements leave open; of a frame along its own axes.
+    """
+
+    accuracies: Mapping[str, ToolAccuracy] = field(default_factory=dict)
+    stations: tuple[FrameSummary, ...] = ()
+    tools: tuple[FrameSummary, ...] = ()
+    chains: tuple[ChainSummary, ...] = ()
+    blocks: tuple[BlockSummary, ...] = ()
+    coupled_frames: tuple[CoupledFrames, ...] = ()
+    unknown: tuple[str, ...] = ()
+
+    def unknown_of(self, kind: str, name: str) -> tuple[str, ...]:
+        """Unknown parts of a `station` or a `tool`, see `FrameSummary.unknown`."""
+        frames = self.tools if kind == "tool" else self.stations
+        return next((f.unknown for f in frames if f.name == name), ())
+
+    @property
+    def accuracy(self) -> ToolAccuracy:
+        """The expected errors of the tool of the first chain that moves."""
+        return next(iter(self.accuracies.values()), ToolAccuracy())
+
+
+class Frame(NamedTuple):
+    """A frame of a part, or something else that several parts may have.
+
+    Attributes:
+        kind: `station`, `tool`, or the section of a reference object.
+        name: Name among the parameters; `base` or `tool` for the only one.
+    """
+
+    kind: str
+    name: str
+
+    @property
+    def label(self) -> str:
+        """Name in a sentence."""
+        alone = self.name in ("base", "tool")
+        return f"the {self.name}" if alone else f"the {self.kind} '{self.name}'"
+
+
+def frames_of(part: Part) -> tuple[tuple[Frame, Indices], tuple[Frame, Indices]]:
+    """Station and tool of a part, with the positions of their parameters, (6,)."""
+    scope, count = part.scope, len(part.error.screws)
+    tool = scope.tool.rpartition(".")[0]
+    if not scope.offset.isIdentity():
+        tool = part.key.tool
+    return (
+        (Frame("station", scope.station.rpartition(".")[0]), part.index[:FRAME]),
+        (Frame("tool", tool), part.index[count - FRAME : count]),
+    )
 
 
 @dataclass(frozen=True)
@@ -98,9 +613,9 @@ class RobotError:
     value: float
     sigma: float | None
     status: str
-    within: tuple[str, ...]
-    expression: str
-    terms: tuple[Term, ...]
+    within: tuple[str, ...] = ()
+    expression: str = ""
+    terms: tuple[Term, ...] = ()
 
 
 class Correlation(NamedTuple):
@@ -231,16 +746,14 @@ class Prediction(NamedTuple):
     covariance: Floats
 
 
-class Tables:
+class Tables(Identification, Breakdown):
     """A result as arrays with names and as tables."""
 
     model: CalibratedModel
     reference: CalibratedModel
-    accuracies: Mapping[str, ToolAccuracy]
     covariance: NamedArray
     verdict: str
     reason: str
-    parameters: tuple[ParameterEstimate, ...]
     errors: tuple[QuantityErrors, ...]
     fitted: MeasurementErrors
     held_out: MeasurementErrors | None
@@ -306,14 +819,28 @@ class Tables:
         if chain is not None:
             part = self.reference.of_chain(chain)
         q = as_array("q", q, "N", len(there.chain.joints))
-        own, values = part.of_error, np.array([p.value for p in self.parameters])
-        T, J = part.error.jacobian(q, values[part.of_error])
+        T, J, C = self.linearized(part, q)
         J = np.kron(np.eye(2), T[:, :3, :3]) @ J
-        C = J @ np.asarray(self.covariance)[np.ix_(own, own)] @ J.transpose(0, 2, 1)
+        C = J @ C @ J.transpose(0, 2, 1)
         expected = self.accuracies[part.key.chain].workspace
         if expected is not None:
             C += np.diag(np.repeat(np.square(expected.unmodeled) / 3.0, 3))
         return Prediction(there.poses(q), C)
+
+    def linearized(self, part: Part, q: Floats) -> tuple[Floats, Floats, Floats]:
+        """Tool poses of a part, and the errors that they depend on.
+
+        Args:
+            part: A part of `reference`.
+            q: Positions of its joints, shape (N, n) [rad, m].
+
+        Returns:
+            Poses, shape (N, 4, 4), their body twists by the p parameters of its error
+            model, (N, 6, p), and the covariance of these, (p, p).
+        """
+        own, values = part.of_error, np.array([p.value for p in self.parameters])
+        T, J = part.error.jacobian(q, values[own])
+        return T, J, np.asarray(self.covariance)[np.ix_(own, own)]
 
     def figures(self) -> dict[str, Any]:
         """The figures of the report by name, as matplotlib figures."""
@@ -341,7 +868,7 @@ class Tables:
 
 
 @dataclass(frozen=True, repr=False)
-class CalibrationResult(Tables, Identification, Breakdown):
+class CalibrationResult(Tables):
     """Everything a calibration found, made by a fit or read from a file.
 
     Attributes:

@@ -26,7 +26,7 @@ from benchmarks.verdict.truth import WORKSPACE, position_error
 from calib_pin.estimation.statistics.population_prior import population_of
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import PopulationPrior, Setup
-from calib_pin.validation.population_evidence import robot_evidence
+from calib_pin.validation.robot_state import robot_evidence
 
 ROBOTS, COUNT = 200, 30
 """Robots of a fleet, and configurations of each."""

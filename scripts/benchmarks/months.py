@@ -225,7 +225,7 @@ def run(number: int) -> Month:
     )
 
 
-def _name(jump: calib_pin.validation.summaries.Jump) -> str:
+def _name(jump: calib_pin.validation.result.Jump) -> str:
     if jump.kind == "offset":
         return f"joint '{jump.name}'"
     return jump.kind if jump.kind in ("base", "tool", "robot") else str(jump)

@@ -19,8 +19,7 @@ from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.figures import calibration_figures
 from calib_pin.report.html import html_report
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import Provenance
+from calib_pin.validation.result import CalibrationResult, Provenance
 
 ROWS = (10_000, 100_000)
 """Numbers of fitted measurements; as many others validate the fit."""

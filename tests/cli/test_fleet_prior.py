@@ -12,7 +12,7 @@ import calib_pin
 from calib_pin.io.population_prior import write_population_prior
 from calib_pin.io.results import read_result
 from calib_pin.setup import PopulationPrior
-from calib_pin.validation.population_evidence import robot_evidence
+from calib_pin.validation.robot_state import robot_evidence
 from tests.cli.files import document
 
 CALIBRATE = "calibrate space6 rows.csv --setup setup.yaml -o out"

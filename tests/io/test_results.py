@@ -47,8 +47,7 @@ from calib_pin.setup import (
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.evaluation import evaluate
-from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import Provenance
+from calib_pin.validation.result import CalibrationResult, Provenance
 
 EPS = float(np.finfo(float).eps)
 

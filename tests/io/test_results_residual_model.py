@@ -28,8 +28,7 @@ from calib_pin.observations import BlockKey
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import Provenance
+from calib_pin.validation.result import CalibrationResult, Provenance
 
 NOTHING = Provenance((), "", 0.0, {})
 TOOL = FrameSetup((0.05, 0.02, 0.1), (0.0, 0.0, 0.0))

@@ -27,8 +27,8 @@ from calib_pin.setup import (
     SolverSetup,
     ToolSetup,
 )
-from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import (
+from calib_pin.validation.result import (
+    CalibrationResult,
     Candidate,
     MeanError,
     ModelSelection,

@@ -10,7 +10,7 @@ from calib_pin.report.blocks import Block, Line, Names, Table
 from calib_pin.report.breakdown import block_names, parts, told
 from calib_pin.report.terminal import plain_text
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
-from calib_pin.validation.breakdown import (
+from calib_pin.validation.result import (
     BlockSummary,
     Breakdown,
     ChainSummary,

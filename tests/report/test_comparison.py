@@ -16,9 +16,9 @@ from calib_pin.report.terminal import plain_text
 from calib_pin.validation.comparison import (
     Comparison,
     Difference,
+    Displacement,
     compare,
 )
-from calib_pin.validation.frame_drift import Displacement
 from calib_pin.validation.result import Term
 from tests.report.results import changed
 

@@ -21,8 +21,7 @@ from calib_pin.report.robot_errors import error_table
 from calib_pin.report.tables import accuracy_table, parameter_overview
 from calib_pin.report.terminal import plain_text
 from calib_pin.report.text import report
-from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import Provenance
+from calib_pin.validation.result import CalibrationResult, Provenance
 from tests.report.results import changed, solve
 
 HOSTILE = "&lt;script&gt;alert(1)&lt;/script&gt;"

@@ -15,9 +15,8 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.report.robot_errors import corrections, held
 from calib_pin.report.terminal import plain_text
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.assessment import identify
+from calib_pin.validation.assessment import identify, robot_errors
 from calib_pin.validation.result import CalibrationResult, RobotError
-from calib_pin.validation.robot_errors import robot_errors
 
 ARM = "example:so101"
 TIP = "gripper_frame_link"

@@ -15,11 +15,8 @@ from calib_pin.validation.acceptance import (
     acceptance,
     cycles_in_order,
     judged,
-    mean,
-    mean_distance,
-    repeatability,
-    three_sigma,
 )
+from calib_pin.validation.pose_tests import bad_visits, moved_after
 
 X = np.array([[1.0, 0.0, 0.0], [1.2, 0.0, 0.0], [1.0, 0.3, 0.0], [1.2, 0.3, 0.4]])
 C = np.array([1.0, 0.1, 0.0])
@@ -77,40 +74,6 @@ def test_poses_need_visits():
     assert [pose.pose for pose in kept.poses] == [1]
 
 
-def held(count: int, visits: int, seed: int) -> dict[str, float]:
-    """Parts of simulated tests in which the intervals hold the truth."""
-    rng, draws = np.random.default_rng(seed), np.random.default_rng(seed + 1)
-    d = np.array([1e-4, -2e-4, 1e-4])
-    L = 2e-5 * np.array([[1.0, 0.6, 0.0], [0.0, 0.5, 0.3], [0.0, 0.0, 0.4]])
-    lengths = np.linalg.norm(rng.standard_normal((400_000, 3)) @ L.T, axis=1)
-    truth = {
-        "AP": float(np.linalg.norm(d)),
-        "RP": float(lengths.mean() + 3.0 * lengths.std()),
-        "AD": 1e-4,
-        "RD": 6e-5,
-    }
-    hits = dict.fromkeys(truth, 0)
-    for _ in range(count):
-        x = d + rng.standard_normal((visits, 3)) @ L.T
-        D = 1e-4 + 2e-5 * rng.standard_normal(visits)
-        found = {
-            "AP": mean_distance(x, draws),
-            "RP": repeatability(x, draws),
-            "AD": mean(D),
-            "RD": three_sigma(D),
-        }
-        for name, interval in found.items():
-            hits[name] += interval.low <= truth[name] <= interval.high
-    return {name: hit / count for name, hit in hits.items()}
-
-
-@pytest.mark.slow
-def test_intervals_hold_the_truth():
-    for name, part in held(250, 30, 0).items():
-        # Four standard deviations of a part of 250 tests.
-        assert abs(part - 0.95) < 0.055, name
-
-
 def test_limits_are_judged_by_the_worst_pose():
     rng = np.random.default_rng(0)
     x = np.concatenate(
@@ -123,12 +86,6 @@ def test_limits_are_judged_by_the_worst_pose():
     near = LimitSetup(position=float(test.poses[1].accuracy.value))
     assert [status for _, status, *_ in judged(test, near)] == ["undecided"]
     assert [*judged(test, LimitSetup())] == []
-
-
-def test_visits_without_scatter():
-    test = acceptance(np.ones((3, 3)), np.zeros((3, 3)), np.zeros(3, int))
-    assert test.poses[0].repeatability == Interval(0.0, 0.0, 0.0)
-    assert test.poses[0].accuracy.low == pytest.approx(np.sqrt(3.0))
 
 
 def test_poses_have_the_numbers_of_the_file() -> None:
@@ -219,3 +176,48 @@ def test_doubts_pass_nothing_and_a_move_fails_nothing() -> None:
         assert found == ["undecided", "undecided"]
     # A limit of what was not measured is not met.
     assert [s for _, s, *_ in judged(test, LimitSetup(distance=9.0))] == ["undecided"]
+
+
+def visits(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Thirty cycles of five poses, each with a scatter of its own."""
+    rng = np.random.default_rng(seed)
+    pose = np.tile(np.arange(5), 30)
+    scatter = 2e-5 * rng.standard_normal((5, 3, 3))
+    x = rng.uniform(-0.4, 0.4, (5, 3))[pose]
+    return x + np.einsum(
+        "nij,nj->ni", scatter[pose], rng.standard_normal(x.shape)
+    ), pose
+
+
+def test_bad_and_exchanged_visits_are_found() -> None:
+    x, pose = visits(0)
+    assert bad_visits(x, pose) == [] and moved_after(x, pose) is None
+    x[[51, 52]] = x[[52, 51]]
+    x[[20, 90, 95]] += [3e-4, 0.0, 3e-4]  # Two of one pose hide each other.
+    assert bad_visits(x, pose) == [20, 51, 52, 90, 95]
+
+
+def test_a_moved_instrument_is_no_drift() -> None:
+    x, pose = visits(1)
+    turn = np.cross([0.0, 0.0, 4e-4], x)
+    moved = x.copy()
+    moved[77:] += turn[77:]
+    assert moved_after(moved, pose) == pytest.approx(77, abs=1)
+    warm = np.exp(-np.arange(150) / 40.0)[:, None]
+    assert moved_after(x + warm * turn, pose) is None
+
+
+def test_visits_without_scatter() -> None:
+    test = acceptance(np.ones((3, 3)), np.zeros((3, 3)), np.zeros(3, int))
+    assert test.poses[0].repeatability == Interval(0.0, 0.0, 0.0)
+    assert test.poses[0].accuracy.low == pytest.approx(np.sqrt(3.0))
+    x, pose = visits(2)
+    still = np.array([x[pose == k].mean(axis=0) for k in range(5)])[pose]
+    assert bad_visits(still, pose) == [] and moved_after(still, pose) is None
+
+
+@pytest.mark.parametrize(("away", "count"), [(1.0, 12), (10.0, 8), (10.0, 30)])
+def test_a_visit_that_is_far_away_has_all_of_the_scatter(away, count):
+    attained = np.zeros((2 * count, 3))
+    attained[5] = away
+    assert bad_visits(attained, np.repeat([0, 1], count)) == [5]

@@ -7,7 +7,7 @@ import pytest
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.validation.candidate_scores import Judged, helps, simplest
-from calib_pin.validation.summaries import Candidate
+from calib_pin.validation.result import Candidate
 
 
 def sizes(mean: float, seed: int = 0) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cache
 
@@ -13,13 +14,14 @@ import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
+from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.comparison import (
     compare,
     robot_groups,
     shared_files,
 )
-from calib_pin.validation.summaries import ToolAccuracy
+from calib_pin.validation.result import ToolAccuracy
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +52,9 @@ def test_noise_is_no_drift(record):
     assert not (found.drifted or found.changed or found.identical)
     assert found.described and found.same_parameters
     significance = np.array([d.significance for d in found.differences])
+    assert (np.diff(significance) <= 0.0).all()
+    back = compare(record(1), record(0)).differences
+    assert [-d.change for d in back] == [d.change for d in found.differences]
     # Differences of normal variables, some twenty of them.
     assert len(significance) > 15 and significance.max() < 4.5
     assert np.sqrt(np.mean(significance**2)) == pytest.approx(1.0, abs=0.5)
@@ -77,42 +82,6 @@ def test_a_joint_offset_is_named_and_its_drift_is_true(chain, record):
     assert first.change == pytest.approx(2e-3, abs=4.0 * first.sigma)
     assert first.significance > 50.0
     assert found.drift.position.rms > 3.0 * found.explained[0]
-
-
-def predicting(result, sizes):
-    """A calibration whose noise explains other errors of the tip, rms [m] and [rad]."""
-    position, orientation = (np.full(1, size) for size in sizes)
-    tip = replace(
-        result.accuracy.tip,
-        position=position,
-        orientation=orientation,
-        of_robot=sizes,
-    )
-    return replace(result, accuracies={"": replace(result.accuracy, tip=tip)})
-
-
-def test_a_change_that_noise_hides_at_the_tip(record):
-    later = record(1, changes=(("joint_5.placement.rz", 2e-3),))
-    # As with a base that is poorly known.
-    found = compare(record(0), predicting(later, (1e-3, 2e-3)))
-    assert found.drifted is False
-    assert found.changed
-    assert found.differences[0].name == "joint_5.placement.rz + joint_6.placement.ry"
-
-
-def test_a_tracker_elsewhere_and_another_tool_are_no_drift(chain, recorded, record):
-    base = FrameSetup((0.8, -0.5, 0.3), (0.2, 0.1, 1.4), estimate=True)
-    tool = FrameSetup((0.05, 0.02, 0.15), (0.3, -0.2, 0.5), estimate=True)
-    truth = Setup(base_frame=base, tool_frame=tool)
-    found = compare(record(0), recorded(chain, "pose", 1, truth=truth))
-    assert found.drifted is False and not found.changed
-    assert found.moved == ()
-    moved = {d.frame: d for d in found.displacements}
-    for name, frame in (("base", base), ("tool", tool)):
-        shift = np.linalg.norm(frame.xyz)
-        angle = np.linalg.norm(pin.log3(pin.rpy.rpyToMatrix(*frame.rpy)))
-        assert moved[name].shift == pytest.approx(shift, rel=5e-3)
-        assert moved[name].turn == pytest.approx(angle, rel=5e-3)
 
 
 def test_frames_that_are_known_absorb_nothing(chain, recorded):
@@ -173,21 +142,6 @@ def test_sums_are_matched_by_their_terms(record):
     assert found.sums_alone == (len(robot_groups(A)), len(robot_groups(B)))
 
 
-def test_differences_are_sorted_and_independent(record):
-    A, B = record(0), record(1)
-    found = compare(A, B)
-    sizes = [d.significance for d in found.differences]
-    assert sizes == sorted(sizes, reverse=True)
-    (one,) = (d for d in found.differences if d.name == "joint_3.placement.rx")
-    mine, other = (next(p for p in r.parameters if p.name == one.name) for r in (A, B))
-    assert one.sigma == pytest.approx(np.hypot(mine.sigma, other.sigma))
-    assert one.change == other.value - mine.value
-    back = compare(B, A)
-    assert [-d.change for d in back.differences] == [
-        d.change for d in found.differences
-    ]
-
-
 def test_files_that_do_not_say_what_noise_explains(record):
     found = compare(record(0), replace(record(1), accuracies={"": ToolAccuracy()}))
     assert found.explained is None and found.drifted is None
@@ -234,3 +188,93 @@ def test_robots_that_cannot_be_compared(old, new, chain, recorded, record):
     with pytest.raises(InputError, match=rf"0.json: .*{new}.*{old}") as error:
         compare(record(0), recorded(other, "pose", 7))
     assert error.value.file == "7.json"
+
+
+# --- displacements of frames ---------------------------------------------------
+
+
+HERE = (1.0, 0.2, 0.3), (0.1, 0.2, 0.3)
+HELD = FrameSetup((0.05, 0.08, 0.12), (0.0, 0.0, 0.0), estimate=True)
+
+
+def at(shift=0.0, tool=0.0) -> Setup:
+    """The tracker and the tool, each moved along an axis."""
+    (x, y, z), rpy = HERE
+    base = FrameSetup((x, y + shift, z), rpy, estimate=True)
+    held = replace(HELD, xyz=(0.05 + tool, 0.08, 0.12))
+    return Setup(base_frame=base, tool_frame=held)
+
+
+@pytest.fixture(scope="module")
+def measured(recorded, chain):
+    """Calibrations by tracker, tool and robot that were changed."""
+
+    def make(seed, truth=None, changes=(), parameters=("placement",)):
+        setup, truth = Setup(parameters=parameters), truth or at()
+        return recorded(chain, "pose", seed, dict(changes), setup=setup, truth=truth)
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def first(measured):
+    return measured(0)
+
+
+def displaced(found):
+    return {moved.frame: moved for moved in found.displacements}
+
+
+@pytest.mark.parametrize("frame", ["base", "tool"])
+def test_a_frame_that_moved_alone(first, measured, frame) -> None:
+    truth = at(shift=1.2e-3) if frame == "base" else at(tool=1.2e-3)
+    found = compare(first, measured(1, truth))
+    moved = displaced(found)
+    own, other = moved.pop(frame), moved.popitem()[1]
+    assert own.shift == pytest.approx(1.2e-3, abs=4.0 * own.sigma[0])
+    assert own.chance < 1e-6 and 1e-6 < own.sigma[0] < 2e-4
+    # All tool points move along with it.
+    assert own.motion == pytest.approx(1.2e-3, rel=0.2)
+    assert other.chance > 1e-3 and not found.drifted
+
+
+def test_a_robot_that_changed_is_no_displacement(first, measured) -> None:
+    """As much as a frame could absorb of it may be one, and is not told as such."""
+    change = {"joint_4.placement.rz": 2e-3}
+    found = compare(first, measured(1, changes=change))
+    assert found.drifted
+    assert all(moved.chance > 0.01 for moved in found.displacements)
+    both = compare(first, measured(1, at(shift=0.05), change))
+    assert both.drifted and displaced(both)["base"].chance < 1e-3
+    # The same change of the robot, wherever the tracker stands.
+    assert both.drift.position.rms == pytest.approx(found.drift.position.rms, rel=1e-3)
+
+
+def test_frames_that_stand_elsewhere_are_no_drift(first, measured) -> None:
+    base = FrameSetup((0.8, -0.5, 0.3), (0.2, 0.1, 1.4), estimate=True)
+    tool = FrameSetup((0.05, 0.02, 0.15), (0.3, -0.2, 0.5), estimate=True)
+    there = Setup(base_frame=base, tool_frame=tool)
+    found = compare(first, measured(1, there))
+    assert found.drifted is False and not found.changed
+    for name, pair in (("base", (at().base_frame, base)), ("tool", (HELD, tool))):
+        moved = frame_pose(pair[0]).actInv(frame_pose(pair[1]))
+        own = displaced(found)[name]
+        assert own.shift == pytest.approx(np.linalg.norm(moved.translation), rel=5e-3)
+        angle = np.linalg.norm(pin.log3(moved.rotation))
+        assert own.turn == pytest.approx(angle, rel=5e-3)
+
+
+def test_noise_displaces_by_as_much_as_is_said(first, measured) -> None:
+    found = displaced(compare(first, measured(2)))
+    for moved in found.values():
+        # Chi-squares with up to three degrees of freedom.
+        assert 0.01 < moved.shift**2 / moved.sigma[0] ** 2 < 20.0
+        assert moved.chance > 1e-3
+
+
+def test_without_a_covariance_nobody_knows(first, measured) -> None:
+    later = measured(1, at(shift=1.2e-3))
+    unknown = replace(later, covariance=later.covariance * np.nan)
+    base = displaced(compare(first, unknown))["base"]
+    assert math.isnan(base.chance) and math.isnan(base.sigma[0])
+    assert base.shift == pytest.approx(1.2e-3, rel=0.1)

@@ -20,8 +20,8 @@ from calib_pin.residual_models import RESIDUAL_MODELS, LearnedCorrection, Traini
 from calib_pin.setup import FrameSetup, Payload, Setup
 from calib_pin.validation.model_errors import fitted_errors
 from calib_pin.validation.model_selection import SelectedModel, select_model
+from calib_pin.validation.result import Candidate
 from calib_pin.validation.splits import FOLDS
-from calib_pin.validation.summaries import Candidate
 
 NOISE = 2e-5
 TOOL = FrameSetup((0.05, 0.08, 0.12))

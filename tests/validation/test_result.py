@@ -23,25 +23,21 @@ def result() -> calib_pin.CalibrationResult:
 
 
 @pytest.mark.slow
-def test_figures_by_name(result: calib_pin.CalibrationResult) -> None:
+def test_figures_by_name(result) -> None:
     figures = result.figures()
     assert set(figures) < set(NAMES["calibration"])
     assert {"errors-per-measurement", "parameter-intervals"} < set(figures)
     assert all(isinstance(figure, Figure) for figure in figures.values())
 
 
-def test_a_summary_has_verdict_accuracy_and_parameters(
-    result: calib_pin.CalibrationResult,
-) -> None:
+def test_a_summary_has_verdict_accuracy_and_parameters(result) -> None:
     page = result._repr_html_()
     assert "<b>GOOD</b>: position error" in page
     known = [p.name for p in result.parameters if p.sigma is not None]
     assert known and all(f"<td>{name}<td>" in page for name in known)
 
 
-def test_a_data_frame_has_every_measurement(
-    result: calib_pin.CalibrationResult, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_data_frame_has_every_measurement(result, monkeypatch) -> None:
     """Pandas need not be installed: what it is given is what is tested."""
     frames: list[dict[str, list[object]]] = []
     stand_in = SimpleNamespace(
@@ -55,9 +51,7 @@ def test_a_data_frame_has_every_measurement(
         result.to_frame()
 
 
-def test_predictions_have_the_uncertainty_of_the_tool(
-    result: calib_pin.CalibrationResult,
-) -> None:
+def test_predictions_have_the_uncertainty_of_the_tool(result) -> None:
     """At the configurations of the workspace it is the one that the report tells."""
     tip = result.accuracy.tip
     assert tip is not None and result.accuracy.workspace is not None

@@ -9,11 +9,14 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
-from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.observations import BlockKey
+from calib_pin.estimation.directions import WEAK, projected
+from calib_pin.estimation.fit import fit_model
+from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.formulation import make_problem
+from calib_pin.observations import Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
-from calib_pin.simulation import simulate
+from calib_pin.validation.shared import block_ranks, ties
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +110,10 @@ def test_frames_of_which_only_the_sum_is_known(scara, calibrated_robot, size) ->
     (coupled,) = found.coupled_frames
     assert coupled.frames == ("base", "tool")
     assert coupled.expression == "base.frame.z + tool.frame.z"
+    assert coupled.sentence == (
+        "a shift along z of the base cannot be told from a shift along z of the tool; "
+        "only base.frame.z + tool.frame.z is known"
+    )
     # What is known is right: of 8 components one in 2000 is beyond four.
     truth = frame_pose(FRAMES.tool_frame).translation
     for axis in (0, 1):
@@ -122,52 +129,58 @@ def test_a_value_that_is_held_has_no_deviation(scara, calibrated_robot) -> None:
     assert tool.sigma[2] == 0.0 and found.coupled_frames == ()
 
 
-ARMS = {"left": "arm_left_7_link", "right": "arm_right_7_link"}
+def test_frames_fall_apart_without_the_block_between(moved_job) -> None:
+    job = moved_job((30, 60), (45,))
+    found = ties(make_problem(job.chain, job.named, Setup()))
+    assert [found[key] for key in job.named.keys] == [
+        (("s0",), ("t0", "s1", "t1", "s2")),
+        (("s0", "t0"), ("s1", "t1", "s2")),
+        (("s0", "t0", "s1"), ("t1", "s2")),
+        (("s0", "t0", "s1", "t1"), ("s2",)),
+    ]
 
 
-@pytest.fixture(scope="module")
-def humanoid():
-    """A few joints of both arms of TALOS, each with a tracker of its own."""
-    from calib_pin.kinematics.chains import Chains
-    from calib_pin.setup import ChainSetup
-
-    tip = ARMS["left"]
-    robot = calib_pin.load_chain("example:talos_reduced", tip=tip).robot
-    stated = {name: ChainSetup(tip) for name, tip in ARMS.items()}
-    chains = Chains(robot, stated=stated, names=tuple(ARMS))
-    keys = [BlockKey("position", name, name) for name in ARMS]
-    place = FrameSetup((1.0, 2.0, 0.3), (0.1, 0.2, 0.3))
-    setup = Setup(chains=stated, stations=dict.fromkeys(ARMS, place))
-    problem = nominal_problem(chains, keys, setup)
-    rng = np.random.default_rng(1)
-    theta = calib_pin.draw_errors(problem.parameters, rng)
-    rows = simulate(problem, theta, rng, count=100, noise=5e-5)
-    return calib_pin.calibrate(chains, rows, Setup(chains=stated))
+def test_known_tools_are_one_thing(moved_job) -> None:
+    job = moved_job((45,), (45,))
+    apart = ties(make_problem(job.chain, job.named, Setup()))
+    groups = ("s0",), ("t0",), ("s1", "t1")
+    assert set(apart[job.named.keys[0]]) == set(groups)
+    known = {k: replace(v, estimate=False) for k, v in job.truth.tools.items()}
+    found = ties(make_problem(job.chain, job.named, Setup(tools=known)))
+    assert set(found.values()) == {(("s0",), ("s1",))}
 
 
-@pytest.mark.slow
-def test_both_arms_are_judged(humanoid) -> None:
-    assert humanoid.verdict == "good"
-    assert list(humanoid.accuracies) == ["left", "right"]
-    assert humanoid.accuracy is humanoid.accuracies["left"]
-    for accuracy in humanoid.accuracies.values():
-        assert accuracy.workspace.better > 0.9
-        assert accuracy.workspace.calibrated.position < 1e-3
-    assert [c.tip for c in humanoid.chains] == list(ARMS.values())
-    assert "of the chain '" in humanoid.reason
-    (unmoved,) = humanoid.findings
-    assert unmoved.code == "unmoved-joints" and unmoved.severity == "info"
-    assert "leg_left_1_joint" in unmoved.evidence["joints"]
-    moved = {joint for chain in humanoid.chains for joint in chain.joints}
-    assert not moved & set(unmoved.evidence["joints"].split(", "))
+def rank(fitted: Fit, kept: Observations) -> int:
+    """The rank of some blocks from all of their rows at once."""
+    problem = replace(fitted.problem, data=kept)
+    _, J = problem.linearize_rows(fitted.theta)
+    parameters = problem.parameters
+    A = J[: len(problem.sigma)] * parameters.scales
+    robot = np.column_stack([fitted.directions.robot, fitted.directions.weak])
+    s = np.linalg.svd(projected(A @ robot, A, parameters), compute_uv=False)
+    return int((s * WEAK > fitted.sigma0).sum())
 
 
-@pytest.mark.slow
-def test_what_an_arm_adds(humanoid) -> None:
-    """The torso is common: each arm tells it without the other."""
-    left, right = humanoid.blocks
-    total = humanoid.identifiability.rank
-    assert 0 < left.added < left.rank and 0 < right.added < right.rank
-    frames = 2 * (6 + 3)
-    assert left.rank + right.added + frames == total
-    assert left.ties == (("left",), ("right",)) or left.ties
+def test_ranks_are_those_of_all_rows_at_once(moved_job) -> None:
+    job = moved_job((30, 60), (45,), seed=0)
+    rng = np.random.default_rng(0)
+    blocks = []
+    for k, block in enumerate(job.named.blocks):
+        # Each block moves some joints only.
+        still = [joint for joint in range(6) if joint not in (k, k + 1, k + 2)]
+        q = block.q.copy()
+        q[:, still] = q[0, still]
+        at = replace(job.problem, data=Observations.of(replace(block, q=q)))
+        values = at.predict(job.theta, at.data.only)
+        values += 5e-5 * rng.normal(size=values.shape)
+        blocks.append(replace(block, q=q, values=values))
+    data = Observations.of(*blocks)
+    fitted = fit_model(job.chain, data, Setup(), 0).fit
+    found = block_ranks(fitted)
+    whole = rank(fitted, data)
+    for k, block in enumerate(blocks):
+        others = Observations.of(*blocks[:k], *blocks[k + 1 :])
+        assert found[k][0] == rank(fitted, Observations.of(block))
+        assert found[k][1] == whole - rank(fitted, others)
+    assert max(alone for alone, _ in found) < whole
+    assert max(added for _, added in found) > 0

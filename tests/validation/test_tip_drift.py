@@ -43,17 +43,13 @@ def model_of(theta_of=lambda names: {}, setup=None, chain=None) -> CalibratedCha
     ],
 )
 def test_displacements_are_found(L, R, left, right, poses):
-    found = absorbed(poses, invert(L) @ poses @ invert(R), left=left, right=right)
+    moved = invert(L) @ poses @ invert(R)
+    found = absorbed(poses, moved, left=left, right=right)
     np.testing.assert_allclose(found, poses, atol=1e-10)
-
-
-def test_what_is_known_is_not_absorbed(poses):
-    moved = LEFT @ poses
-    np.testing.assert_array_equal(
-        absorbed(poses, moved, left=False, right=False), moved
-    )
-    by_tool = absorbed(poses, moved, left=False, right=True)
-    assert np.linalg.norm((by_tool - poses)[:, :3, 3], axis=1).max() > 0.1
+    # What is known is not absorbed.
+    if left and not right:
+        by_tool = absorbed(poses, moved, left=False, right=True)
+        assert np.linalg.norm((by_tool - poses)[:, :3, 3], axis=1).max() > 0.1
 
 
 @pytest.mark.parametrize("kind", ["revolute", "prismatic"])

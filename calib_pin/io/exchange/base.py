@@ -28,8 +28,8 @@ from calib_pin.validation.joint_errors import (
     configurations,
     in_base,
     joint_errors,
+    told_reversed,
 )
-from calib_pin.validation.joint_offsets import told_reversed
 from calib_pin.validation.result import CalibrationResult
 
 EXACT = 1e-9

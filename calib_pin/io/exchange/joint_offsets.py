@@ -36,7 +36,7 @@ from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.urdf_tree import parse_document
 from calib_pin.units import DISPLAY, as_number
-from calib_pin.validation.joint_offsets import FoundOffset, encoder_steps, joint_offsets
+from calib_pin.validation.joint_errors import FoundOffset, encoder_steps, joint_offsets
 
 HEADERS = "joint column offset sigma unit steps status offset_si unit_si sign"
 

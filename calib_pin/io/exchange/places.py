@@ -28,8 +28,7 @@ from calib_pin.io.exchange.base import (
 )
 from calib_pin.io.urdf_tree import parse_document
 from calib_pin.measurement_models.pinhole import Camera
-from calib_pin.validation.breakdown import REMEDY
-from calib_pin.validation.frames import frames_of
+from calib_pin.validation.result import REMEDY, frames_of
 
 NAMES = {
     "base": ("measurement", "measured_frame"),

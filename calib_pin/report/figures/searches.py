@@ -20,8 +20,12 @@ from calib_pin.report.figures.canvas import (
 from calib_pin.report.figures.estimates import beside
 from calib_pin.report.figures.labels import log_axis, log_limits, shortened, unit_of
 from calib_pin.report.tables import number
-from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import Candidate, HeldOutErrors, ModelSelection
+from calib_pin.validation.result import (
+    CalibrationResult,
+    Candidate,
+    HeldOutErrors,
+    ModelSelection,
+)
 
 
 def convergence(result: CalibrationResult) -> Drawn | None:

@@ -18,7 +18,7 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.progress import Progress
 from calib_pin.setup import Setup
 from calib_pin.validation.findings.quick_fit import QuickFit, below_sheet, located
-from calib_pin.validation.summaries import ToolAccuracy
+from calib_pin.validation.result import ToolAccuracy
 
 MEASUREMENTS = 300
 """Measurements that are looked at; more do not make it clearer."""

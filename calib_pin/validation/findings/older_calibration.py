@@ -8,8 +8,7 @@ import numpy as np
 
 from calib_pin.estimation.evidence import Finding
 from calib_pin.units import DISPLAY
-from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import Jump
+from calib_pin.validation.result import CalibrationResult, Jump
 from calib_pin.validation.tip_drift import tip_drift
 
 HOLDS = 1.5

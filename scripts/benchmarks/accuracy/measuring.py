@@ -12,8 +12,12 @@ from calib_pin.observations import Observations
 from calib_pin.progress import Stages
 from calib_pin.setup import Setup
 from calib_pin.validation.accuracy import Accuracy
-from calib_pin.validation.result import CalibrationResult, Evaluation
-from calib_pin.validation.summaries import Candidate, QuantityError
+from calib_pin.validation.result import (
+    CalibrationResult,
+    Candidate,
+    Evaluation,
+    QuantityError,
+)
 from calib_pin.workers import SERIAL, Workers
 
 PLAIN: Mapping[str, tuple[str, ...]] = {

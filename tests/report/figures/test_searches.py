@@ -10,7 +10,7 @@ from matplotlib.patches import PathPatch
 from calib_pin.estimation.evidence import FoundCurve
 from calib_pin.report.figures.searches import convergence, model_ladder
 from calib_pin.report.figures.workspace import tip_by_count, tip_in_workspace
-from calib_pin.validation.summaries import Candidate, ModelSelection
+from calib_pin.validation.result import Candidate, ModelSelection
 from tests.report.results import changed
 
 

@@ -1,20 +1,59 @@
-"""What a calibration tells a fleet: its likelihood, and nothing of its priors."""
+"""The state of a robot: how it changes, and what a calibration tells a fleet of it."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
-from calib_pin.estimation.statistics.population_prior import RobotEvidence
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.setup import Setup
-from calib_pin.validation.population_evidence import robot_evidence
+from calib_pin.validation.robot_state import changes, drifts, robot_evidence
 
 
-def information(evidence: RobotEvidence) -> tuple[Floats, Floats]:
+@pytest.mark.parametrize("name", ["placement", "dh", "joint-offset", "link-transform"])
+def test_an_offset_is_one(name) -> None:
+    chain = calib_pin.load_chain("space6")
+    problem = nominal_problem(chain, "pose", Setup(parameters=(name,)))
+    parameters = problem.parameters
+    robot = parameters.free & ~parameters.nuisance
+    part, q = problem.only, chain.random_configurations(5, np.random.default_rng(0))
+    found = changes(problem, robot)
+    offsets = [change for change in found.values() if change.kind == "offset"]
+    assert [change.name for change in offsets] == list(chain.joints)
+    for k, change in enumerate(offsets):
+        theta = change.directions[:, 0] * parameters.scales / 1e3
+        moved = q.copy()
+        moved[:, k] += change.size / 1e3
+        expected = part.error.poses(moved, 0.0 * theta)
+        # Errors apply one after the other: the second order is left.
+        np.testing.assert_allclose(part.error.poses(q, theta), expected, atol=1e-10)
+
+
+def test_drifts_and_other_changes() -> None:
+    chain = calib_pin.load_chain("space6")
+    setup = Setup(parameters=("placement", "transmission"))
+    problem = nominal_problem(chain, "pose", setup)
+    parameters = problem.parameters
+    robot = parameters.free & ~parameters.nuisance
+    found, scales = changes(problem, robot), parameters.scales[robot]
+    drifting = drifts(problem, robot, found.values())
+    sizes = np.diag(drifting["geometry"][robot]) * scales
+    units = np.array([p.unit for p in parameters])[robot]
+    np.testing.assert_allclose(
+        sizes, np.where(np.isin(units, ["m", "rad"]), 1.0, scales / 1e-3)
+    )
+    assert drifting["joint offsets"].shape == (len(robot), 6)
+    placed = found["placement joint_3"].directions
+    touched = [parameters.names[k] for k in np.flatnonzero(placed.any(axis=1))]
+    assert touched and all(name.startswith("joint_3.") for name in touched)
+    assert found["robot"].directions.shape == (len(robot), robot.sum())
+
+
+def information(evidence):
     """The matrix of the normal equations, and their right side."""
     W = evidence.rows
     return W.T @ W, W.T @ evidence.values

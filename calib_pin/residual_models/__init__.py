@@ -59,7 +59,7 @@ def _fit_network(
 def _fit_gaussian_process(
     rows: TrainingRows, rng: np.random.Generator, *, progress: Progress | None = None
 ) -> ResidualModel:
-    from calib_pin.residual_models.process_fit import fit_gaussian_process
+    from calib_pin.residual_models.gaussian_process import fit_gaussian_process
 
     return fit_gaussian_process(rows, rng, progress=progress)
 
@@ -86,11 +86,6 @@ def restore(document: object, joints: int) -> ResidualModel:
         from calib_pin.residual_models.network import Network
 
         return Network.restore(parts, joints)
-    if "made_of" in parts:
-        from calib_pin.residual_models.harmonic_process import HarmonicProcess
-
-        stated(parts, "made_of", (HarmonicProcess.made_of,))
-        return HarmonicProcess.restore(parts, joints)
     from calib_pin.residual_models.gaussian_process import GaussianProcess
 
     return GaussianProcess.restore(parts, joints)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol
 
@@ -81,6 +81,16 @@ class TrainingRows:
     def shifts(self) -> int:
         """Number P of directions of the shift."""
         return len(self.shift)
+
+    def evaluate(self, space: Space) -> Callable[[Floats, Floats], Linearized]:
+        """`by_joint` or `by_tip`."""
+        return self.by_joint if space == "joint" else self.by_tip
+
+    def plain(self, space: Space) -> Linearized:
+        """Residuals without a correction."""
+        size = self.q.shape[1] if space == "joint" else 6
+        zero = np.zeros((len(self.q), size)), np.zeros(self.shifts)
+        return self.evaluate(space)(*zero)
 
     def some(self, index: NDArray[np.int64]) -> TrainingRows:
         """Some of the rows; the others are evaluated with them, without a correction.
@@ -181,25 +191,20 @@ class ResidualModel(Protocol):
         """
         ...
 
-    def deviation(
+    def left_out(
         self,
-        q: Floats,
-        by_correction: Floats | None = None,
-        by_shift: Floats | None = None,
-    ) -> Floats:
-        """Standard deviations of the corrections, or of what depends on them.
+        rows: TrainingRows,
+        masks: Sequence[NDArray[np.bool_]],
+        rng: np.random.Generator,
+    ) -> Sequence[ResidualModel]:
+        """Models of the same kind that some measurements have no part in.
 
-        The errors of joints and shift belong together: most of them cancel in the pose.
-        Outside the region they are of the size that corrections have in it.
+        What is searched, as a covariance is, was found with all of them.
 
         Args:
-            q: Commanded joint positions, shape (N, n) [rad, m].
-            by_correction: Derivative of something by the correction, shape (N, d, m);
-                default the corrections themselves.
-            by_shift: Its derivative by the shift, shape (N, d, P); default none.
-
-        Returns:
-            Standard deviations, shape (N, m) or (N, d), in the units of these.
+            rows: The N measurements that this one was learned from.
+            masks: Those to leave out, shape (N,) each.
+            rng: Source of whatever is learned anew.
         """
         ...
 
@@ -274,19 +279,3 @@ def correction_unit(at: Linearized, kinds: NDArray[np.bool_]) -> Floats:
 def root_mean_square(residual: Floats) -> float:
     """Root of the mean square of all components."""
     return float(np.sqrt((residual**2).mean()))
-
-
-def absorbed(by_shift: Floats) -> tuple[Floats, Floats]:
-    """Orthonormal residuals that a shift explains, and the shift for each.
-
-    Args:
-        by_shift: Derivative of the residuals by the shift, shape (N, d, P).
-
-    Returns:
-        Columns, shape (N d, k), and shifts, shape (P, k).
-    """
-    count, d, shifts = by_shift.shape
-    columns = by_shift.reshape(count * d, shifts)
-    left, s, right = np.linalg.svd(columns, full_matrices=False)
-    keep = s > INDEPENDENT * s.max(initial=0.0)
-    return left[:, keep], right[keep].T / s[keep]

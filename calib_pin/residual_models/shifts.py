@@ -42,16 +42,6 @@ class Shifts:
         """Number P of directions."""
         return len(self.about)
 
-    @property
-    def amounts(self) -> tuple[Floats, tuple[int, ...]]:
-        """Independent amounts that make up the shift: free ones, then errors by kind.
-
-        Returns:
-            Shift per amount, shape (P, f + p), and the number of amounts of each kind.
-        """
-        free = np.eye(len(self))[:, self._free]
-        return np.hstack([free, *self.kinds]), tuple(k.shape[1] for k in self.kinds)
-
     def columns(self, by_shift: Floats) -> tuple[Floats, list[Floats]]:
         """Residuals of the free directions, and of errors of each kind.
 

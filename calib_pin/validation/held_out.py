@@ -29,6 +29,7 @@ from calib_pin.setup import Setup
 from calib_pin.solvers.status import Status
 from calib_pin.validation.findings.moved_instrument import FEWEST, registered_if_moved
 from calib_pin.validation.gains import PRESS, gains, press_check
+from calib_pin.validation.learned_held_out import learned_left_out
 from calib_pin.validation.model_errors import ModelErrors, model_errors, registered
 from calib_pin.validation.splits import Grouping, folds
 from calib_pin.workers import SERIAL, Workers
@@ -108,7 +109,7 @@ def check(
     if parts is None:
         parts = tuple(
             cross_validate(
-                chains, training, setup, masks, seed, fitted, progress, workers
+                chains, training, setup, masks, seed, model, progress, workers
             )
         )
     # A fit that fails without its fold says nothing about the robot.
@@ -141,7 +142,7 @@ def cross_validate(
     setup: Setup,
     masks: Sequence[NDArray[np.bool_]],
     seed: int,
-    whole: Fit,
+    whole: FittedModel,
     progress: Stages | None = None,
     workers: Workers = SERIAL,
 ) -> Iterator[ModelErrors]:
@@ -153,20 +154,25 @@ def cross_validate(
         setup: As for `fit_model`.
         masks: The parts, each of shape (N,).
         seed: As for `fit_model`.
-        whole: The fit of all measurements.
+        whole: The model fitted to all measurements.
         progress: Told the stage and the fraction done of all parts.
         workers: Who fits them.
     """
-    if whole.problem.many:
+    found: Sequence[ModelErrors | None] = [None] * len(masks)
+    if whole.learned is not None:
+        found = learned_left_out(whole, masks, seed)
+    else:  # Where all of them taught nothing, some teach no more.
+        setup = replace(setup, learned=None)
+    if whole.fit.problem.many:
         # Their kernels keep all cores busy, and every worker would have a copy.
         workers = SERIAL
-    shared = _Whole(chains, measurements, setup, seed, whole)
-    if progress is not None:
-        progress(f"check 1 of {len(masks)}", 0.0)
-    for k, found in enumerate(workers.map(_without, shared, masks), 1):
+    shared = _Whole(chains, measurements, setup, seed, whole.fit)
+    parts = zip(masks, found, strict=True)
+    refits = workers.map(_without, shared, [mask for mask, one in parts if one is None])
+    for k, one in enumerate(found, 1):
         if progress is not None:
-            progress(f"check {min(k + 1, len(masks))} of {len(masks)}", k / len(masks))
-        yield found
+            progress(f"check {k} of {len(found)}", (k - 1) / len(found))
+        yield next(refits) if one is None else one
 
 
 @serial_blas

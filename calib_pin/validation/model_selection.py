@@ -267,7 +267,7 @@ class _Candidates:
             raise OptionError(f"{count} configurations are too few to hold out a fold")
         rest = portion(progress, share, 1.0 - share)
         stages = None if rest is None else (lambda stage, part: rest(part))
-        whole, workers = model.fit, self.workers
+        whole, workers = model, self.workers
         parts = tuple(
             cross_validate(
                 chains, measurements, setup, masks, seed, whole, stages, workers

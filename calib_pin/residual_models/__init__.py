@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Protocol
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -32,18 +31,8 @@ __all__ = [
 ]
 
 
-class Fitter(Protocol):
-    """Signature of the fit of a residual model."""
-
-    def __call__(
-        self,
-        rows: TrainingRows,
-        rng: np.random.Generator,
-        *,
-        progress: Progress | None = None,
-    ) -> ResidualModel:
-        """A model of the measurements."""
-        ...
+Fitter = Callable[..., ResidualModel]
+"""Fit of a residual model, as `network.fit_network`: of rows, a generator, progress."""
 
 
 # The members bring scipy, which takes as long to load as Pinocchio; most calibrations

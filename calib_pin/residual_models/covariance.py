@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -102,9 +103,8 @@ class Covariance:
     @property
     def total(self) -> Floats:
         """Variances of the components, shape (m,)."""
-        if not len(self.all):
-            return self.own
-        return self.all + self.own if len(self.own) else self.all
+        parts = [each for each in (self.own, self.all) if len(each)]
+        return np.asarray(sum(parts))
 
     def scaled(self, factor: float) -> Covariance:
         """The same with all variances times a number."""
@@ -121,34 +121,30 @@ class Covariance:
         for j, length in enumerate(self.short):
             yield _correlation(a[:, [j]], b[:, [j]], np.array([length]))
 
-    def correlation(self, a: Floats, b: Floats) -> Floats:
-        """Correlation by all angles, shape (A, B)."""
-        return _correlation(a, b, self.long)
-
     def components(self, a: Floats, b: Floats) -> Iterator[Floats]:
         """Covariance of each component, shape (A, B) each."""
         owns = self.own_correlations(a, b)
-        smooth = self.correlation(a, b) if len(self.all) else np.zeros(())
+        smooth = _correlation(a, b, self.long) if len(self.all) else np.zeros(())
         for j in range(len(self.total)):
             result = self.all[j] * smooth if len(self.all) else smooth
             yield result + self.own[j] * next(owns) if len(self.own) else result
 
-    def of_residuals(self, angle: Floats, A: Floats) -> Floats:
-        """Covariance of the residuals that corrections and noise make, (N d, N d).
+    def between(self, angle: Floats, A: Floats, at: Floats, B: Floats) -> Floats:
+        """Covariance of what depends on corrections here and there, (N d, K e).
 
         Args:
-            angle: Angles, shape (N, n) [rad].
-            A: Derivative of the residuals by the corrections, shape (N, d, m).
+            angle: Angles here, shape (N, n) [rad].
+            A: Derivative by the corrections, shape (N, d, m).
+            at: Angles there, shape (K, n) [rad].
+            B: Derivative by the corrections, shape (K, e, m).
         """
-        rows, d, _ = A.shape
-        result = np.zeros((d, d, rows, rows))
-        for j, values in enumerate(self.components(angle, angle)):
-            columns = np.ascontiguousarray(A[:, :, j].T)
-            for part, column in zip(result, columns, strict=True):
-                part += column[:, None] * values * columns[:, None]
-        K = result.transpose(2, 0, 3, 1).reshape(rows * d, rows * d)
-        K[np.diag_indices_from(K)] += self.noise
-        return K
+        (rows, d, _), (others, e, _) = A.shape, B.shape
+        result = np.zeros((d, e, rows, others))
+        for j, values in enumerate(self.components(angle, at)):
+            right = np.ascontiguousarray(B[:, :, j].T)[:, None]
+            for part, left in zip(result, A[:, :, j].T, strict=True):
+                part += left[:, None] * values * right
+        return result.transpose(2, 0, 3, 1).reshape(rows * d, others * e)
 
     def predict(self, at: Floats, angle: Floats, weights: Floats) -> Floats:
         """Sums of the covariances with training angles, shape (K, m).
@@ -158,13 +154,11 @@ class Covariance:
             angle: Training angles, shape (N, n) [rad].
             weights: Weight of each of these in each component, shape (N, m).
         """
-        result = np.zeros((len(at), weights.shape[1]))
+        result = np.empty((len(at), weights.shape[1]))
         for start in range(0, len(at), PIECE):
-            part, sums = at[start : start + PIECE], result[start : start + PIECE]
-            if len(self.all):
-                sums += self.correlation(part, angle) @ (weights * self.all)
-            for j, values in enumerate(self.own_correlations(part, angle)):
-                sums[:, j] += self.own[j] * (values @ weights[:, j])
+            piece = slice(start, start + PIECE)
+            for j, values in enumerate(self.components(at[piece], angle)):
+                result[piece, j] = values @ weights[:, j]
         return result
 
     @staticmethod
@@ -175,20 +169,21 @@ class Covariance:
             ValueError: If it is not one.
         """
         parts = checked(document, "covariance")
-        own = numbers(parts, "own", (None,), positive=True, empty=True)
+
+        def positive(key: str, count: int | None) -> Floats:
+            return numbers(parts, key, (count,), positive=True, empty=True)
+
+        own, each = positive("own", None), positive("all", None)
         if len(own) not in (0, components) or (len(own) and components != joints):
             raise ValueError(f"'own' has {len(own)} numbers, not {components}")
-        smooth = not (len(own) and parts.get("all") == [])
-
-        def positive(key: str, count: int) -> Floats:
-            return numbers(parts, key, (count,), positive=True, empty=not count)
-
+        if len(each) not in (0, components) or not (len(own) or len(each)):
+            raise ValueError(f"'all' has {len(each)} numbers, not {components}")
         return Covariance(
             own=own,
             short=positive("short", len(own)),
-            all=positive("all", components * smooth),
-            long=positive("long", joints * smooth),
-            kinds=np.abs(numbers(parts, "kinds", (None,), empty=True)),
+            all=each,
+            long=positive("long", joints * bool(len(each))),
+            kinds=positive("kinds", None),
             noise=float(numbers(parts, "noise", (), positive=True)),
         )
 
@@ -201,52 +196,116 @@ def _correlation(a: Floats, b: Floats, length: Floats) -> Floats:
     return np.asarray(np.exp(result, out=result))
 
 
-def most_likely(
-    angle: Floats,
-    A: Floats,
-    target: Floats,
-    free: Floats,
-    kinds: Sequence[Floats] = (),
-    *,
-    form: Form,
-    progress: Progress,
-) -> Covariance:
-    """Maximize the marginal likelihood.
+@dataclass(frozen=True)
+class Likelihood:
+    """Marginal likelihood of measurements, a cost of the covariance.
 
-    Args:
+    Attributes:
         angle: Joint angles, shape (N, n) [rad].
         A: Derivative of the residuals by the corrections, shape (N, d, m).
         target: Residuals that the corrections should make, shape (N, d).
         free: Residuals by free directions beside the corrections, a random amount of
             deviation one of each, shape (N d, f).
         kinds: The same by errors of each kind of parameter, shape (N d, p) each.
+    """
+
+    angle: Floats
+    A: Floats
+    target: Floats
+    free: Floats
+    kinds: Sequence[Floats] = ()
+
+    @cached_property
+    def _squares(self) -> list[Floats]:
+        return [each @ each.T for each in (self.free, *self.kinds)]
+
+    @cached_property
+    def _distance(self) -> Floats:
+        return np.asarray(2.0 - 2.0 * np.cos(self.angle[:, None] - self.angle))
+
+    def __call__(self, covariance: Covariance) -> tuple[float, Floats]:
+        """Negative log-likelihood but for a constant, and its gradient.
+
+        By the logarithms of own, short, all, long, kinds and noise in this order.
+        """
+        y, (K, *kinds) = self.target.reshape(-1), self._squares
+        K = K + covariance.between(self.angle, self.A, self.angle, self.A)
+        for size, each in zip(covariance.kinds, kinds, strict=True):
+            K += size * each
+        K[np.diag_indices_from(K)] += covariance.noise + JITTER
+        try:
+            L = cholesky(K, lower=True, check_finite=False)
+        except LinAlgError:
+            parts = ("own", "short", "all", "long", "kinds")
+            count = sum(len(getattr(covariance, name)) for name in parts)
+            return np.inf, np.zeros(count + 1)
+        alpha = cho_solve((L, True), y, check_finite=False)
+        by_K = 0.5 * (symmetric_inverse(L) - np.outer(alpha, alpha))
+        by_kinds = [
+            size * float(np.vdot(by_K, each))
+            for size, each in zip(covariance.kinds, kinds, strict=True)
+        ]
+        by_noise = covariance.noise * np.trace(by_K)
+        gradient = [*self._by_corrections(covariance, by_K), *by_kinds, by_noise]
+        return 0.5 * y @ alpha + np.log(np.diag(L)).sum(), np.array(gradient)
+
+    def _by_corrections(self, covariance: Covariance, by_K: Floats) -> Floats:
+        """Gradient by own, short, all and long, from that by K, shape (N d, N d)."""
+        rows, d, m = self.A.shape
+        # By the covariance of each component of the corrections, shape (m, N, N).
+        blocks = by_K.reshape(rows, d, rows, d)
+        by_component = np.empty((m, rows, rows))
+        for a, result in zip(np.moveaxis(self.A, 2, 0), by_component, strict=True):
+            left = np.einsum("ac,acbe->abe", a, blocks)
+            np.einsum("abe,be->ab", left, a, out=result)
+        own, short = np.zeros(len(covariance.own)), np.zeros(len(covariance.own))
+        owns = covariance.own_correlations(self.angle, self.angle)
+        for j, values in enumerate(owns):
+            by_own = covariance.own[j] * values * by_component[j]
+            own[j] = by_own.sum()
+            turn = np.vdot(by_own, self._distance[:, :, j])
+            short[j] = turn / covariance.short[j] ** 2
+        if not len(covariance.all):
+            return np.concatenate([own, short])
+        by_all = covariance.all[:, None, None] * by_component
+        by_all *= _correlation(self.angle, self.angle, covariance.long)
+        long = np.einsum("ab,abi->i", by_all.sum(axis=0), self._distance)
+        long /= covariance.long**2
+        return np.concatenate([own, short, by_all.sum((1, 2)), long])
+
+
+def most_likely(data: Likelihood, form: Form, progress: Progress | None) -> Covariance:
+    """Maximize the marginal likelihood.
+
+    Args:
+        data: The measurements.
         form: Functions that the process is made of.
         progress: Told the part that is done, 0 to 1.
     """
-    m, n, square = A.shape[2], angle.shape[1], float((target**2).mean())
+    m, n, square = data.A.shape[2], data.angle.shape[1], (data.target**2).mean()
     least = max(QUIETEST * square, BOUNDS["noise"][0])
     limits = {**BOUNDS, "noise": (least, BOUNDS["noise"][1])}
     starts = {**STARTS, "noise": max(STARTS["noise"] * square, least)}
     counts = [m * form.own, m * form.own, m * form.smooth, n * form.smooth]
-    counts += [len(kinds), 1]
+    counts += [len(data.kinds), 1]
     lower, upper = np.log(np.repeat(list(limits.values()), counts, axis=0)).T
     first = np.log(np.repeat(list(starts.values()), counts))
+    done = 0
 
     def at(x: Floats) -> Covariance:
-        own, short, all_, long, errors, noise = np.split(
+        own, short, each, long, kinds, noise = np.split(
             np.exp(x), np.cumsum(counts)[:-1]
         )
-        return Covariance(own, short, all_, long, errors, float(noise[0]))
-
-    likelihood, done = Likelihood(angle, A, target, free, kinds), 0
+        return Covariance(own, short, each, long, kinds, float(noise[0]))
 
     def cost(x: Floats) -> tuple[float, Floats]:
-        return likelihood(at(x))
+        return data(at(x))
 
     def count(xk: Floats) -> None:
         nonlocal done
         done += 1
-        progress(done / STEPS)
+        if progress is not None:
+            progress(done / STEPS)
 
     found = minimize(
         cost,
@@ -258,76 +317,6 @@ def most_likely(
         options={"maxiter": STEPS},
     )
     return at(found.x)
-
-
-class Likelihood:
-    """Marginal likelihood of measurements, a cost of the covariance.
-
-    Arguments as for `most_likely`.
-    """
-
-    def __init__(
-        self,
-        angle: Floats,
-        A: Floats,
-        target: Floats,
-        free: Floats,
-        kinds: Sequence[Floats],
-    ) -> None:
-        """Prepare what no covariance changes."""
-        self._angle, self._A, self._y = angle, A, target.reshape(-1)
-        self._free = free @ free.T
-        self._kinds = [each @ each.T for each in kinds]
-        self._distance = 2.0 - 2.0 * np.cos(angle[:, None] - angle)
-
-    def __call__(self, covariance: Covariance) -> tuple[float, Floats]:
-        """Negative log-likelihood but for a constant, and its gradient.
-
-        By the logarithms of own, short, all, long, kinds and noise in this order.
-        """
-        K = covariance.of_residuals(self._angle, self._A) + self._free
-        for size, each in zip(covariance.kinds, self._kinds, strict=True):
-            K += size * each
-        K[np.diag_indices_from(K)] += JITTER
-        parts = ("own", "short", "all", "long", "kinds")
-        try:
-            L = cholesky(K, lower=True, check_finite=False)
-        except LinAlgError:
-            count = sum(len(getattr(covariance, name)) for name in parts)
-            return np.inf, np.zeros(count + 1)
-        alpha = cho_solve((L, True), self._y, check_finite=False)
-        by_K = 0.5 * (symmetric_inverse(L) - np.outer(alpha, alpha))
-        by_kinds = [
-            size * float(np.vdot(by_K, each))
-            for size, each in zip(covariance.kinds, self._kinds, strict=True)
-        ]
-        by_noise = covariance.noise * np.trace(by_K)
-        gradient = [*self._by_corrections(covariance, by_K), *by_kinds, by_noise]
-        return 0.5 * self._y @ alpha + np.log(np.diag(L)).sum(), np.array(gradient)
-
-    def _by_corrections(self, covariance: Covariance, by_K: Floats) -> Floats:
-        """Gradient by own, short, all and long, from that by K, shape (N d, N d)."""
-        rows, d, m = self._A.shape
-        # By the covariance of each component of the corrections, shape (m, N, N).
-        blocks = by_K.reshape(rows, d, rows, d)
-        by_component = np.empty((m, rows, rows))
-        for a, result in zip(np.moveaxis(self._A, 2, 0), by_component, strict=True):
-            left = np.einsum("ac,acbe->abe", a, blocks)
-            np.einsum("abe,be->ab", left, a, out=result)
-        own, short = np.zeros(len(covariance.own)), np.zeros(len(covariance.own))
-        owns = covariance.own_correlations(self._angle, self._angle)
-        for j, values in enumerate(owns):
-            by_own = covariance.own[j] * values * by_component[j]
-            own[j] = by_own.sum()
-            turn = np.vdot(by_own, self._distance[:, :, j])
-            short[j] = turn / covariance.short[j] ** 2
-        if not len(covariance.all):
-            return np.concatenate([own, short])
-        by_all = covariance.all[:, None, None] * by_component
-        by_all *= covariance.correlation(self._angle, self._angle)
-        long = np.einsum("ab,abi->i", by_all.sum(axis=0), self._distance)
-        long /= covariance.long**2
-        return np.concatenate([own, short, by_all.sum((1, 2)), long])
 
 
 def symmetric_inverse(factor: Floats) -> Floats:

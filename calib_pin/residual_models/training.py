@@ -134,11 +134,6 @@ class Member:
         """Mean square of the best residuals of held-out measurements."""
         return float((self.after**2).mean())
 
-    @property
-    def shift(self) -> Floats:
-        """Shift that belongs to the best weights, shape (P,)."""
-        return self._shift(self._base + times(self._slope, self.correction(self.best)))
-
     def widen(self) -> None:
         """Admit the harmonics that were left out."""
         series = len(self._kept)

@@ -108,7 +108,7 @@ def test_damaged_or_other_files(
     good = file.read_bytes()
     document = json.loads(good)
     edited = json.loads(good)
-    edited["model"]["typical"][0] *= 1.5
+    edited["model"]["held_out"][0] *= 1.5
     contents = [json.dumps(edited).encode()]
     contents += [good[: int(part * len(good))] for part in (0.0, 0.3, 0.9999)]
     contents += [b"[]", b"{}", b'{"format": "something"}']

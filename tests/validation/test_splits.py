@@ -294,8 +294,8 @@ def test_sockets_that_were_not_fitted(in_sockets: tuple[Chain, Observations]) ->
 
 def test_unseen_rows_are_not_fitted() -> None:
     chain, rows = measured_rows(repeats=2)
-    alike = fit_model(chain, rows, SETUP, 0).fit
-    masks = folds(rows, alike, 0)
+    alike = fit_model(chain, rows, SETUP, 0)
+    masks = folds(rows, alike.fit, 0)
     parts = list(cross_validate(chain, rows, SETUP, masks, 0, alike))
     positions = np.concatenate([part.positions for part in parts])
     assert sorted(positions) == list(range(len(rows)))

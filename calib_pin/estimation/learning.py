@@ -194,6 +194,10 @@ def training_rows(
             result.by_shift[rows, columns] = by_shift
         return result
 
+    def some(index: NDArray[np.int64]) -> TrainingRows:
+        few = replace(problem, data=problem.data.rows(index))
+        return training_rows(few, theta, directions, known)
+
     return TrainingRows(
         q=np.concatenate([block.data.q for block in problem.blocks]),
         groups=problem.data.groups(),
@@ -201,6 +205,7 @@ def training_rows(
         by_joint=partial(linearize, "joint"),
         by_tip=partial(linearize, "tip"),
         values=layout.width,
+        some=some,
         shift=Shifts.free(directions.shape[1]) if known is None else known,
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -66,6 +66,7 @@ class TrainingRows:
             (N, n), and the shift, shape (P,), in units in which its directions compare.
         by_tip: Residuals at tool poses T Exp(xi) and a shift, from xi, shape (N, 6).
         values: Number d of residual components of each row.
+        some: Some of the rows alone, from their positions, ascending.
         shift: Its P directions, and what is known of them.
     """
 
@@ -75,6 +76,7 @@ class TrainingRows:
     by_joint: Callable[[Floats, Floats], Linearized]
     by_tip: Callable[[Floats, Floats], Linearized]
     values: int
+    some: Callable[[NDArray[np.int64]], TrainingRows]
     shift: Shifts = field(default_factory=lambda: Shifts.free(0))
 
     @property
@@ -91,34 +93,6 @@ class TrainingRows:
         size = self.q.shape[1] if space == "joint" else 6
         zero = np.zeros((len(self.q), size)), np.zeros(self.shifts)
         return self.evaluate(space)(*zero)
-
-    def some(self, index: NDArray[np.int64]) -> TrainingRows:
-        """Some of the rows; the others are evaluated with them, without a correction.
-
-        Args:
-            index: The rows, in this order.
-        """
-
-        def of(
-            evaluate: Callable[[Floats, Floats], Linearized],
-        ) -> Callable[[Floats, Floats], Linearized]:
-            def linearized(correction: Floats, shift: Floats) -> Linearized:
-                whole = np.zeros((len(self.q), correction.shape[1]))
-                whole[index] = correction
-                at = evaluate(whole, shift)
-                return Linearized(
-                    at.residual[index], at.by_correction[index], at.by_shift[index]
-                )
-
-            return linearized
-
-        return replace(
-            self,
-            q=self.q[index],
-            groups=self.groups[index],
-            by_joint=of(self.by_joint),
-            by_tip=of(self.by_tip),
-        )
 
     def folds(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
         """Part 0 to count - 1 of each row, groups undivided, shape (N,)."""

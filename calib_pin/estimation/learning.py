@@ -119,7 +119,7 @@ def left_out(
     masks: Sequence[NDArray[np.bool_]],
     rng: np.random.Generator,
 ) -> list[LearnedCorrection]:
-    """What a correction is without some of the measurements, the fit as it is.
+    """A correction without some of the measurements, the fit as it is.
 
     The geometry moves with it, as far as its shift goes; see
     `ResidualModel.left_out`.

@@ -13,11 +13,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.estimation.directions import visible_nuisances
 from calib_pin.estimation.fit import FittedModel
-from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.learning import left_out, with_learned
+from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.validation.model_errors import ModelErrors, model_errors
+from calib_pin.validation.model_errors import (
+    ModelErrors,
+    errors_of_registered,
+    registered,
+)
 
 
 def learned_left_out(
@@ -41,29 +46,47 @@ def learned_left_out(
     parts = [mask for mask, known in zip(masks, told, strict=True) if known]
     rng = np.random.default_rng(seed)
     others = iter(left_out(learned, fit, problem, theta, parts, rng))
+    frames = visible_nuisances(fit.registered[1], problem.parameters)
+    _, held, moved = fit.held
+    of_error = np.concatenate([part.of_error for part in problem.parts.values()])
     found = list[ModelErrors | None]()
     for mask, known in zip(masks, told, strict=True):
         if not known:
             found.append(None)
             continue
-        one, step = next(others), _without(fit, mask)
+        rows, correction = data.rows(mask), next(others)
+        nominal = fit.before + _step(fit.problem, mask, fit.registered, frames)
+        step = np.zeros_like(theta)
+        linear = _step(fit.problem, mask, (held.fun, held.jac), moved)
+        step[of_error] = linear[of_error]
         # What was learned stands on the geometry; where it fades, that remains.
-        moved = with_learned(problem, replace(one, shift=one.shift - step))
-        own = replace(model, problem=moved, theta=theta + step)
-        found.append(model_errors(own, data.rows(mask), np.flatnonzero(mask)))
+        own = replace(correction, shift=correction.shift - step)
+        before = registered(fit.problem, nominal, rows)
+        after = registered(with_learned(problem, own), theta + step, rows)
+        positions = np.flatnonzero(mask)
+        found.append(errors_of_registered(model, before, after, positions))
     return found
 
 
-def _without(fit: Fit, mask: NDArray[np.bool_]) -> Floats:
-    """How the parameters of the robot and its frames move without some rows, (P,)."""
-    problem, (_, held, moved) = fit.problem, fit.held
-    step = np.zeros(len(fit.theta))
-    if problem.many:  # Of so many it is nothing.
-        return step
-    kept = np.append(~mask[problem.layout.row], np.ones(len(held.fun), bool))
-    kept = kept[: len(held.fun)]
+def _step(
+    problem: Problem,
+    mask: NDArray[np.bool_],
+    linear: tuple[Floats, Floats],
+    moved: Floats,
+) -> Floats:
+    """How parameters move when some measurements are left out, shape (P,).
+
+    Args:
+        problem: The problem.
+        mask: The measurements, shape (N,).
+        linear: Whitened residual and Jacobian where all of them are fitted.
+        moved: Directions of the parameters, in their scales, shape (P, k).
+    """
+    if problem.many:  # Among so many, no part has a say.
+        return np.zeros(len(moved))
+    residual, J = linear
+    kept = np.ones(len(residual), bool)  # Priors stand behind the measurements.
+    kept[: len(problem.layout.row)] = ~mask[problem.layout.row]
     basis = problem.parameters.scales[:, None] * moved
-    J, r = held.jac[kept] @ basis, held.fun[kept]
-    of_error = np.concatenate([part.of_error for part in problem.parts.values()])
-    step[of_error] = -(basis @ np.linalg.lstsq(J, r, rcond=None)[0])[of_error]
-    return step
+    A = J[kept] @ basis
+    return np.asarray(-basis @ np.linalg.lstsq(A, residual[kept], rcond=None)[0])

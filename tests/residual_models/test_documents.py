@@ -73,14 +73,12 @@ def test_malformed_documents(model: ResidualModel) -> None:
     nan, inf = float("nan"), float("inf")
     values: dict[str, tuple[Any, ...]] = {
         "kind": ("pickle", ["network"]),
-        "region": ([1.0],),
         "region.angles": (None,),
         "region.reach": (0.0, nan, "0.3"),
         "region.anchors": ([], [[0.0] * 5]),
         "region.fade": ([1.0] * 5 + [10**400], [1.0] * 5 + [1e300]),
         "region.middle": ([0.0] * 5 + [None], [0.0] * 5 + [inf]),
         "shift": ([[1.0]], [0.0] * 4_000_001),
-        "held_out": ([1.0],),
     }
     for path, wrong in values.items():
         key = path.rpartition(".")[2]

@@ -176,10 +176,6 @@ class GaussianProcess:
             ValueError: If it is not one.
         """
         parts = checked(document, "gaussian-process")
-        if "noise" in parts or "made_of" in parts:
-            raise ValueError(
-                "an older release wrote this gaussian-process; calibrate again"
-            )
         space = cast(Space, stated(parts, "space", get_args(Space)))
         m = joints if space == "joint" else 6
         q = numbers(parts, "q", (None, joints))

@@ -124,6 +124,11 @@ def test_damaged_or_other_files(
         data = json.dumps(document | part).encode()
         with refused(InputError, file=str(file)):
             read_residual_model(data, learned.model, file)
+    for key in ("made_of", "free"):  # A process of harmonics, and one that fades.
+        older = {"kind": "gaussian-process", key: "harmonics"}
+        data = json.dumps(document | {"model": older}).encode()
+        with refused(InputError, ("older version", "again"), file=str(file)):
+            read_residual_model(data, learned.model, file)
     file.unlink()
     with refused(InputError, file=str(file)):
         read_calibration(folder / "calibration.json")

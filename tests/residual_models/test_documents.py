@@ -53,14 +53,6 @@ def test_every_key_is_needed(model: ResidualModel) -> None:
                 restore({**document, key: wrong}, 6)
 
 
-@pytest.mark.parametrize("key", ["made_of", "noise"])
-def test_a_process_of_an_older_release(model: ResidualModel, key: str) -> None:
-    """Of harmonics, or one that fades: neither is known any more."""
-    document = model.document() | {"kind": "gaussian-process", key: "harmonics"}
-    with pytest.raises(ValueError, match=r"older release.*calibrate again"):
-        restore(document, 6)
-
-
 def changed(document: Any, path: str, value: Any) -> Any:
     """A document with another value at a path such as `region.reach`."""
     key, _, rest = path.partition(".")

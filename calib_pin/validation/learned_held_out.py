@@ -46,7 +46,8 @@ def learned_left_out(
     parts = [mask for mask, known in zip(masks, told, strict=True) if known]
     rng = np.random.default_rng(seed)
     others = iter(left_out(learned, fit, problem, theta, parts, rng))
-    frames = visible_nuisances(fit.registered[1], problem.parameters)
+    registration = fit.problem.factorize(fit.before)
+    frames = visible_nuisances(registration[1], problem.parameters)
     _, held, moved = fit.held
     of_error = np.concatenate([part.of_error for part in problem.parts.values()])
     found = list[ModelErrors | None]()
@@ -55,7 +56,7 @@ def learned_left_out(
             found.append(None)
             continue
         rows, correction = data.rows(mask), next(others)
-        nominal = fit.before + _step(fit.problem, mask, fit.registered, frames)
+        nominal = fit.before + _step(fit.problem, mask, registration, frames)
         step = np.zeros_like(theta)
         linear = _step(fit.problem, mask, (held.fun, held.jac), moved)
         step[of_error] = linear[of_error]

@@ -28,6 +28,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.progress import Progress, portion
+from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import Setup
 from calib_pin.solvers.status import Status
 
@@ -81,6 +82,12 @@ class FittedModel:
     problem: Problem
     theta: Floats
     rejected: str = ""
+
+    @property
+    def learned(self) -> LearnedCorrection | None:
+        """The correction; None without one."""
+        learned = self.problem.only.error.learned
+        return learned if isinstance(learned, LearnedCorrection) else None
 
     def weighted(self, measurements: Observations) -> Observations:
         """The fitted measurements, with no weight where the fit has set them aside."""

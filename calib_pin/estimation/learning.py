@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError, require_known
 from calib_pin.estimation.directions import visible_nuisances
@@ -28,6 +30,9 @@ from calib_pin.residual_models import (
 from calib_pin.setup import Setup
 
 _System = TypeVar("_System", bound=System)
+
+FEW = 1000
+"""Configurations that tell whether a correction is zero; then it is zero everywhere."""
 
 
 def require_learnable(name: str, setup: Setup, measurements: Observations) -> None:
@@ -100,14 +105,39 @@ def learned_correction(
         InputError: If the measurements are too few to learn from.
     """
     directions, known = shift_directions(fitted, problem, theta)
-    found = RESIDUAL_MODELS[name](
-        training_rows(problem, theta, directions, known), rng, progress=progress
-    )
-    q = np.concatenate([block.data.q for block in problem.blocks])
-    if not (found.shift.any() or found(q).any()):
+    rows = training_rows(problem, theta, directions, known)
+    found = RESIDUAL_MODELS[name](rows, rng, progress=progress)
+    if not (found.shift.any() or found(rows.q[:FEW]).any()):
         # Nothing held on the validation measurements.
         return None
     return LearnedCorrection(found, directions @ found.shift)
+
+
+def left_out(
+    learned: LearnedCorrection,
+    fitted: Fit,
+    problem: Problem,
+    theta: Floats,
+    masks: Sequence[NDArray[np.bool_]],
+    rng: np.random.Generator,
+) -> list[LearnedCorrection]:
+    """A correction without some of the measurements, the fit as it is.
+
+    The geometry moves with it, as far as its shift goes; see
+    `ResidualModel.left_out`.
+
+    Args:
+        learned: The correction.
+        fitted: The fit.
+        problem: Its problem, about the solution.
+        theta: Parameter values about that, shape (P,).
+        masks: Those to leave out, shape (N,) each.
+        rng: Random generator of the residual model.
+    """
+    directions, known = shift_directions(fitted, problem, theta)
+    rows = training_rows(problem, theta, directions, known)
+    found = learned.model.left_out(rows, masks, rng)
+    return [LearnedCorrection(one, directions @ one.shift) for one in found]
 
 
 def training_rows(
@@ -166,6 +196,10 @@ def training_rows(
             result.by_shift[rows, columns] = by_shift
         return result
 
+    def some(index: NDArray[np.int64]) -> TrainingRows:
+        few = replace(problem, data=problem.data.rows(index))
+        return training_rows(few, theta, directions, known)
+
     return TrainingRows(
         q=np.concatenate([block.data.q for block in problem.blocks]),
         groups=problem.data.groups(),
@@ -173,6 +207,7 @@ def training_rows(
         by_joint=partial(linearize, "joint"),
         by_tip=partial(linearize, "tip"),
         values=layout.width,
+        some=some,
         shift=Shifts.free(directions.shape[1]) if known is None else known,
     )
 

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import OptionError, OutputError
+from calib_pin.errors import InputError, OptionError, OutputError
 from calib_pin.estimation.formulation import make_parts
 from calib_pin.estimation.scopes import BASE, TOOL
 from calib_pin.estimation.system import FRAME, Part, System, assembled
@@ -51,7 +51,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import frame_pose, frame_setup
-from calib_pin.residual_models import LearnedCorrection, restore
+from calib_pin.residual_models import LearnedCorrection, of_older_release, restore
 from calib_pin.residual_models.documents import numbers
 from calib_pin.setup import (
     AnchorSetup,
@@ -351,6 +351,9 @@ def read_residual_model(
         InputError: If it is no such file.
     """
     document = decoded(data, "residual model", RESIDUAL, file)
+    if of_older_release(document.get("model")):
+        reason = "of an older version of calib-pin: calibrate again"
+        raise InputError(reason, file=file)
     count = count_without_instruments(system)
     shift = np.zeros(len(system.given))
     with reading(file, "residual model"):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Protocol
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -28,22 +27,13 @@ __all__ = [
     "Space",
     "TrainedRegion",
     "TrainingRows",
+    "of_older_release",
     "restore",
 ]
 
 
-class Fitter(Protocol):
-    """Signature of the fit of a residual model."""
-
-    def __call__(
-        self,
-        rows: TrainingRows,
-        rng: np.random.Generator,
-        *,
-        progress: Progress | None = None,
-    ) -> ResidualModel:
-        """A model of the measurements."""
-        ...
+Fitter = Callable[..., ResidualModel]
+"""Fit of a residual model, as `network.fit_network`: of rows, a generator, progress."""
 
 
 # The members bring scipy, which takes as long to load as Pinocchio; most calibrations
@@ -59,7 +49,7 @@ def _fit_network(
 def _fit_gaussian_process(
     rows: TrainingRows, rng: np.random.Generator, *, progress: Progress | None = None
 ) -> ResidualModel:
-    from calib_pin.residual_models.process_fit import fit_gaussian_process
+    from calib_pin.residual_models.gaussian_process import fit_gaussian_process
 
     return fit_gaussian_process(rows, rng, progress=progress)
 
@@ -69,6 +59,17 @@ RESIDUAL_MODELS: Mapping[str, Fitter] = {
     "gaussian-process": _fit_gaussian_process,
 }
 """Fit of each residual model."""
+
+OLDER = ("made_of", "free")
+"""Keys of documents that only older releases wrote."""
+
+
+def of_older_release(document: object) -> bool:
+    """Whether a document is of a Gaussian process of version 0.2 or older.
+
+    Those were made of harmonics, or faded with the distance.
+    """
+    return isinstance(document, Mapping) and not document.keys().isdisjoint(OLDER)
 
 
 def restore(document: object, joints: int) -> ResidualModel:
@@ -86,11 +87,6 @@ def restore(document: object, joints: int) -> ResidualModel:
         from calib_pin.residual_models.network import Network
 
         return Network.restore(parts, joints)
-    if "made_of" in parts:
-        from calib_pin.residual_models.harmonic_process import HarmonicProcess
-
-        stated(parts, "made_of", (HarmonicProcess.made_of,))
-        return HarmonicProcess.restore(parts, joints)
     from calib_pin.residual_models.gaussian_process import GaussianProcess
 
     return GaussianProcess.restore(parts, joints)

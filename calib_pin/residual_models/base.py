@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -66,6 +66,7 @@ class TrainingRows:
             (N, n), and the shift, shape (P,), in units in which its directions compare.
         by_tip: Residuals at tool poses T Exp(xi) and a shift, from xi, shape (N, 6).
         values: Number d of residual components of each row.
+        some: Some of the rows alone, from their positions, ascending.
         shift: Its P directions, and what is known of them.
     """
 
@@ -75,6 +76,7 @@ class TrainingRows:
     by_joint: Callable[[Floats, Floats], Linearized]
     by_tip: Callable[[Floats, Floats], Linearized]
     values: int
+    some: Callable[[NDArray[np.int64]], TrainingRows]
     shift: Shifts = field(default_factory=lambda: Shifts.free(0))
 
     @property
@@ -82,33 +84,15 @@ class TrainingRows:
         """Number P of directions of the shift."""
         return len(self.shift)
 
-    def some(self, index: NDArray[np.int64]) -> TrainingRows:
-        """Some of the rows; the others are evaluated with them, without a correction.
+    def evaluate(self, space: Space) -> Callable[[Floats, Floats], Linearized]:
+        """`by_joint` or `by_tip`."""
+        return self.by_joint if space == "joint" else self.by_tip
 
-        Args:
-            index: The rows, in this order.
-        """
-
-        def of(
-            evaluate: Callable[[Floats, Floats], Linearized],
-        ) -> Callable[[Floats, Floats], Linearized]:
-            def linearized(correction: Floats, shift: Floats) -> Linearized:
-                whole = np.zeros((len(self.q), correction.shape[1]))
-                whole[index] = correction
-                at = evaluate(whole, shift)
-                return Linearized(
-                    at.residual[index], at.by_correction[index], at.by_shift[index]
-                )
-
-            return linearized
-
-        return replace(
-            self,
-            q=self.q[index],
-            groups=self.groups[index],
-            by_joint=of(self.by_joint),
-            by_tip=of(self.by_tip),
-        )
+    def plain(self, space: Space) -> Linearized:
+        """Residuals without a correction."""
+        size = self.q.shape[1] if space == "joint" else 6
+        zero = np.zeros((len(self.q), size)), np.zeros(self.shifts)
+        return self.evaluate(space)(*zero)
 
     def folds(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
         """Part 0 to count - 1 of each row, groups undivided, shape (N,)."""
@@ -181,25 +165,20 @@ class ResidualModel(Protocol):
         """
         ...
 
-    def deviation(
+    def left_out(
         self,
-        q: Floats,
-        by_correction: Floats | None = None,
-        by_shift: Floats | None = None,
-    ) -> Floats:
-        """Standard deviations of the corrections, or of what depends on them.
+        rows: TrainingRows,
+        masks: Sequence[NDArray[np.bool_]],
+        rng: np.random.Generator,
+    ) -> Sequence[ResidualModel]:
+        """Models of the same kind that some measurements have no part in.
 
-        The errors of joints and shift belong together: most of them cancel in the pose.
-        Outside the region they are of the size that corrections have in it.
+        What is searched, as a covariance is, was found with all of them.
 
         Args:
-            q: Commanded joint positions, shape (N, n) [rad, m].
-            by_correction: Derivative of something by the correction, shape (N, d, m);
-                default the corrections themselves.
-            by_shift: Its derivative by the shift, shape (N, d, P); default none.
-
-        Returns:
-            Standard deviations, shape (N, m) or (N, d), in the units of these.
+            rows: The N measurements that this one was learned from.
+            masks: Those to leave out, shape (N,) each.
+            rng: Source of whatever is learned anew.
         """
         ...
 
@@ -274,19 +253,3 @@ def correction_unit(at: Linearized, kinds: NDArray[np.bool_]) -> Floats:
 def root_mean_square(residual: Floats) -> float:
     """Root of the mean square of all components."""
     return float(np.sqrt((residual**2).mean()))
-
-
-def absorbed(by_shift: Floats) -> tuple[Floats, Floats]:
-    """Orthonormal residuals that a shift explains, and the shift for each.
-
-    Args:
-        by_shift: Derivative of the residuals by the shift, shape (N, d, P).
-
-    Returns:
-        Columns, shape (N d, k), and shifts, shape (P, k).
-    """
-    count, d, shifts = by_shift.shape
-    columns = by_shift.reshape(count * d, shifts)
-    left, s, right = np.linalg.svd(columns, full_matrices=False)
-    keep = s > INDEPENDENT * s.max(initial=0.0)
-    return left[:, keep], right[keep].T / s[keep]

@@ -1,4 +1,4 @@
-"""The covariance of corrections before any data, and the likeliest one after.
+"""The covariance of corrections, and the likeliest one.
 
 Each component j of a correction is a sum of at most two independent functions,
 
@@ -18,12 +18,12 @@ of the covariance by every parameter in memory, and takes twice as long.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_solve, cholesky
 from scipy.linalg.lapack import dpotri
 from scipy.optimize import Bounds, minimize
@@ -43,6 +43,9 @@ BOUNDS = {
     "noise": (1e-6, 1e2),
 }
 """Least and largest values; variances in squared units of the correction."""
+
+STARTS = {"own": 0.1, "short": 0.1, "all": 0.3, "long": 1.5, "kinds": 0.3, "noise": 0.1}
+"""Where the search starts; the noise as a part of the mean square."""
 
 QUIETEST = 1e-5
 """Least noise, as a part of the mean square; few measurements look noise-free."""
@@ -87,29 +90,26 @@ class Covariance:
         long: Their lengths l in each angle, shape (n,), or (0,).
         kinds: Variances of the errors of each kind of parameter that belong to them, in
             squares of the expected size, see `shifts.Shifts`.
+        noise: Variance of the whitened residuals beside all that.
     """
 
     own: Floats
     short: Floats
     all: Floats
     long: Floats
-    kinds: Floats = field(default_factory=lambda: np.zeros(0))
+    kinds: Floats
+    noise: float
 
     @property
     def total(self) -> Floats:
         """Variances of the components, shape (m,)."""
-        if not len(self.all):
-            return self.own
-        return self.all + self.own if len(self.own) else self.all
+        parts = [each for each in (self.own, self.all) if len(each)]
+        return np.asarray(sum(parts))
 
     def scaled(self, factor: float) -> Covariance:
         """The same with all variances times a number."""
-        return replace(
-            self,
-            own=self.own * factor,
-            all=self.all * factor,
-            kinds=self.kinds * factor,
-        )
+        variances = ("own", "all", "kinds", "noise")
+        return replace(self, **{k: getattr(self, k) * factor for k in variances})
 
     def own_correlations(self, a: Floats, b: Floats) -> Iterator[Floats]:
         """Correlation by the own angle for each component, shape (A, B) each.
@@ -121,38 +121,30 @@ class Covariance:
         for j, length in enumerate(self.short):
             yield _correlation(a[:, [j]], b[:, [j]], np.array([length]))
 
-    def correlation(self, a: Floats, b: Floats) -> Floats:
-        """Correlation by all angles, shape (A, B)."""
-        return _correlation(a, b, self.long)
-
     def components(self, a: Floats, b: Floats) -> Iterator[Floats]:
         """Covariance of each component, shape (A, B) each."""
         owns = self.own_correlations(a, b)
-        if not len(self.all):
-            yield from (v * values for v, values in zip(self.own, owns, strict=True))
-            return
-        smooth = self.correlation(a, b)
-        for j, variance in enumerate(self.all):
-            result = variance * smooth
-            if len(self.own):
-                result += self.own[j] * next(owns)
-            yield result
+        smooth = _correlation(a, b, self.long) if len(self.all) else np.zeros(())
+        for j in range(len(self.total)):
+            result = self.all[j] * smooth if len(self.all) else smooth
+            yield result + self.own[j] * next(owns) if len(self.own) else result
 
-    def of_residuals(self, angle: Floats, A: Floats) -> Floats:
-        """Covariance of the residuals that the corrections make, shape (N d, N d).
+    def between(self, angle: Floats, A: Floats, at: Floats, B: Floats) -> Floats:
+        """Covariance of what depends on corrections here and there, (N d, K e).
 
         Args:
-            angle: Angles, shape (N, n) [rad].
-            A: Derivative of the residuals by the corrections, shape (N, d, m).
+            angle: Angles here, shape (N, n) [rad].
+            A: Derivative by the corrections, shape (N, d, m).
+            at: Angles there, shape (K, n) [rad].
+            B: Derivative by the corrections, shape (K, e, m).
         """
-        d = A.shape[1]
-        result = np.zeros((A.shape[0] * d, A.shape[0] * d))
-        for j, values in enumerate(self.components(angle, angle)):
-            a = A[:, :, j].reshape(-1)
-            if a.any():
-                blocks = np.repeat(np.repeat(values, d, axis=0), d, axis=1)
-                result += blocks * np.multiply.outer(a, a)
-        return result
+        (rows, d, _), (others, e, _) = A.shape, B.shape
+        result = np.zeros((d, e, rows, others))
+        for j, values in enumerate(self.components(angle, at)):
+            right = np.ascontiguousarray(B[:, :, j].T)[:, None]
+            for part, left in zip(result, A[:, :, j].T, strict=True):
+                part += left[:, None] * values * right
+        return result.transpose(2, 0, 3, 1).reshape(rows * d, others * e)
 
     def predict(self, at: Floats, angle: Floats, weights: Floats) -> Floats:
         """Sums of the covariances with training angles, shape (K, m).
@@ -164,13 +156,9 @@ class Covariance:
         """
         result = np.empty((len(at), weights.shape[1]))
         for start in range(0, len(at), PIECE):
-            part = at[start : start + PIECE]
-            sums = np.zeros((len(part), weights.shape[1]))
-            if len(self.all):
-                sums += self.correlation(part, angle) @ (weights * self.all)
-            for j, values in enumerate(self.own_correlations(part, angle)):
-                sums[:, j] += self.own[j] * (values @ weights[:, j])
-            result[start : start + PIECE] = sums
+            piece = slice(start, start + PIECE)
+            for j, values in enumerate(self.components(at[piece], angle)):
+                result[piece, j] = values @ weights[:, j]
         return result
 
     @staticmethod
@@ -181,37 +169,23 @@ class Covariance:
             ValueError: If it is not one.
         """
         parts = checked(document, "covariance")
-        own = numbers(parts, "own", (None,), positive=True, empty=True)
+
+        def positive(key: str, count: int | None) -> Floats:
+            return numbers(parts, key, (count,), positive=True, empty=True)
+
+        own, each = positive("own", None), positive("all", None)
         if len(own) not in (0, components) or (len(own) and components != joints):
             raise ValueError(f"'own' has {len(own)} numbers, not {components}")
-        smooth = not (len(own) and parts.get("all") == [])
+        if len(each) not in (0, components) or not (len(own) or len(each)):
+            raise ValueError(f"'all' has {len(each)} numbers, not {components}")
         return Covariance(
             own=own,
-            short=numbers(parts, "short", own.shape, positive=True, empty=True),
-            all=numbers(
-                parts, "all", (components * smooth,), positive=True, empty=not smooth
-            ),
-            long=numbers(
-                parts, "long", (joints * smooth,), positive=True, empty=not smooth
-            ),
-            kinds=np.abs(numbers(parts, "kinds", (None,), empty=True))
-            if "kinds" in parts
-            else np.zeros(0),
+            short=positive("short", len(own)),
+            all=each,
+            long=positive("long", joints * bool(len(each))),
+            kinds=positive("kinds", None),
+            noise=float(numbers(parts, "noise", (), positive=True)),
         )
-
-
-class Likeliest(NamedTuple):
-    """The covariance under which measurements are most likely.
-
-    Attributes:
-        covariance: The covariance.
-        noise: Variance of the noise.
-        cost: Negative logarithm of the likelihood.
-    """
-
-    covariance: Covariance
-    noise: float
-    cost: float
 
 
 def _correlation(a: Floats, b: Floats, length: Floats) -> Floats:
@@ -222,101 +196,110 @@ def _correlation(a: Floats, b: Floats, length: Floats) -> Floats:
     return np.asarray(np.exp(result, out=result))
 
 
-def most_likely(
-    angle: Floats,
-    A: Floats,
-    target: Floats,
-    free: Floats,
-    kinds: Sequence[Floats] = (),
-    *,
-    form: Form,
-    progress: Progress | None = None,
-) -> Likeliest:
-    """Maximize the marginal likelihood.
+@dataclass(frozen=True)
+class Likelihood:
+    """Marginal likelihood of measurements, a cost of the covariance.
 
-    Args:
+    Attributes:
         angle: Joint angles, shape (N, n) [rad].
         A: Derivative of the residuals by the corrections, shape (N, d, m).
         target: Residuals that the corrections should make, shape (N, d).
         free: Residuals by free directions beside the corrections, a random amount of
             deviation one of each, shape (N d, f).
         kinds: The same by errors of each kind of parameter, shape (N d, p) each.
-        form: Functions that the process is made of.
-        progress: Told the part that is done, 0 to 1.
     """
-    y = target.reshape(-1)
-    other = free @ free.T
-    squares = [each @ each.T for each in kinds]
-    constant = 0.5 * len(y) * np.log(2.0 * np.pi)
 
-    def cost(covariance: Covariance, noise: float) -> tuple[float, Floats]:
-        """Negative log-likelihood, and its derivative by logarithms."""
-        K = covariance.of_residuals(angle, A) + other
-        for size, each in zip(covariance.kinds, squares, strict=True):
+    angle: Floats
+    A: Floats
+    target: Floats
+    free: Floats
+    kinds: Sequence[Floats] = ()
+
+    @cached_property
+    def _squares(self) -> list[Floats]:
+        return [each @ each.T for each in (self.free, *self.kinds)]
+
+    @cached_property
+    def _distance(self) -> Floats:
+        return np.asarray(2.0 - 2.0 * np.cos(self.angle[:, None] - self.angle))
+
+    def __call__(self, covariance: Covariance) -> tuple[float, Floats]:
+        """Negative log-likelihood but for a constant, and its gradient.
+
+        By the logarithms of own, short, all, long, kinds and noise in this order.
+        """
+        y, (K, *kinds) = self.target.reshape(-1), self._squares
+        K = K + covariance.between(self.angle, self.A, self.angle, self.A)
+        for size, each in zip(covariance.kinds, kinds, strict=True):
             K += size * each
-        K[np.diag_indices_from(K)] += noise
-        K[np.diag_indices_from(K)] += JITTER
+        K[np.diag_indices_from(K)] += covariance.noise + JITTER
         try:
             L = cholesky(K, lower=True, check_finite=False)
         except LinAlgError:
-            return np.inf, np.zeros(1)
+            parts = ("own", "short", "all", "long", "kinds")
+            count = sum(len(getattr(covariance, name)) for name in parts)
+            return np.inf, np.zeros(count + 1)
         alpha = cho_solve((L, True), y, check_finite=False)
-        lower, _ = dpotri(L, lower=1)
-        inverse = lower + lower.T  # Above the diagonal there are zeros.
-        inverse[np.diag_indices_from(inverse)] *= 0.5
-        by_K = 0.5 * (inverse - np.outer(alpha, alpha))
-        by_noise = noise * np.trace(by_K)
+        by_K = 0.5 * (symmetric_inverse(L) - np.outer(alpha, alpha))
         by_kinds = [
             size * float(np.vdot(by_K, each))
-            for size, each in zip(covariance.kinds, squares, strict=True)
+            for size, each in zip(covariance.kinds, kinds, strict=True)
         ]
-        of_corrections = _by_logarithms(covariance, angle, A, by_K)
-        gradient = np.array([*of_corrections, *by_kinds, by_noise])
-        return 0.5 * y @ alpha + np.log(np.diag(L)).sum() + constant, gradient
+        by_noise = covariance.noise * np.trace(by_K)
+        gradient = [*self._by_corrections(covariance, by_K), *by_kinds, by_noise]
+        return 0.5 * y @ alpha + np.log(np.diag(L)).sum(), np.array(gradient)
 
-    square = float((target**2).mean())
-    shape = A.shape[2], angle.shape[1], len(kinds)
-    return searched(cost, shape, square, form=form, progress=progress)
+    def _by_corrections(self, covariance: Covariance, by_K: Floats) -> Floats:
+        """Gradient by own, short, all and long, from that by K, shape (N d, N d)."""
+        rows, d, m = self.A.shape
+        # By the covariance of each component of the corrections, shape (m, N, N).
+        blocks = by_K.reshape(rows, d, rows, d)
+        by_component = np.empty((m, rows, rows))
+        for a, result in zip(np.moveaxis(self.A, 2, 0), by_component, strict=True):
+            left = np.einsum("ac,acbe->abe", a, blocks)
+            np.einsum("abe,be->ab", left, a, out=result)
+        own, short = np.zeros(len(covariance.own)), np.zeros(len(covariance.own))
+        owns = covariance.own_correlations(self.angle, self.angle)
+        for j, values in enumerate(owns):
+            by_own = covariance.own[j] * values * by_component[j]
+            own[j] = by_own.sum()
+            turn = np.vdot(by_own, self._distance[:, :, j])
+            short[j] = turn / covariance.short[j] ** 2
+        if not len(covariance.all):
+            return np.concatenate([own, short])
+        by_all = covariance.all[:, None, None] * by_component
+        by_all *= _correlation(self.angle, self.angle, covariance.long)
+        long = np.einsum("ab,abi->i", by_all.sum(axis=0), self._distance)
+        long /= covariance.long**2
+        return np.concatenate([own, short, by_all.sum((1, 2)), long])
 
 
-def searched(
-    cost: Callable[[Covariance, float], tuple[float, Floats]],
-    shape: tuple[int, int, int],
-    square: float,
-    *,
-    form: Form,
-    progress: Progress | None = None,
-) -> Likeliest:
-    """Minimize a cost of a covariance and a noise.
+def most_likely(data: Likelihood, form: Form, progress: Progress | None) -> Covariance:
+    """Maximize the marginal likelihood.
 
     Args:
-        cost: Cost, and its derivative by the logarithms of the numbers of the
-            covariance, in their order, and of the noise; any where it is infinite.
-        shape: Numbers m of components, n of angles and of kinds of parameters.
-        square: Mean square of the residuals.
+        data: The measurements.
         form: Functions that the process is made of.
         progress: Told the part that is done, 0 to 1.
     """
-    (m, n, kinds), (_, own, smooth) = shape, form
-    counts = {"own": m * own, "short": m * own, "all": m * smooth, "long": n * smooth}
-    counts |= {"kinds": kinds, "noise": 1}
-    cuts = np.cumsum(list(counts.values()))[:-1]
-
-    def parts(values: Floats) -> tuple[Covariance, float]:
-        *of_corrections, noise = np.split(np.exp(values), cuts)
-        return Covariance(*of_corrections), float(noise[0])
-
-    def of_logarithms(values: Floats) -> tuple[float, Floats]:
-        found, gradient = cost(*parts(values))
-        return found, gradient if np.isfinite(found) else np.zeros(len(values))
-
+    m, n, square = data.A.shape[2], data.angle.shape[1], (data.target**2).mean()
     least = max(QUIETEST * square, BOUNDS["noise"][0])
-    starts = {"own": 0.1, "short": 0.1, "all": 0.3, "long": 1.5, "kinds": 0.3}
-    starts["noise"] = max(0.1 * square, least)
     limits = {**BOUNDS, "noise": (least, BOUNDS["noise"][1])}
-    lower, upper = np.log(np.repeat(list(limits.values()), list(counts.values()), 0)).T
-    first = np.log(np.repeat(list(starts.values()), list(counts.values())))
+    starts = {**STARTS, "noise": max(STARTS["noise"] * square, least)}
+    counts = [m * form.own, m * form.own, m * form.smooth, n * form.smooth]
+    counts += [len(data.kinds), 1]
+    lower, upper = np.log(np.repeat(list(limits.values()), counts, axis=0)).T
+    first = np.log(np.repeat(list(starts.values()), counts))
     done = 0
+
+    def at(x: Floats) -> Covariance:
+        own, short, each, long, kinds, noise = np.split(
+            np.exp(x), np.cumsum(counts)[:-1]
+        )
+        return Covariance(own, short, each, long, kinds, float(noise[0]))
+
+    def cost(x: Floats) -> tuple[float, Floats]:
+        return data(at(x))
 
     def count(xk: Floats) -> None:
         nonlocal done
@@ -325,7 +308,7 @@ def searched(
             progress(done / STEPS)
 
     found = minimize(
-        of_logarithms,
+        cost,
         np.clip(first, lower, upper),
         jac=True,
         method="L-BFGS-B",
@@ -333,59 +316,12 @@ def searched(
         callback=count,
         options={"maxiter": STEPS},
     )
-    return Likeliest(*parts(found.x), cost=float(found.fun))
+    return at(found.x)
 
 
-def _by_logarithms(
-    covariance: Covariance, angle: Floats, A: Floats, by_K: Floats
-) -> Floats:
-    """Derivative of a cost by the logarithms of the covariance's numbers.
-
-    From its derivative by the covariance K of the residuals, shape (N d, N d).
-    """
-    rows, d, _ = A.shape
-    # By the covariance of each component of the corrections, shape (m, N, N).
-    blocks = by_K.reshape(rows, d, rows, d)
-    by_component = np.array(
-        [np.einsum("ac,acbe,be->ab", a, blocks, a) for a in np.moveaxis(A, 2, 0)]
-    )
-    distance = 2.0 - 2.0 * np.cos(angle[:, None] - angle)
-    own, short = np.zeros(len(covariance.own)), np.zeros(len(covariance.own))
-    for j, values in enumerate(covariance.own_correlations(angle, angle)):
-        by_own = covariance.own[j] * values * by_component[j]
-        own[j] = by_own.sum()
-        short[j] = (by_own * distance[:, :, j]).sum() / covariance.short[j] ** 2
-    if not len(covariance.all):
-        return np.concatenate([own, short])
-    by_all = covariance.all[:, None, None] * by_component
-    by_all *= covariance.correlation(angle, angle)
-    long = np.einsum("jab,abi->i", by_all, distance, optimize=True)
-    return np.concatenate([own, short, by_all.sum((1, 2)), long / covariance.long**2])
-
-
-def left_out(
-    factor: Floats, alpha: Floats, groups: NDArray[np.int64]
-) -> tuple[Floats, float]:
-    """Residuals of each group of measurements, predicted from all the others.
-
-    Rasmussen and Williams 2006, eq. 5.12, for groups in place of single values.
-
-    Args:
-        factor: Lower Cholesky factor of the covariance of the residuals, (N d, N d).
-        alpha: Residuals times the inverse covariance, shape (N d,).
-        groups: Group of each measurement, shape (N,).
-
-    Returns:
-        Residuals, shape (N d,), and their mean square in predicted variances.
-    """
-    inverse, _ = dpotri(factor, lower=1)
-    labels = np.repeat(groups, len(alpha) // len(groups))
-    order = np.argsort(labels, kind="stable")
-    cuts = np.flatnonzero(np.diff(labels[order])) + 1
-    result = np.empty_like(alpha)
-    for part in np.split(order, cuts):
-        block = np.tril(inverse[np.ix_(part, part)])
-        block += np.tril(block, -1).T
-        result[part] = np.linalg.solve(block, alpha[part])
-    square = float(result @ alpha) / len(alpha)
-    return result, square if square > 0.0 else 1.0
+def symmetric_inverse(factor: Floats) -> Floats:
+    """Inverse of a matrix from its lower Cholesky factor, shape (M, M)."""
+    lower, _ = dpotri(factor, lower=1)
+    result = lower + lower.T  # Above the diagonal there are zeros.
+    result[np.diag_indices_from(result)] *= 0.5
+    return np.asarray(result)

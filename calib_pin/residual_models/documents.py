@@ -49,18 +49,6 @@ def stated(document: Mapping[str, Any], key: str, allowed: Sequence[str]) -> str
     return found
 
 
-def fades(document: Mapping[str, Any]) -> bool:
-    """Whether a correction fades outside its region; older documents all do.
-
-    Raises:
-        ValueError: If it is not true or false.
-    """
-    found = document.get("fades", True)
-    if not isinstance(found, bool):
-        raise ValueError("'fades' is neither true nor false")
-    return found
-
-
 def numbers(
     document: Mapping[str, Any],
     key: str,

@@ -42,32 +42,8 @@ class Shifts:
         """Number P of directions."""
         return len(self.about)
 
-    @property
-    def amounts(self) -> tuple[Floats, tuple[int, ...]]:
-        """Independent amounts that make up the shift: free ones, then errors by kind.
-
-        Returns:
-            Shift per amount, shape (P, f + p), and the number of amounts of each kind.
-        """
-        free = np.eye(len(self))[:, self._free]
-        return np.hstack([free, *self.kinds]), tuple(k.shape[1] for k in self.kinds)
-
-    def columns(self, by_shift: Floats) -> tuple[Floats, list[Floats]]:
-        """Residuals of the free directions, and of errors of each kind.
-
-        Args:
-            by_shift: Derivative of the residuals by the shift, shape (N, d, P).
-
-        Returns:
-            Columns of free directions that explain `FREE` mean squares each where the
-            residuals have a mean square of one, shape (N d, f), and of expected errors
-            of each kind, shape (N d, p) each.
-        """
-        G = self._matrix(by_shift)
-        return G * np.sqrt(self._freedom(G)), [G @ kind for kind in self.kinds]
-
     def root(self, by_shift: Floats, square: float, sizes: Floats) -> Floats:
-        """A root R of the covariance `R R^T` of the shift about nominal, shape (P, P).
+        """A root R of the covariance `R R^T` of the shift about nominal, shape (P, k).
 
         Args:
             by_shift: Derivative of the residuals by the shift, shape (N, d, P).
@@ -75,24 +51,16 @@ class Shifts:
                 `FREE` times as much.
             sizes: Variance of each kind, in squares of the expected size.
         """
-        G = self._matrix(by_shift)
-        result = np.diag(square * self._freedom(G))
-        for size, kind in zip(sizes, self.kinds, strict=True):
-            result += size * (kind @ kind.T)
-        values, vectors = np.linalg.eigh(result)
-        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+        squares = np.einsum("ndp,ndp->p", by_shift, by_shift) * self._free
+        shown = squares > 0.0
+        free = np.eye(len(self))[:, shown]
+        if shown.any():
+            values = by_shift.shape[0] * by_shift.shape[1]
+            free *= np.sqrt(square * FREE * values / squares[shown])
+        kinds = zip(sizes, self.kinds, strict=True)
+        return np.hstack([free, *(np.sqrt(size) * kind for size, kind in kinds)])
 
     @property
     def _free(self) -> NDArray[np.bool_]:
         """Whether each direction is of no kind, shape (P,)."""
         return np.asarray(~np.hstack([np.zeros((len(self), 1)), *self.kinds]).any(1))
-
-    def _matrix(self, by_shift: Floats) -> Floats:
-        rows, width = by_shift.shape[:2]
-        return by_shift.reshape(rows * width, len(self))
-
-    def _freedom(self, G: Floats) -> Floats:
-        """Variance of free directions by the mean square of the residuals, (P,)."""
-        squares = np.einsum("ij,ij->j", G, G)
-        shown = self._free & (squares > 0.0)
-        return np.where(shown, FREE * len(G) / np.where(shown, squares, 1.0), 0.0)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtri
 
 from calib_pin.kinematics.spatial import Floats, times
-from calib_pin.residual_models.base import TrainingRows, absorbed
+from calib_pin.residual_models.base import INDEPENDENT, TrainingRows
 from calib_pin.residual_models.units import Inputs, Weights, combined, unit_columns
 
 FIRST = 2
@@ -134,16 +134,6 @@ class Member:
         """Mean square of the best residuals of held-out measurements."""
         return float((self.after**2).mean())
 
-    @property
-    def shift(self) -> Floats:
-        """Shift that belongs to the best weights, shape (P,)."""
-        return self._shift(self._base + times(self._slope, self.correction(self.best)))
-
-    @property
-    def noise(self) -> float:
-        """Standard deviation of the whitened residuals beside the correction."""
-        return self._noise
-
     def widen(self) -> None:
         """Admit the harmonics that were left out."""
         series = len(self._kept)
@@ -178,7 +168,7 @@ class Member:
         self._base = at.residual - times(self._slope, f) - at.by_shift @ shift
         self._A = self._slope[self._training] * self._unit
         values = self._A.shape[0] * self._A.shape[1]
-        self._left, self._back = absorbed(at.by_shift[self._training])
+        self._left, self._back = _absorbed(at.by_shift[self._training])
         self._target = -self._projected(self._base[self._training].reshape(-1))
         own = np.einsum("ndj,jnm->ndjm", self._A, self._inputs.waves[:, self._training])
         columns = own.reshape(values, -1)[:, self._kept]
@@ -267,3 +257,19 @@ class Member:
         free = r.size - self._left.shape[1] - determined.sum()
         square = float(r @ r) / max(free, 0.05 * r.size)
         self._noise = float(np.sqrt(max(square, 1e-14 * self._start)))
+
+
+def _absorbed(by_shift: Floats) -> tuple[Floats, Floats]:
+    """Orthonormal residuals that a shift explains, and the shift for each.
+
+    Args:
+        by_shift: Derivative of the residuals by the shift, shape (N, d, P).
+
+    Returns:
+        Columns, shape (N d, k), and shifts, shape (P, k).
+    """
+    count, d, shifts = by_shift.shape
+    columns = by_shift.reshape(count * d, shifts)
+    left, s, right = np.linalg.svd(columns, full_matrices=False)
+    keep = s > INDEPENDENT * s.max(initial=0.0)
+    return left[:, keep], right[keep].T / s[keep]

@@ -78,15 +78,6 @@ class Inputs:
         )
 
 
-def _products(circle: Circle, factors: Floats) -> tuple[Floats, Floats]:
-    """Product units, shape (N, H), and their slopes along the joints, (n, N, H)."""
-    terms, turned = _terms(circle, factors)
-    slopes = _others(terms)
-    units = slopes[-1] * terms[-1]
-    slopes *= turned
-    return units, slopes
-
-
 def combined(circle: Circle, weights: Weights) -> Floats:
     """Contribution of the units to the corrections, shape (N, n).
 
@@ -94,7 +85,9 @@ def combined(circle: Circle, weights: Weights) -> Floats:
         circle: Sines and cosines of the joint angles, shape (N, n) each.
         weights: The weights; their series does not count.
     """
-    units, slopes = _products(circle, weights.factors)
+    terms, turned = _terms(circle, weights.factors)
+    others = _others(terms)
+    units, slopes = others[-1] * terms[-1], others * turned
     along = slopes @ weights.outputs[:, :, 1].T[:, :, None]
     return np.asarray(units @ weights.outputs[:, :, 0] + along[:, :, 0].T)
 

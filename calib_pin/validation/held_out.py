@@ -27,6 +27,7 @@ from calib_pin.progress import Stages
 from calib_pin.setup import Setup
 from calib_pin.validation.findings.moved_instrument import FEWEST, registered_if_moved
 from calib_pin.validation.gains import PRESS, gains
+from calib_pin.validation.learned_held_out import learned_left_out
 from calib_pin.validation.left_out import left_out, press_check, unusable
 from calib_pin.validation.model_errors import ModelErrors, model_errors, registered
 from calib_pin.validation.splits import Grouping, folds
@@ -153,9 +154,11 @@ def cross_validate(
         progress: Told the stage and the fraction done of all parts.
         workers: Who fits those parts that take a fit.
     """
-    found: Sequence[ModelErrors | None] = [None] * len(masks)
-    if whole.problem.setup.learned is None:
-        found = left_out(whole.fit, masks)
+    found: Sequence[ModelErrors | None]
+    if whole.learned is not None:
+        found = learned_left_out(whole, masks, seed)
+    else:  # Where all of them taught nothing, some teach no more.
+        setup, found = replace(setup, learned=None), left_out(whole.fit, masks)
     if whole.fit.problem.many:
         # Their kernels keep all cores busy, and every worker would have a copy.
         workers = SERIAL

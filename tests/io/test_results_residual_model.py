@@ -107,7 +107,7 @@ def test_damaged_or_other_files(
     good = file.read_bytes()
     document = json.loads(good)
     edited = json.loads(good)
-    edited["model"]["typical"][0] *= 1.5
+    edited["model"]["held_out"][0] *= 1.5
     contents = [json.dumps(edited).encode()]
     contents += [good[: int(part * len(good))] for part in (0.0, 0.3, 0.9999)]
     contents += [b"[]", b"{}", b'{"format": "something"}']
@@ -122,6 +122,11 @@ def test_damaged_or_other_files(
     for part in ({"version": 2}, {"version": "1"}, {"model": {}}, {"shift": [1.0]}):
         data = json.dumps(document | part).encode()
         with refused(InputError, file=str(file)):
+            read_residual_model(data, learned.model, file)
+    for key in ("made_of", "free"):  # A process of harmonics, and one that fades.
+        older = {"kind": "gaussian-process", key: "harmonics"}
+        data = json.dumps(document | {"model": older}).encode()
+        with refused(InputError, ("older version", "again"), file=str(file)):
             read_residual_model(data, learned.model, file)
     file.unlink()
     with refused(InputError, file=str(file)):

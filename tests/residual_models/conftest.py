@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats, skew, so3_exp
@@ -58,6 +59,13 @@ class Study:
         rng = np.random.default_rng(seed)
         q = self.error.chain.random_configurations(count, rng)
         measured = self.truth(q) + noise * rng.standard_normal((count, 3))
+        return self.of(q, measured, np.arange(count))
+
+    def of(
+        self, q: Floats, measured: Floats, groups: NDArray[np.int64]
+    ) -> TrainingRows:
+        """Rows of measured positions, shape (N, 3)."""
+        count = len(q)
 
         def linearized(dq: Floats, xi: Floats, shift: Floats, tip: bool) -> Linearized:
             linear = self.error.linearize(q + dq, self.columns @ shift)
@@ -72,11 +80,12 @@ class Study:
 
         return TrainingRows(
             q=q,
-            groups=np.arange(count),
+            groups=groups,
             revolute=np.asarray(self.error.chain.revolute, bool),
             by_joint=lambda dq, z: linearized(dq, np.zeros((count, 6)), z, False),
             by_tip=lambda xi, z: linearized(np.zeros(q.shape), xi, z, True),
             values=3,
+            some=lambda index: self.of(q[index], measured[index], groups[index]),
             shift=Shifts.free(self.columns.shape[1]),
         )
 

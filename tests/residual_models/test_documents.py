@@ -11,11 +11,11 @@ import pytest
 
 from calib_pin.residual_models import RESIDUAL_MODELS, ResidualModel, restore
 from calib_pin.residual_models.covariance import FORMS
-from calib_pin.residual_models.network import NetworkOptions, fit_network
-from calib_pin.residual_models.process_fit import (
+from calib_pin.residual_models.gaussian_process import (
     GaussianProcessOptions,
     fit_gaussian_process,
 )
+from calib_pin.residual_models.network import NetworkOptions, fit_network
 
 
 @pytest.fixture(scope="module", params=[*RESIDUAL_MODELS, "tip"])
@@ -34,7 +34,8 @@ def test_restores_exactly(model: ResidualModel, study: Callable[..., Any]) -> No
     found = restore(json.loads(json.dumps(model.document(), allow_nan=False)), 6)
     q = study().rows(20, 0.0, 7).q
     np.testing.assert_allclose(found(q), model(q), rtol=1e-12)
-    np.testing.assert_allclose(found.deviation(q), model.deviation(q), rtol=1e-12)
+    if model.name == "gaussian-process":
+        np.testing.assert_allclose(found.deviation(q), model.deviation(q), rtol=1e-12)
     np.testing.assert_array_equal(found.shift, model.shift)
     np.testing.assert_array_equal(found.region.weight(q), model.region.weight(q))
     assert (found.name, found.space) == (model.name, model.space)
@@ -45,15 +46,11 @@ def test_every_key_is_needed(model: ResidualModel) -> None:
     document = model.document()
     for key in document:
         parts = {k: v for k, v in document.items() if k != key}
-        if key == "fades":  # Older documents do not say so.
-            assert restore(parts, 6).document()["fades"] is True
-        else:
-            with pytest.raises(ValueError, match=f"'{key}'"):
-                restore(parts, 6)
+        with pytest.raises(ValueError, match=f"'{key}'"):
+            restore(parts, 6)
         for wrong in (None, "__import__('os')", [[1.0], [2.0, 3.0]], {"a": 1}, True):
-            if key != "fades" or wrong is not True:
-                with pytest.raises(ValueError, match=r"'\w[\w ]*'"):
-                    restore({**document, key: wrong}, 6)
+            with pytest.raises(ValueError, match=r"'\w[\w ]*'"):
+                restore({**document, key: wrong}, 6)
 
 
 def changed(document: Any, path: str, value: Any) -> Any:
@@ -68,14 +65,12 @@ def test_malformed_documents(model: ResidualModel) -> None:
     nan, inf = float("nan"), float("inf")
     values: dict[str, tuple[Any, ...]] = {
         "kind": ("pickle", ["network"]),
-        "region": ([1.0],),
         "region.angles": (None,),
         "region.reach": (0.0, nan, "0.3"),
         "region.anchors": ([], [[0.0] * 5]),
         "region.fade": ([1.0] * 5 + [10**400], [1.0] * 5 + [1e300]),
         "region.middle": ([0.0] * 5 + [None], [0.0] * 5 + [inf]),
         "shift": ([[1.0]], [0.0] * 4_000_001),
-        "held_out": ([1.0],),
     }
     for path, wrong in values.items():
         key = path.rpartition(".")[2]

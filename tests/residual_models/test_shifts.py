@@ -26,21 +26,11 @@ def test_the_covariance_is_that_of_the_kinds(shifts: Shifts) -> None:
     G = by_shift.reshape(40, 3)
     assert found[0, 0] * np.mean(G[:, 0] ** 2) == pytest.approx(FREE * 4.0)
     np.testing.assert_allclose(found[0, 1:], 0.0, atol=1e-9)
-    free, kinds = shifts.columns(by_shift)
-    np.testing.assert_allclose(4.0 * free[:, 0] ** 2, found[0, 0] * G[:, 0] ** 2)
-    assert not free[:, 1:].any()
-    np.testing.assert_allclose(kinds[1], G @ second)
-
-
-def test_amounts_make_up_the_shift(shifts: Shifts) -> None:
-    amounts, counts = shifts.amounts
-    assert counts == (1, 2)
-    np.testing.assert_array_equal(amounts[:, 0], [1.0, 0.0, 0.0])
-    np.testing.assert_array_equal(amounts[:, 1:], np.hstack(shifts.kinds))
 
 
 def test_of_nothing_all_is_free() -> None:
-    amounts, counts = Shifts.free(2).amounts
-    np.testing.assert_array_equal(amounts, np.eye(2))
-    assert counts == () and len(Shifts.free(0)) == 0
+    by_shift = np.ones((3, 2, 2)) * [1.0, 0.0]
+    root = Shifts.free(2).root(by_shift, 1.0, np.zeros(0))
+    # What no measurement shows does not move.
+    np.testing.assert_allclose(root, [[np.sqrt(FREE)], [0.0]])
     assert Shifts.free(0).root(np.zeros((3, 2, 0)), 1.0, np.zeros(0)).shape == (0, 0)

@@ -334,7 +334,9 @@ def _variance(
     less = (1.0 - noise + shared)[layout.component]
     if less.any():
         core = np.eye(others.shape[1]) - (others.T * less) @ others
-        values, V = np.linalg.eigh(core + by_configuration(problem, others, shared))
+        if shared.any():
+            core += by_configuration(problem, others, shared)
+        values, V = np.linalg.eigh(core)
         uncertain = uncertain @ (V * np.sqrt(np.maximum(values, 0.0)))
     alone = noise[layout.component[own]] * (1.0 - np.sum(rest.placed**2, axis=1))
     spread = np.sum(rest.beside(uncertain) ** 2, axis=1)

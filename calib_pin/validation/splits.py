@@ -225,10 +225,16 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     needed = fitted.rank if held else fitted.structure.rank
     # Only what is estimated must be seen in every part.
     sought = [seen & (grouping.places < 0) for seen in _estimated(fitted, rows)]
+    whole = replace(fitted.problem, data=rows)
+    spare, values = known_values(whole) - needed, np.bincount(whole.layout.row)
     for mask in masks:
-        rest = replace(fitted.problem, data=rows.rows(~mask))
         seen = (len(np.unique(rows.groups()[one & ~mask])) for one in sought)
-        if known_values(rest) <= needed or any(0 < number < FEWEST for number in seen):
+        if any(0 < number < FEWEST for number in seen):
+            return []
+        # Few values are repetitions, which are soon counted where it matters.
+        if values[mask].sum() >= spare and (
+            known_values(replace(whole, data=rows.rows(~mask))) <= needed
+        ):
             return []
     return masks
 

@@ -19,7 +19,6 @@ from calib_pin.observations import BlockKey, Indices, Measurements, Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.planning.aims import Aim, Aims, require_plannable
 from calib_pin.planning.criteria import CRITERIA, Prediction
-from calib_pin.planning.objective import Found, Progress
 from calib_pin.planning.planned_problem import (
     STRUCTURE,
     Predicted,
@@ -31,7 +30,7 @@ from calib_pin.planning.planned_problem import (
     predict,
 )
 from calib_pin.planning.rows import IdentificationRows
-from calib_pin.planning.search import METHODS, Search
+from calib_pin.planning.search import METHODS, Found, Progress, Search
 from calib_pin.planning.travel import visits
 from calib_pin.planning.workspace import Workspace
 from calib_pin.solvers import Status
@@ -288,7 +287,7 @@ def _finished(
         aims=tuple(workspace.aims.each[k] for k in aim),
         criterion=search.criterion.name,
         value=search.criterion.value(information, search.measured + len(q)),
-        random=float(np.median([search.value(chosen) for chosen in draws])),
+        random=float(np.median([search.selection(some).value for some in draws])),
         method=best.method,
         status=best.status,
         steps=_steps(search, best, tests),

@@ -279,7 +279,7 @@ def predict(
         of: The parameters.
     """
     f = found.nuisances
-    _, s, right = found.svd
+    s, right = found.singular_values, found.right_vectors
     strong = s * WEAK > 1.0
     kept = np.eye(len(found.factor))[:, : f + int(strong.sum())]
     kept[f:, f:] = right[:, strong]

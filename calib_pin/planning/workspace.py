@@ -126,6 +126,11 @@ class Workspace:
             problem, lower, upper, aims, points or {}, collisions, distance
         )
 
+    @property
+    def bounds(self) -> Floats:
+        """Lower and upper limit of each joint, shape (n, 2) [rad, m]."""
+        return np.column_stack([self.lower, self.upper])
+
     def settled(self, q: Floats, aim: Indices) -> Floats:
         """Configurations where other chains rest and mimic joints follow.
 

@@ -46,6 +46,9 @@ DAMPING = 0.05, 0.01, 1e10
 FLOOR = 1e-12
 """Least square of a singular value that is inverted: rounding of double precision."""
 
+FARTHEST = 4.0
+"""Largest part of the way to the start that a step tries, where a slide bends away."""
+
 STALLED = 1e-5
 """Part of the squared error that a step must promise to remove."""
 
@@ -81,6 +84,8 @@ class _Rows(Stacked):
         damping: Damping by squared error, shape (A,).
         pull: Part of the way to the start that a step tries, shape (A,).
         dq: The next step, shape (A, n).
+        slide: Step to the start with all of the pull, shape (A, n).
+        moved: The last step, zero where it was not taken, shape (A, n).
     """
 
     index: Indices
@@ -90,6 +95,8 @@ class _Rows(Stacked):
     damping: Floats
     pull: Floats
     dq: Floats
+    slide: Floats
+    moved: Floats
 
 
 def _descended(task: Task, guess: Floats, effort: Effort, slides: int) -> Solutions:
@@ -98,7 +105,8 @@ def _descended(task: Task, guess: Floats, effort: Effort, slides: int) -> Soluti
     e, J = task.errors(q)
     count = len(q)
     first = np.full(count, DAMPING[0]), np.full(count, 0.5)
-    rows = _Rows(np.arange(count), q.copy(), e.copy(), J, *first, 0.0 * q)
+    none = 0.0 * q, 0.0 * q, 0.0 * q
+    rows = _Rows(np.arange(count), q.copy(), e.copy(), J, *first, *none)
     for iteration in range(effort.iterations + 1):
         exact = _below(rows.e, effort.error)
         # At the end joints stop where they are.
@@ -110,6 +118,7 @@ def _descended(task: Task, guess: Floats, effort: Effort, slides: int) -> Soluti
         damping = rows.damping * squared + FLOOR
         J = rows.J[:, : task.size]
         rows.dq = _step(task.joints, rows.q, J, rows.e, way, damping)
+        _adapt(rows)
         left = ((rows.e - times(J, rows.dq)) ** 2).sum(axis=1)
         stalled = ~exact & (squared - left <= STALLED * squared)
         # Before it gives up, a row tries without being pulled to the start.
@@ -126,6 +135,19 @@ def _descended(task: Task, guess: Floats, effort: Effort, slides: int) -> Soluti
     position = np.linalg.norm(e[:, :3], axis=1)
     angle = np.linalg.norm(e[:, 3:], axis=1)
     return Solutions(q, _below(e, max(REACHED, effort.error)), position, angle)
+
+
+def _adapt(rows: _Rows) -> None:
+    """The part of the way with which the next slide ends, by the last one's curvature.
+
+    As in a secant method: it is superlinear along one self-motion.
+    """
+    slide = rows.dq / rows.pull[:, None]
+    curved = (rows.moved * (rows.slide - slide)).sum(axis=1)
+    size = (rows.moved**2).sum(axis=1)
+    ratio = np.full(len(size), FARTHEST)
+    np.divide(size, curved, out=ratio, where=curved > size / FARTHEST)
+    rows.pull, rows.slide = np.where(size > 0.0, ratio, rows.pull), slide
 
 
 def _below(e: Floats, error: float) -> Booleans:
@@ -187,13 +209,15 @@ def _move(task: Task, rows: _Rows, sliding: Booleans) -> None:
     error, before = np.linalg.norm(e, axis=1), np.linalg.norm(rows.e, axis=1)
     better = error < before
     taken = better | (sliding & (error < 2.0 * NEAR))
-    away, was = (np.linalg.norm(at - task.start[rows.index], axis=1) for at in (q, rows.q))
+    away, was = (
+        np.linalg.norm(at - task.start[rows.index], axis=1) for at in (q, rows.q)
+    )
     # Where the error is small, a step along the self-motion must come closer.
     worse = (away > was) & (before < 0.1 * np.abs(rows.dq).max(axis=1))
-    factor = np.where(~taken | worse, 0.5, 2.0)
-    rows.pull = np.where(sliding, np.minimum(factor * rows.pull, 1.0), rows.pull)
+    rows.pull = np.where(sliding & (~taken | worse), 0.5 * rows.pull, rows.pull)
     eased = np.maximum(0.5 * rows.damping, DAMPING[1])
     rows.damping = np.where(better | sliding, eased, 8.0 * rows.damping)
+    rows.moved = np.where(taken[:, None], q - rows.q, 0.0)
     rows.q = np.where(taken[:, None], q, rows.q)
     rows.e = np.where(taken[:, None], e, rows.e)
     rows.J = np.where(taken[:, None, None], J, rows.J)

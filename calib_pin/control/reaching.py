@@ -10,6 +10,7 @@ from calib_pin.control.descent import descend
 from calib_pin.control.joints import (
     EXACT,
     FULL,
+    Effort,
     Joints,
     Kinematics,
     Solutions,
@@ -73,7 +74,7 @@ def reach(
     """
     near = joints.driven(start)
     task = Task(joints.driving(evaluate), targets, near, joints, orientation)
-    return _commanded(_reached(task), joints)
+    return _commanded(_descended(task, near, FULL), joints)
 
 
 def search(
@@ -115,11 +116,10 @@ def search(
     home = np.tile(joints.home, (len(targets), 1))
     near = home if start is None else joints.driven(start)
     task = Task(joints.driving(evaluate), targets, near, joints, orientation)
+    effort, guess = FULL, near
     if start is None:
-        effort, first = EXACT, _nearest(task, 1)[:, 0]
-        found = descend(task, joints.turned(first, near), effort)
-    else:
-        effort, found = FULL, _reached(task)
+        effort, guess = EXACT, joints.turned(_nearest(task, 1)[:, 0], near)
+    found = _descended(task, guess, effort)
     lost = np.flatnonzero(~found.reached)
     if not len(lost):
         return _commanded(found, joints)
@@ -128,7 +128,7 @@ def search(
         tried, pool = pool[:, :count], pool[:, count:]
         each = task.rows(np.repeat(lost, count))
         guess = joints.turned(tried.reshape(-1, tried.shape[2]), each.start)
-        tries = descend(each, guess, effort)
+        tries = _descended(each, guess, effort)
         best = tries.score.reshape(-1, count).argmin(axis=1)
         tries = tries.rows(count * np.arange(len(lost)) + best)
         better = tries.score < found.score[lost]
@@ -137,15 +137,13 @@ def search(
     return _commanded(found, joints)
 
 
-def _reached(task: Task) -> Solutions:
-    """Solutions close to the start of a task."""
-    found = descend(task, task.start, FULL)
+def _descended(task: Task, guess: Floats, effort: Effort) -> Solutions:
+    """Solutions from a guess, in the turns nearest to the start."""
+    found = descend(task, guess, effort)
     turned = task.joints.turned(found.q, task.start)
     (far,) = np.nonzero((turned != found.q).any(axis=1))
-    if not len(far):
-        return found
     # Corrections need not be periodic: another turn is another descent.
-    others = descend(task.rows(far), turned[far], FULL)
+    others = descend(task.rows(far), turned[far], effort)
     closer = others.reached | ~found.reached[far]
     return found.replaced(far[closer], others.rows(closer))
 

@@ -241,7 +241,7 @@ def plan(
         workers=workers,
     )
     best = search.run(method)
-    return _finished(search, best, structure, at, data, workers)
+    return _finished(search, best, structure, at, data)
 
 
 def sides_of(found: Plan) -> Mapping[str, tuple[int, ...]]:
@@ -259,7 +259,6 @@ def _finished(
     structure: Structure,
     tests: TipTests,
     measured: Observations | None,
-    workers: Workers,
 ) -> Plan:
     """Order a set and say what it will tell."""
     workspace, rows = search.workspace, search.rows
@@ -295,7 +294,7 @@ def _finished(
         candidates=len(search.candidates.q),
         tried=search.candidates.tried,
         blocked=None if workspace.collisions is None else closed,
-        unmeasurable=workspace.unmeasurable(search.candidates, workers),
+        unmeasurable=workspace.unmeasurable(search.candidates),
         assumed_tool=measured is None and bool(assumed_tools(problem)),
         predicted=predicted,
         parameters=parameters,

@@ -218,9 +218,7 @@ class Search:
         """A subset of the candidates, or of others, under the criterion."""
         table = self.table if table is None else table
         known, nuisances = self.objective.known, self.rows.nuisances
-        return Selection(
-            table, nuisances, self.criterion, known, chosen, self.measured
-        )
+        return Selection(table, nuisances, self.criterion, known, chosen, self.measured)
 
     def by_greedy(self) -> Found:
         """Add the best candidate until there are enough."""

@@ -1,7 +1,7 @@
 """A set of configurations chosen among candidates, as exchange methods see it.
 
-A search tries all candidates at every step. A configuration with rows U that joins a set
-(s = 1) or leaves it (s = -1) changes the covariance C = M^-1 by
+A search tries all candidates at every step. A configuration with rows U that joins a
+set (s = 1) or leaves it (s = -1) changes the covariance C = M^-1 by
 
     dC = -s C U' (I + s U C U')^-1 U C,
 

@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
 
 
 def quasi_random(shift: Floats, begin: int, count: int) -> Floats:
@@ -27,61 +21,23 @@ def quasi_random(shift: Floats, begin: int, count: int) -> Floats:
     return np.asarray((shift + np.arange(begin, begin + count)[:, None] * steps) % 1.0)
 
 
-class Apart:
-    """Points that keep a distance, the largest difference of a component.
+def apart(points: Floats, others: Floats, distance: float) -> list[int]:
+    """Positions of points that keep a distance from others and from those before them.
 
     Args:
-        distance: The distance; zero if there is none to keep.
-
-    Attributes:
-        count: Number of points kept so far.
+        points: The points, shape (N, n).
+        others: Those that they keep away from, shape (K, n).
+        distance: The distance, the largest difference of a component.
     """
+    # Scipy takes as long to load as Pinocchio; most plans keep no distance.
+    from scipy.spatial import cKDTree
 
-    def __init__(self, distance: float) -> None:
-        """Begin without points."""
-        self.count = 0
-        self._distance = distance
-        self._trees: list[cKDTree] = []
-
-    def keep(self, points: Floats, most: int) -> NDArray[np.intp]:
-        """Keep points that are far enough from all before them.
-
-        Args:
-            points: The next points, shape (N, n).
-            most: Largest number of points that are kept in all.
-
-        Returns:
-            Positions of those that are kept.
-        """
-        kept = np.arange(len(points))
-        if self._distance > 0.0:
-            kept = self._far(points)
-        kept = kept[: max(most - self.count, 0)]
-        self.count += len(kept)
-        if self._distance > 0.0 and len(kept):
-            self._remember(points[kept])
-        return kept
-
-    def _far(self, points: Floats) -> NDArray[np.intp]:
-        far = np.ones(len(points), bool)
-        for tree in self._trees:
-            # Infinite where nothing is near.
-            near, _ = tree.query(
-                points[far], p=np.inf, distance_upper_bound=self._distance
-            )
-            far[far] = near >= self._distance
-        kept: list[int] = []
-        for k in np.flatnonzero(far):
-            between = np.abs(points[kept] - points[k]).max(axis=1, initial=0.0)
-            if (between >= self._distance).all():
-                kept.append(int(k))
-        return np.array(kept, np.intp)
-
-    def _remember(self, points: Floats) -> None:
-        # Scipy takes as long to load as Pinocchio; most plans keep no distance.
-        from scipy.spatial import cKDTree
-
-        # Trees of twice the size of the next: a point is sorted in a few times only.
-        while self._trees and self._trees[-1].n <= len(points):
-            points = np.concatenate([self._trees.pop().data, points])
-        self._trees.append(cKDTree(points))
+    kept: list[int] = []
+    limit = {"p": np.inf, "distance_upper_bound": distance}
+    # Infinite where nothing is near.
+    near, _ = cKDTree(others).query(points, **limit)
+    for k in np.flatnonzero(near >= distance):
+        between = np.abs(points[kept] - points[k]).max(axis=1, initial=0.0)
+        if (between >= distance).all():
+            kept.append(int(k))
+    return kept

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.turns import TURN, shortest_turns
 from calib_pin.observations import Indices
 from calib_pin.planning.aims import Aim
 from calib_pin.planning.ordering import shortest_order
 from calib_pin.planning.rows import Rows
+from calib_pin.planning.ways import Ways
 from calib_pin.planning.workspace import Workspace
-
-MOTION = 0.05
-"""Step along a move between configurations that is checked for collisions [rad, m]."""
 
 SAME = 1e-9
 """Relative change of the information of a configuration up to which it is the same."""
@@ -45,11 +40,17 @@ def visits(
         Configurations and aims in the order of visits, and the places in it to which
         the straight move is blocked.
     """
-    blocked = None
+    chains, lower, upper = workspace.problem.chains, workspace.lower, workspace.upper
+    blocked: Callable[[Floats, Floats], bool] | None = None
     if workspace.collisions is not None:
-        blocked = partial(_blocked, workspace.collisions)
-    lower, upper = workspace.lower, workspace.upper
-    free = _free_to_turn(workspace.problem.chains)
+        ways = Ways(chains, workspace.collisions, lower, upper)
+
+        def blocked(a: Floats, b: Floats) -> bool:
+            return not ways.is_free(a, b)
+
+    # Joints that others do not follow, and that follow none.
+    tied = {*chains.mimics, *(mimic.leader for mimic in chains.mimics.values())}
+    free = chains.revolute & [name not in tied for name in chains.joints]
 
     def allowed(turned: Floats, q: Floats, aim: Indices) -> bool:
         same = np.array_equal(turned, q) or _same(rows, turned, q, aim)
@@ -62,21 +63,12 @@ def visits(
     q, aim = q[order], aim[order]
     turned = shortest_turns(q, lower, upper, free, start)
     if not np.array_equal(turned, q) and allowed(turned, q, aim):
-        shut = closed
-        if blocked is not None:
-            way = turned if start is None else np.concatenate([start[None], turned])
-            first = 1 if start is None else 0
-            moves = enumerate(pairwise(way), first)
-            shut = tuple(k for k, (a, b) in moves if blocked(a, b))
+        way = turned if start is None else np.concatenate([start[None], turned])
+        moves = enumerate(pairwise(way), 1 if start is None else 0)
+        shut = tuple(k for k, (a, b) in moves if blocked is not None and blocked(a, b))
         if len(shut) <= len(closed):
             q, closed = turned, shut
     return q, aim, closed
-
-
-def _free_to_turn(chains: Chains) -> NDArray[np.bool_]:
-    """Joints that others do not follow, and that follow none, shape (n,)."""
-    tied = {*chains.mimics, *(mimic.leader for mimic in chains.mimics.values())}
-    return chains.revolute & [name not in tied for name in chains.joints]
 
 
 def _same(rows: Rows, a: Floats, b: Floats, aim: Indices) -> bool:
@@ -117,11 +109,3 @@ def _ordered(
         order = np.concatenate([order, rows[found]])
         start = q[order[-1]]
     return order, tuple(closed)
-
-
-def _blocked(collisions: Collisions, a: Floats, b: Floats) -> bool:
-    """Whether something touches on the straight way between two configurations."""
-    pieces = max(2, int(np.ceil(np.abs(b - a).max() / MOTION)))
-    between = a + np.linspace(0.0, 1.0, pieces + 1)[1:-1, None] * (b - a)
-    # A few places far apart first: most moves that are blocked are so for long.
-    return not all(collisions.free(between[k::7]).all() for k in range(7))

@@ -29,7 +29,6 @@ from calib_pin.planning.planned_problem import (
     planned_problem,
     predict,
 )
-from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.search import METHODS, Found, Progress, Search
 from calib_pin.planning.travel import visits
 from calib_pin.planning.workspace import Workspace
@@ -262,7 +261,6 @@ def _finished(
 ) -> Plan:
     """Order a set and say what it will tell."""
     workspace, rows = search.workspace, search.rows
-    assert isinstance(rows, IdentificationRows)
     problem = rows.problem
     start = None if measured is None else measured.q[measured.in_order[-1]]
     q, aim, closed = visits(workspace, rows, best.q, best.aim, start)

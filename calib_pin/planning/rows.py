@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,24 +34,6 @@ from calib_pin.planning.aims import Aims, Look
 
 Pullback = Callable[[Floats], Floats]
 """Derivative by the rows, (N, d, m), to derivative by the configurations, (N, n)."""
-
-
-class Rows(Protocol):
-    """Rows of an identification matrix as functions of the configuration."""
-
-    @property
-    def nuisances(self) -> int:
-        """Number of leading columns that are no part of what is sought."""
-
-    @property
-    def differentiable(self) -> bool:
-        """Whether they have a derivative by the configuration."""
-
-    def rows(self, q: Floats, aim: Indices) -> Floats:
-        """Rows of configurations, shape (N, n) -> (N, d, m)."""
-
-    def linearize(self, q: Floats, aim: Indices) -> tuple[Floats, Pullback]:
-        """Rows, and what carries derivatives by them back to the configurations."""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from calib_pin.kinematics.turns import TURN, shortest_turns
 from calib_pin.observations import Indices
 from calib_pin.planning.aims import Aim
 from calib_pin.planning.ordering import shortest_order
-from calib_pin.planning.rows import Rows
+from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.ways import Ways
 from calib_pin.planning.workspace import Workspace
 
@@ -22,7 +22,11 @@ SAME = 1e-9
 
 
 def visits(
-    workspace: Workspace, rows: Rows, q: Floats, aim: Indices, start: Floats | None
+    workspace: Workspace,
+    rows: IdentificationRows,
+    q: Floats,
+    aim: Indices,
+    start: Floats | None,
 ) -> tuple[Floats, Indices, tuple[int, ...]]:
     """Configurations in the order and in the turns of short travel.
 
@@ -71,7 +75,7 @@ def visits(
     return q, aim, closed
 
 
-def _same(rows: Rows, a: Floats, b: Floats, aim: Indices) -> bool:
+def _same(rows: IdentificationRows, a: Floats, b: Floats, aim: Indices) -> bool:
     """Whether configurations tell the same, each (K, n)."""
     first, second = rows.rows(a, aim), rows.rows(b, aim)
     # Rows of the same information may differ by a rotation.

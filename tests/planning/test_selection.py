@@ -61,10 +61,10 @@ def test_cost_and_value_follow_every_change(name: str) -> None:
 
 
 def check_best(name: str, costs: dict[int, float], chosen: int, cost: float) -> None:
-    """Its cost is its own, and the least, or next to it where trials are estimated."""
+    """Its cost is its own, and the least; near it where first order is not enough."""
     assert cost == pytest.approx(costs[chosen], abs=1e-9)
     exact = name in ("prediction", "O1", "O3", "O5")
-    assert cost <= sorted(costs.values())[0 if exact else 2] + 1e-9
+    assert cost <= min(costs.values()) + (1e-9 if exact else 0.05)
 
 
 @pytest.mark.parametrize("name", ALL)

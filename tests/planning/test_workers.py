@@ -87,9 +87,9 @@ def without_collisions(workers: Workers) -> Any:
 @pytest.mark.parametrize(
     ("planned", "work"),
     [
-        (of_offsets, {"block", "seen", "descend"}),
-        (of_a_tree, {"block", "seen"}),
-        (without_collisions, {"block", "seen"}),
+        (of_offsets, {"block", "descend"}),
+        (of_a_tree, {"block"}),
+        (without_collisions, {"block"}),
     ],
 )
 def test_plans_do_not_depend_on_the_workers(

@@ -194,8 +194,10 @@ def compensate(
 
     def part(rows: slice) -> Solutions:
         near = None if start is None else start[rows]
-        options = {"frame": frame, "point": point, "orientation": orientation}
-        return commands(model, targets[rows], near, **options)
+        T = targets[rows]
+        return commands(
+            model, T, near, frame=frame, point=point, orientation=orientation
+        )
 
     found = _in_parts(part, len(targets), progress)
     collides = np.zeros(len(targets), bool)

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_columns import JointColumns
-from calib_pin.kinematics.joint_space import JointSpace
+from calib_pin.kinematics.joint_space import JointSpace, quasi_random
 from calib_pin.kinematics.spatial import Floats, so3_log, times
 from calib_pin.kinematics.turns import shortest_turns
-from calib_pin.planning.spread import quasi_random
 
 Kinematics: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 """Joint positions (N, n) to tool poses (N, 4, 4) and the tool's body twists by joint

@@ -52,6 +52,14 @@ class Spectral:
     exponent: float = np.inf
 
     @property
+    def tried(self) -> int:
+        """Trials whose costs are computed, the best ones to first order.
+
+        With more, exchange ends no lower; corners need more than smooth costs.
+        """
+        return 12 if np.isinf(self.exponent) else 4
+
+    @property
     def sharpnesses(self) -> tuple[float, ...]:
         """Exponents of successive descents; one where the cost is smooth."""
         return SHARPER if np.isinf(self.exponent) else (self.exponent,)
@@ -92,10 +100,12 @@ class Prediction:
         tests: `J_0' J_0`, the mean over the test poses, in the columns of the
             information matrix, shape (m, m) [m^2].
         name: Name as users write it.
+        tried: Trials whose costs are computed: first order has them in order.
     """
 
     tests: Floats
     name: str = "prediction"
+    tried: int = 1
     sharpnesses: tuple[float, ...] = (np.inf,)
 
     def cost(self, found: Information) -> float:

@@ -213,7 +213,7 @@ class Search:
         return replace(found, status=Status.STOPPED) if self.stopped else found
 
     def selection(
-        self, chosen: Sequence[int] = (), table: Floats | None = None
+        self, chosen: Sequence[int] | Indices = (), table: Floats | None = None
     ) -> Selection:
         """A subset of the candidates, or of others, under the criterion."""
         table = self.table if table is None else table

@@ -24,9 +24,6 @@ from calib_pin.observations import Indices
 from calib_pin.planning.criteria import Criterion
 from calib_pin.planning.information import Information
 
-TRIED = 8
-"""Trials whose costs are computed."""
-
 ALONE = 1e-9
 """Eigenvalue of `I - U C U'` below which rows hold all that is known of something:
 without them nothing remains of it but rounding, which conditioning enlarges."""
@@ -55,7 +52,7 @@ class Selection:
         nuisances: int,
         criterion: Criterion,
         known: Floats,
-        chosen: Sequence[int] = (),
+        chosen: Sequence[int] | Indices = (),
         measured: int = 0,
     ) -> None:
         """Sum what the members tell."""
@@ -109,7 +106,8 @@ class Selection:
     def _best(self, some: Indices, sign: float) -> tuple[int, float]:
         if self._found is None:
             return int(some[0]), np.inf
-        sharpness = self._criterion.sharpnesses[-1]
+        # The first sharpness counts several small eigenvalues, not the least alone.
+        sharpness = self._criterion.sharpnesses[0]
         _, B = self._criterion.slope(self._found, sharpness)
         U = self._rows[some]
         count, d, m = U.shape
@@ -125,7 +123,8 @@ class Selection:
         pairs = by_U @ np.swapaxes(U, 1, 2)
         order = sign * np.trace(np.linalg.solve(I_G, pairs), axis1=1, axis2=2)
         order[alone] = np.inf
-        first = np.argpartition(order, min(TRIED, len(some)) - 1)[:TRIED]
+        tried = min(self._criterion.tried, len(some))
+        first = np.argpartition(order, tried - 1)[:tried]
         costs = [
             self._judged(self._M + sign * self._rows[k].T @ self._rows[k])[1]
             for k in some[first]

@@ -13,11 +13,11 @@ from calib_pin.errors import InputError, OptionError, RobotError, nearest
 from calib_pin.estimation.configurations import lacking_frames
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.collision import Collisions
+from calib_pin.kinematics.joint_space import quasi_random
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Booleans, Indices
 from calib_pin.parameters import matching
 from calib_pin.planning.aims import Aims
-from calib_pin.planning.spread import apart, quasi_random
 from calib_pin.workers import SERIAL, Workers
 
 DRAWS = 400
@@ -204,7 +204,7 @@ class Workspace:
             for reason, number in reasons.items():
                 refused[reason] = refused.get(reason, 0) + number
             if self.distance > 0.0:
-                kept = apart(new, q, self.distance)
+                kept = _apart(new, q, self.distance)
                 new, of_new = new[kept], of_new[kept]
             q, aim = np.concatenate([q, new]), np.concatenate([aim, of_new])
         if not len(q):
@@ -308,6 +308,28 @@ def _block(
     free = sum(refusals.values()) == 0
     refused = {reason: int(rows.sum()) for reason, rows in refusals.items()}
     return q[free], aim[free], refused
+
+
+def _apart(points: Floats, others: Floats, distance: float) -> list[int]:
+    """Positions of points that keep a distance from others and from those before them.
+
+    Args:
+        points: The points, shape (N, n).
+        others: Those that they keep away from, shape (K, n).
+        distance: The distance, the largest difference of a component.
+    """
+    # Scipy takes as long to load as Pinocchio; most plans keep no distance.
+    from scipy.spatial import cKDTree
+
+    kept: list[int] = []
+    # Infinite where nothing is near.
+    tree = cKDTree(others)
+    near, _ = tree.query(points, p=np.inf, distance_upper_bound=distance)
+    for k in np.flatnonzero(near >= distance):
+        between = np.abs(points[kept] - points[k]).max(axis=1, initial=0.0)
+        if (between >= distance).all():
+            kept.append(int(k))
+    return kept
 
 
 def joint_limits(problem: Problem) -> tuple[Floats, Floats]:

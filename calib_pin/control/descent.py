@@ -27,33 +27,42 @@ from calib_pin.control.joints import (
 )
 from calib_pin.kinematics.spatial import Floats, times
 
-REACHED = 1e-9
-"""Error of a target that counts as reached [m, rad]: rounding of a large arm."""
 
-SETTLED = 1e-8
-"""Motion towards the start that is not worth a step [rad, m]."""
+@dataclass(frozen=True)
+class DescentOptions:
+    """Tolerances of a descent.
 
-NEAR = 0.05
-"""Error below which joints slide towards the start [m, rad]: farther, a step along the
-self-motion is one of another target."""
+    Attributes:
+        reached: Error of a target that counts as reached [m, rad]: rounding of a large
+            arm.
+        settled: Motion towards the start that is not worth a step [rad, m].
+        near: Error below which joints slide towards the start [m, rad]: farther, a step
+            along the self-motion is one of another target.
+        longest: Longest step of a joint [rad, m], for which twists still say where it
+            leads.
+        damping: Damping by squared error: first, least, and that with which no step is
+            better.
+        floor: Least square of a singular value that is inverted: rounding of double
+            precision.
+        farthest: Largest part of the way to the start that a step tries, where a slide
+            bends away.
+        stalled: Part of the squared error that a step must promise to remove.
+        block: Rows that are solved together; more would need gigabytes.
+    """
 
-LONGEST = 1.0
-"""Longest step of a joint [rad, m], for which twists still say where it leads."""
+    reached: float = 1e-9
+    settled: float = 1e-8
+    near: float = 0.05
+    longest: float = 1.0
+    damping: tuple[float, float, float] = 0.05, 0.01, 1e10
+    floor: float = 1e-12
+    farthest: float = 4.0
+    stalled: float = 1e-5
+    block: int = 16384
 
-DAMPING = 0.05, 0.01, 1e10
-"""Damping by squared error: first, least, and that with which no step is better."""
 
-FLOOR = 1e-12
-"""Least square of a singular value that is inverted: rounding of double precision."""
-
-FARTHEST = 4.0
-"""Largest part of the way to the start that a step tries, where a slide bends away."""
-
-STALLED = 1e-5
-"""Part of the squared error that a step must promise to remove."""
-
-BLOCK = 16384
-"""Rows that are solved together; more would need gigabytes."""
+OPTIONS = DescentOptions()
+"""The default options."""
 
 
 def descend(task: Task, guess: Floats, effort: Effort) -> Solutions:
@@ -66,7 +75,9 @@ def descend(task: Task, guess: Floats, effort: Effort) -> Solutions:
     """
     # Not by their number: the three joints of a planar arm are redundant as well.
     slides = effort.slides if guess.shape[1] > task.rank else 0
-    blocks = [slice(k, k + BLOCK) for k in range(0, max(len(guess), 1), BLOCK)]
+    blocks = [
+        slice(k, k + OPTIONS.block) for k in range(0, max(len(guess), 1), OPTIONS.block)
+    ]
     return Solutions.joined(
         [_descended(task.rows(rows), guess[rows], effort, slides) for rows in blocks]
     )
@@ -104,27 +115,31 @@ def _descended(task: Task, guess: Floats, effort: Effort, slides: int) -> Soluti
     q = task.joints.within(guess)
     e, J = task.errors(q)
     count = len(q)
-    first = np.full(count, DAMPING[0]), np.full(count, 0.5)
+    first = np.full(count, OPTIONS.damping[0]), np.full(count, 0.5)
     none = 0.0 * q, 0.0 * q, 0.0 * q
     rows = _Rows(np.arange(count), q.copy(), e.copy(), J, *first, *none)
     for iteration in range(effort.iterations + 1):
         exact = _below(rows.e, effort.error)
         # At the end joints stop where they are.
-        sliding = (iteration < slides) & (np.linalg.norm(rows.e, axis=1) < NEAR)
+        sliding = (iteration < slides) & (np.linalg.norm(rows.e, axis=1) < OPTIONS.near)
         sliding &= rows.pull > 1e-3
         way = np.where(sliding, rows.pull, 0.0)[:, None]
         way = way * (task.start[rows.index] - rows.q)
         squared = (rows.e**2).sum(axis=1)
-        damping = rows.damping * squared + FLOOR
+        damping = rows.damping * squared + OPTIONS.floor
         J = rows.J[:, : task.size]
         rows.dq = _step(task.joints, rows.q, J, rows.e, way, damping)
         _adapt(rows)
         left = ((rows.e - times(J, rows.dq)) ** 2).sum(axis=1)
-        stalled = ~exact & (squared - left <= STALLED * squared)
+        stalled = ~exact & (squared - left <= OPTIONS.stalled * squared)
         # Before it gives up, a row tries without being pulled to the start.
         rows.pull[stalled] *= 0.25
-        moves = sliding & (np.abs(rows.dq).max(axis=1, initial=0.0) > SETTLED)
-        done = (exact & ~moves) | (stalled & ~sliding) | (rows.damping > DAMPING[2])
+        moves = sliding & (np.abs(rows.dq).max(axis=1, initial=0.0) > OPTIONS.settled)
+        done = (
+            (exact & ~moves)
+            | (stalled & ~sliding)
+            | (rows.damping > OPTIONS.damping[2])
+        )
         # Where an error is not a number, nothing is.
         done |= np.isnan(squared) | (iteration == effort.iterations)
         q[rows.index[done]], e[rows.index[done]] = rows.q[done], rows.e[done]
@@ -134,7 +149,7 @@ def _descended(task: Task, guess: Floats, effort: Effort, slides: int) -> Soluti
         _move(task, rows, sliding)
     position = np.linalg.norm(e[:, :3], axis=1)
     angle = np.linalg.norm(e[:, 3:], axis=1)
-    return Solutions(q, _below(e, max(REACHED, effort.error)), position, angle)
+    return Solutions(q, _below(e, max(OPTIONS.reached, effort.error)), position, angle)
 
 
 def _adapt(rows: _Rows) -> None:
@@ -145,8 +160,8 @@ def _adapt(rows: _Rows) -> None:
     slide = rows.dq / rows.pull[:, None]
     curved = (rows.moved * (rows.slide - slide)).sum(axis=1)
     size = (rows.moved**2).sum(axis=1)
-    ratio = np.full(len(size), FARTHEST)
-    np.divide(size, curved, out=ratio, where=curved > size / FARTHEST)
+    ratio = np.full(len(size), OPTIONS.farthest)
+    np.divide(size, curved, out=ratio, where=curved > size / OPTIONS.farthest)
     rows.pull, rows.slide = np.where(size > 0.0, ratio, rows.pull), slide
 
 
@@ -185,9 +200,9 @@ def _step(
         dq[some] = moves[some] + times(np.swapaxes(free, 1, 2), y)
         if k == 0:
             # Before limits are looked at: many would be in the way of a long step.
-            longest = np.abs(dq).max(axis=1, initial=LONGEST)[:, None]
+            longest = np.abs(dq).max(axis=1, initial=OPTIONS.longest)[:, None]
             for whole in (dq, moves, e):
-                whole *= LONGEST / longest
+                whole *= OPTIONS.longest / longest
         room = np.where(dq > 0.0, joints.upper - q, q - joints.lower)
         leaves = ~held & (np.abs(dq) > room)
         parts = np.full(q.shape, np.inf)
@@ -198,8 +213,8 @@ def _step(
         first = some, parts[some].argmin(axis=1)
         held[first], moves[first] = True, (np.sign(dq) * room)[first]
     # Held joints may have been in the way of a step that was shorter before.
-    longest = np.abs(dq).max(axis=1, initial=LONGEST)[:, None]
-    return np.asarray(dq * (LONGEST / longest))
+    longest = np.abs(dq).max(axis=1, initial=OPTIONS.longest)[:, None]
+    return np.asarray(dq * (OPTIONS.longest / longest))
 
 
 def _move(task: Task, rows: _Rows, sliding: Booleans) -> None:
@@ -208,14 +223,14 @@ def _move(task: Task, rows: _Rows, sliding: Booleans) -> None:
     e, J = task.rows(rows.index).errors(q)
     error, before = np.linalg.norm(e, axis=1), np.linalg.norm(rows.e, axis=1)
     better = error < before
-    taken = better | (sliding & (error < 2.0 * NEAR))
+    taken = better | (sliding & (error < 2.0 * OPTIONS.near))
     away, was = (
         np.linalg.norm(at - task.start[rows.index], axis=1) for at in (q, rows.q)
     )
     # Where the error is small, a step along the self-motion must come closer.
     worse = (away > was) & (before < 0.1 * np.abs(rows.dq).max(axis=1))
     rows.pull = np.where(sliding & (~taken | worse), 0.5 * rows.pull, rows.pull)
-    eased = np.maximum(0.5 * rows.damping, DAMPING[1])
+    eased = np.maximum(0.5 * rows.damping, OPTIONS.damping[1])
     rows.damping = np.where(better | sliding, eased, 8.0 * rows.damping)
     rows.moved = np.where(taken[:, None], q - rows.q, 0.0)
     rows.q = np.where(taken[:, None], q, rows.q)

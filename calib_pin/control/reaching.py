@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,25 +18,35 @@ from calib_pin.control.joints import (
 )
 from calib_pin.kinematics.spatial import Floats
 
-SAMPLES = 2048
-"""Configurations among which those with poses near a target are looked for."""
 
-ROUNDS = (2, 6, 24)
-"""Samples from which a target is tried at once, round after round: most targets need
-few, and some need many."""
+@dataclass(frozen=True)
+class SearchOptions:
+    """Sizes and weights of a search.
 
-SPREAD = 4
-"""Every so many of the nearest samples is tried: nearer ones lead to the same end."""
+    Attributes:
+        samples: Configurations among which those with poses near a target are looked
+            for.
+        rounds: Samples from which a target is tried at once, round after round: most
+            targets need few, and some need many.
+        spread: Every so many of the nearest samples is tried: nearer ones lead to the
+            same end.
+        turn: Weight of a rotation matrix beside a position by their spread: a wrist
+            turns more easily than an arm reaches.
+        away: Weight of a joint's way from the start beside a position by its spread
+            [1/rad].
+        block: Targets that are compared with all samples at a time: what a cache holds.
+    """
 
-TURN = 0.25
-"""Weight of a rotation matrix beside a position by their spread: a wrist turns more
-easily than an arm reaches."""
+    samples: int = 2048
+    rounds: tuple[int, ...] = (2, 6, 24)
+    spread: int = 4
+    turn: float = 0.25
+    away: float = 0.15
+    block: int = 256
 
-AWAY = 0.15
-"""Weight of a joint's way from the start beside a position by its spread [1/rad]."""
 
-BLOCK = 256
-"""Targets that are compared with all samples at a time: what a cache holds."""
+OPTIONS = SearchOptions()
+"""The default options."""
 
 
 def reach(
@@ -123,8 +133,10 @@ def search(
     lost = np.flatnonzero(~found.reached)
     if not len(lost):
         return _commanded(found, joints)
-    pool = _nearest(task.rows(lost), SPREAD * sum(ROUNDS))[:, SPREAD - 1 :: SPREAD]
-    for count in ROUNDS:
+    pool = _nearest(task.rows(lost), OPTIONS.spread * sum(OPTIONS.rounds))[
+        :, OPTIONS.spread - 1 :: OPTIONS.spread
+    ]
+    for count in OPTIONS.rounds:
         tried, pool = pool[:, :count], pool[:, count:]
         each = task.rows(np.repeat(lost, count))
         guess = joints.turned(tried.reshape(-1, tried.shape[2]), each.start)
@@ -155,22 +167,22 @@ def _commanded(found: Solutions, joints: Joints) -> Solutions:
 
 def _nearest(task: Task, count: int) -> Floats:
     """The samples nearest to targets and start, the nearest first, (N, count, n)."""
-    samples = task.joints.samples(SAMPLES)
+    samples = task.joints.samples(OPTIONS.samples)
     T, _ = task.evaluate(samples)
     spread = float(np.sqrt(T[:, :3, 3].var(axis=0).sum()))
 
     def features(T: Floats, q: Floats) -> Floats:
-        parts = [T[:, :3, 3], AWAY * spread * q]
+        parts = [T[:, :3, 3], OPTIONS.away * spread * q]
         if task.orientation:
-            parts.append(TURN * spread * T[:, :3, :3].reshape(-1, 9))
+            parts.append(OPTIONS.turn * spread * T[:, :3, :3].reshape(-1, 9))
         return np.hstack(parts).astype(np.float32)
 
     known, wanted = features(T, samples), features(task.targets, task.start)
     # Half the squared distance, without the part that all samples share.
     half = 0.5 * (known**2).sum(axis=1)
     result = np.empty((len(wanted), count, samples.shape[1]))
-    for first in range(0, len(result), BLOCK):
-        rows = slice(first, first + BLOCK)
+    for first in range(0, len(result), OPTIONS.block):
+        rows = slice(first, first + OPTIONS.block)
         distances = half - wanted[rows] @ known.T
         some = np.argpartition(distances, count, axis=1)[:, :count]
         order = np.take_along_axis(distances, some, axis=1).argsort(axis=1)

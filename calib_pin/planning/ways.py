@@ -22,21 +22,29 @@ VIA = -1
 """Row of a configuration that only leads around something."""
 
 
-CHECKS = 10_000
-"""Most configurations that are looked at for one way: a few seconds."""
+@dataclass(frozen=True)
+class WayOptions:
+    """Sizes of a search.
 
-BRANCH = 0.3
-"""Longest new branch, as the motion of the robot's points [m]."""
+    Attributes:
+        checks: Most configurations that are looked at for one way: a few seconds.
+        branch: Longest new branch, as the motion of the robot's points [m].
+        near: How far around the straight way the first samples are [rad, m].
+        growth: Samples after which they are as far again.
+        shortcuts: Tries to make a way shorter.
+        least: Least motion of points between two places that are checked [m].
+    """
 
-NEAR, GROWTH = 0.5, 40
-"""How far around the straight way the first samples are [rad, m], and the number of
-samples after which they are as far again."""
+    checks: int = 10_000
+    branch: float = 0.3
+    near: float = 0.5
+    growth: int = 40
+    shortcuts: int = 40
+    least: float = 0.01
 
-SHORTCUTS = 40
-"""Tries to make a way shorter."""
 
-LEAST = 0.01
-"""Least motion of points between two places that are checked [m]."""
+OPTIONS = WayOptions()
+"""The default options."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +105,7 @@ class Ways:
         """Places of the straight way that are checked, shape (P, n)."""
         clearance = float(self.collisions.clearances.max(initial=0.0))
         moved = float(np.abs(b - a) @ self.collisions.reach)
-        step = max(2.0 * clearance, LEAST)
+        step = max(2.0 * clearance, OPTIONS.least)
         return np.linspace(a, b, 1 + max(1, int(np.ceil(moved / step))))
 
     def through(
@@ -162,7 +170,7 @@ class Ways:
     def _shorter(self, path: Floats, rng: np.random.Generator) -> Floats:
         """A way with fewer and nearer configurations, shape (M, n)."""
         path = self._pruned(path)
-        for _ in range(SHORTCUTS):
+        for _ in range(OPTIONS.shortcuts):
             (i, j), (s, t) = np.sort(rng.integers(0, len(path) - 1, 2)), rng.random(2)
             first = path[i] + s * (path[i + 1] - path[i])
             last = path[j] + t * (path[j + 1] - path[j])
@@ -187,15 +195,15 @@ def _connected(
     """A way by two trees that grow towards each other, shape (M, n), or none."""
     tree, other = _Tree(ways, a), _Tree(ways, b)
     drawn = 0
-    while tree.checks + other.checks < CHECKS:
+    while tree.checks + other.checks < OPTIONS.checks:
         drawn += 1
         # Around the straight way, the farther the later.
-        around = min(NEAR * (1.0 + drawn / GROWTH), np.pi)
+        around = min(OPTIONS.near * (1.0 + drawn / OPTIONS.growth), np.pi)
         low, high = np.minimum(a, b), np.maximum(a, b)
         low = np.minimum(low, np.maximum(ways.lower, low - around))
         high = np.maximum(high, np.minimum(ways.upper, high + around))
         sample = ways.chains.follow(rng.uniform(low, high)[None])[0]
-        last, _ = tree.grow(sample, BRANCH)
+        last, _ = tree.grow(sample, OPTIONS.branch)
         if last is not None:
             end, met = other.grow(tree.nodes[last], np.inf)
             if met and end is not None:
@@ -233,7 +241,7 @@ class _Tree:
         if away[at] == 0.0:
             return at, True
         whole = min(1.0, longest / float(away[at]))
-        parts = max(1, int(np.ceil(whole * float(away[at]) / BRANCH)))
+        parts = max(1, int(np.ceil(whole * float(away[at]) / OPTIONS.branch)))
         begin, new = self.nodes[at], None
         for k in range(1, parts + 1):
             # The very target at the end: rounding would keep the trees apart.

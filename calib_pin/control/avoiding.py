@@ -25,7 +25,7 @@ Free: TypeAlias = Callable[[Floats], Booleans]
 
 STARTS = 48
 """Configurations from which solutions for a target are sought: from half as many, ways
-are a fifth longer."""
+to a start are a sixth longer."""
 
 BLOCK = 64
 """Targets that are solved together: one at a time they take four times as long."""

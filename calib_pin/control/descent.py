@@ -73,11 +73,12 @@ def descend(task: Task, guess: Floats, effort: Effort) -> Solutions:
         guess: Joint positions to begin at, shape (N, n) [rad, m].
         effort: Tolerance and number of steps.
     """
+    if not len(guess):
+        none = np.zeros(0)
+        return Solutions(guess, none > 0.0, none, none)
     # Not by their number: the three joints of a planar arm are redundant as well.
     slides = effort.slides if guess.shape[1] > task.rank else 0
-    blocks = [
-        slice(k, k + OPTIONS.block) for k in range(0, max(len(guess), 1), OPTIONS.block)
-    ]
+    blocks = [slice(k, k + OPTIONS.block) for k in range(0, len(guess), OPTIONS.block)]
     return Solutions.joined(
         [_descended(task.rows(rows), guess[rows], effort, slides) for rows in blocks]
     )

@@ -104,7 +104,7 @@ def acceptance_poses(
         (True, (5, 6))
     """
     joints = Joints.of(chain)
-    if limits is not None and joints.columns is None:
+    if limits is not None and not chain.mimics:
         joints = replace(
             joints,
             lower=np.maximum(joints.lower, limits[0]),

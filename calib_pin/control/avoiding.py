@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import TypeAlias
 
@@ -23,10 +24,11 @@ Free: TypeAlias = Callable[[Floats], Booleans]
 """Joint positions of a chain, (N, n), to whether nothing touches there, (N,)."""
 
 STARTS = 48
-"""Configurations from which solutions for a target are sought."""
+"""Configurations from which solutions for a target are sought: from half as many, ways
+to a start are a sixth longer."""
 
 BLOCK = 64
-"""Targets that are solved together."""
+"""Targets that are solved together: one at a time they take four times as long."""
 
 SAME = 1e-3
 """Distance up to which two solutions are the same, whatever the turns [rad, m]."""
@@ -65,45 +67,41 @@ def free_solutions(
     for first in range(0, len(targets), BLOCK):
         found += _each(task, driven, slice(first, first + BLOCK), free)
     options = [rows.q for rows in found]
-    if start is not None:
-        chosen = [
-            int(_ways(q, at[None], joints).argmin()) if len(q) else 0
-            for q, at in zip(options, near, strict=True)
-        ]
-    else:
+    if start is None:
         chosen = _shortest(options, joints)
+    else:
+        pairs = zip(options, near, strict=True)
+        ways = [_ways(q, at[None], joints) for q, at in pairs]
+        chosen = [int(way.argmin()) if len(way) else 0 for way in ways]
+    none = Solutions(driven, own.reached & False, own.position, own.orientation)
     rows = [
-        some.rows(np.array([k])) if len(some) else Solutions.none(at[None])
-        for some, k, at in zip(found, chosen, driven, strict=True)
+        some.rows([k]) if len(some) else none.rows([at])
+        for at, (some, k) in enumerate(zip(found, chosen, strict=True))
     ]
-    best = Solutions.joined(rows) if rows else Solutions.none(driven)
-    return Solutions(
-        joints.positions(best.q), best.reached, best.position, best.orientation
-    )
+    best = Solutions.joined([none.rows([]), *rows])
+    return replace(best, q=joints.positions(best.q))
 
 
 def _each(task: Task, own: Floats, rows: slice, free: Free) -> Iterator[Solutions]:
     """The solutions of each of some targets that differ and are free."""
     joints, targets = task.joints, task.targets[rows]
     samples = joints.samples(STARTS)
-    guess = np.concatenate([own[rows, None], np.tile(samples, (len(targets), 1, 1))], 1)
-    count = guess.shape[1]
-    each = np.repeat(np.arange(len(targets)), count)
-    near = np.repeat(task.start[rows], count, axis=0)
-    some = Task(task.evaluate, targets[each], near, joints, task.orientation)
-    tries = descend(some, guess.reshape(len(each), -1), EXACT)
+    some = np.tile(samples, (len(targets), 1, 1))
+    guess = np.concatenate([own[rows, None], some], axis=1)
+    each = np.repeat(np.arange(len(targets)), guess.shape[1])
+    repeated = task.rows(rows).rows(each)
+    tries = descend(repeated, guess.reshape(len(each), -1), EXACT)
     # The turns nearest to where they shall be, if they are solutions as well.
-    turned = joints.turned(tries.q, near)
-    others = descend(some, turned, EXACT)
-    (there,) = np.nonzero(others.reached)
-    tries = tries.replaced(there, others.rows(there))
+    turned = joints.turned(tries.q, repeated.start)
+    others = descend(repeated, turned, EXACT)
+    tries = tries.replaced(others.reached, others.rows(others.reached))
     for k in range(len(targets)):
         (reached,) = np.nonzero(tries.reached & (each == k))
         kept: list[int] = []
         for row in reached:
             if all(joints.distances(tries.q[row], tries.q[kept]) > SAME**2):
                 kept.append(int(row))
-        found = tries.rows(np.array(kept, np.int64))
+        found = tries.rows(kept)
         yield found.rows(free(joints.positions(found.q)))
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.control.avoiding import Free, free_solutions
 from calib_pin.control.calibrated import Frame, Point, has_sides, kinematics
-from calib_pin.control.joints import Indices, Joints, Kinematics, Solutions, Stacked
+from calib_pin.control.joints import Joints, Kinematics, Solutions, Stacked
 from calib_pin.control.reaching import reach, search
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.observations import Signs, approached
@@ -114,9 +114,6 @@ def commands(
 ) -> Solutions:
     """Joint positions at which a calibrated robot is where it shall be.
 
-    Without a start the nominal robot is solved first, and the solution is the one close
-    to that.
-
     Args:
         model: The calibrated chain.
         targets: Poses to reach, shape (N, 4, 4).
@@ -142,7 +139,6 @@ def commands(
         targets,
         Joints.of(model.chain),
         start,
-        nominal=kinematics(model, frame=frame, point=point, nominal=True),
         orientation=orientation,
     )
 
@@ -190,49 +186,42 @@ def compensate(
         >>> bool(found.position.max() < 1e-9)
         True
     """
-    imagined = kinematics(model, frame=frame, point=point, nominal=True)
     real = kinematics(model, frame=frame, point=point)
     joints, count = Joints.of(model.chain), len(model.chain.joints)
     targets = as_array("targets", targets, "N", 4, 4)
     start = start if start is None else as_array("start", start, len(targets), count)
     before = before if before is None else as_array("before", before, count)
 
-    def finished(T: Floats, found: Solutions) -> Compensation:
-        nominal = reach(imagined, T, found.q, joints, orientation=orientation)
-        plain = np.where(nominal.reached[:, None], nominal.q, np.nan)
-        return _compensation(model, real, T, found, plain, orientation)
-
-    def part(rows: slice) -> Compensation:
-        T, near = targets[rows], None if start is None else start[rows]
-        found = commands(
+    def part(rows: slice) -> Solutions:
+        near = None if start is None else start[rows]
+        T = targets[rows]
+        return commands(
             model, T, near, frame=frame, point=point, orientation=orientation
-        )
-        return finished(T, found)
-
-    def replaced(found: Compensation, rows: Indices, others: Solutions) -> Compensation:
-        there = others.reached
-        return found.replaced(
-            rows[there], finished(targets[rows[there]], others.rows(there))
         )
 
     found = _in_parts(part, len(targets), progress)
+    collides = np.zeros(len(targets), bool)
     if free is not None:
-        solved = Solutions(found.q, found.reached, found.position, found.orientation)
         others = free_solutions(
-            real, targets, solved, joints, free, start=start, orientation=orientation
+            real, targets, found, joints, free, start=start, orientation=orientation
         )
-        found = replaced(found, np.arange(len(targets)), others)
-        found = replace(found, collides=found.reached & ~others.reached)
+        collides = found.reached & ~others.reached
+        found = found.replaced(others.reached, others.rows(others.reached))
     if start is None:
-        (kept,) = np.nonzero(found.good)
+        kept = np.flatnonzero(found.reached & ~collides)
         driven = joints.driven(found.q[kept])
         unwound = joints.unwound(driven)
-        (turned,) = np.nonzero((unwound != driven).any(axis=1))
+        turned = (unwound != driven).any(axis=1)
         rows, near = kept[turned], joints.positions(unwound[turned])
         # Corrections need not be periodic: another turn is another descent.
         others = reach(real, targets[rows], near, joints, orientation=orientation)
-        found = replaced(found, rows, others)
-    return _from_sides(model, targets, found, before, frame, point)
+        found = found.replaced(rows[others.reached], others.rows(others.reached))
+    imagined = kinematics(model, frame=frame, point=point, nominal=True)
+    nominal = reach(imagined, targets, found.q, joints, orientation=orientation)
+    plain = np.where(nominal.reached[:, None], nominal.q, np.nan)
+    result = _compensation(model, real, targets, found, plain, orientation)
+    result = replace(result, collides=collides)
+    return _from_sides(model, targets, result, before, frame, point)
 
 
 @serial_blas
@@ -262,12 +251,11 @@ def follow(
     real = kinematics(model, frame="base", point="tip")
     joints = Joints.of(model.chain)
 
-    def part(rows: slice) -> Compensation:
-        T = targets[rows]
-        found = reach(real, T, q[rows], joints, orientation=orientation)
-        return _compensation(model, real, T, found, q[rows], orientation)
+    def part(rows: slice) -> Solutions:
+        return reach(real, targets[rows], q[rows], joints, orientation=orientation)
 
-    found = _in_parts(part, len(q), progress)
+    solved = _in_parts(part, len(q), progress)
+    found = _compensation(model, real, targets, solved, q, orientation)
     found = _from_sides(model, targets, found, before, "base", "tip")
     return found if free is None else replace(found, collides=~free(found.q))
 
@@ -309,15 +297,15 @@ def _from_sides(
 
 
 def _in_parts(
-    run: Callable[[slice], Compensation], count: int, progress: Progress | None
-) -> Compensation:
+    solve: Callable[[slice], Solutions], count: int, progress: Progress | None
+) -> Solutions:
     """All rows, some at a time; nobody can tell how far a single descent is."""
     parts = []
     for start in range(0, max(count, 1), BLOCK):
         if progress is not None:
             progress(start / max(count, 1))
-        parts.append(run(slice(start, start + BLOCK)))
-    return Compensation.joined(parts)
+        parts.append(solve(slice(start, start + BLOCK)))
+    return Solutions.joined(parts)
 
 
 def _compensation(

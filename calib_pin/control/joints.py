@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_columns import JointColumns
-from calib_pin.kinematics.joint_space import JointSpace
+from calib_pin.kinematics.joint_space import JointSpace, quasi_random
 from calib_pin.kinematics.spatial import Floats, so3_log, times
 from calib_pin.kinematics.turns import shortest_turns
 
@@ -28,7 +28,7 @@ class Stacked:
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
-    def rows(self, rows: Indices | Booleans | slice) -> Self:
+    def rows(self, rows: Indices | Booleans | slice | list[int]) -> Self:
         """Some of the rows; what is no array stays."""
         return replace(self, **{k: array[rows] for k, array in self._arrays().items()})
 
@@ -41,7 +41,7 @@ class Stacked:
         }
         return replace(parts[0], **columns)
 
-    def replaced(self, rows: Indices, others: Self) -> Self:
+    def replaced(self, rows: Indices | Booleans, others: Self) -> Self:
         """These rows, but for some, shape (K,), others."""
         columns = {name: array.copy() for name, array in self._arrays().items()}
         for name, column in columns.items():
@@ -62,13 +62,13 @@ class Joints:
         lower: Lower limits, shape (n,) [rad, m]; minus infinity where there is none.
         upper: Upper limits, shape (n,) [rad, m]; infinity where there is none.
         revolute: True for revolute joints of which whole turns move nothing, (n,).
-        columns: How the chain's joints follow these; None where they are the same.
+        columns: How the chain's joints follow these.
     """
 
     lower: Floats
     upper: Floats
     revolute: Booleans
-    columns: JointColumns | None = None
+    columns: JointColumns
 
     @staticmethod
     def of(chain: Chain) -> Joints:
@@ -76,8 +76,6 @@ class Joints:
         space = JointSpace(chain.robot.model, chain.joints, chain.robot.mimics)
         lower = np.where(space.limited, space.lower, -np.inf)
         upper = np.where(space.limited, space.upper, np.inf)
-        if not space.mimics:
-            return Joints(lower, upper, space.revolute)
         columns = JointColumns.of(chain)
         own = [space.joints.index(drive) for drive in columns.joints]
         # After a turn of its leader a mimic joint may stand elsewhere.
@@ -88,11 +86,11 @@ class Joints:
 
     def positions(self, q: Floats) -> Floats:
         """Positions of the joints of the chain, shape (N, n) -> (N, m)."""
-        return q if self.columns is None else self.columns.positions(q)
+        return self.columns.positions(q)
 
     def driven(self, q: Floats) -> Floats:
         """Positions of these joints at those of the chain, shape (N, m) -> (N, n)."""
-        return q if self.columns is None else self.columns.values(q)
+        return self.columns.values(q)
 
     def continued(self, q: Floats) -> Floats:
         """Positions of the chain's joints, (N, m), of which continuous ones go on.
@@ -116,13 +114,10 @@ class Joints:
 
     def driving(self, evaluate: Kinematics) -> Kinematics:
         """The kinematics of a chain as those of the joints that move it."""
-        if self.columns is None:
-            return evaluate
-        factors = self.columns.factors
 
         def moved(q: Floats) -> tuple[Floats, Floats]:
             T, J = evaluate(self.positions(q))
-            return T, J @ factors
+            return T, J @ self.columns.factors
 
         return moved
 
@@ -151,19 +146,15 @@ class Joints:
     def samples(self, count: int) -> Floats:
         """Configurations that fill the joint space evenly, shape (count, n).
 
-        An additive recurrence whose steps are the powers of the root of
-        x^(n+1) = x + 1 (Roberts' generalized golden ratio), from the middle.
+        A quasi-random sequence from the middle.
         """
         home, n = self.home, len(self.home)
         # Half a turn either way holds every pose of a revolute joint of wider limits.
         far = self.revolute | np.isinf(self.lower) | np.isinf(self.upper)
         lower = np.where(far, np.maximum(self.lower, home - np.pi), self.lower)
         upper = np.where(far, np.minimum(self.upper, home + np.pi), self.upper)
-        ratio = 2.0
-        for _ in range(60):
-            ratio = (1.0 + ratio) ** (1.0 / (n + 1))
-        parts = 0.5 + np.outer(np.arange(count), ratio ** -np.arange(1.0, n + 1.0))
-        return np.asarray(lower + parts % 1.0 * (upper - lower))
+        parts = quasi_random(np.full(n, 0.5), 0, count)
+        return np.asarray(lower + parts * (upper - lower))
 
     def unwound(self, q: Floats) -> Floats:
         """Positions in the turns of the shortest way from row to row, shape (N, n)."""
@@ -197,12 +188,6 @@ class Solutions(Stacked):
     def __len__(self) -> int:
         """Number of targets."""
         return len(self.q)
-
-    @staticmethod
-    def none(q: Floats) -> Solutions:
-        """Unreached targets, at joint positions of shape (N, n)."""
-        unknown = np.full(len(q), np.inf)
-        return Solutions(q, np.zeros(len(q), bool), unknown, unknown)
 
     @property
     def score(self) -> Floats:
@@ -265,13 +250,7 @@ class Effort:
     slides: int
 
 
-ROUGH = Effort(1e-2, 12, 0)
-"""Enough to see whether a start leads near a target."""
-
-THOROUGH = Effort(1e-6, 30, 0)
-"""Enough to see whether it leads there."""
-
-EXACT = Effort(1e-10, 50, 0)
+EXACT = Effort(1e-10, 30, 0)
 """To the target, on no particular way."""
 
 FULL = Effort(1e-10, 100, 60)

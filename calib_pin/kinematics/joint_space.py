@@ -112,3 +112,17 @@ class JointSpace:
         """Configurations drawn uniformly within the limits, shape (count, n)."""
         shape = (count, len(self.joints))
         return self.follow(rng.uniform(self.lower, self.upper, shape))
+
+
+def quasi_random(shift: Floats, begin: int, count: int) -> Floats:
+    """Members of an additive recurrence in the unit cube, shape (count, n).
+
+    `x_k = shift + k a (mod 1)` with `a_j = g^-j` and g the root of `g^(n+1) = g + 1`,
+    the generalized golden ratio (Roberts 2018): low discrepancy for any number.
+    """
+    n = len(shift)
+    ratio = 2.0
+    for _ in range(60):
+        ratio = (1.0 + ratio) ** (1.0 / (n + 1))
+    steps = ratio ** -np.arange(1.0, n + 1)
+    return np.asarray((shift + np.arange(begin, begin + count)[:, None] * steps) % 1.0)

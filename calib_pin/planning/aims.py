@@ -115,6 +115,13 @@ class Look:
         )
         return np.asarray(visible.reshape(shape).all(axis=1))
 
+    def measured(self, q: Floats, aim: Indices) -> tuple[Indices, Labels]:
+        """Configuration and target of all that is seen at some, each of shape (M,)."""
+        (rows,) = np.nonzero(self.of_aim[aim] >= 0)
+        seen = self.seen(q[rows], aim[rows])
+        codes = self.targets(aim[rows])[seen]
+        return np.repeat(rows, seen.sum(axis=1)), Labels(self.names, codes)
+
 
 @dataclass(frozen=True)
 class Aims:
@@ -150,20 +157,19 @@ class Aims:
         aims: list[Aim] = []
         members: dict[BlockKey, dict[int, int]] = {}
         for group in places.values():
-            first = next(iter(group))
             shared = [key for key in group if declared(key.model).at_once]
             single = [
                 (key, name) for key in group if key not in shared for name in group[key]
             ]
             distinct = {name for key in shared for name in group[key]}
             only = distinct.pop() if len(distinct) == 1 else ""
-            for key, name in single or [(first, only)]:
-                for other in shared:
-                    members.setdefault(other, {})[len(aims)] = 0
+            for key, name in single or [(shared[0], only)]:
                 if single:
                     place = group[key].index(name)
                     members.setdefault(key, {})[len(aims)] = place
-                aims.append(Aim(first, name))
+                for other in shared:
+                    members.setdefault(other, {})[len(aims)] = 0
+                aims.append(Aim(next(iter(group)), name))
         looks = []
         for key, of_aim in members.items():
             codes = np.full(len(aims), -1)

@@ -19,7 +19,6 @@ from calib_pin.observations import BlockKey, Indices, Measurements, Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.planning.aims import Aim, Aims, require_plannable
 from calib_pin.planning.criteria import CRITERIA, Prediction
-from calib_pin.planning.objective import Found, Progress
 from calib_pin.planning.planned_problem import (
     STRUCTURE,
     Predicted,
@@ -30,8 +29,7 @@ from calib_pin.planning.planned_problem import (
     planned_problem,
     predict,
 )
-from calib_pin.planning.rows import IdentificationRows
-from calib_pin.planning.search import METHODS, Search
+from calib_pin.planning.search import METHODS, Found, Progress, Search
 from calib_pin.planning.travel import visits
 from calib_pin.planning.workspace import Workspace
 from calib_pin.solvers import Status
@@ -241,7 +239,7 @@ def plan(
         workers=workers,
     )
     best = search.run(method)
-    return _finished(search, best, structure, at, data, workers)
+    return _finished(search, best, structure, at, data)
 
 
 def sides_of(found: Plan) -> Mapping[str, tuple[int, ...]]:
@@ -259,11 +257,9 @@ def _finished(
     structure: Structure,
     tests: TipTests,
     measured: Observations | None,
-    workers: Workers,
 ) -> Plan:
     """Order a set and say what it will tell."""
     workspace, rows = search.workspace, search.rows
-    assert isinstance(rows, IdentificationRows)
     problem = rows.problem
     start = None if measured is None else measured.q[measured.in_order[-1]]
     q, aim, closed = visits(workspace, rows, best.q, best.aim, start)
@@ -287,7 +283,7 @@ def _finished(
         aims=tuple(workspace.aims.each[k] for k in aim),
         criterion=search.criterion.name,
         value=search.criterion.value(information, search.measured + len(q)),
-        random=float(np.median([search.value(chosen) for chosen in draws])),
+        random=float(np.median([search.selection(some).value for some in draws])),
         method=best.method,
         status=best.status,
         steps=_steps(search, best, tests),
@@ -295,7 +291,7 @@ def _finished(
         candidates=len(search.candidates.q),
         tried=search.candidates.tried,
         blocked=None if workspace.collisions is None else closed,
-        unmeasurable=workspace.unmeasurable(search.candidates, workers),
+        unmeasurable=workspace.unmeasurable(search.candidates),
         assumed_tool=measured is None and bool(assumed_tools(problem)),
         predicted=predicted,
         parameters=parameters,

@@ -30,7 +30,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared, measurement_model
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.pose import Pose
-from calib_pin.observations import BlockKey, Indices, Labels, Observations
+from calib_pin.observations import BlockKey, Indices, Observations
 from calib_pin.parameters import ParameterSet
 from calib_pin.planning.aims import Aims, Look, sides_tried
 from calib_pin.planning.information import Information
@@ -177,10 +177,8 @@ def _looked_at(
     """The configurations with all targets that each instrument measures in them."""
     result: list[Configured] = []
     for look in aims.looks:
-        rows = np.flatnonzero(look.of_aim[aim] >= 0)
-        where, which = np.nonzero(look.seen(q[rows], aim[rows]))
-        target = Labels(look.names, look.targets(aim[rows])[where, which])
-        result.append(asked(problem, look.part.key, q[rows[where]], target))
+        rows, target = look.measured(q, aim)
+        result.append(asked(problem, look.part.key, q[rows], target))
     return result
 
 
@@ -205,36 +203,24 @@ class TipTests:
             tests: Test configurations by chain, shape (N, n) [rad, m].
         """
         found = []
+        parts = {key.chain: part for key, part in rows.problem.parts.items()}
         for chain, q in tests.items():
-            part = next(
-                look.part for look in rows.aims.looks if look.part.key.chain == chain
-            )
+            part = parts[chain]
             # Whatever is measured, the pose of the tool is what counts [m, rad].
             pose = measurement_model(Pose.declaration.name, rows.problem.setup)
-            basis = rows.basis[part.of_error]
             sides = sides_tried(rows.problem)[:, part.columns]
-            part = replace(part, measurement=pose)
-            look = Look(part, ("",), True, np.zeros(1, int), sides)
-            found.append(TipTests.at(LookRows(look, basis, np.ones(6)), q))
-        return TipTests(
-            np.mean([one.position for one in found], axis=0),
-            np.mean([one.orientation for one in found], axis=0),
-        )
-
-    @staticmethod
-    def at(rows: LookRows, q: Floats) -> TipTests:
-        """Tests at configurations.
-
-        Args:
-            rows: Rows that tell the pose of the tool, with unit sigma.
-            q: Test configurations of all joints, shape (N, n) [rad, m].
-        """
-        J = rows.rows(q, np.arange(len(q)) % max(len(rows.look.sides), 1))
-        position, orientation = (
-            np.einsum("ndi,ndj->ij", part, part, optimize=True) / len(q)
-            for part in (J[:, :3], J[:, 3:])
-        )
-        return TipTests(position, orientation)
+            look = Look(
+                replace(part, measurement=pose), ("",), True, np.zeros(1, int), sides
+            )
+            basis = rows.basis[part.of_error]
+            aim = np.arange(len(q)) % max(len(sides), 1)
+            J = (
+                LookRows(look, basis, np.ones(6))
+                .rows(q, aim)
+                .reshape(-1, 2, 3, len(basis.T))
+            )
+            found.append(np.einsum("npdi,npdj->pij", J, J, optimize=True) / len(q))
+        return TipTests(*np.mean(found, axis=0))
 
 
 @dataclass(frozen=True)
@@ -279,7 +265,7 @@ def predict(
         of: The parameters.
     """
     f = found.nuisances
-    _, s, right = found.svd
+    s, right = found.singular_values, found.right_vectors
     strong = s * WEAK > 1.0
     kept = np.eye(len(found.factor))[:, : f + int(strong.sum())]
     kept[f:, f:] = right[:, strong]

@@ -19,12 +19,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import OptionError
 from calib_pin.estimation.measured import assumed_sigma
 from calib_pin.estimation.model import linearized_at
 from calib_pin.estimation.problem import Problem
@@ -36,24 +34,6 @@ from calib_pin.planning.aims import Aims, Look
 
 Pullback = Callable[[Floats], Floats]
 """Derivative by the rows, (N, d, m), to derivative by the configurations, (N, n)."""
-
-
-class Rows(Protocol):
-    """Rows of an identification matrix as functions of the configuration."""
-
-    @property
-    def nuisances(self) -> int:
-        """Number of leading columns that are no part of what is sought."""
-
-    @property
-    def differentiable(self) -> bool:
-        """Whether they have a derivative by the configuration."""
-
-    def rows(self, q: Floats, aim: Indices) -> Floats:
-        """Rows of configurations, shape (N, n) -> (N, d, m)."""
-
-    def linearize(self, q: Floats, aim: Indices) -> tuple[Floats, Pullback]:
-        """Rows, and what carries derivatives by them back to the configurations."""
 
 
 @dataclass(frozen=True)
@@ -79,13 +59,8 @@ class LookRows:
         part = self.look.part
         return isinstance(part.measurement, CurvedModel) and part.error.geometric
 
-    @property
-    def size(self) -> int:
-        """Rows of a configuration, no more than those that `rows` can be told by."""
-        return min(self.look.each * len(self.sigma), 6 + len(self._instrument))
-
     def rows(self, q: Floats, aim: Indices) -> Floats:
-        """Rows of configurations, shape (N, size, m).
+        """Rows of configurations, shape (N, d, m).
 
         Where there are more measurements than unknowns that they depend on, the pose
         of the tool and the instrument, rows with the same information stand for them.
@@ -95,13 +70,13 @@ class LookRows:
             aim: What is measured at each, shape (N,).
         """
         poses, J, _ = self._linear(q, aim)
-        if self.size < J.shape[1]:
+        if J.shape[1] > J.shape[2]:
             J = np.asarray(np.linalg.qr(J, mode="r"))
         of_robot, of_instrument = self._bases
-        count = len(q) * self.size
-        rows = poses.derivative(J[:, :, :6]).reshape(count, -1) @ of_robot
-        rows += J[:, :, 6:].reshape(count, -1) @ of_instrument
-        return np.asarray(rows.reshape(len(q), self.size, -1))
+        count, d = J.shape[:2]
+        rows = poses.derivative(J[:, :, :6]).reshape(count * d, -1) @ of_robot
+        rows += J[:, :, 6:].reshape(count * d, -1) @ of_instrument
+        return np.asarray(rows.reshape(count, d, -1))
 
     def linearize(self, q: Floats, aim: Indices) -> tuple[Floats, Pullback]:
         """Rows of configurations, and what carries derivatives by them back.
@@ -112,20 +87,10 @@ class LookRows:
 
         Returns:
             Rows target by target, shape (N, L d, m), and the derivative by all joints.
-
-        Raises:
-            OptionError: If the measurement or the error model has no second
-                derivatives.
         """
         part, each = self.look.part, self.look.each
-        measurement, geometric = part.measurement, part.error.geometric
-        if not isinstance(measurement, CurvedModel) or not geometric:
-            lacking = f"'{measurement.name}'" if geometric else "a joint correction"
-            raise OptionError(
-                f"{lacking} has no derivative by the configuration, which "
-                "the method 'gradient' needs",
-                allowed="exchange, greedy, pso, ga",
-            )
+        measurement = part.measurement
+        assert isinstance(measurement, CurvedModel) and part.error.geometric
         poses, J, measured = self._linear(q, aim)
         of_robot, of_instrument = self._bases
         V = poses.derivative(np.tile(np.eye(6), (len(q), 1, 1)))
@@ -258,7 +223,7 @@ class IdentificationRows:
             (where, look.rows(q[where], aim[where]))
             for look, where in self._looking(aim)
         ]
-        result, _ = self._stacked(len(q), found, self._most)
+        result, _ = self._stacked(len(q), found)
         if result.shape[1] > result.shape[2]:
             result = np.asarray(np.linalg.qr(result, mode="r"))
         return result
@@ -269,9 +234,6 @@ class IdentificationRows:
         Args:
             q: Configurations, shape (N, n) [rad, m].
             aim: Position of what is measured there among `aims`, shape (N,).
-
-        Raises:
-            OptionError: If a measurement or an error model has no second derivatives.
         """
         found = [
             (where, *look.linearize(q[where], aim[where]))
@@ -299,12 +261,6 @@ class IdentificationRows:
             for look in self.aims.looks
         ]
 
-    @cached_property
-    def _most(self) -> int:
-        """Largest number of rows of a configuration."""
-        counts = [(one.look.of_aim >= 0) * one.size for one in self._looks]
-        return int(np.sum(counts, axis=0).max())
-
     def _looking(self, aim: Indices) -> Iterator[tuple[LookRows, NDArray[np.intp]]]:
         """The rows of each instrument, and the configurations where it measures."""
         for look in self._looks:
@@ -316,14 +272,12 @@ class IdentificationRows:
         self,
         count: int,
         found: Sequence[tuple[NDArray[np.intp], Floats]],
-        most: int | None = None,
     ) -> tuple[Floats, list[Indices]]:
         """Rows of all instruments below one another, and where those of each stand.
 
         Args:
             count: Number N of configurations.
             found: Configurations of each instrument, and its rows there.
-            most: Number d of rows of a configuration; default as many as there are.
 
         Returns:
             Rows, shape (N, d, m), and by instrument positions below d, shape (k, d').
@@ -332,8 +286,7 @@ class IdentificationRows:
         for where, rows in found:
             columns.append(used[where, None] + np.arange(rows.shape[1]))
             used[where] += rows.shape[1]
-        most = int(used.max(initial=0)) if most is None else most
-        result = np.zeros((count, most, self.basis.shape[1]))
+        result = np.zeros((count, used.max(initial=0), self.basis.shape[1]))
         for (where, rows), of_look in zip(found, columns, strict=True):
             result[where[:, None], of_look] = rows
         return result, columns

@@ -1,33 +1,49 @@
-"""The visit of planned configurations: their order, and the turns of the joints."""
+"""The visit of planned configurations: their order, and the turns of the joints.
+
+The order is an open traveling-salesman path by nearest neighbors and 2-opt (Croes
+1958), where the way between two configurations is the largest joint movement, which
+sets the time. A move that is blocked counts as very long; whether one is blocked is
+asked only for moves of the path that stands, because asking is expensive.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.turns import TURN, shortest_turns
 from calib_pin.observations import Indices
 from calib_pin.planning.aims import Aim
-from calib_pin.planning.ordering import shortest_order
-from calib_pin.planning.rows import Rows
+from calib_pin.planning.rows import IdentificationRows
+from calib_pin.planning.ways import Ways
 from calib_pin.planning.workspace import Workspace
 
-MOTION = 0.05
-"""Step along a move between configurations that is checked for collisions [rad, m]."""
+ROUNDS = 30
+"""Times that a path with blocked moves is improved anew."""
+
+BEGINNINGS = 20
+"""Places from which a first path is tried."""
+
+ROUNDING = 1e-12
+"""Gain in length below which two paths count as equally long [rad, m]."""
+
+DETOUR = 1e3
+"""Factor by which a blocked move is longer than the longest free one."""
 
 SAME = 1e-9
 """Relative change of the information of a configuration up to which it is the same."""
 
 
 def visits(
-    workspace: Workspace, rows: Rows, q: Floats, aim: Indices, start: Floats | None
+    workspace: Workspace,
+    rows: IdentificationRows,
+    q: Floats,
+    aim: Indices,
+    start: Floats | None,
 ) -> tuple[Floats, Indices, tuple[int, ...]]:
     """Configurations in the order and in the turns of short travel.
 
@@ -45,11 +61,17 @@ def visits(
         Configurations and aims in the order of visits, and the places in it to which
         the straight move is blocked.
     """
-    blocked = None
+    chains, lower, upper = workspace.problem.chains, workspace.lower, workspace.upper
+    blocked: Callable[[Floats, Floats], bool] | None = None
     if workspace.collisions is not None:
-        blocked = partial(_blocked, workspace.collisions)
-    lower, upper = workspace.lower, workspace.upper
-    free = _free_to_turn(workspace.problem.chains)
+        ways = Ways(chains, workspace.collisions, lower, upper)
+
+        def blocked(a: Floats, b: Floats) -> bool:
+            return not ways.is_free(a, b)
+
+    # Joints that others do not follow, and that follow none.
+    tied = {*chains.mimics, *(mimic.leader for mimic in chains.mimics.values())}
+    free = chains.revolute & [name not in tied for name in chains.joints]
 
     def allowed(turned: Floats, q: Floats, aim: Indices) -> bool:
         same = np.array_equal(turned, q) or _same(rows, turned, q, aim)
@@ -62,24 +84,15 @@ def visits(
     q, aim = q[order], aim[order]
     turned = shortest_turns(q, lower, upper, free, start)
     if not np.array_equal(turned, q) and allowed(turned, q, aim):
-        shut = closed
-        if blocked is not None:
-            way = turned if start is None else np.concatenate([start[None], turned])
-            first = 1 if start is None else 0
-            moves = enumerate(pairwise(way), first)
-            shut = tuple(k for k, (a, b) in moves if blocked(a, b))
+        way = turned if start is None else np.concatenate([start[None], turned])
+        moves = enumerate(pairwise(way), 1 if start is None else 0)
+        shut = tuple(k for k, (a, b) in moves if blocked is not None and blocked(a, b))
         if len(shut) <= len(closed):
             q, closed = turned, shut
     return q, aim, closed
 
 
-def _free_to_turn(chains: Chains) -> NDArray[np.bool_]:
-    """Joints that others do not follow, and that follow none, shape (n,)."""
-    tied = {*chains.mimics, *(mimic.leader for mimic in chains.mimics.values())}
-    return chains.revolute & [name not in tied for name in chains.joints]
-
-
-def _same(rows: Rows, a: Floats, b: Floats, aim: Indices) -> bool:
+def _same(rows: IdentificationRows, a: Floats, b: Floats, aim: Indices) -> bool:
     """Whether configurations tell the same, each (K, n)."""
     first, second = rows.rows(a, aim), rows.rows(b, aim)
     # Rows of the same information may differ by a rotation.
@@ -119,9 +132,85 @@ def _ordered(
     return order, tuple(closed)
 
 
-def _blocked(collisions: Collisions, a: Floats, b: Floats) -> bool:
-    """Whether something touches on the straight way between two configurations."""
-    pieces = max(2, int(np.ceil(np.abs(b - a).max() / MOTION)))
-    between = a + np.linspace(0.0, 1.0, pieces + 1)[1:-1, None] * (b - a)
-    # A few places far apart first: most moves that are blocked are so for long.
-    return not all(collisions.free(between[k::7]).all() for k in range(7))
+def shortest_order(
+    q: Floats,
+    start: Floats | None = None,
+    blocked: Callable[[Floats, Floats], bool] | None = None,
+) -> tuple[NDArray[np.intp], tuple[int, ...]]:
+    """Order configurations for short travel.
+
+    Args:
+        q: Configurations, shape (K, n) [rad, m].
+        start: Where the robot stands before the first, shape (n,).
+        blocked: Whether the straight move between two configurations is blocked.
+
+    Returns:
+        The order, shape (K,), and the places in it to which the move is blocked, the
+        one from `start` included.
+
+    Examples:
+        >>> order, _ = shortest_order(np.array([[0.0], [2.0], [1.0], [3.0]]))
+        >>> order.tolist() in ([0, 2, 1, 3], [3, 1, 2, 0])
+        True
+    """
+    places = q if start is None else np.concatenate([start[None], q])
+    way = np.abs(places[:, None] - places[None]).max(axis=2)
+    fixed = 0 if start is None else 1
+    path = _improved(_nearest_neighbors(way, fixed), way, fixed)
+    closed: list[int] = []
+    if blocked is not None:
+        known: dict[tuple[int, int], bool] = {}
+        long = DETOUR * max(float(way.max()), 1.0)
+        latest, closed = path, list(range(len(path)))
+        for _ in range(ROUNDS):
+            moves = [(min(move), max(move)) for move in pairwise(latest)]
+            fresh = [move for move in moves if move not in known]
+            known |= {(a, b): blocked(places[a], places[b]) for a, b in fresh}
+            here = [k for k, move in enumerate(moves, 1) if known[move]]
+            if len(here) < len(closed):
+                path, closed = latest, here
+            longer = [move for move in fresh if known[move]]
+            if not longer:
+                break
+            for a, b in longer:
+                way[a, b] = way[b, a] = long
+            latest = _improved(latest, way, fixed)
+    order = np.array([place - fixed for place in path[fixed:]], np.intp)
+    return order, tuple(k - fixed for k in closed)
+
+
+def _nearest_neighbors(way: Floats, fixed: int) -> list[int]:
+    """A path that goes on to the nearest place, from the best of some beginnings."""
+    beginnings = [0] if fixed else range(0, len(way), max(1, len(way) // BEGINNINGS))
+    paths = []
+    for first in beginnings:
+        path, left = [first], np.ones(len(way), bool)
+        left[first] = False
+        while left.any():
+            path.append(int(np.where(left, way[path[-1]], np.inf).argmin()))
+            left[path[-1]] = False
+        paths.append(path)
+    return min(paths, key=lambda path: float(way[path[:-1], path[1:]].sum()))
+
+
+def _improved(path: list[int], way: Floats, fixed: int) -> list[int]:
+    """Reverse parts of a path as long as that makes it shorter (2-opt)."""
+    count = len(path)
+    # A place without distance, at both ends, stands for the open ends.
+    closed = np.zeros((len(way) + 1, len(way) + 1))
+    closed[:-1, :-1] = way
+    tour = np.array([len(way), *path, len(way)])
+    improved = True
+    while improved:
+        improved = False
+        for i in range(1 + fixed, count):
+            # Reverse tour[i .. j].
+            j = np.arange(i + 1, count + 1)
+            before, first = tour[i - 1], tour[i]
+            change = closed[before, tour[j]] + closed[first, tour[j + 1]]
+            change -= closed[before, first] + closed[tour[j], tour[j + 1]]
+            k = int(change.argmin())
+            if change[k] < -ROUNDING:
+                tour[i : j[k] + 1] = tour[i : j[k] + 1][::-1].copy()
+                improved = True
+    return [int(place) for place in tour[1:-1]]

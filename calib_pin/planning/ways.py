@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -28,7 +27,7 @@ class WayOptions:
     """Sizes of a search.
 
     Attributes:
-        checks: Most configurations that are looked at for one way.
+        checks: Most configurations that are looked at for one way: a few seconds.
         branch: Longest new branch, as the motion of the robot's points [m].
         near: How far around the straight way the first samples are [rad, m].
         growth: Samples after which they are as far again.
@@ -98,9 +97,16 @@ class Ways:
 
     def is_free(self, a: Floats, b: Floats) -> bool:
         """Whether nothing touches on the straight way, ends of shape (n,) included."""
-        places = np.linspace(a, b, 1 + self._pieces(a, b))
+        places = self.places(a, b)
         # A few places far apart first: most ways that are blocked are so for long.
         return all(self.collisions.free(places[k::7]).all() for k in range(7))
+
+    def places(self, a: Floats, b: Floats) -> Floats:
+        """Places of the straight way that are checked, shape (P, n)."""
+        clearance = float(self.collisions.clearances.max(initial=0.0))
+        moved = float(np.abs(b - a) @ self.collisions.reach)
+        step = max(2.0 * clearance, OPTIONS.least)
+        return np.linspace(a, b, 1 + max(1, int(np.ceil(moved / step))))
 
     def through(
         self,
@@ -158,37 +164,18 @@ class Ways:
             return np.empty((0, len(a)))
         if not self.collisions.free(np.array([a, b])).all():
             return None
-        path = _Search(self, a, b, rng).run()
+        path = _connected(self, a, b, rng)
         return None if path is None else self._shorter(path, rng)[1:-1]
-
-    @cached_property
-    def _step(self) -> float:
-        """Motion of points between two places that are checked [m]."""
-        clearance = float(self.collisions.clearances.max(initial=0.0))
-        return max(2.0 * clearance, OPTIONS.least)
-
-    @cached_property
-    def reach(self) -> Floats:
-        """Bounds of the motion of the robot's points by each joint, shape (n,)."""
-        return self.collisions.reach
-
-    def _pieces(self, a: Floats, b: Floats) -> int:
-        return max(1, int(np.ceil(float(np.abs(b - a) @ self.reach) / self._step)))
 
     def _shorter(self, path: Floats, rng: np.random.Generator) -> Floats:
         """A way with fewer and nearer configurations, shape (M, n)."""
         path = self._pruned(path)
         for _ in range(OPTIONS.shortcuts):
-            if len(path) < 3:
-                break
             (i, j), (s, t) = np.sort(rng.integers(0, len(path) - 1, 2)), rng.random(2)
-            if i == j:
-                continue
             first = path[i] + s * (path[i + 1] - path[i])
             last = path[j] + t * (path[j + 1] - path[j])
-            if self.is_free(first, last):
-                ends = np.array([first, last])
-                path = np.concatenate([path[: i + 1], ends, path[j + 1 :]])
+            if i != j and self.is_free(first, last):
+                path = np.concatenate([path[: i + 1], [first, last], path[j + 1 :]])
         return self._pruned(path)
 
     def _pruned(self, path: Floats) -> Floats:
@@ -202,77 +189,77 @@ class Ways:
         return path[kept]
 
 
-class _Search:
-    """Two trees of free configurations that grow towards each other."""
-
-    def __init__(
-        self, ways: Ways, a: Floats, b: Floats, rng: np.random.Generator
-    ) -> None:
-        self._ways, self._rng = ways, rng
-        self._nodes: tuple[list[Floats], list[Floats]] = ([a], [b])
-        self._parents: tuple[list[int], list[int]] = ([0], [0])
-        self._low, self._high = np.minimum(a, b), np.maximum(a, b)
-        self._left = OPTIONS.checks
-
-    def run(self) -> Floats | None:
-        """A way from the first to the last configuration, shape (M, n), or none."""
-        tree, drawn = 0, 0
-        while self._left > 0:
-            drawn += 1
-            last, _ = self._grow(tree, self._sample(drawn), OPTIONS.branch)
-            if last is not None:
-                node = self._nodes[tree][last]
-                end, met = self._grow(1 - tree, node, np.inf)
-                if met and end is not None:
-                    halves = [self._branch(tree, last), self._branch(1 - tree, end)]
-                    first, second = halves if tree == 0 else halves[::-1]
-                    return np.array([*first[::-1], *second[1:]])
-            tree = 1 - tree
-        return None
-
-    def _sample(self, drawn: int) -> Floats:
-        """A configuration around the straight way, the farther the later."""
+def _connected(
+    ways: Ways, a: Floats, b: Floats, rng: np.random.Generator
+) -> Floats | None:
+    """A way by two trees that grow towards each other, shape (M, n), or none."""
+    tree, other = _Tree(ways, a), _Tree(ways, b)
+    drawn = 0
+    while tree.checks + other.checks < OPTIONS.checks:
+        drawn += 1
+        # Around the straight way, the farther the later.
         around = min(OPTIONS.near * (1.0 + drawn / OPTIONS.growth), np.pi)
-        ways = self._ways
-        low = np.minimum(self._low, np.maximum(ways.lower, self._low - around))
-        high = np.maximum(self._high, np.minimum(ways.upper, self._high + around))
-        return np.asarray(ways.chains.follow(self._rng.uniform(low, high)[None])[0])
+        low, high = np.minimum(a, b), np.maximum(a, b)
+        low = np.minimum(low, np.maximum(ways.lower, low - around))
+        high = np.maximum(high, np.minimum(ways.upper, high + around))
+        sample = ways.chains.follow(rng.uniform(low, high)[None])[0]
+        last, _ = tree.grow(sample, OPTIONS.branch)
+        if last is not None:
+            end, met = other.grow(tree.nodes[last], np.inf)
+            if met and end is not None:
+                way = [*tree.branch(last)[::-1], *other.branch(end)[1:]]
+                return np.array(way if tree.nodes[0] is a else way[::-1])
+        tree, other = other, tree
+    return None
 
-    def _grow(
-        self, tree: int, target: Floats, longest: float
-    ) -> tuple[int | None, bool]:
+
+class _Tree:
+    """A tree of free configurations.
+
+    Args:
+        ways: What is free.
+        root: Its first configuration, shape (n,).
+
+    Attributes:
+        nodes: Its configurations.
+        checks: Number of configurations that were looked at.
+    """
+
+    def __init__(self, ways: Ways, root: Floats) -> None:
+        self.nodes, self.checks = [root], 0
+        self._ways, self._parents = ways, [0]
+
+    def grow(self, target: Floats, longest: float) -> tuple[int | None, bool]:
         """Grow a branch towards a configuration.
 
         Returns:
             The last new node, none if there is none, or the node that is there already;
             and whether it is the target.
         """
-        nodes, ways = self._nodes[tree], self._ways
-        away = np.abs(np.array(nodes) - target) @ ways.reach
-        near = int(away.argmin())
-        if away[near] == 0.0:
-            return near, True
-        whole = min(1.0, longest / float(away[near]))
-        parts = max(1, int(np.ceil(whole * float(away[near]) / OPTIONS.branch)))
-        new = None
+        away = np.abs(np.array(self.nodes) - target) @ self._ways.collisions.reach
+        at = int(away.argmin())
+        if away[at] == 0.0:
+            return at, True
+        whole = min(1.0, longest / float(away[at]))
+        parts = max(1, int(np.ceil(whole * float(away[at]) / OPTIONS.branch)))
+        begin, new = self.nodes[at], None
         for k in range(1, parts + 1):
             # The very target at the end: rounding would keep the trees apart.
-            q = nodes[near] + (k * whole / parts) * (target - nodes[near])
+            q = begin + (k * whole / parts) * (target - begin)
             q = target if k == parts and whole == 1.0 else q
-            before = nodes[near if new is None else new]
-            places = np.linspace(before, q, 1 + ways._pieces(before, q))[1:]
-            self._left -= len(places)
-            if not ways.collisions.free(places).all():
+            places = self._ways.places(self.nodes[at], q)[1:]
+            self.checks += len(places)
+            if not self._ways.collisions.free(places).all():
                 return new, False
-            self._parents[tree].append(near if new is None else new)
-            nodes.append(q)
-            new = len(nodes) - 1
+            self.nodes.append(q)
+            self._parents.append(at)
+            at = new = len(self.nodes) - 1
         return new, whole == 1.0
 
-    def _branch(self, tree: int, node: int) -> Sequence[Floats]:
-        """The configurations from a node to the root of its tree."""
-        found = [self._nodes[tree][node]]
+    def branch(self, node: int) -> list[Floats]:
+        """The configurations from a node to the root."""
+        found = [self.nodes[node]]
         while node:
-            node = self._parents[tree][node]
-            found.append(self._nodes[tree][node])
+            node = self._parents[node]
+            found.append(self.nodes[node])
         return found

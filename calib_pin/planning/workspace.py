@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -14,11 +13,11 @@ from calib_pin.errors import InputError, OptionError, RobotError, nearest
 from calib_pin.estimation.configurations import lacking_frames
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.collision import Collisions
+from calib_pin.kinematics.joint_space import quasi_random
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Booleans, Indices
 from calib_pin.parameters import matching
 from calib_pin.planning.aims import Aims
-from calib_pin.planning.spread import Apart, quasi_random
 from calib_pin.workers import SERIAL, Workers
 
 DRAWS = 400
@@ -126,6 +125,11 @@ class Workspace:
             problem, lower, upper, aims, points or {}, collisions, distance
         )
 
+    @property
+    def bounds(self) -> Floats:
+        """Lower and upper limit of each joint, shape (n, 2) [rad, m]."""
+        return np.column_stack([self.lower, self.upper])
+
     def settled(self, q: Floats, aim: Indices) -> Floats:
         """Configurations where other chains rest and mimic joints follow.
 
@@ -186,52 +190,48 @@ class Workspace:
             InputError: If none of many is allowed; says what refused them.
         """
         shift, taken = rng.random(len(self.lower)), 0
-        apart = Apart(self.distance)
-        q, aim = list[Floats](), list[Indices]()
+        q, aim = np.empty((0, len(shift))), np.empty(0, int)
         refused: dict[str, int] = {}
         budget = max(LEAST_DRAWS, DRAWS * count)
         blocks = workers.map(_block, (self, shift), range(0, budget, BLOCK))
         # Where nothing is allowed, more of the same would be a loop.
-        while apart.count < count and taken < (budget if apart.count else LEAST_DRAWS):
-            part = max(apart.count / count, taken / budget)
+        while len(q) < count and taken < (budget if len(q) else LEAST_DRAWS):
+            part = max(len(q) / count, taken / budget)
             enough = progress is not None and progress("candidates", part)
-            if enough and apart.count >= max(least, 1):
+            if enough and len(q) >= max(least, 1):
                 break
-            block, taken = next(blocks), taken + BLOCK
-            for reason, number in block.refused.items():
+            (new, of_new, reasons), taken = next(blocks), taken + BLOCK
+            for reason, number in reasons.items():
                 refused[reason] = refused.get(reason, 0) + number
-            kept = apart.keep(block.q, count)
-            q.append(block.q[kept])
-            aim.append(block.aim[kept])
-        if not apart.count:
-            reasons = ", ".join(f"{n} {why}" for why, n in refused.items() if n)
+            if self.distance > 0.0:
+                kept = _apart(new, q, self.distance)
+                new, of_new = new[kept], of_new[kept]
+            q, aim = np.concatenate([q, new]), np.concatenate([aim, of_new])
+        if not len(q):
+            why = ", ".join(f"{n} {reason}" for reason, n in refused.items() if n)
             allowed = "wider limits, a larger region, or fewer obstacles"
             if refused.get("not measurable") == taken:
                 lacking = lacking_frames(self.problem, self.problem.parts)
                 allowed = f"a setup with {lacking}" if lacking else allowed
             raise InputError(
                 f"none of {taken} configurations within the joint limits can be "
-                f"planned: {reasons}",
+                f"planned: {why}",
                 file=self.problem.setup.file or None,
                 allowed=allowed,
             )
-        return Candidates(np.concatenate(q), np.concatenate(aim), taken)
+        return Candidates(q[:count], aim[:count], taken)
 
-    def unmeasurable(
-        self, candidates: Candidates, workers: Workers = SERIAL
-    ) -> tuple[str, ...]:
+    def unmeasurable(self, candidates: Candidates) -> tuple[str, ...]:
         """The targets that no candidate can measure."""
-        names = {name: False for look in self.aims.looks for name in look.names}
-        blocks = (
-            (candidates.q[begin : begin + BLOCK], candidates.aim[begin : begin + BLOCK])
-            for begin in range(0, len(candidates.q), BLOCK)
-        )
-        for seen in workers.map(_seen, self.aims, blocks):
-            names.update(dict.fromkeys(seen, True))
-            # Most are seen at once; the others only show in the end.
-            if all(names.values()):
-                break
-        return tuple(name for name, some in names.items() if not some)
+        unseen = {name: None for look in self.aims.looks for name in look.names}
+        # Most are seen at once; the others only show in the end.
+        for begin in range(0, len(candidates.q), BLOCK):
+            rows = slice(begin, begin + BLOCK)
+            for look in self.aims.looks if unseen else ():
+                _, target = look.measured(candidates.q[rows], candidates.aim[rows])
+                for name in set(target):
+                    unseen.pop(name, None)
+        return tuple(unseen)
 
     def refusals(self, q: Floats, aim: Indices) -> dict[str, Booleans]:
         """Configurations by what first refuses them, each of shape (N,)."""
@@ -290,22 +290,15 @@ class Workspace:
         return moving, rest[0]
 
 
-class _Block(NamedTuple):
-    """Configurations that were tried together, those that may be measured.
+def _block(
+    shared: tuple[Workspace, Floats], begin: int
+) -> tuple[Floats, Indices, dict[str, int]]:
+    """Try the configurations of the sequence from one on.
 
-    Attributes:
-        q: Those that may be measured, shape (C, n) [rad, m].
-        aim: What is measured at each, shape (C,).
-        refused: Number of the others by what refused them.
+    Returns:
+        Those that may be measured, shape (C, n), what is measured at each, and the
+        number of the others by what refused them.
     """
-
-    q: Floats
-    aim: Indices
-    refused: Mapping[str, int]
-
-
-def _block(shared: tuple[Workspace, Floats], begin: int) -> _Block:
-    """Try the configurations of the sequence from one on."""
     workspace, shift = shared
     unit = quasi_random(shift, begin, BLOCK)
     q = workspace.lower + unit * (workspace.upper - workspace.lower)
@@ -314,18 +307,29 @@ def _block(shared: tuple[Workspace, Floats], begin: int) -> _Block:
     refusals = workspace.refusals(q, aim)
     free = sum(refusals.values()) == 0
     refused = {reason: int(rows.sum()) for reason, rows in refusals.items()}
-    return _Block(q[free], aim[free], refused)
+    return q[free], aim[free], refused
 
 
-def _seen(aims: Aims, block: tuple[Floats, Indices]) -> set[str]:
-    """The targets that can be measured at configurations."""
-    q, aim = block
-    shown = set[str]()
-    for look in aims.looks:
-        rows = np.flatnonzero(look.of_aim[aim] >= 0)
-        found = look.targets(aim[rows])[look.seen(q[rows], aim[rows])]
-        shown.update(look.names[k] for k in np.unique(found))
-    return shown
+def _apart(points: Floats, others: Floats, distance: float) -> list[int]:
+    """Positions of points that keep a distance from others and from those before them.
+
+    Args:
+        points: The points, shape (N, n).
+        others: Those that they keep away from, shape (K, n).
+        distance: The distance, the largest difference of a component.
+    """
+    # Scipy takes as long to load as Pinocchio; most plans keep no distance.
+    from scipy.spatial import cKDTree
+
+    kept: list[int] = []
+    # Infinite where nothing is near.
+    tree = cKDTree(others)
+    near, _ = tree.query(points, p=np.inf, distance_upper_bound=distance)
+    for k in np.flatnonzero(near >= distance):
+        between = np.abs(points[kept] - points[k]).max(axis=1, initial=0.0)
+        if (between >= distance).all():
+            kept.append(int(k))
+    return kept
 
 
 def joint_limits(problem: Problem) -> tuple[Floats, Floats]:

@@ -25,10 +25,9 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
-from calib_pin.planning.objective import Found
 from calib_pin.planning.plan import TESTS
 from calib_pin.planning.planned_problem import TipTests, identification
-from calib_pin.planning.search import Search
+from calib_pin.planning.search import Found, Search
 from calib_pin.planning.workspace import Candidates, Workspace
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.workers.local import LocalProcesses

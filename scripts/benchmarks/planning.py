@@ -1,8 +1,8 @@
-"""Choosing configurations: trials by rank-d changes against fresh factorizations."""
+"""Choosing configurations: trials by first order against fresh factorizations."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,27 +11,38 @@ from benchmarks.timing import best, show
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.collision import load_collisions
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.planning.criteria import CRITERIA, Criterion, Lazy, Spectral
-from calib_pin.planning.information import Information
+from calib_pin.observations import Indices
+from calib_pin.planning.criteria import CRITERIA, Criterion
 from calib_pin.planning.planned_problem import identification
 from calib_pin.planning.search import Search
+from calib_pin.planning.selection import Selection
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, Setup
 
 TOOL = FrameSetup((0.05, 0.03, 0.1))
 
 
-@dataclass(frozen=True)
-class Fresh(Spectral):
-    """A criterion that factors the information matrix of every trial anew."""
+class Factored(Selection):
+    """A subset that factors the information matrix of every trial anew."""
 
-    def trials(self, found: Information, rows: Floats, sign: float) -> Lazy:
-        """All trials in one call of numpy each."""
-        f, R = found.nuisances, found.factor
-        M = R.T @ R + sign * np.einsum("dti,dtj->tij", rows, rows)
-        absorbed = np.linalg.solve(M[:, :f, :f], M[:, :f, f:])
-        S = M[:, f:, f:] - np.swapaxes(M[:, :f, f:], 1, 2) @ absorbed
-        return Lazy(self._guarded(np.linalg.eigvalsh(S)))
+    def _best(self, some: Indices, sign: float) -> tuple[int, float]:
+        """The best of all trials by their costs."""
+        costs = [
+            self._judged(self._M + sign * self._rows[k].T @ self._rows[k])[1]
+            for k in some
+        ]
+        return int(some[np.argmin(costs)]), min(costs)
+
+
+class Fresh(Search):
+    """A search on such subsets."""
+
+    def selection(
+        self, chosen: Sequence[int] = (), table: Floats | None = None
+    ) -> Selection:
+        """A subset of the candidates under the criterion."""
+        known, nuisances = self.objective.known, self.rows.nuisances
+        return Factored(self.table, nuisances, self.criterion, known, chosen)
 
 
 def main() -> None:
@@ -43,14 +54,16 @@ def main() -> None:
     _collisions()
 
 
-def _search(criterion: Criterion, size: int, count: int) -> Search:
+def _search(
+    criterion: Criterion, size: int, count: int, kind: type[Search] = Search
+) -> Search:
     """A search among candidates of a 6R measured by positions."""
     chain = calib_pin.load_chain("example:ur10_robot", tip="tool0")
     problem = nominal_problem(chain, "position", Setup(tool_frame=TOOL))
     workspace, rng = Workspace.create(problem), np.random.default_rng(0)
     candidates = workspace.candidates(size, rng)
     _, rows, known = identification(problem, workspace.aims, candidates)
-    return Search(rows, workspace, criterion, known, candidates, count, rng)
+    return kind(rows, workspace, criterion, known, candidates, count, rng)
 
 
 def _exchange(name: str, size: int, count: int, *, fresh: bool) -> None:
@@ -62,8 +75,7 @@ def _exchange(name: str, size: int, count: int, *, fresh: bool) -> None:
     seconds = best(lambda: runs.pop().by_exchange(), 5)
     label = f"{name}, {count} of {size}"
     if fresh:
-        slow = Fresh(name, criterion.of, criterion.smooth)
-        other = _search(slow, size, count)
+        other = _search(criterion, size, count, Fresh)
         show(label, seconds, "fresh factorizations", best(other.by_exchange, 1))
     else:
         show(label, seconds)

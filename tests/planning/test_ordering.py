@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.planning.ordering import shortest_order
+from calib_pin.planning.travel import shortest_order
 
 
 def length(q: Floats, order: tuple[int, ...], start: Floats | None = None) -> float:

@@ -189,15 +189,6 @@ def test_steps_lead_from_the_least_to_twice_the_set() -> None:
     assert all(b <= a * (1 + 1e-9) for a, b in pairwise(positions))
 
 
-def test_the_order_is_shorter_than_chance() -> None:
-    q, rng = small(method="greedy", count=20).q, np.random.default_rng(0)
-
-    def travel(q: Floats) -> float:
-        return float(np.abs(np.diff(q, axis=0)).max(axis=1).sum())
-
-    assert travel(q) < min(travel(rng.permutation(q)) for _ in range(50))
-
-
 @pytest.mark.parametrize(
     ("method", "distance"),
     [("exchange", 1.5), pytest.param("gradient", 0.8, marks=pytest.mark.slow)],
@@ -211,13 +202,6 @@ def test_sets_keep_their_distance(method: str, distance: float) -> None:
     # Nobody stopped it, whatever was held up on the way.
     assert plan.status is not Status.STOPPED
     assert better("prediction", plan.value, plan.random)
-
-
-@pytest.mark.parametrize(("method", "more"), [("exchange", 2), ("greedy", 0)])
-def test_hardly_more_candidates_than_wanted(method: str, more: int) -> None:
-    plan = small(method=method, candidates=COUNT + more)
-    check_set(plan)
-    assert plan.candidates == COUNT + more
 
 
 # --- joint corrections -------------------------------------------------------------
@@ -399,12 +383,6 @@ def test_a_stopped_search_returns_a_valid_plan(method: str, after: int) -> None:
     assert len(calls.told) <= max(after, 2) + 60
 
 
-def test_what_is_stopped_later_is_no_worse() -> None:
-    values = [small(after, method="ga").value for after in (2, 10, 30)]
-    assert values == sorted(values, reverse=True)
-    assert values[-1] < values[0]
-
-
 # --- what cannot be ----------------------------------------------------------------
 
 
@@ -457,3 +435,16 @@ def test_a_joint_that_is_held_plans_for_the_others() -> None:
     assert (plan.q[:, 2] == 0.3).all()
     assert plan.predicted.rank < small(method="greedy").predicted.rank
     assert better("prediction", plan.value, plan.random)
+
+
+@pytest.mark.slow
+def test_what_is_planned_for_a_ranger_can_be_measured_by_real_robots() -> None:
+    """Descents end at the edge of the window; a robot with errors looks beside it."""
+    chain = calib_pin.load_chain("space6")
+    setup = calib_pin.read_setup(calib_pin.robot_file("space6", "setup.yaml"))
+    plan = calib_pin.plan(chain, "plane-distance", 30, setup, candidates=150)
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        theta = calib_pin.draw_errors(plan.problem.parameters, rng)
+        rows = calib_pin.simulate(plan.problem, theta, rng, q=plan.q)
+        assert len(rows) == 30

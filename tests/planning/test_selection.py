@@ -10,7 +10,7 @@ import pytest
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
 from calib_pin.planning.information import Information
-from calib_pin.planning.selection import DeterminantSelection, Selection
+from calib_pin.planning.selection import Selection
 from calib_pin.solvers import exchange, greedy
 
 COLUMNS, NUISANCES = 5, 2
@@ -60,6 +60,13 @@ def test_cost_and_value_follow_every_change(name: str) -> None:
     assert given == [5, 4, 6]
 
 
+def check_best(name: str, costs: dict[int, float], chosen: int, cost: float) -> None:
+    """Its cost is its own, and the least; near it where first order is not enough."""
+    assert cost == pytest.approx(costs[chosen], abs=1e-9)
+    exact = name in ("prediction", "O1", "O3", "O5")
+    assert cost <= min(costs.values()) + (1e-9 if exact else 0.05)
+
+
 @pytest.mark.parametrize("name", ALL)
 def test_best_steps_are_those_of_brute_force(name: str) -> None:
     for seed in range(3):
@@ -73,14 +80,12 @@ def test_best_steps_are_those_of_brute_force(name: str) -> None:
         }
         candidate, cost = subset.best_to_add()
         assert candidate not in members
-        assert cost == pytest.approx(min(costs.values()), abs=1e-9)
-        assert costs[candidate] == pytest.approx(min(costs.values()), abs=1e-9)
+        check_best(name, costs, candidate, cost)
         costs = {
             k: cost_of(rows, criterion, tuple(set(members) - {k})) for k in members
         }
         member, cost = subset.best_to_remove()
-        assert cost == pytest.approx(min(costs.values()), abs=1e-9)
-        assert costs[member] == pytest.approx(min(costs.values()), abs=1e-9)
+        check_best(name, costs, member, cost)
 
 
 def test_a_subset_that_determines_nothing_costs_everything() -> None:
@@ -113,30 +118,20 @@ def test_exchange_against_every_subset(name: str) -> None:
 
 
 @pytest.mark.parametrize("d", [1, 3])
-def test_determinants_stay_true_over_many_changes(d: int) -> None:
-    """They follow from change to change; what they lose must not add up."""
-    rng = np.random.default_rng(d)
-    rows = rng.normal(size=(60, d, 8)) * np.logspace(-2, 2, 8)
-    chosen = tuple(range(24))
-    followed = DeterminantSelection(rows, 3, ALL["O1"], np.zeros((8, 8)), chosen)
-    for _ in range(80):
-        join = len(followed.chosen) < 20 or (
-            len(followed.chosen) < 40 and rng.random() < 0.5
-        )
-        members = followed.chosen
-        if join:
-            others = [k for k in range(60) if k not in members]
-            followed.add(int(rng.choice(others)))
-        else:
-            followed.remove(int(rng.choice(members)))
-        fresh = Selection(rows, 3, ALL["O1"], np.zeros((8, 8)), tuple(followed.chosen))
-        assert followed.cost == pytest.approx(fresh.cost, abs=1e-7)
-        assert followed.value == pytest.approx(fresh.value, rel=1e-7)
-        assert followed.best_to_add() == (
-            fresh.best_to_add()[0],
-            pytest.approx(fresh.best_to_add()[1], abs=1e-7),
-        )
-        assert followed.best_to_remove() == (
-            fresh.best_to_remove()[0],
-            pytest.approx(fresh.best_to_remove()[1], abs=1e-7),
-        )
+@pytest.mark.parametrize("name", ALL)
+def test_members_that_cannot_be_missed_stay(name: str, d: int) -> None:
+    """Three planes, say, each known from one measurement, rounding or not."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        rows = rng.normal(size=(14, d, COLUMNS)) * np.linspace(0.3, 3.0, COLUMNS)
+        rows[:, :, :NUISANCES] = 0.0
+        rows[:NUISANCES, 0, :NUISANCES] = rng.normal(size=(NUISANCES, NUISANCES))
+        nothing = np.zeros((COLUMNS, COLUMNS))
+        subset = Selection(rows, NUISANCES, ALL[name], nothing, range(14))
+        member, cost = subset.best_to_remove()
+        assert member >= NUISANCES, seed
+        costs = []
+        for k in range(NUISANCES, 14):
+            subset.reset([j for j in range(14) if j != k])
+            costs.append(subset.cost)
+        assert cost == pytest.approx(min(costs), abs=1e-7)

@@ -58,8 +58,10 @@ def test_a_way_around_a_sphere(seed):
     again = ways.through(q, np.random.default_rng(0))
     np.testing.assert_array_equal(again.q, found.q)
     # Not all through the house.
-    straight = np.abs(q[1] - q[0]) @ ways.reach
-    assert (np.abs(np.diff(found.q, axis=0)) @ ways.reach).sum() < 4.0 * straight + 8.0
+    straight = np.abs(q[1] - q[0]) @ ways.collisions.reach
+    assert (
+        np.abs(np.diff(found.q, axis=0)) @ ways.collisions.reach
+    ).sum() < 4.0 * straight + 8.0
 
 
 def test_where_there_is_no_way_the_straight_one_is_named():

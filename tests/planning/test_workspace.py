@@ -255,17 +255,6 @@ def test_candidates_keep_their_distance(
 # --- what cannot be ----------------------------------------------------------------
 
 
-def test_a_region_out_of_reach(
-    workspace_of: Callable[..., Workspace],
-    rng: np.random.Generator,
-    refused: Callable[..., Any],
-) -> None:
-    """However many are wanted, no more are tried."""
-    far = workspace_of("space6", region=Region(sphere=Ball((50.0, 0.0, 0.0), 0.5)))
-    with refused(InputError, "60000 outside"):
-        far.candidates(1000, rng)
-
-
 def test_reasons_are_counted_apart(
     workspace_of: Callable[..., Workspace], rng: np.random.Generator
 ) -> None:

@@ -74,7 +74,8 @@ class Prepared:
         """The same of others, with as much in common as these have."""
         if parts is self.parts and data is self.data and setup is self.setup:
             return self
-        alike = setup is self.setup and same_but_weights(data, self.data)
+        alike = setup is self.setup and list(parts) == list(self.parts)
+        alike = alike and same_but_weights(data, self.data)
         return Prepared(parts, data, setup, self.shared if alike else Shared())
 
     @property

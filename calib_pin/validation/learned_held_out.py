@@ -46,7 +46,7 @@ def learned_left_out(
     parts = [mask for mask, known in zip(masks, told, strict=True) if known]
     rng = np.random.default_rng(seed)
     others = iter(left_out(learned, fit, problem, theta, parts, rng))
-    registration = fit.problem.factorize(fit.before)
+    registration = fit.registered
     frames = visible_nuisances(registration[1], problem.parameters)
     _, held, moved = fit.held
     of_error = np.concatenate([part.of_error for part in problem.parts.values()])

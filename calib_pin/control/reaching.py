@@ -184,6 +184,9 @@ def _nearest(task: Task, count: int) -> Floats:
     for first in range(0, len(result), OPTIONS.block):
         rows = slice(first, first + OPTIONS.block)
         distances = half - wanted[rows] @ known.T
+        if count == 1:  # Sooner than a partition.
+            result[rows, 0] = samples[distances.argmin(axis=1)]
+            continue
         some = np.argpartition(distances, count, axis=1)[:, :count]
         order = np.take_along_axis(distances, some, axis=1).argsort(axis=1)
         result[rows] = samples[np.take_along_axis(some, order, axis=1)]

@@ -77,6 +77,26 @@ class Found:
     status: Status
 
 
+class Asked:
+    """Whether a search is asked to stop; in another process it never is.
+
+    Args:
+        told: Tells the progress, and whether to stop; none if nobody listens.
+    """
+
+    def __init__(self, told: Callable[[], bool] | None = None) -> None:
+        """Begin."""
+        self._told = told
+
+    def __reduce__(self) -> tuple[type[Asked], tuple[()]]:
+        """A deaf one."""
+        return Asked, ()
+
+    def __call__(self) -> bool:
+        """Ask."""
+        return self._told is not None and self._told()
+
+
 @dataclass(frozen=True)
 class Objective:
     """A criterion of sets of configurations that may be measured.
@@ -86,12 +106,14 @@ class Objective:
         workspace: The constraints of configurations.
         criterion: Criterion to minimize.
         known: Information that is there already, shape (m, m).
+        asked: Whether descents are asked to stop.
     """
 
     rows: IdentificationRows
     workspace: Workspace
     criterion: Criterion
     known: Floats
+    asked: Asked
 
     def information(self, rows: Floats) -> Information | None:
         """Information of rows (..., m) together with what is known."""
@@ -132,6 +154,7 @@ class Objective:
                 self.workspace.bounds,
                 q,
                 allowed=lambda q: self.workspace.allowed(settled(q), aim),
+                callback=lambda *_: self.asked(),
                 tolerance=limits[0],
                 max_iterations=limits[1],
             )
@@ -194,7 +217,9 @@ class Search:
         candidates.require(count)
         self.rows, self.workspace, self.criterion = rows, workspace, criterion
         self.candidates, self.count, self.measured = candidates, count, measured
-        self.objective = Objective(rows, workspace, criterion, known)
+        self._descended_part = 0.0
+        asked = Asked(lambda: self.told("gradient", self._descended_part))
+        self.objective = Objective(rows, workspace, criterion, known, asked)
         self.table = rows.rows(candidates.q, candidates.aim)
         self.stopped = False
         self._progress, self._workers = progress, workers
@@ -318,8 +343,8 @@ class Search:
         if not self.stopped:
             for one in self._workers.map(_descend, self.objective, tasks):
                 found.append(one)
-                part = begin + 0.5 * len(found) / len(tasks)
-                if self.told("gradient", part):
+                self._descended_part = begin + 0.5 * len(found) / len(tasks)
+                if self.told("gradient", self._descended_part):
                     break
         return found
 

@@ -315,12 +315,24 @@ class Fit:
         return posterior_about(self, self.problem, self.theta)
 
     @cached_property
-    def by_effects(self) -> Floats | None:
-        """Residuals of a sample by effects that the model does not have, (M, S)."""
+    def registered(self) -> tuple[Floats, Floats]:
+        """Whitened residual and Jacobian of the nominal robot, see `before`."""
+        return self.problem.linearize(self.before)
+
+    @cached_property
+    def _by_effects(self) -> Floats | None:
+        """Residuals by effects that the model does not have, shape (M, S)."""
         if self.effects is None:
             return None
         few = replace(self.problem, data=sampled(self.problem))
         return self.effects.rows(few, self.theta)
+
+
+def effect_rows(fitted: Fit) -> Floats | None:
+    """Whitened residuals by effects that the model does not have, shape (M, S)."""
+    if fitted.effects is not None and len(fitted.problem.data) > ROWS:
+        return fitted.effects.rows(fitted.problem, fitted.theta)
+    return fitted._by_effects  # Of a sample, which has all of them here.
 
 
 def posterior_about(
@@ -346,7 +358,7 @@ def posterior_about(
         fitted.effects,
         sizes,
         (fitted.result.fun, fitted.result.jac) if own else None,
-        fitted.by_effects if own else None,
+        fitted._by_effects if own else None,
     )
     # Without redundancy nobody knows.
     return replace(

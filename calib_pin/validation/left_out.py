@@ -21,10 +21,14 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import half_covariance, visible_nuisances
-from calib_pin.estimation.fitted import Fit, by_configuration, shared_variances
+from calib_pin.estimation.fitted import (
+    Fit,
+    by_configuration,
+    effect_rows,
+    shared_variances,
+)
 from calib_pin.estimation.problem import EXACT, Problem, error_table
 from calib_pin.estimation.robust.studentized import spectrum
-from calib_pin.estimation.statistics.systematic import ROWS
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.validation.model_errors import (
     ModelErrors,
@@ -74,7 +78,7 @@ class Linear:
     def of(cls, fitted: Fit) -> tuple[Linear, Linear]:
         """The nominal robot, its frames registered, and the fitted one."""
         problem, parameters = fitted.problem, fitted.problem.parameters
-        fun, J = problem.linearize(fitted.before)
+        fun, J = fitted.registered
         F = half_covariance(J, visible_nuisances(J, parameters), parameters)
         unit = float(np.sqrt(fun @ fun / max(problem.count - F.shape[1], 1)))
         nominal = cls(problem, fitted.before, fun, J, F, J @ F, unit)
@@ -165,9 +169,7 @@ def left_out(
     if problem.many:
         found = [_of_many(fitted, robots, mask) for mask in masks]
     else:
-        effects = fitted.by_effects
-        if fitted.effects is not None and len(problem.data) > ROWS:
-            effects = fitted.effects.rows(problem, fitted.theta)
+        effects = effect_rows(fitted)
         found = [_of_rows(fitted, robots, effects, mask) for mask in masks]
     reason = unusable(fitted)
     return [None if one is None else replace(one, reason=reason) for one in found]
@@ -336,7 +338,9 @@ def _variance(
     less = (1.0 - noise + shared)[layout.component]
     if less.any():
         core = np.eye(others.shape[1]) - (others.T * less) @ others
-        values, V = np.linalg.eigh(core + by_configuration(problem, others, shared))
+        if shared.any():
+            core += by_configuration(problem, others, shared)
+        values, V = np.linalg.eigh(core)
         uncertain = uncertain @ (V * np.sqrt(np.maximum(values, 0.0)))
     alone = noise[layout.component[own]] * (1.0 - np.sum(rest.placed**2, axis=1))
     spread = np.sum(rest.beside(uncertain) ** 2, axis=1)

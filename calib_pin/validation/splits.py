@@ -238,15 +238,16 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     sought = [seen & (grouping.places < 0) for seen in _estimated(fitted, rows)]
     if fitted.problem.many:
         masks = [_few(mask, grouping.groups) for mask in masks]
-    aside = int((rows.weight == 0.0).sum())
+    whole = replace(fitted.problem, data=rows)
+    spare, values = known_values(whole) - needed, np.bincount(whole.layout.row)
     for mask in masks:
         seen = (len(np.unique(rows.groups()[one & ~mask])) for one in sought)
-        # Every group that is left is a configuration or more.
-        few = len(order) - int(mask.sum()) - aside <= needed
-        if few:
-            rest = replace(fitted.problem, data=rows.rows(~mask))
-            few = known_values(rest) <= needed
-        if few or any(0 < number < FEWEST for number in seen):
+        if any(0 < number < FEWEST for number in seen):
+            return []
+        # Few values are repetitions, which are soon counted where it matters.
+        if values[mask].sum() >= spare and (
+            known_values(replace(whole, data=rows.rows(~mask))) <= needed
+        ):
             return []
     return masks
 

@@ -152,8 +152,9 @@ GOLDEN: dict[str, Callable[[], object]] = {
     "outside the region; allowed: wider limits, a larger region, or fewer obstacles": (
         lambda: plan(setup=Setup(region=FAR))
     ),
-    "a joint correction has no derivative by the configuration, which the method "
-    "'gradient' needs; allowed: exchange, greedy, pso, ga": (
+    "the method 'gradient' needs derivatives by the configuration, which joint "
+    "corrections and some measurement models do not have; allowed: exchange, greedy, "
+    "pso, ga": (
         lambda: plan(setup=Setup(parameters=("transmission",)), method="gradient")
     ),
 }

@@ -197,8 +197,8 @@ def prepared(
         raise InputError("there are no measurements to evaluate")
     reason, known = "", located_names(problem)
     if registration:
-        # Of a chain nothing is new.
-        problem, theta = extended(problem, theta, rows)
+        if isinstance(robot, CalibratedModel):
+            problem, theta = extended(problem, theta, rows)
         problem, result = register(problem, theta)
         theta, reason = result.x, registration_reason(problem, result)
     there = registered(problem, theta, rows)

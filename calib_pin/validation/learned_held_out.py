@@ -13,11 +13,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.estimation.directions import visible_nuisances
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.learning import left_out, with_learned
-from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.validation.left_out import Linear, without
 from calib_pin.validation.model_errors import (
     ModelErrors,
     errors_of_registered,
@@ -36,58 +35,40 @@ def learned_left_out(
         seed: Seed of whatever is learned anew.
 
     Returns:
-        The errors; None for a part that has all that is known of some target.
+        The errors; None for a part whose others do not tell the geometry.
     """
     fit, learned = model.fit, model.learned
     problem, theta = fit.problem.rebased(fit.theta)
     assert learned is not None
-    data, things = problem.data, problem.data.things()
-    told = [bool(np.isin(things[mask], things[~mask]).all()) for mask in masks]
-    parts = [mask for mask, known in zip(masks, told, strict=True) if known]
+    robots, row = Linear.of(fit), problem.layout.row
+
+    def beside(mask: NDArray[np.bool_]) -> tuple[Floats, Floats] | None:
+        """Nominal and fitted robot without a part, shape (P,) each."""
+        if problem.many:  # Among so many, no part has a say.
+            return fit.before, fit.theta
+        before, after = (without(robot, mask[row]) for robot in robots)
+        if before is None or after is None or after.alone.any():
+            return None
+        return before.theta, after.theta
+
+    geometries = [beside(mask) for mask in masks]
+    parts = [m for m, found in zip(masks, geometries, strict=True) if found]
     rng = np.random.default_rng(seed)
     others = iter(left_out(learned, fit, problem, theta, parts, rng))
-    registration = fit.registered
-    frames = visible_nuisances(registration[1], problem.parameters)
-    _, held, moved = fit.held
     of_error = np.concatenate([part.of_error for part in problem.parts.values()])
-    found = list[ModelErrors | None]()
-    for mask, known in zip(masks, told, strict=True):
-        if not known:
-            found.append(None)
+    result = list[ModelErrors | None]()
+    for mask, geometry in zip(masks, geometries, strict=True):
+        if geometry is None:
+            result.append(None)
             continue
-        rows, correction = data.rows(mask), next(others)
-        nominal = fit.before + _step(fit.problem, mask, registration, frames)
+        rows, correction = problem.data.rows(mask), next(others)
+        nominal, fitted = geometry
         step = np.zeros_like(theta)
-        linear = _step(fit.problem, mask, (held.fun, held.jac), moved)
-        step[of_error] = linear[of_error]
+        step[of_error] = (fitted - fit.theta)[of_error]
         # What was learned stands on the geometry; where it fades, that remains.
         own = replace(correction, shift=correction.shift - step)
         before = registered(fit.problem, nominal, rows)
         after = registered(with_learned(problem, own), theta + step, rows)
         positions = np.flatnonzero(mask)
-        found.append(errors_of_registered(model, before, after, positions))
-    return found
-
-
-def _step(
-    problem: Problem,
-    mask: NDArray[np.bool_],
-    linear: tuple[Floats, Floats],
-    moved: Floats,
-) -> Floats:
-    """How parameters move when some measurements are left out, shape (P,).
-
-    Args:
-        problem: The problem.
-        mask: The measurements, shape (N,).
-        linear: Whitened residual and Jacobian where all of them are fitted.
-        moved: Directions of the parameters, in their scales, shape (P, k).
-    """
-    if problem.many:  # Among so many, no part has a say.
-        return np.zeros(len(moved))
-    residual, J = linear
-    kept = np.ones(len(residual), bool)  # Priors stand behind the measurements.
-    kept[: len(problem.layout.row)] = ~mask[problem.layout.row]
-    basis = problem.parameters.scales[:, None] * moved
-    A = J[kept] @ basis
-    return np.asarray(-basis @ np.linalg.lstsq(A, residual[kept], rcond=None)[0])
+        result.append(errors_of_registered(model, before, after, positions))
+    return result

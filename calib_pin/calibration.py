@@ -23,7 +23,6 @@ from calib_pin.estimation.formulation import (
 )
 from calib_pin.estimation.time_course import time_course, with_time_course
 from calib_pin.estimation.tip_accuracy import tip_accuracy
-from calib_pin.estimation.variants import in_units
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import as_stated
@@ -229,7 +228,7 @@ def _result(
     parameters, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
     checked = ModelErrors.joined(held_out.parts) if held_out.parts else None
     # Against the sigma that is stated, or was assumed.
-    chi2 = 2.0 * in_units(fitted.problem, np.zeros(0)).cost(fitted.theta)
+    chi2 = 2.0 * replace(fitted.problem, units=np.zeros(0)).cost(fitted.theta)
     names = [parameter.name for parameter in parameters]
     accuracies = {
         name: replace(

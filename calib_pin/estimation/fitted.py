@@ -35,7 +35,6 @@ from calib_pin.estimation.statistics.variance_components import (
     repetitions,
 )
 from calib_pin.estimation.system import Part
-from calib_pin.estimation.variants import expecting
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import LeastSquaresResult
 
@@ -298,7 +297,7 @@ class Fit:
             fun=np.append(self.result.fun, expected.residual(self.theta)),
             jac=np.vstack([self.result.jac, expected.jacobian(self.theta)]),
         )
-        return expecting(self.problem, expected), result, self.directions.every
+        return replace(self.problem, expected=expected), result, self.directions.every
 
     @cached_property
     def covariance(self) -> Floats:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -88,6 +88,10 @@ class Problem(Measured):
         """The residual rows behind those of the measurements."""
         known = self.known_distances, self.expected, self._priors
         return Blocks([block for block in known if block is not None and len(block)])
+
+    def weighted(self, weight: Floats) -> Problem:
+        """The same with other weights of its measurements, shape (N,)."""
+        return replace(self, data=self.data.weighted(weight))
 
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (M,)."""

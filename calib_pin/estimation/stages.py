@@ -31,7 +31,6 @@ from calib_pin.estimation.problem import EXACT, Problem
 from calib_pin.estimation.row_blocks import Expected
 from calib_pin.estimation.shrinkage import Evidence, expected_errors
 from calib_pin.estimation.solve import Solution, Solver, descend, least_squares, refine
-from calib_pin.estimation.variants import expecting, in_units
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import states_sigmas
 from calib_pin.solvers import LeastSquaresResult, Status
@@ -83,7 +82,7 @@ def fit_in_stages(problem: Problem, before: LeastSquaresResult, solver: Solver) 
 
 def fit_in_units(fitted: Fit, units: Floats) -> Fit:
     """A fit in other units, shape (d,), in its directions from where it stands."""
-    problem, first = in_units(fitted.problem, units), fitted.result
+    problem, first = replace(fitted.problem, units=units), fitted.result
     before = least_squares(problem, fitted.before, nuisance_basis(problem.parameters))
     solution = descend(problem, fitted.directions, fitted.theta)
     last = _judged(problem, fitted.directions, solution)
@@ -293,7 +292,7 @@ def _shrunk(
     # Whitened like the rows, whose unit weight is not in their standard deviations.
     expected = replace(evidence.expected, sizes=evidence.expected.sizes / unit)
     basis = problem.parameters.scales[:, None] * last.directions.every
-    shrunk = refine(expecting(problem, expected), found.x, basis)
+    shrunk = refine(replace(problem, expected=expected), found.x, basis)
     return evidence, replace(
         without_prior(problem, expected, shrunk),
         nit=found.nit + shrunk.nit,

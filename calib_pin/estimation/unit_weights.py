@@ -16,7 +16,6 @@ from calib_pin.estimation.statistics.variance_components import (
     current_units,
     variance_components,
 )
-from calib_pin.estimation.variants import in_units
 from calib_pin.solvers import Status
 
 STANDS = 0.01
@@ -66,7 +65,7 @@ def balanced(problem: Problem, solver: Solver) -> Fit:
         if relative < LIKE:
             fitted = fit_in_units(fitted, current * change)
         else:
-            fitted = bounded(in_units(problem, current * change), solver)
+            fitted = bounded(replace(problem, units=current * change), solver)
     if fitted.dof > 0 and fitted.unit > EXACT:
         fitted = replace(fitted, noise=variance_components(*fitted.held))
     return fitted
@@ -83,7 +82,7 @@ def _converted(fitted: Fit, factor: float) -> Fit:
     )
     return replace(
         fitted,
-        problem=in_units(fitted.problem, factor * current_units(fitted.problem)),
+        problem=replace(fitted.problem, units=factor * current_units(fitted.problem)),
         solution=replace(fitted.solution, result=result),
         sigma0=fitted.sigma0 / factor,
         unit=1.0,

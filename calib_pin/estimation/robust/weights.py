@@ -48,7 +48,6 @@ from calib_pin.estimation.robust.studentized import (
 from calib_pin.estimation.row_blocks import Expected
 from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.unit_weights import balanced
-from calib_pin.estimation.variants import expecting, in_units, reweighted
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 
@@ -171,12 +170,12 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
 
 def _weighted(problem: Problem, weight: NDArray[np.generic]) -> Problem:
     """The problem with a weight for each configuration, shape (G,)."""
-    return reweighted(problem, weight.astype(float)[failing(problem)])
+    return problem.weighted(weight.astype(float)[failing(problem)])
 
 
 def _plain(problem: Problem) -> Problem:
     """The problem with all measurements at full weight."""
-    return reweighted(problem, np.ones(len(problem.data)))
+    return problem.weighted(np.ones(len(problem.data)))
 
 
 def _judged(fitted: Fit, accepted: NDArray[np.bool_]) -> Studentized:
@@ -238,9 +237,7 @@ def _enough(squared: Fit, accepted: NDArray[np.bool_]) -> bool:
     return known_values(_weighted(squared.problem, accepted)) > squared.rank
 
 
-def _sought(
-    problem: Problem, loss: str, rank: int, rng: np.random.Generator
-) -> Floats:
+def _sought(problem: Problem, loss: str, rank: int, rng: np.random.Generator) -> Floats:
     """Weights of a robust loss over the whole model, by consensus and steps, (G,).
 
     The robot is held by its expected size; the measurements determine as many
@@ -253,7 +250,8 @@ def _sought(
         np.full(len(parameters), OPTIONS.size),
         parameters.scales,
     )
-    every = in_units(expecting(consensus(_plain(problem), rng), expected), np.zeros(0))
+    every = consensus(_plain(problem), rng)
+    every = replace(every, expected=expected, units=np.zeros(0))
     few = replace(every, data=every.data.sample(SAMPLE)) if every.many else every
     theta, weight = np.zeros(len(parameters)), np.zeros(0)
     # A model of p parameters meets p values exactly, so more than half must count

@@ -13,7 +13,7 @@ residuals between configurations beyond it are lack of fit.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -36,7 +36,6 @@ from calib_pin.estimation.statistics.restricted_likelihood import (
     estimate_variances,
 )
 from calib_pin.estimation.system import Part
-from calib_pin.estimation.variants import in_units
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import LeastSquaresResult
 
@@ -233,7 +232,7 @@ def _by_quantity(problem: Problem, theta: Floats) -> Iterator[tuple[int, Part, F
         alone = problem
         if most > 1:
             kept = np.isin(np.arange(len(current)), list(chosen))
-            alone = in_units(problem, np.where(kept, current, np.inf))
+            alone = replace(problem, units=np.where(kept, current, np.inf))
         products = alone.products(theta)
         for block, K in zip(alone.blocks, products, strict=True):
             found = firsts[block.part.key]

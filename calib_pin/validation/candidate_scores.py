@@ -54,6 +54,8 @@ def helps(sizes: Sequence[Floats], before: Sequence[Floats], use: str) -> bool:
         before: The same of the candidate that it extends.
         use: One of `USES`.
     """
+    if use != "near" and len(sizes) < len(before):
+        return False  # Nobody knows, away.
     gains = asked([b - s for b, s in zip(before, sizes, strict=False)], use)
     told = [_mean(gain) for gain in gains]
     return not told or (
@@ -74,9 +76,11 @@ def simplest(found: Sequence[Judged], use: str) -> int:
         use: One of `USES`.
     """
     candidates = [one.candidate for one in found]
-    sizes = {k: asked(one.sizes, use) for k, one in enumerate(found) if one.sizes}
-    most = max(map(len, sizes.values()))
-    full = [k for k, own in sizes.items() if len(own) == most]
+    # What could be tried near alone is not compared with what others are away.
+    tried = max(len(one.sizes) for one in found)
+    full = [k for k, one in enumerate(found) if len(one.sizes) == tried]
+    sizes = {k: asked(found[k].sizes, use) for k in full}
+    places = range(len(sizes[full[0]]))
 
     def as_good(among: Sequence[int], place: int) -> list[int]:
         """Those that are not significantly worse there than the best of them."""
@@ -87,10 +91,10 @@ def simplest(found: Sequence[Judged], use: str) -> int:
     # Chance may leave the best one short of helping, and what it is compared with out
     # of reach.
     helping = [k for k in full if candidates[k].helps] or full
-    good = set(helping).intersection(*(as_good(full, i) for i in range(most)))
+    good = set(helping).intersection(*(as_good(full, place) for place in places))
     if not good:
         good = set(helping)
-        for place in reversed(range(most)):
+        for place in reversed(places):
             good = set(as_good(sorted(good), place))
     return min(
         good,

@@ -58,5 +58,10 @@ def test_the_simplest_that_is_not_significantly_worse() -> None:
 def test_without_regions_only_what_is_near_counts() -> None:
     first, second = judged(2.0, rank=10), judged(1.0, rank=20)
     assert simplest([first, second], "away") == 1
+    # But what one of them alone could not be tried at is no gain.
+    both = judged(1.5, 1.5, rank=10)
+    assert [simplest([both, second], use) for use in ("away", "both")] == [0, 0]
+    assert not helps(second.sizes, both.sizes, "away")
+    assert helps(second.sizes, both.sizes, "near")
     untried = Judged(Candidate("c", (), None, reason="too few"))
     assert simplest([first, untried, second], "both") == 2

@@ -74,7 +74,7 @@ class _Moments:
     def __call__(self, q: Floats, conditions: Conditions = UNSTATED) -> Floats:
         moments = self.load.loads(self.chain.gravity_moments, q, conditions)
         across = np.einsum("nka,kia->nki", moments, self.axes)
-        return np.asarray(across.reshape(len(q), -1))
+        return np.asarray(across.reshape(len(q), 2 * len(self.axes)))
 
 
 def _across(axis: Floats) -> Floats:

@@ -73,6 +73,15 @@ def test_what_the_user_states_reaches_the_parameterization(framed: Setup) -> Non
     assert several.payloads == payloads and several.gravity == framed.gravity
 
 
+def test_no_configurations_have_no_poses(framed: Setup) -> None:
+    chain = load_chain("space6")
+    for name in PARAMETERIZATIONS:
+        model = ErrorModel.create(chain, (name,), setup=framed)
+        basis = model.basis(np.zeros((0, 6)))
+        theta = np.zeros(len(model.screws))
+        assert model.poses(np.zeros((0, 6)), theta, basis).shape == (0, 4, 4), name
+
+
 @pytest.mark.parametrize(("robot", "base", "tip"), ROBOTS)
 def test_names_units_and_scales(
     robot: str, base: str | None, tip: str | None, framed: Setup

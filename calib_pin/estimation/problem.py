@@ -89,10 +89,6 @@ class Problem(Measured):
         known = self.known_distances, self.expected, self._priors
         return Blocks([block for block in known if block is not None and len(block)])
 
-    def weighted(self, weight: Floats) -> Problem:
-        """The same with other weights of its measurements, shape (N,)."""
-        return replace(self, data=self.data.weighted(weight))
-
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (M,)."""
         parts = self._by_block(lambda one: one.errors(theta))
@@ -299,6 +295,11 @@ class Problem(Measured):
             return r, J
         residual, jacobian = self.further.residual(theta), self.further.jacobian(theta)
         return np.concatenate([r, residual]), np.concatenate([J, jacobian])
+
+
+def reweighted(problem: Problem, weight: Floats) -> Problem:
+    """The problem with other weights of its measurements, shape (N,)."""
+    return replace(problem, data=problem.data.weighted(weight))
 
 
 def error_table(problem: Problem, theta: Floats) -> Floats:

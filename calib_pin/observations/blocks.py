@@ -149,6 +149,7 @@ class Observations(SourcedRows):
 
     def rows(self, index: NDArray[Any]) -> Observations:
         """The rows of a boolean mask or of ascending positions."""
+        index = np.asarray(index)
         if index.dtype == bool and index.all():
             return self
         order = np.arange(len(self))[index]

@@ -15,7 +15,7 @@ from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.many_rows import ManyRows
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, reweighted
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -228,15 +228,15 @@ def test_other_weights_and_references_are_those_of_a_new_problem(
     weight[::7] = 0.0
     before = problem.products(theta)
     for changed, values in (
-        (problem.weighted(weight), theta),
+        (reweighted(problem, weight), theta),
         problem.rebased(theta),
-        (problem.weighted(weight).weighted(np.ones(len(weight))), theta),
+        (reweighted(reweighted(problem, weight), np.ones(len(weight))), theta),
     ):
         (found,) = changed.products(values)
         (expected,) = replace(changed, prepared=None).products(values)
         np.testing.assert_array_equal(found, expected)
     np.testing.assert_array_equal(found, before[0])
-    (weighted,) = problem.weighted(weight).products(theta)
+    (weighted,) = reweighted(problem, weight).products(theta)
     assert np.abs(weighted - found).max() > 1.0
 
 
@@ -258,7 +258,7 @@ def test_what_is_set_aside_may_be_impossible(
     assert np.isnan(problem.cost(theta))
     weight = np.ones(len(problem.data))
     weight[5::CHUNK] = 0.0
-    aside = problem.weighted(weight)
+    aside = reweighted(problem, weight)
     assert np.isfinite(aside.cost(theta))
     assert all(np.isfinite(part).all() for part in aside.linearize(theta))
 

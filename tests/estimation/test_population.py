@@ -14,7 +14,7 @@ from calib_pin.compiled.blocks import BLOCK
 from calib_pin.estimation.evaluators import RowByRow
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.population import PopulationCost
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, reweighted
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -214,14 +214,14 @@ def test_very_many_measurements_that_bend_go_piece_by_piece(
     weight = 1.0 + np.arange(count) % 3
     expected = [
         (few.errors(theta), few.cost(theta), *few.linearize(theta))
-        for few in (plain, plain.weighted(weight), plain.rebased(theta)[0])
+        for few in (plain, reweighted(plain, weight), plain.rebased(theta)[0])
     ]
     monkeypatch.setattr("calib_pin.estimation.problem.MANY", 1)
     pieces = replace(plain)
     (other,) = pieces.evaluators
     assert isinstance(other, RowByRow)
     assert pieces.many and pieces.evaluator == "pinocchio"
-    changed = (pieces, pieces.weighted(weight), pieces.rebased(theta)[0])
+    changed = (pieces, reweighted(pieces, weight), pieces.rebased(theta)[0])
     for many, (errors, cost, r, J) in zip(changed, expected, strict=True):
         np.testing.assert_array_equal(many.errors(theta), errors)
         assert many.cost(theta) == pytest.approx(cost, rel=1e-10)

@@ -36,6 +36,7 @@ from calib_pin.estimation.problem import (
     SAMPLE,
     Problem,
     known_values,
+    reweighted,
 )
 from calib_pin.estimation.robust.causes import causes
 from calib_pin.estimation.robust.consensus import consensus
@@ -170,12 +171,12 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
 
 def _weighted(problem: Problem, weight: NDArray[np.generic]) -> Problem:
     """The problem with a weight for each configuration, shape (G,)."""
-    return problem.weighted(weight.astype(float)[failing(problem)])
+    return reweighted(problem, weight.astype(float)[failing(problem)])
 
 
 def _plain(problem: Problem) -> Problem:
     """The problem with all measurements at full weight."""
-    return problem.weighted(np.ones(len(problem.data)))
+    return reweighted(problem, np.ones(len(problem.data)))
 
 
 def _judged(fitted: Fit, accepted: NDArray[np.bool_]) -> Studentized:

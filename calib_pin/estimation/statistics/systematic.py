@@ -242,7 +242,8 @@ def candidates(problem: Problem) -> Systematic | None:
         turns = dict(zip(map(owner, chain.joints), chain.revolute, strict=True))
         for parameter in errors[name].parameters:
             joint, kind, component = parameter.name.rsplit(".", 2)
-            if component in kinds.get(kind, ()) and turns[joint]:
+            # A mimic joint has the errors of its leader, which may be of no chain.
+            if component in kinds.get(kind, ()) and turns.get(joint):
                 sizes[parameter.name] = parameter.scale
     if not sizes:
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -77,3 +78,24 @@ def test_rows_are_those_of_the_parameters(model: str) -> None:
         change = 0.5 * (true.errors(moved) - true.errors(-moved)) / true.sigma
         # The amplitude of 3e-4 rad is the step: its square is left.
         np.testing.assert_allclose(X[:, k], change, atol=1e-5)
+
+
+FORK = """<robot name="fork">
+<link name="base"/><link name="arm"/><link name="hand"/><link name="wheel"/>
+<joint name="elbow" type="revolute"><parent link="base"/><child link="arm"/>
+<origin xyz="0.2 0 0.1"/><axis xyz="0 0 1"/>
+<limit lower="-2" upper="2" effort="9" velocity="9"/></joint>
+<joint name="wrist" type="revolute"><parent link="arm"/><child link="hand"/>
+<origin xyz="0.3 0 0"/><axis xyz="0 1 0"/><mimic joint="drive" multiplier="0.5"/>
+<limit lower="-2" upper="2" effort="9" velocity="9"/></joint>
+<joint name="drive" type="revolute"><parent link="base"/><child link="wheel"/>
+<axis xyz="0 0 1"/><limit lower="-2" upper="2" effort="9" velocity="9"/></joint>
+</robot>"""
+
+
+def test_a_leader_outside_of_the_chain_has_no_effects(tmp_path: Path) -> None:
+    file = tmp_path / "fork.urdf"
+    file.write_text(FORK)
+    chain = calib_pin.load_chain(file, tip="hand")
+    found = names(nominal_problem(chain, "position", Setup(tool_frame=TOOL)))
+    assert found and {name.split(".")[0] for name in found} == {"elbow"}

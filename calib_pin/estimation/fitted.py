@@ -291,13 +291,15 @@ class Fit:
         """With the prior as residual rows: problem, solution, moved basis (P, k)."""
         if self.evidence is None or not self.evidence.matters:
             return self.problem, self.result, self.directions.basis
-        expected = self.evidence.expected
+        problem = replace(self.problem, expected=self.evidence.expected)
+        found, further = self.result, problem.further
+        own = len(found.fun) - len(self.problem.further)
         result = replace(
-            self.result,
-            fun=np.append(self.result.fun, expected.residual(self.theta)),
-            jac=np.vstack([self.result.jac, expected.jacobian(self.theta)]),
+            found,
+            fun=np.append(found.fun[:own], further.residual(self.theta)),
+            jac=np.vstack([found.jac[:own], further.jacobian(self.theta)]),
         )
-        return replace(self.problem, expected=expected), result, self.directions.every
+        return problem, result, self.directions.every
 
     @cached_property
     def covariance(self) -> Floats:

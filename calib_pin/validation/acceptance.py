@@ -32,7 +32,10 @@ from itertools import combinations, repeat
 import numpy as np
 
 from calib_pin.errors import InputError
-from calib_pin.estimation.statistics.distributions import chi_square_quantile
+from calib_pin.estimation.statistics.distributions import (
+    chi_square_quantile,
+    student_quantile,
+)
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices
 from calib_pin.setup import LimitSetup
@@ -336,9 +339,7 @@ def mean(values: Floats, effect: Floats | None = None, dof: float = np.inf) -> I
 
 def student(dof: float) -> float:
     """Standard deviations of Student's t to either side that hold `LEVEL`."""
-    from scipy.special import stdtrit  # Slow to import, and every page imports this.
-
-    return float(stdtrit(dof, 0.5 + 0.5 * LEVEL))
+    return student_quantile(dof, 0.5 - 0.5 * LEVEL)
 
 
 def three_sigma(values: Floats) -> Interval:

@@ -28,7 +28,7 @@ from calib_pin.estimation.fitted import (
     shared_variances,
 )
 from calib_pin.estimation.problem import EXACT, Problem, error_table
-from calib_pin.estimation.robust.studentized import spectrum
+from calib_pin.estimation.robust.studentized import by_size, spectrum
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.validation.model_errors import (
     ModelErrors,
@@ -83,12 +83,8 @@ class Linear:
         unit = float(np.sqrt(fun @ fun / max(problem.count - F.shape[1], 1)))
         nominal = cls(problem, fitted.before, fun, J, F, J @ F, unit)
         problem, held, moved = fitted.held
-        # In the order of the rows of the problem; those of the prior came last.
-        own = len(fitted.result.fun) - len(fitted.problem.further)
-        fun = np.append(held.fun[:own], problem.further.residual(held.x))
-        J = np.vstack([held.jac[:own], problem.further.jacobian(held.x)])
-        F = half_covariance(J, moved, parameters)
-        return nominal, cls(problem, held.x, fun, J, F, J @ F, fitted.unit)
+        J, F = held.jac, half_covariance(held.jac, moved, parameters)
+        return nominal, cls(problem, held.x, held.fun, J, F, J @ F, fitted.unit)
 
 
 def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
@@ -133,10 +129,7 @@ def press(robot: Linear, labels: NDArray[np.int64]) -> tuple[Floats, Floats]:
     problem, label = robot.problem, labels[robot.problem.layout.row]
     count = len(label)
     whitened, variance = robot.fun[:count].copy(), np.ones(count)
-    order = np.argsort(label, kind="stable")
-    counts = np.bincount(label)
-    for size in np.unique(counts[counts > 0]).tolist():
-        at = order[counts[label[order]] == size].reshape(-1, size)
+    for at in by_size(label):
         U, squares = spectrum(robot.columns[at])
         left = 1.0 - squares
         known = left > UNDETERMINED

@@ -16,6 +16,7 @@ without that configuration.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -184,12 +185,7 @@ def studentized(
     fitted = own[accepted[layout.row]]
     B = own @ inverse_root(np.concatenate([fitted, A[count:]]))
     r, counts = np.where(bad, 0.0, r), finite.astype(float)
-    labels = failing(problem)[layout.row]
-    order = np.argsort(labels, kind="stable")
-    sizes = np.bincount(labels)
-    begins = np.cumsum(sizes) - sizes
-    for size in np.unique(sizes[sizes > 0]).tolist():
-        rows = order[begins[sizes == size][:, None] + np.arange(size)]
+    for rows in by_size(failing(problem)[layout.row]):
         sign = np.where(accepted[layout.row[rows[:, 0]]], -1.0, 1.0)
         U, eigenvalues = spectrum(B[rows])
         left = 1.0 + sign[:, None] * eigenvalues
@@ -201,6 +197,20 @@ def studentized(
     squares = squared_or_infinite(r)
     squares[bad & finite] = np.inf
     return Studentized.of(problem, squares, counts)
+
+
+def by_size(labels: Indices) -> Iterator[Indices]:
+    """Positions of the members of G groups of one size m after the other, (G, m).
+
+    Groups of one size are factored together.
+
+    Args:
+        labels: Group of each member, shape (M,).
+    """
+    order, sizes = np.argsort(labels, kind="stable"), np.bincount(labels)
+    of_member = sizes[labels[order]]
+    for size in np.unique(of_member).tolist():
+        yield order[of_member == size].reshape(-1, size)
 
 
 def spectrum(B: Floats) -> tuple[Floats, Floats]:

@@ -25,12 +25,12 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations, grouped
 from calib_pin.progress import Stages
 from calib_pin.setup import Setup
-from calib_pin.validation.findings.moved_instrument import FEWEST, registered_if_moved
+from calib_pin.validation.findings.moved_instrument import registered_if_moved
 from calib_pin.validation.gains import PRESS, gains
 from calib_pin.validation.learned_held_out import learned_left_out
 from calib_pin.validation.left_out import left_out, press_check, unusable
 from calib_pin.validation.model_errors import ModelErrors, model_errors, registered
-from calib_pin.validation.splits import Grouping, folds
+from calib_pin.validation.splits import FEWEST_HELD_OUT, Grouping, folds
 from calib_pin.workers import SERIAL, Workers
 
 
@@ -116,7 +116,7 @@ def check(
     held = np.zeros(len(training), bool)
     for part in kept:
         held[part.positions] = training.weight[part.positions] > 0.0
-    if training.rows(held).configurations < FEWEST:
+    if training.rows(held).configurations < FEWEST_HELD_OUT:
         kept = ()
     name = grouping.validation_name(min(len(kept), len(masks)))
     return HeldOut(
@@ -214,7 +214,7 @@ def _checked_on(
             )
         )
     rows = validation.rows(new)
-    if rows.configurations < FEWEST:
+    if not len(rows):
         return HeldOut(validation, findings=tuple(findings))
     before = registered(model.fit.problem, model.fit.before, rows)
     after = registered(model.problem, model.theta, rows)

@@ -155,19 +155,23 @@ def errors_of_registered(
     """
     problem, theta, known = after.problem, after.theta, located_names(model.problem)
     estimated = (*after.refitted, *after.new)
-    there = problem, theta
-    if not estimated and model.fit.problem.terms.keys() == problem.terms.keys():
-        there = replace(model.fit.problem, data=problem.data), model.fit.theta
+    there, fit = (problem, theta), model.fit
+    # A known point that only these name has no parameters, and yet it is new.
+    alike = fit.problem.terms.keys() == problem.terms.keys()
+    alike &= fit.problem.references.keys() == problem.references.keys()
+    if alike and not estimated:
+        there = replace(fit.problem, data=problem.data), fit.theta
     variance = predicted_variance(model.fit, *there, estimated)
     stated = problem.setup.known
     anew = [d for d in stated if not set(known).intersection(d.between)]
+    given = {n for (_, n), found in problem.references.items() if not found.parameters}
     return ModelErrors(
         positions,
         error_table(before.problem, before.theta),
         error_table(problem, theta),
         problem.layout.table(variance, len(problem.data)),
         found_distances(before, after, anew),
-        tuple(name for name in located_names(problem) if name not in known),
+        tuple(n for n in located_names(problem) if n not in known and n not in given),
     )
 
 

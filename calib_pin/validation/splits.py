@@ -34,6 +34,9 @@ FEWEST = 4
 """Configurations of every target without which there is no cross-validation, and of a
 region without which it tells nothing."""
 
+FEWEST_HELD_OUT = 5
+"""Fewest distinct configurations for a check."""
+
 FEWEST_OF_FRAME = 3
 """Configurations that a split leaves of every station, tool and chain where there are
 several: three positions locate a frame."""
@@ -512,6 +515,14 @@ def _held_out(
     mask = grouping.spared(chosen[labels])
     if mask.all():
         raise OptionError("holdout leaves no measurement to fit", value=holdout)
+    held = measurements.rows(mask).configurations
+    if held < FEWEST_HELD_OUT:
+        least = np.ceil(100.0 * FEWEST_HELD_OUT / measurements.configurations) / 100.0
+        raise OptionError(
+            f"the holdout is of {held} configurations, too few for a check",
+            value=holdout,
+            allowed=f"at least {FEWEST_HELD_OUT} configurations, {least:.2g} here",
+        )
     return mask
 
 

@@ -20,6 +20,7 @@ from calib_pin.validation.model_errors import (
     Registered,
     errors_of_registered,
 )
+from calib_pin.validation.splits import FEWEST_HELD_OUT
 
 MOVED = 4.0
 """Smallest ratio of RMS errors that shows that the instrument was moved.
@@ -54,9 +55,6 @@ STATION = (
     "give them a station of their own (a column 'station', or --station-per-file), or "
     "check that the instrument stood still"
 )
-
-FEWEST = 5
-"""Fewest distinct configurations for a check."""
 
 
 def registered_if_moved(
@@ -160,7 +158,10 @@ def _if_moved(
         )
     of = "" if station == BASE else f" of '{station.rpartition('.')[0]}'"
     seen = f"the instrument had another station for the validation measurements{of}"
-    if distinct_values(problem) <= unknowns or problem.data.configurations < FEWEST:
+    if (
+        distinct_values(problem) <= unknowns
+        or problem.data.configurations < FEWEST_HELD_OUT
+    ):
         return None, Finding(
             "moved-instrument",
             "warning",

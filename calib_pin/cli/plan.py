@@ -42,7 +42,7 @@ from calib_pin.cli.printing import (
 from calib_pin.cli.results import (
     FigureFormat,
     Figures,
-    draw_plan,
+    draw,
     figure_contents,
     figure_files,
     told_figures,
@@ -303,7 +303,7 @@ def plan(
             progress=progress,
             workers=several,
         )
-        drawn = draw_plan(found, bar) if pictures else []
+        drawn = draw("plan", bar, found) if pictures else []
         figured = figure_contents(drawn, pictures)
     table = encode_configurations(
         chains,

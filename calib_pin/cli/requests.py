@@ -20,7 +20,6 @@ from calib_pin.cli.older import as_before, older_files, open_older
 from calib_pin.cli.printing import Bar, notice
 from calib_pin.cli.results import (
     ResultFiles,
-    Run,
     check_results,
     draw_calibration,
     figure_contents,
@@ -218,6 +217,7 @@ def calibrated(
     """
     from calib_pin.calibration import calibrate
     from calib_pin.io.other_robots import other_robots
+    from calib_pin.io.results import provenance
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.validation.candidate_scores import USES
 
@@ -253,8 +253,8 @@ def calibrated(
     drawings = figure_contents(drawn, pictures)
     contents = drawings
     if files is not None:
-        run = Run(tuple(words), seconds)
+        made = provenance(tuple(words), seconds)
         contents = result_contents(
-            result, files, run, drawn if page else None, drawings, better
+            result, files, made, drawn if page else None, drawings, better
         )
     return Calibrated(result, better, seconds, contents, drawings)

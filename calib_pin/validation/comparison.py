@@ -96,8 +96,8 @@ class Difference:
 
     name: str
     unit: str
-    first: float
-    second: float
+    first: float = field(metadata={"key": "a"})
+    second: float = field(metadata={"key": "b"})
     sigma: float
     terms: tuple[Term, ...] = ()
 

@@ -263,12 +263,14 @@ class Provenance:
         hashes: SHA-256 of the measurement files; of a pipe there is none.
     """
 
-    command: tuple[str, ...] = ()
-    created: str = ""
-    seconds: float = math.nan
-    versions: Mapping[str, str] = field(default_factory=dict)
-    file: str = ""
-    hashes: tuple[str, ...] = ()
+    command: tuple[str, ...] = field(default=(), metadata={"key": "provenance.command"})
+    created: str = field(default="", metadata={"key": "provenance.created"})
+    seconds: float = field(default=math.nan, metadata={"key": "solver.seconds"})
+    versions: Mapping[str, str] = field(
+        default_factory=dict, metadata={"key": "provenance"}
+    )
+    file: str = field(default="", metadata={"key": None})
+    hashes: tuple[str, ...] = field(default=(), metadata={"key": None})
 
 
 @dataclass(frozen=True)
@@ -498,7 +500,9 @@ class Breakdown:
             measurements leave open; of a frame along its own axes.
     """
 
-    accuracies: Mapping[str, ToolAccuracy] = field(default_factory=dict)
+    accuracies: Mapping[str, ToolAccuracy] = field(
+        default_factory=dict, metadata={"key": "predicted"}
+    )
     stations: tuple[FrameSummary, ...] = ()
     tools: tuple[FrameSummary, ...] = ()
     chains: tuple[ChainSummary, ...] = ()
@@ -712,9 +716,13 @@ class Identification(Printed):
     """
 
     parameters: tuple[ParameterEstimate, ...]
-    groups: tuple[CoupledGroup, ...]
+    groups: tuple[CoupledGroup, ...] = field(
+        metadata={"key": "identifiability.coupled"}
+    )
     identifiability: Identifiability
-    robot_errors: tuple[RobotError, ...] = field(default=(), kw_only=True)
+    robot_errors: tuple[RobotError, ...] = field(
+        default=(), kw_only=True, metadata={"key": "identifiability.robot_errors"}
+    )
 
 
 @dataclass(frozen=True)
@@ -728,8 +736,8 @@ class UrdfResult:
         reason: Why there must be no URDF; empty where it is good.
     """
 
-    model: CalibratedModel | None
-    errors: tuple[QuantityErrors, ...]
+    model: CalibratedModel | None = field(metadata={"key": None})
+    errors: tuple[QuantityErrors, ...] = field(metadata={"by": "name"})
     reason: str
 
 
@@ -894,24 +902,26 @@ class CalibrationResult(Tables):
         recalibration: How it went on from an older calibration; None where it did not.
     """
 
-    model: CalibratedModel
-    reference: CalibratedModel
-    verdict: str
-    reason: str
-    errors: tuple[QuantityErrors, ...]
+    model: CalibratedModel = field(metadata={"key": None})
+    reference: CalibratedModel = field(metadata={"key": None})
+    verdict: str = field(metadata={"key": "verdict.status"})
+    reason: str = field(metadata={"key": "verdict.reason"})
+    errors: tuple[QuantityErrors, ...] = field(metadata={"by": "name"})
     validation: Validation
     solver: SolverSummary
     statistics: Statistics
-    covariance: NamedArray = field(repr=False)
-    fitted: MeasurementErrors = field(repr=False)
-    held_out: MeasurementErrors | None = field(repr=False)
-    files: tuple[str, ...] = ()
-    model_selection: ModelSelection | None = None
+    covariance: NamedArray
+    fitted: MeasurementErrors = field(metadata={"key": None})
+    held_out: MeasurementErrors | None = field(metadata={"key": None})
+    files: tuple[str, ...] = field(default=(), metadata={"key": None})
+    model_selection: ModelSelection | None = field(
+        default=None, metadata={"key": "model_ladder"}
+    )
     urdf: UrdfResult | None = None
-    rejected: str = ""
+    rejected: str = field(default="", metadata={"key": "rejected_residual_model"})
     distances: tuple[FoundDistance, ...] = ()
     findings: tuple[Finding, ...] = ()
-    provenance: Provenance = field(default_factory=Provenance)
+    provenance: Provenance = field(default_factory=Provenance, metadata={"key": ""})
     recalibration: Recalibration | None = None
 
     @property
@@ -948,9 +958,9 @@ class Evaluation(Printed):
     errors: tuple[tuple[str, str, Accuracy], ...]
     rows: int
     registered: bool
-    verdict: str = "good"
-    reason: str = ""
-    outside: int = 0
-    located: tuple[str, ...] = ()
+    verdict: str = field(default="good", metadata={"key": "verdict.status"})
+    reason: str = field(default="", metadata={"key": "verdict.reason"})
+    outside: int = field(default=0, metadata={"key": "outside_trained_region"})
+    located: tuple[str, ...] = field(default=(), metadata={"key": "placed"})
     counts: tuple[int, ...] = ()
     findings: tuple[Finding, ...] = ()

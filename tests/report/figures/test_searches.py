@@ -37,7 +37,7 @@ def test_tip_errors_are_in_millimeters(calibrated, draw):
     assert np.asarray(own.get_xdata()).tolist() == [40]
     ticks = [label.get_text() for label in axes.get_yticklabels()]
     assert "0.1" in ticks and not any("10" in tick for tick in ticks)
-    last = replace(tip, by_count=FoundCurve((counts[-1:], errors[-1:])))
+    last = replace(tip, by_count=FoundCurve(counts[-1:], errors[-1:]))
     assert tip_by_count(changed(calibrated, tip=last)) is None
 
 

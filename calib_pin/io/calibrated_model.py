@@ -171,10 +171,12 @@ def model_of(
             missing or is not what it should be, see `json_text.reading`.
     """
     setup, places = setup_of(record.setup), reference or record.places
-    for section in fields(places):
-        for place in getattr(places, section.name).values():
-            # An image may have no edge.
-            _require_finite([v for k, v in plain(place).items() if k != "size"])
+    sections = {part.name: getattr(places, part.name) for part in fields(places)}
+    named = {(section, name) for section in sections for name in sections[section]}
+    for section, name in named:
+        place = plain(sections[section][name])
+        # An image may have no edge.
+        _require_finite([v for key, v in place.items() if key != "size"])
     # A model that looks at nothing with a name has no targets.
     blocks = {block.key: list(block.targets) or [""] for block in record.blocks}
     parts, given = assembled(
@@ -190,6 +192,9 @@ def model_of(
     theta = given.vector(values if reference is None else {})
     parts = {key: _placed(part, places, theta) for key, part in parts.items()}
     model = CalibratedModel(chains, parts, given, theta, setup)
+    for section, name in named - model.references.keys():
+        if section != "frames":
+            raise ValueError(f"no measurement refers to '{name}' under '{section}'")
     # Frames and reference objects hold their own values.
     return replace(model, theta=np.where(model.referred, 0.0, theta))
 

@@ -212,7 +212,7 @@ def calibration_document(
     for errors in own["errors"].values():
         errors["validation"]["method"] = result.validation.method
     document = merged(plain(record), own)
-    first = ("format", "version", "run", "verdict", "findings")
+    first = ("format", "version", "verdict", "findings", "robot")
     return {key: document[key] for key in first} | document
 
 

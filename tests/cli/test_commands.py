@@ -174,7 +174,7 @@ def test_what_is_written(command, quantities, here, run):
     check_form(found, CONTRACT)
     assert list(found)[:5] == ["format", "version", "verdict", "findings", "robot"]
     assert found["format"] == "calib-pin/calibration"
-    assert found["version"] == 1
+    assert found["version"] == 2
     assert found["verdict"]["status"] == "good"
     assert result.out.startswith("GOOD: ")
     assert list(found["errors"]) == quantities

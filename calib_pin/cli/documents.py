@@ -36,36 +36,29 @@ def comparison_document(found: Comparison) -> Json:
         plain(d) | {"difference": d.change, "significance": d.significance}
         for d in found.differences
     ]
-    moved: Json = {"base": None, "tool": None}
-    for entry in map(plain, found.displacements):
-        del entry["of_tool"]
-        moved[entry.pop("frame")] = entry
-    return plain(
-        {
-            **format_keys("calib-pin/comparison"),
-            "a": _record(found.first),
-            "b": _record(found.second),
-            "same": {
-                "nominal_robot": found.same_nominal,
-                "parameters": found.same_parameters,
-                "measurements": found.same_rows,
-            },
-            "findings": faults(found),
-            "drifted": found.drifted,
-            "changed": found.changed,
-            "chain": found.chain,  # Of `tip`, that which drifted most.
-            "tip": tips[found.chain],
-            "tips": tips,
-            "displacements": moved,
-            "bound": BOUND,
-            "parameters": [d for d in differences if not d["terms"]],
-            "coupled": [
-                d | {"expression": d["name"]} for d in differences if d["terms"]
-            ],
-            "parameters_alone": dict(zip("ab", found.alone, strict=True)),
-            "coupled_alone": dict(zip("ab", found.sums_alone, strict=True)),
-        }
-    )
+    moved = {frame.frame: frame for frame in found.displacements}
+    return {
+        **format_keys("calib-pin/comparison"),
+        "a": _record(found.first),
+        "b": _record(found.second),
+        "same": {
+            "nominal_robot": found.same_nominal,
+            "parameters": found.same_parameters,
+            "measurements": found.same_rows,
+        },
+        "findings": faults(found),
+        "drifted": found.drifted,
+        "changed": found.changed,
+        "chain": found.chain,  # Of `tip`, that which drifted most.
+        "tip": tips[found.chain],
+        "tips": tips,
+        "displacements": {"base": None, "tool": None, **moved},
+        "bound": BOUND,
+        "parameters": [d for d in differences if not d["terms"]],
+        "coupled": [d | {"expression": d["name"]} for d in differences if d["terms"]],
+        "parameters_alone": dict(zip("ab", found.alone, strict=True)),
+        "coupled_alone": dict(zip("ab", found.sums_alone, strict=True)),
+    }
 
 
 def _record(record: CalibrationResult) -> Json:

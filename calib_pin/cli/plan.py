@@ -29,7 +29,7 @@ from calib_pin.cli.files import (
     stated_blocks,
     tell_limits,
 )
-from calib_pin.cli.older import PlannedStart, open_older, planned_before
+from calib_pin.cli.older import PlannedStart, as_before, open_older
 from calib_pin.cli.printing import (
     notice,
     progress_bar,
@@ -200,7 +200,7 @@ def plan(
 
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
     older = open_older(start)
-    stated = planned_before(stated, older)
+    stated = as_before(stated, older, planned=True)
     require_known("criterion", criterion, CRITERION_NAMES)
     require_known("method", method, METHODS)
     if accept:

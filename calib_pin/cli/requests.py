@@ -16,7 +16,7 @@ from calib_pin.cli.files import (
     open_setup,
     require_distinct,
 )
-from calib_pin.cli.older import as_before, older_files, open_older
+from calib_pin.cli.older import as_before, open_older
 from calib_pin.cli.printing import Bar, notice
 from calib_pin.cli.results import (
     ResultFiles,
@@ -64,7 +64,9 @@ class Request:
     @property
     def inputs(self) -> list[str | Path | None]:
         """The files that it reads, none of which may be written."""
-        older = [] if self.start is None else older_files(self.start)
+        from calib_pin.io.results import document_file
+
+        older = [] if self.start is None else [document_file(self.start)]
         return [self.robot, self.setup, self.validation, *older, *self.measurements]
 
     def words(self, output: Path) -> tuple[str, ...]:

@@ -3,8 +3,8 @@
 A document is the fields of its dataclasses, written and read back as they are declared:
 numbers, texts, enumerations, named tuples, mappings, tuples and arrays. A field stands
 under its own name, or where `metadata={"key": ...}` says: `verdict.status` within
-another key, the empty text among the keys of its record, None nowhere, so
-that it is read as None. Records that
+another key, the empty text among the keys of its record, None nowhere: it is
+read as its default, or None. Records that
 have a name may be a mapping by it, `metadata={"by": "name"}`. JSON knows neither
 infinity nor NaN: a number that is not known is null, an infinite one the text
 `Infinity` or `-Infinity`.
@@ -138,7 +138,7 @@ def _written(part: Field[Any], value: Any) -> Json:
     path, by = _path(part), part.metadata.get("by")
     if path is None:
         return {}
-    found = plain(value)
+    found: Json = plain(value)
     if by is not None:
         found = {one.pop(by): one for one in found}
     for key in reversed(path):
@@ -208,11 +208,13 @@ def _record(kind: Any, value: Any, known: Mapping[str, Any]) -> Any:
     found, hints = dict(known), _hints(kind)
     for part in fields(kind):
         path, data, by = _path(part), value, part.metadata.get("by")
+        given = (part.default, part.default_factory) != NOTHING
+        if path is None and part.name not in known and not given:
+            found[part.name] = None
         if path is None or part.name in known:
-            found.setdefault(part.name, None)
             continue
         for key in path:
-            if key not in data and (part.default, part.default_factory) != NOTHING:
+            if key not in data and given:
                 break
             data = data[key]
         else:
@@ -228,7 +230,7 @@ NOTHING = (MISSING, MISSING)
 
 def _scalar(kind: Any, value: Any) -> Any:
     if kind is float and (value is None or (type(value) is str and value in INFINITE)):
-        return INFINITE.get(value, math.nan)
+        return math.nan if value is None else INFINITE[value]
     fits = type(value) is kind
     if kind is float:
         # Python reads NaN and numbers of any length, JSON knows none.

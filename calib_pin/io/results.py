@@ -181,7 +181,8 @@ def calibration_document(
     Raises:
         InputError: If a measurement file cannot be read again for its hash.
     """
-    model, dof, urdf = result.model, result.statistics.dof, result.urdf
+    model, dof = result.model, result.statistics.dof
+    alone = None if result.urdf is None else result.urdf.model
     made, chains = provenance or result.provenance, result.model.chains
     chain, setup = model.moving.error.chain, model.setup.file
     files = map(Source, result.files, made.hashes)
@@ -202,7 +203,7 @@ def calibration_document(
         reference=places_of(result.reference),
         rotations={name: part.to_base for name, part in parts if part is not None},
         residual_model=learned_record(model),
-        urdf_model=urdf and urdf.model and model_record(urdf.model),
+        urdf_model=None if alone is None else model_record(alone),
         suggestions=tuple(suggestions),
         chi2_interval=chi2_interval(dof) if dof > 0 else (),
         setup_file=Source.of(setup) if setup else None,

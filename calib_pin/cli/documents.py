@@ -62,7 +62,7 @@ def comparison_document(found: Comparison) -> Json:
 
 
 def _record(record: CalibrationResult) -> Json:
-    """What a calibration was, and how accurate."""
+    """A calibration, and how accurate it is."""
     return {
         "file": record.provenance.file,
         "created": record.provenance.created,

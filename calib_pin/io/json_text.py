@@ -138,12 +138,12 @@ def _written(part: Field[Any], value: Any) -> Json:
     path, by = _path(part), part.metadata.get("by")
     if path is None:
         return {}
-    found: Json = plain(value)
+    found: Any = plain(value)
     if by is not None:
         found = {one.pop(by): one for one in found}
     for key in reversed(path):
         found = {key: found}
-    return found
+    return dict(found)
 
 
 def merged(*documents: Mapping[str, Any]) -> Json:

@@ -99,8 +99,8 @@ def _require_whole(prior: JointPrior) -> None:
     Raises:
         ValueError: If they are none.
     """
-    C, numbers = np.array(prior.covariance), [p.mean for p in prior.parameters]
-    if not np.isfinite(numbers).all():
+    C = np.array(prior.covariance)
+    if not np.isfinite([*C.flat, *(p.mean for p in prior.parameters)]).all():
         raise ValueError("a number is missing, or infinite")
     if not all(0.0 < sigma < np.inf for sigma in prior.noise.values()):
         raise ValueError("'noise' has a standard deviation that is none")

@@ -437,7 +437,7 @@ def read_document(path: str | Path) -> Json:
 
 
 def read_record(path: str | Path) -> Document:
-    """What a `calibration.json` says of its robot and its files.
+    """The robot and the files of a `calibration.json`.
 
     Raises:
         InputError: If the file is not such a document, or of another version.

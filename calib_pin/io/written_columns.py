@@ -129,13 +129,13 @@ def _started(data: Measurements) -> Measurements:
     ):
         if wrong.any():
             raise _unreadable(data, int(np.argmax(wrong)), reason)
-    names, taken = dict[object, str](), set(data.target.names)
+    names, taken = dict[tuple[str, ...], str](), set(data.target.names)
     index, begins, targets = list[int](), list[bool](), list[str]()
     for row, (target, payload) in enumerate(
         zip(data.target, data.payload, strict=True)
     ):
         # Bit by bit, for starts have to read back.
-        start = target, payload, data.start[row].tobytes()
+        start = target, payload, data.start[row].tobytes().hex()
         first = start not in names
         if first:
             kept = all(other != target for other, *_ in names)

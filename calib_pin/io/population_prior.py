@@ -56,7 +56,16 @@ def prior_of(document: Mapping[str, Any]) -> JointPrior:
     """
     kind = JointPrior if document.get("format") == OF_ROBOT else PopulationPrior
     prior = typed(kind, document)
-    _require_whole(prior)
+    C = np.array(prior.covariance)
+    if not np.isfinite([*C.flat, *(p.mean for p in prior.parameters)]).all():
+        raise ValueError("a number is missing, or infinite")
+    if not all(0.0 < sigma < np.inf for sigma in prior.noise.values()):
+        raise ValueError("'noise' has a standard deviation that is none")
+    if C.shape != (count := len(set(prior.names)), len(prior.names)):
+        raise ValueError(f"'covariance' does not have {count} rows and columns")
+    deviations = np.diag(np.linalg.cholesky(C))
+    if np.abs((C - C.T) / np.outer(deviations, deviations)).max() > SYMMETRIC:
+        raise ValueError("'covariance' is not symmetric")
     return prior
 
 
@@ -91,22 +100,3 @@ def write_population_prior(
         OutputError: If it cannot be written.
     """
     write_atomically(Path(path), encode(prior_document(prior)), force=force)
-
-
-def _require_whole(prior: JointPrior) -> None:
-    """Refuse numbers that are no prior.
-
-    Raises:
-        ValueError: If they are none.
-    """
-    C = np.array(prior.covariance)
-    if not np.isfinite([*C.flat, *(p.mean for p in prior.parameters)]).all():
-        raise ValueError("a number is missing, or infinite")
-    if not all(0.0 < sigma < np.inf for sigma in prior.noise.values()):
-        raise ValueError("'noise' has a standard deviation that is none")
-    if C.shape != (count := len(set(prior.names)), len(prior.names)):
-        raise ValueError(f"'covariance' does not have {count} rows and columns")
-    # It also refuses what is no number.
-    deviations = np.diag(np.linalg.cholesky(C))
-    if np.abs((C - C.T) / np.outer(deviations, deviations)).max() > SYMMETRIC:
-        raise ValueError("'covariance' is not symmetric")

@@ -65,14 +65,6 @@ class NamedArray(np.ndarray):
         self.rows, self.columns = (), ()
 
 
-class MeanError(NamedTuple):
-    """Mean error of one quantity of held-out measurements, in its unit."""
-
-    name: str
-    unit: str
-    mean: float
-
-
 class QuantityError(NamedTuple):
     """Errors of one quantity of held-out measurements, in its unit."""
 
@@ -106,7 +98,7 @@ class Candidate:
         parameters: Names of its parameterizations.
         learned: Its residual model, None for none.
         rank: Practical rank of its fit; 0 where it could not be tried.
-        errors: Mean error on held-out measurements of every quantity.
+        errors: Errors on held-out measurements of every quantity.
         score: Mean error on held-out measurements, root mean square of the components
             in standard deviations; NaN where it could not be tried.
         deviation: Standard error of the score.
@@ -123,7 +115,7 @@ class Candidate:
     parameters: tuple[str, ...]
     learned: str | None
     rank: int = 0
-    errors: tuple[MeanError, ...] = field(default=(), metadata={"by": "name"})
+    errors: tuple[QuantityError, ...] = field(default=(), metadata={"by": "name"})
     score: float = float("nan")
     deviation: float = float("nan")
     helps: bool = False
@@ -754,17 +746,18 @@ class Prediction(NamedTuple):
     covariance: Floats
 
 
+@dataclass(frozen=True, repr=False)
 class Tables(Identification, Breakdown):
-    """A result as arrays with names and as tables."""
+    """A result as arrays with names and as tables, see `CalibrationResult`."""
 
-    model: CalibratedModel
-    reference: CalibratedModel
+    model: CalibratedModel = field(metadata={"key": None})
+    reference: CalibratedModel = field(metadata={"key": None})
+    verdict: str = field(metadata={"key": "verdict.status"})
+    reason: str = field(metadata={"key": "verdict.reason"})
+    errors: tuple[QuantityErrors, ...] = field(metadata={"by": "name"})
     covariance: NamedArray
-    verdict: str
-    reason: str
-    errors: tuple[QuantityErrors, ...]
-    fitted: MeasurementErrors
-    held_out: MeasurementErrors | None
+    fitted: MeasurementErrors = field(metadata={"key": None})
+    held_out: MeasurementErrors | None = field(metadata={"key": None})
 
     @property
     def residuals(self) -> NamedArray:
@@ -902,17 +895,9 @@ class CalibrationResult(Tables):
         recalibration: How it went on from an older calibration; None where it did not.
     """
 
-    model: CalibratedModel = field(metadata={"key": None})
-    reference: CalibratedModel = field(metadata={"key": None})
-    verdict: str = field(metadata={"key": "verdict.status"})
-    reason: str = field(metadata={"key": "verdict.reason"})
-    errors: tuple[QuantityErrors, ...] = field(metadata={"by": "name"})
     validation: Validation
     solver: SolverSummary
     statistics: Statistics
-    covariance: NamedArray
-    fitted: MeasurementErrors = field(metadata={"key": None})
-    held_out: MeasurementErrors | None = field(metadata={"key": None})
     files: tuple[str, ...] = field(default=(), metadata={"key": None})
     model_selection: ModelSelection | None = field(
         default=None, metadata={"key": "model_ladder"}

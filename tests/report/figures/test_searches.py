@@ -68,7 +68,7 @@ def test_rungs_have_their_score_and_its_deviation(calibrated, draw):
 
 
 def test_rungs_alike_have_a_linear_axis(calibrated, draw):
-    rung = Candidate("a\nname", (), None, 7, (("x", "m", 1e-3),), 0.0, 0.0)
+    rung = Candidate("a\nname", (), None, 7, (("x", "m", 1e-3, 1e-3),), 0.0, 0.0)
     selection = ModelSelection(rung.name, "near", {}, (rung,))
     drawn = draw(model_ladder, replace(calibrated, model_selection=selection))
     (axes,) = drawn.figure.axes

@@ -219,7 +219,6 @@ def calibrated(
     """
     from calib_pin.calibration import calibrate
     from calib_pin.io.other_robots import other_robots
-    from calib_pin.io.results import provenance
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.validation.candidate_scores import USES
 
@@ -255,6 +254,8 @@ def calibrated(
     drawings = figure_contents(drawn, pictures)
     contents = drawings
     if files is not None:
+        from calib_pin.io.results import provenance
+
         made = provenance(tuple(words), seconds)
         contents = result_contents(
             result, files, made, drawn if page else None, drawings, better

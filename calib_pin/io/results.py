@@ -58,7 +58,6 @@ from calib_pin.validation.result import (
     CalibrationResult,
     NamedArray,
     Provenance,
-    ToolAccuracy,
 )
 
 FORMAT, VERSION = "calib-pin/calibration", 2
@@ -208,20 +207,18 @@ def calibration_document(
         chi2_interval=chi2_interval(dof) if dof > 0 else (),
         setup_file=Source.of(setup) if setup else None,
     )
-    found = {n: _told(accuracy) for n, accuracy in result.accuracies.items()}
-    own = plain(replace(result, provenance=made, accuracies=found))
+    expected = dict(result.accuracies)
+    for name, accuracy in expected.items():
+        if (tip := accuracy.tip) is not None:
+            # The curve is found when somebody asks.
+            tip = replace(tip, by_count=FoundCurve(*tip.by_count.curve))
+            expected[name] = replace(accuracy, tip=tip)
+    own = plain(replace(result, provenance=made, accuracies=expected))
     for errors in own["errors"].values():
         errors["validation"]["method"] = result.validation.method
     document = merged(plain(record), own)
     first = ("format", "version", "verdict", "findings", "robot")
     return {key: document[key] for key in first} | document
-
-
-def _told(accuracy: ToolAccuracy) -> ToolAccuracy:
-    """The expected errors of a tool with the curve that is found when it is asked."""
-    if (tip := accuracy.tip) is None:
-        return accuracy
-    return replace(accuracy, tip=replace(tip, by_count=FoundCurve(*tip.by_count.curve)))
 
 
 def provenance(command: tuple[str, ...] = (), seconds: float = math.nan) -> Provenance:
@@ -366,11 +363,9 @@ def _chains(record: Document, robot: Robot) -> Chains:
 def _result(
     document: Json, record: Document, model: CalibratedModel, file: Path
 ) -> CalibrationResult:
-    try:
-        data = read_bytes(file.parent / MEASUREMENTS)
-    except InputError:
-        fitted, held_out = unknown_errors(model, record.training), None
-    else:
+    fitted, held_out = unknown_errors(model, record.training), None
+    if (measured := file.parent / MEASUREMENTS).is_file():
+        data = read_bytes(measured)
         fitted, held_out = decode_errors(data, model, record.rotations)
     names, about = model.given.names, document["provenance"]
     result = typed(
@@ -489,32 +484,27 @@ def find_robot(source: Source, path: Path) -> Robot:
         InputError: If there is only another one.
         RobotError: If there is none.
     """
-    copy, other = path.parent / NOMINAL, None
+    copy = path.parent / NOMINAL
     try:
         given = locate_robot(source.file)
     except RobotError:  # The package it came from is not installed here.
         given = copy
     places = [given, path.parent / given, path.parent / given.name, copy]
     # A xacro file was expanded, and what came of it is in the copy.
-    for place in places[3:] if is_xacro(given) else places:
-        if not place.is_file():
-            continue
+    expanded = is_xacro(given)
+    found = [place for place in places[3 * expanded :] if place.is_file()]
+    for place in found:
         data = read_bytes(place)
         if sha256(data) != source.sha256 and place != copy:
             data = straight_source(data)
         if sha256(data) == source.sha256:
-            kept = given if is_xacro(given) and given.is_file() else place
-            there = kept == given and given != copy
+            there = given != copy and ((expanded and given.is_file()) or place == given)
             return parse_robot(data, source.file if there else str(place))
-        other = other or place
-    if other is None:
-        raise RobotError(
-            f"the robot '{source.file}' that was calibrated is neither there nor "
-            "beside the calibration",
-            file=path,
-        )
+    if not found:
+        reason = f"the robot '{source.file}' that was calibrated is neither there nor"
+        raise RobotError(f"{reason} beside the calibration", file=path)
     raise InputError(
-        f"'{other}' is not the robot that was calibrated: its content differs; keep "
+        f"'{found[0]}' is not the robot that was calibrated: its content differs; keep "
         "the files of one run together",
         file=path,
     )

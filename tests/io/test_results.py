@@ -414,23 +414,6 @@ def test_the_corrected_robot_is_the_calibrated_one(case: str) -> None:
         assert one < other
 
 
-def test_a_urdf_holds_the_geometry_alone() -> None:
-    result, _ = solved("pose, joint corrections")
-    model = result.model
-    q = model.chains.random_configurations(10, np.random.default_rng(0))
-    geometry = model.without_corrections
-    assert np.abs(geometry.of().poses(q) - model.of().poses(q)).max() > 1e-4
-    kept = ~np.isin(np.arange(len(model.theta)), model.only.error.joint_corrections)
-    np.testing.assert_array_equal(geometry.theta[kept], model.theta[kept])
-    assert (geometry.theta[~kept] == 0.0).all()
-    # How good it is without them is a part of the result.
-    (alone, *_), (errors, *_) = result.urdf.errors, result.errors
-    assert (alone.name, alone.unit) == (errors.name, errors.unit) == ("position", "m")
-    assert errors.after.rms < alone.after.rms
-    stated = document_of("pose, joint corrections")["urdf"]["errors"]["position"]
-    assert stated["training"]["after"]["rms"] == alone.after.rms
-
-
 # --- how it is written -------------------------------------------------------------
 
 LAYOUT: list[tuple[str, tuple[Any, ...], Any]] = [
@@ -458,12 +441,10 @@ def test_the_layout_of_documents() -> None:
             found, expected = set(found), set(expected.split())
         assert found == expected, (case, path)
     document = document_of(POINTS)
-    ball, (x,) = (
-        document["targets"]["ball"],
-        (p for p in document["parameters"] if p["name"] == "ball.target.x"),
-    )
-    begin = document["reference"]["targets"]["ball"]["xyz"][0]
-    assert ball["xyz"][0] == pytest.approx(begin + x["value"])
+    found, begin = (d["targets"]["ball"] for d in (document, document["reference"]))
+    moved = {p["name"]: p["value"] for p in document["parameters"]}
+    x = begin["xyz"][0] + moved["ball.target.x"]
+    assert found["xyz"][0] == pytest.approx(x)
 
 
 @dataclass(frozen=True, repr=False)

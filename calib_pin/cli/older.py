@@ -104,7 +104,7 @@ def as_before(
             before |= {"base": chain.base, "tip": chain.tip}
     if planned:
         found = vars(calibrated_setup(model))
-        models = dict.fromkeys(k.model for k in model.parts if k.chain != WORLD)
+        models = dict.fromkeys(k.model for k in model.terms if k.chain != WORLD)
         before |= {n: found[n] for n in PLANNED} | {"model": "+".join(models)}
     given, empty = vars(setup), vars(Empty())
     taken = {n: value for n, value in before.items() if given[n] == empty[n]}

@@ -20,10 +20,9 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import OptionError, OutputError
-from calib_pin.estimation.formulation import make_parts
+from calib_pin.estimation.formulation import make_terms
 from calib_pin.estimation.learning import with_learned
-from calib_pin.estimation.scopes import BASE, TOOL
-from calib_pin.estimation.system import FRAME, Part, System, assembled
+from calib_pin.estimation.terms import BASE, FRAME, TOOL, Term, Terms, assembled
 from calib_pin.io.files import sha256, write_atomically
 from calib_pin.io.json_text import encode, plain
 from calib_pin.io.setup import setup_document, setup_of
@@ -109,14 +108,14 @@ class LearnedRecord:
     model: Mapping[str, Any]
 
 
-def model_name(system: System) -> str:
+def model_name(system: Terms) -> str:
     """Names of the measurement models, joined by plus signs."""
-    return "+".join(dict.fromkeys(key.model for key in system.parts))
+    return "+".join(dict.fromkeys(key.model for key in system.terms))
 
 
 def model_record(model: CalibratedModel) -> ModelRecord:
     """A calibrated robot as plain data."""
-    blocks = (Block(k, tuple(p.measurement.targets)) for k, p in model.parts.items())
+    blocks = (Block(k, tuple(p.measurement.targets)) for k, p in model.terms.items())
     values = map(Value, model.given.names, model.theta.tolist())
     about = places_of(model), setup_document(model.setup)
     return ModelRecord(model_name(model), tuple(blocks), tuple(values), *about)
@@ -128,32 +127,32 @@ def places_of(model: CalibratedModel) -> Places:
     for (section, name), reference in model.references.items():
         sections.setdefault(section, {})[name] = reference.stated()
     stations, tools = dict[str, FrameSetup](), dict[str, FrameSetup]()
-    for part in model.parts.values():
-        known = ~model.given.free[part.of_error]
-        tool = part.error.tool * part.scope.offset.inverse()
-        tool = _tip_correction(part, model.theta) * tool
-        base, on = _frame_keys(part)
-        stations[base] = frame_setup(part.error.base, known=bool(known[:FRAME].all()))
+    for term in model.terms.values():
+        known = ~model.given.free[term.of_error]
+        tool = term.error.tool * term.frames.offset.inverse()
+        tool = _tip_correction(term, model.theta) * tool
+        base, on = _frame_keys(term)
+        stations[base] = frame_setup(term.error.base, known=bool(known[:FRAME].all()))
         tools[on] = frame_setup(tool, known=bool(known[-FRAME:].all()))
     return Places(stations | tools, **sections)
 
 
-def _frame_keys(part: Part) -> tuple[str, str]:
+def _frame_keys(term: Term) -> tuple[str, str]:
     """Keys of the station and of the tool of a part under `frames`."""
-    place, tool = part.scope.station, part.scope.tool
+    place, tool = term.frames.station, term.frames.tool
     return "base" if place == BASE else place, "tool" if tool == TOOL else tool
 
 
-def _tip_correction(part: Part, theta: Floats) -> pin.SE3:
+def _tip_correction(term: Term, theta: Floats) -> pin.SE3:
     """The error of the tip that the tool carries, since a URDF has no place for it.
 
     Args:
-        part: The part of a block.
+        term: The part of a block.
         theta: Values of all parameters, shape (P,).
     """
-    if part.error.chain.tip_joint is not None:
+    if term.error.chain.tip_joint is not None:
         return pin.SE3.Identity()
-    return part.error.corrections(part.values(theta)[0])[-2]
+    return term.error.corrections(term.values(theta)[0])[-2]
 
 
 def model_of(
@@ -171,7 +170,7 @@ def model_of(
             missing or is not what it should be, see `json_text.reading`.
     """
     setup, places = setup_of(record.setup), reference or record.places
-    sections = {part.name: getattr(places, part.name) for part in fields(places)}
+    sections = {f.name: getattr(places, f.name) for f in fields(places)}
     named = {(section, name) for section in sections for name in sections[section]}
     for section, name in named:
         place = plain(sections[section][name])
@@ -179,10 +178,10 @@ def model_of(
         _require_finite([v for key, v in place.items() if key != "size"])
     # A model that looks at nothing with a name has no targets.
     blocks = {block.key: list(block.targets) or [""] for block in record.blocks}
-    parts, given = assembled(
+    terms, given = assembled(
         [
-            _measured(part, setup, places, blocks[key])
-            for key, part in make_parts(chains, blocks, setup)[0].items()
+            _measured(term, setup, places, blocks[key])
+            for key, term in make_terms(chains, blocks, setup)[0].items()
         ]
     )
     values = {entry.name: entry.value for entry in record.parameters}
@@ -190,8 +189,8 @@ def model_of(
     if tuple(values) != given.names:
         raise ValueError("the parameters are not those of this chain, in their order")
     theta = given.vector(values if reference is None else {})
-    parts = {key: _placed(part, places, theta) for key, part in parts.items()}
-    model = CalibratedModel(chains, parts, given, theta, setup)
+    terms = {key: _placed(term, places, theta) for key, term in terms.items()}
+    model = CalibratedModel(chains, terms, given, theta, setup)
     for section, name in named - model.references.keys():
         if section != "frames":
             raise ValueError(f"no measurement refers to '{name}' under '{section}'")
@@ -212,36 +211,36 @@ def _require_finite(value: Any) -> None:
         raise ValueError(f"{value} stands in the place of a number")
 
 
-def _measured(part: Part, setup: Setup, places: Places, targets: Sequence[str]) -> Part:
+def _measured(term: Term, setup: Setup, places: Places, targets: Sequence[str]) -> Term:
     """A part with its instrument as it was fitted, to targets of its block."""
     sections: dict[str, dict[str, Any]] = {}
-    for reference in part.measurement.references:
-        section, name = part.scope.place(reference)
+    for reference in term.measurement.references:
+        section, name = term.frames.place(reference)
         found = getattr(places, section)[name]
         sections.setdefault(section, {})[reference.name] = found
     camera = sections.pop("camera", {}).get("camera")
     fitted: Any = {**sections, "camera": camera}
-    measurement = measurement_model(part.key.model, replace(setup, **fitted), targets)
+    measurement = measurement_model(term.key.model, replace(setup, **fitted), targets)
     if (list(measurement.targets) or [""]) != targets:
         raise ValueError("'measurements' have other targets than their model")
-    return replace(part, measurement=measurement)
+    return replace(term, measurement=measurement)
 
 
-def _placed(part: Part, places: Places, theta: Floats) -> Part:
+def _placed(term: Term, places: Places, theta: Floats) -> Term:
     """A part about its station and its tool."""
-    base, tool = (frame_pose(places.frames[name]) for name in _frame_keys(part))
-    tool = _tip_correction(part, theta).actInv(tool) * part.scope.offset
-    return replace(part, error=part.error.with_frames(base, tool))
+    base, tool = (frame_pose(places.frames[name]) for name in _frame_keys(term))
+    tool = _tip_correction(term, theta).actInv(tool) * term.frames.offset
+    return replace(term, error=term.error.with_frames(base, tool))
 
 
 def learned_record(model: CalibratedModel) -> LearnedRecord | None:
     """The learned correction of a robot; None where nothing was learned."""
     learned, shift = None, np.zeros(len(model.given))
-    for part in model.parts.values():
-        own = part.error.learned
+    for term in model.terms.values():
+        own = term.error.learned
         if isinstance(own, LearnedCorrection):
             learned = learned or own
-            shift[part.index[: len(own.shift)]] = own.shift
+            shift[term.index[: len(own.shift)]] = own.shift
     if learned is None:
         return None
     content = tuple(shift.tolist()), learned.model.document()

@@ -18,7 +18,6 @@ from calib_pin.measurement_models import declared
 from calib_pin.observations import (
     AT,
     BlockKey,
-    Indices,
     Labels,
     Measurements,
     Observations,
@@ -48,25 +47,16 @@ def measurement_columns(
         names = getattr(data, field)
         if any(names.distinct):
             yield field, writable(field, names[order])
-    yield from stated_conditions(data, order)
-    if data.validate.any():
-        yield "set", Labels(("train", "validate"), data.validate[order].astype(int))
-
-
-def stated_conditions(
-    data: Observations, order: Indices
-) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Columns of the conditions that are stated, but for the payload.
-
-    Directions that follow from the order of rows, or from their time, do so again.
-    """
     held = data.conditions
+    # Directions that follow from the order of rows, or from their time, do so again.
     if held.source == "columns":
         for name, column in zip(data.joints, held.direction[order].T, strict=True):
             yield name + DIRECTION, column
     for name in ("temperature", "time"):
         if len(column := getattr(held, name)):
             yield name, column[order]
+    if data.validate.any():
+        yield "set", Labels(("train", "validate"), data.validate[order].astype(int))
 
 
 def _measured(data: Observations) -> dict[str, NDArray[Any]]:

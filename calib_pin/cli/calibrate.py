@@ -124,12 +124,11 @@ def calibrate(
     """Fit a robot to measurements and write the corrected URDF.
 
     DIR receives <robot name>.urdf, nominal.urdf, calibration.json, measurements.csv
-    (residuals), report.html (for the browser) and, with a learned correction,
-    residual_model.json; it can be moved as a whole. Without --validation, --holdout or
-    a column 'set' (train, validate), five-fold cross-validation checks the fit. Where
-    there is nothing to correct, <robot name>.urdf is the nominal file. Exit status 2:
-    the result is unchecked or must not be trusted; the reason comes first, and no
-    <robot name>.urdf is written.
+    (residuals) and report.html (for the browser); it can be moved as a whole. Without
+    --validation, --holdout or a column 'set' (train, validate), five-fold
+    cross-validation checks the fit. Where there is nothing to correct, <robot
+    name>.urdf is the nominal file. Exit status 2: the result is unchecked or must not
+    be trusted; the reason comes first, and no <robot name>.urdf is written.
     """
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.files import write_files

@@ -13,7 +13,7 @@ from calib_pin.cli.printing import say, say_written, show
 from calib_pin.cli.results import (
     FigureFormat,
     Figures,
-    draw_comparison,
+    draw,
     figure_contents,
     figure_files,
     told_figures,
@@ -66,7 +66,7 @@ def compare(
     check_outputs(pictures, files, force)
     A, B = map(read_result, files)
     found = run(A, B, seed=seed)
-    drawn = draw_comparison(found) if pictures else []
+    drawn = draw("comparison", None, found.drift) if pictures else []
     contents = figure_contents(drawn, pictures)
     with write_files(contents, force=force):
         if json:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import calib_pin.cli.options as options
 from calib_pin.errors import InputError
@@ -69,35 +69,6 @@ def open_older(
     return found
 
 
-def older_files(path: Path) -> list[Path]:
-    """The file of an older calibration, which nothing may replace."""
-    from calib_pin.io.results import document_file
-
-    return [document_file(path)]
-
-
-def as_before(setup: Setup, older: CalibrationResult | None) -> Setup:
-    """A setup with the parameters of an older calibration, and the ends of its chain.
-
-    Args:
-        setup: The options of a command, without a setup file.
-        older: The older calibration; None leaves the setup as it is.
-    """
-    from dataclasses import replace
-
-    from calib_pin.setup import Setup as Empty
-
-    if older is None or setup.file:
-        return setup
-    before, chain = older.model.setup, older.model.moving.error.chain
-    if older.model.chains.names == ("",):
-        base, tip = setup.base or chain.base, setup.tip or chain.tip
-        setup = replace(setup, base=base, tip=tip)
-    if setup.parameters == Empty().parameters:
-        setup = replace(setup, parameters=before.parameters)
-    return setup
-
-
 PLANNED = (
     *("model", "parameters", "fixed", "base_frame", "tool_frame", "stations", "tools"),
     *("targets", "planes", "sockets", "spheres", "anchors", "camera"),
@@ -106,12 +77,16 @@ PLANNED = (
 """Statements that a plan takes from an older calibration where there is no other."""
 
 
-def planned_before(setup: Setup, older: CalibrationResult | None) -> Setup:
-    """A setup with the instrument and the frames that an older calibration has found.
+def as_before(
+    setup: Setup, older: CalibrationResult | None, *, planned: bool = False
+) -> Setup:
+    """A setup with what it leaves open as an older calibration has it.
 
     Args:
-        setup: The options of a command, on top of its setup file.
+        setup: The options of a command, on top of its setup file; without one the
+            parameters and the ends of the chain are taken.
         older: The older calibration; None leaves the setup as it is.
+        planned: Whether the instrument and the frames that it has found are taken.
     """
     from dataclasses import replace
 
@@ -119,11 +94,18 @@ def planned_before(setup: Setup, older: CalibrationResult | None) -> Setup:
     from calib_pin.setup import WORLD
     from calib_pin.setup import Setup as Empty
 
-    setup = as_before(setup, older)
     if older is None:
         return setup
-    models = dict.fromkeys(k.model for k in older.model.terms if k.chain != WORLD)
-    before = vars(calibrated_setup(older.model)) | {"model": "+".join(models)}
+    model, before = older.model, dict[str, Any]()
+    if not setup.file:
+        before["parameters"] = model.setup.parameters
+        if model.chains.names == ("",):
+            chain = model.moving.error.chain
+            before |= {"base": chain.base, "tip": chain.tip}
+    if planned:
+        found = vars(calibrated_setup(model))
+        models = dict.fromkeys(k.model for k in model.terms if k.chain != WORLD)
+        before |= {n: found[n] for n in PLANNED} | {"model": "+".join(models)}
     given, empty = vars(setup), vars(Empty())
-    taken = {name: before[name] for name in PLANNED if given[name] == empty[name]}
+    taken = {n: value for n, value in before.items() if given[n] == empty[n]}
     return replace(setup, **taken)

@@ -29,7 +29,7 @@ from calib_pin.cli.files import (
     stated_blocks,
     tell_limits,
 )
-from calib_pin.cli.older import PlannedStart, open_older, planned_before
+from calib_pin.cli.older import PlannedStart, as_before, open_older
 from calib_pin.cli.printing import (
     notice,
     progress_bar,
@@ -42,7 +42,7 @@ from calib_pin.cli.printing import (
 from calib_pin.cli.results import (
     FigureFormat,
     Figures,
-    draw_plan,
+    draw,
     figure_contents,
     figure_files,
     told_figures,
@@ -200,7 +200,7 @@ def plan(
 
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
     older = open_older(start)
-    stated = planned_before(stated, older)
+    stated = as_before(stated, older, planned=True)
     require_known("criterion", criterion, CRITERION_NAMES)
     require_known("method", method, METHODS)
     if accept:
@@ -303,7 +303,7 @@ def plan(
             progress=progress,
             workers=several,
         )
-        drawn = draw_plan(found, bar) if pictures else []
+        drawn = draw("plan", bar, found) if pictures else []
         figured = figure_contents(drawn, pictures)
     table = encode_configurations(
         chains,

@@ -16,11 +16,10 @@ from calib_pin.cli.files import (
     open_setup,
     require_distinct,
 )
-from calib_pin.cli.older import as_before, older_files, open_older
+from calib_pin.cli.older import as_before, open_older
 from calib_pin.cli.printing import Bar, notice
 from calib_pin.cli.results import (
     ResultFiles,
-    Run,
     check_results,
     draw_calibration,
     figure_contents,
@@ -65,7 +64,9 @@ class Request:
     @property
     def inputs(self) -> list[str | Path | None]:
         """The files that it reads, none of which may be written."""
-        older = [] if self.start is None else older_files(self.start)
+        from calib_pin.io.results import document_file
+
+        older = [] if self.start is None else [document_file(self.start)]
         return [self.robot, self.setup, self.validation, *older, *self.measurements]
 
     def words(self, output: Path) -> tuple[str, ...]:
@@ -253,8 +254,10 @@ def calibrated(
     drawings = figure_contents(drawn, pictures)
     contents = drawings
     if files is not None:
-        run = Run(tuple(words), seconds)
+        from calib_pin.io.results import provenance
+
+        made = provenance(tuple(words), seconds)
         contents = result_contents(
-            result, files, run, drawn if page else None, drawings, better
+            result, files, made, drawn if page else None, drawings, better
         )
     return Calibrated(result, better, seconds, contents, drawings)

@@ -15,18 +15,9 @@ from calib_pin.errors import OptionError, require_known
 if TYPE_CHECKING:
     from calib_pin.kinematics.robot import Robot
     from calib_pin.kinematics.shapes import Shape
-    from calib_pin.planning.plan import Plan
     from calib_pin.planning.suggestions import Suggestion
     from calib_pin.report.figures import Drawn
-    from calib_pin.validation.comparison import Comparison
-    from calib_pin.validation.result import CalibrationResult
-
-
-class Run(NamedTuple):
-    """How a result came about: the words of the command, and the time of the fit."""
-
-    words: tuple[str, ...]
-    seconds: float
+    from calib_pin.validation.result import CalibrationResult, Provenance
 
 
 class ResultFiles(NamedTuple):
@@ -34,7 +25,6 @@ class ResultFiles(NamedTuple):
 
     urdf: Path
     nominal: Path
-    residual_model: Path
     json: Path
     measurements: Path
     report: Path
@@ -46,13 +36,12 @@ def result_files(folder: Path, robot: str) -> ResultFiles:
     Raises:
         OptionError: If a file stands in the place of the folder.
     """
-    from calib_pin.io.calibrated_model import RESIDUAL_MODEL
     from calib_pin.io.measurement_errors import MEASUREMENTS
     from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT, urdf_name
 
     if exists(folder) and not folder.is_dir():
         raise OptionError("is a file, not a folder", file=folder)
-    names = (urdf_name(robot), NOMINAL, RESIDUAL_MODEL, DOCUMENT, MEASUREMENTS, REPORT)
+    names = (urdf_name(robot), NOMINAL, DOCUMENT, MEASUREMENTS, REPORT)
     return ResultFiles(*(folder / name for name in names))
 
 
@@ -83,7 +72,7 @@ def check_results(
 def result_contents(
     result: CalibrationResult,
     files: ResultFiles,
-    run: Run,
+    made: Provenance,
     figures: Sequence[Drawn] | None,
     pictures: Mapping[Path, bytes],
     suggestions: Sequence[Suggestion],
@@ -93,29 +82,22 @@ def result_contents(
     The corrected URDF is there if it can be trusted, and is the nominal one where
     there is no gain; the page is there if figures for it are given, however few.
     """
-    from calib_pin.io.calibrated_model import (
-        encode_residual_model,
-        encode_urdf,
-        reference,
-    )
+    from calib_pin.io.calibrated_model import encode_urdf
     from calib_pin.io.files import inside, listed, sha256
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurement_errors import encode_errors
-    from calib_pin.io.results import calibration_document, provenance, run_id
+    from calib_pin.io.results import calibration_document, run_id
     from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 
-    document = calibration_document(result, provenance(*run), suggestions=suggestions)
-    document["run"] = run_id(document, encode_residual_model(result.model))
-    contents = {files.nominal: result.model.chains.robot.source}
+    document = calibration_document(result, made, suggestions)
+    document["run"] = run_id(document)
+    robot = result.model.chains.robot
+    contents = {files.nominal: robot.source}
     if result.verdict == "no-gain":
-        contents[files.urdf] = result.model.chains.robot.source
+        contents[files.urdf] = robot.source
     elif result.geometry is not None:
         contents[files.urdf] = encode_urdf(result.geometry, files.urdf)
-    learned = encode_residual_model(result.model, document["run"])
-    if learned is not None:
-        document["residual_model"] = reference(learned)
-        contents[files.residual_model] = learned
     contents[files.measurements] = encode_errors(result, document["run"])
     if figures is not None:
         contents[files.report] = html_report(
@@ -127,7 +109,7 @@ def result_contents(
         for path, data in contents.items()
         if inside(name := listed(path, files.json.parent))
     }
-    if is_source(files.nominal, result.model.chains.robot):
+    if is_source(files.nominal, robot):
         del contents[files.nominal]  # It is an input, and stays as it is.
     return {**contents, files.json: encode(document)}
 
@@ -155,7 +137,7 @@ def write_results(
         yield
     for path in old:
         notice(f"removed {path} of an earlier run")
-    for path in (files.urdf, files.residual_model, files.report):
+    for path in (files.urdf, files.report):
         if path not in contents and exists(path):
             notice(f"{path} is not from this run, which has no such file")
     if (geometry := result.geometry) is None:
@@ -173,7 +155,6 @@ FORMATS = ("png", "pdf", "svg")
 
 
 def _format(word: str) -> str:
-
     require_known("figure format", word, FORMATS)
     return word
 
@@ -234,33 +215,24 @@ def draw_calibration(
     result: CalibrationResult, bar: Bar | None, shapes: Sequence[Shape]
 ) -> list[Drawn]:
     """The figures of a calibration, of a robot with some shapes."""
-    from calib_pin.report.figures import NAMES, calibration_figures
-
-    drawn = calibration_figures(result, shapes)
-    return _told(drawn, len(NAMES["calibration"]), bar)
+    return draw("calibration", bar, result, shapes)
 
 
-def draw_plan(plan: Plan, bar: Bar | None) -> list[Drawn]:
-    """The figures of a plan."""
-    from calib_pin.report.figures import NAMES, plan_figures
+def draw(of: str, bar: Bar | None, *about: object) -> list[Drawn]:
+    """The figures of a calibration, a plan or a comparison.
 
-    return _told(plan_figures(plan), len(NAMES["plan"]), bar)
+    Args:
+        of: Which of these.
+        bar: Told the progress.
+        about: What `report.figures` draws it from.
+    """
+    from calib_pin.report import figures
 
-
-def draw_comparison(found: Comparison) -> list[Drawn]:
-    """The figures of a comparison."""
-    from calib_pin.report.figures import comparison_figures
-
-    return list(comparison_figures(found.drift))
-
-
-def _told(drawn: Iterator[Drawn], count: int, bar: Bar | None) -> list[Drawn]:
-    """All figures, with progress."""
-    result = []
-    for figure in drawn:
+    result: list[Drawn] = []
+    for figure in getattr(figures, f"{of}_figures")(*about):
         result.append(figure)
         if bar is not None:
-            bar("figures", len(result) / count)
+            bar("figures", len(result) / len(figures.NAMES[of]))
     return result
 
 

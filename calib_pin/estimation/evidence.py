@@ -179,9 +179,15 @@ class ByCount(Protocol):
 
 @dataclass(frozen=True)
 class FoundCurve:
-    """A curve that was found before, as a file has it."""
+    """A curve that was found before, as a file has it; see `ByCount`."""
 
-    curve: tuple[Floats, Floats]
+    measurements: Floats
+    position: Floats
+
+    @property
+    def curve(self) -> tuple[Floats, Floats]:
+        """Both."""
+        return self.measurements, self.position
 
 
 @dataclass(frozen=True)
@@ -198,22 +204,28 @@ class TipAccuracy:
         position: Standard deviation of these, the root of the sum over the axes,
             shape (N,) [m].
         orientation: That of the rotation vectors, shape (N,) [rad].
-        of_robot: Root-mean-square of both with what a displacement of base and tool
-            can absorb taken away [m] and [rad].
+        rms: Root-mean-square of both over the workspace.
+        of_robot: The same with what a displacement of base and tool can absorb taken
+            away.
         by_count: Root-mean-square of `position` with fewer measurements.
+
+    Raises:
+        ValueError: If the arrays are not of one length.
     """
 
-    q: Floats
-    points: Floats
-    position: Floats
-    orientation: Floats
-    of_robot: tuple[float, float]
-    by_count: ByCount
+    q: Floats = field(metadata={"key": "samples.configurations"})
+    points: Floats = field(metadata={"key": "samples.points"})
+    position: Floats = field(metadata={"key": "samples.position"})
+    orientation: Floats = field(metadata={"key": "samples.orientation"})
+    rms: PoseErrors = field(metadata={"key": ""})
+    of_robot: PoseErrors = field(metadata={"key": "robot"})
+    by_count: FoundCurve | ByCount
 
-    @property
-    def rms(self) -> tuple[float, float]:
-        """Of position [m] and orientation [rad] over the workspace."""
-        return rms(self.position), rms(self.orientation)
+    def __post_init__(self) -> None:
+        """Refuse arrays that do not belong together."""
+        samples = self.points, self.position, self.orientation
+        if any(len(values) != len(self.q) for values in samples):
+            raise ValueError("the lists of 'samples' are not of one length")
 
 
 def rms(sizes: Floats) -> float:

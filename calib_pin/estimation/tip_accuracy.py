@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import visible_nuisances
-from calib_pin.estimation.evidence import TipAccuracy, rms
+from calib_pin.estimation.evidence import PoseErrors, TipAccuracy, rms
 from calib_pin.estimation.fitted import Fit, posterior_about
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
@@ -141,7 +141,8 @@ def tip_accuracy(
         points=T[:, :3, 3] @ to_base[:3, :3].T + to_base[:3, 3],
         position=position,
         orientation=orientation,
-        of_robot=(rms(alone[0]), rms(alone[1])),
+        rms=PoseErrors(rms(position), rms(orientation)),
+        of_robot=PoseErrors(rms(alone[0]), rms(alone[1])),
         by_count=TipByCount(
             problem=replace(problem, data=rows),
             theta=theta,

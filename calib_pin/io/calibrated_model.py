@@ -1,46 +1,30 @@
-"""The calibrated robot as plain data, as a URDF, and the file of what was learned.
+"""The calibrated robot as plain data, and as a URDF.
 
 Frames and reference objects are written as a setup file states them, where the fit has
-them, with `reference`, where it began: the values of their parameters are the way
-between both.
+them; where it began, they are written once more: the values of their parameters are the
+way between both.
 
-A residual model has a file of its own: plain numbers in JSON, nothing to execute.
-
-    {"format": "calib-pin/residual-model", "version": 1,
-     "run": "",           # id of the run that learned it, where there was one
-     "robot": {"name", "sha256", "base", "tip", "joints"},
-     "shift": [],         # of the parameters of the error model, in their order
-     "model": {...},      # what `ResidualModel.document` gives
-     "sha256": ""}        # of the canonical JSON of all the rest
-
-A learned correction means nothing for another robot, and nobody can see from its
-numbers that one of them has been changed: a calibration takes it only byte for byte as
-it was written with it.
+A learned correction is plain numbers, nothing to execute. It means nothing for another
+robot, and nobody can see from its numbers that one of them has been changed: it is
+taken only as it was written, by its checksum.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import InputError, OptionError, OutputError
+from calib_pin.errors import OptionError, OutputError
 from calib_pin.estimation.formulation import make_terms
+from calib_pin.estimation.learning import with_learned
 from calib_pin.estimation.terms import BASE, FRAME, TOOL, Term, Terms, assembled
 from calib_pin.io.files import sha256, write_atomically
-from calib_pin.io.json_text import (
-    Json,
-    decoded,
-    format_keys,
-    reading,
-    require_finite,
-    typed,
-)
+from calib_pin.io.json_text import encode, plain
 from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.urdf import corrected_urdf
 from calib_pin.kinematics.chain import Chain
@@ -50,7 +34,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import frame_pose, frame_setup
-from calib_pin.residual_models import LearnedCorrection, of_older_release, restore
+from calib_pin.residual_models import LearnedCorrection, restore
 from calib_pin.residual_models.documents import numbers
 from calib_pin.setup import (
     AnchorSetup,
@@ -63,49 +47,65 @@ from calib_pin.setup import (
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
 
-CAMERA, CAMERAS = "camera", "cameras"
-"""The section of the camera, and that of the cameras where stations have their own."""
-
-SECTIONS: Mapping[str, type] = {
-    "frames": FrameSetup,
-    "targets": PointSetup,
-    "planes": PlaneSetup,
-    "sockets": PointSetup,
-    "spheres": SphereSetup,
-    "anchors": AnchorSetup,
-    CAMERAS: CameraSetup,
-}
-"""Sections of frames and reference objects."""
-
-Places = dict[tuple[str, str], Any]
-"""Frames and reference objects, by section and name."""
+LARGEST = 1e6
+"""Largest number that a value, a position or an offset can be [m, rad, px]."""
 
 
-def frame_key(place: str) -> str:
-    """Key under `frames` of a frame, by the owner and the kind of its parameters.
+@dataclass(frozen=True)
+class Places:
+    """Frames, and reference objects by their sections, by name."""
 
-    Examples:
-        >>> frame_key("base.frame"), frame_key("day1.station")
-        ('base', 'day1.station')
+    frames: Mapping[str, FrameSetup]
+    targets: Mapping[str, PointSetup] = field(default_factory=dict)
+    planes: Mapping[str, PlaneSetup] = field(default_factory=dict)
+    sockets: Mapping[str, PointSetup] = field(default_factory=dict)
+    spheres: Mapping[str, SphereSetup] = field(default_factory=dict)
+    anchors: Mapping[str, AnchorSetup] = field(default_factory=dict)
+    camera: Mapping[str, CameraSetup] = field(
+        default_factory=dict, metadata={"key": "cameras"}
+    )
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of measurements, and the targets that they are of."""
+
+    key: BlockKey = field(metadata={"key": ""})
+    targets: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Value:
+    """The value of a parameter."""
+
+    name: str
+    value: float
+
+
+@dataclass(frozen=True)
+class ModelRecord:
+    """A calibrated robot, but for its chains and what was learned."""
+
+    model: str = field(metadata={"key": "measurements.model"})
+    blocks: tuple[Block, ...] = field(metadata={"key": "measurements.blocks"})
+    parameters: tuple[Value, ...]
+    places: Places = field(metadata={"key": ""})
+    setup: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class LearnedRecord:
+    """A learned correction: its name, its numbers, and the SHA-256 of these.
+
+    Attributes:
+        shift: Of all parameters, in their order, shape (P,).
+        model: Document of the `ResidualModel`.
     """
-    return {BASE: "base", TOOL: "tool"}.get(place, place)
 
-
-def count_without_instruments(system: Terms) -> int:
-    """Number of parameters of stations, robot and tools; those come first."""
-    return 1 + max(int(term.of_error.max()) for term in system.terms.values())
-
-
-def _tip_correction(term: Term, theta: Floats) -> pin.SE3:
-    """The error of the tip that the tool carries, since a URDF has no place for it.
-
-    Args:
-        term: The term of a block.
-        theta: Values of all parameters, shape (P,).
-    """
-    if term.error.chain.tip_joint is not None:
-        return pin.SE3.Identity()
-    return term.error.corrections(term.values(theta)[0])[-2]
+    name: str
+    sha256: str
+    shift: tuple[float, ...]
+    model: Mapping[str, Any]
 
 
 def model_name(system: Terms) -> str:
@@ -113,165 +113,112 @@ def model_name(system: Terms) -> str:
     return "+".join(dict.fromkeys(key.model for key in system.terms))
 
 
-def model_document(model: CalibratedModel, reference: CalibratedModel) -> Json:
-    """A calibrated robot as plain data, without its parameters.
+def model_record(model: CalibratedModel) -> ModelRecord:
+    """A calibrated robot as plain data."""
+    blocks = (Block(k, tuple(p.measurement.targets)) for k, p in model.terms.items())
+    values = map(Value, model.given.names, model.theta.tolist())
+    about = places_of(model), setup_document(model.setup)
+    return ModelRecord(model_name(model), tuple(blocks), tuple(values), *about)
 
-    Points of the tool and planes have a section in every document.
+
+def places_of(model: CalibratedModel) -> Places:
+    """Where the frames of all stations and tools are, each once, and all references."""
+    sections: dict[str, Any] = {}
+    for (section, name), reference in model.references.items():
+        sections.setdefault(section, {})[name] = reference.stated()
+    stations, tools = dict[str, FrameSetup](), dict[str, FrameSetup]()
+    for term in model.terms.values():
+        known = ~model.given.free[term.of_error]
+        tool = term.error.tool * term.frames.offset.inverse()
+        tool = _tip_correction(term, model.theta) * tool
+        base, on = _frame_keys(term)
+        stations[base] = frame_setup(term.error.base, known=bool(known[:FRAME].all()))
+        tools[on] = frame_setup(tool, known=bool(known[-FRAME:].all()))
+    return Places(stations | tools, **sections)
+
+
+def _frame_keys(term: Term) -> tuple[str, str]:
+    """Keys of the station and of the tool of a part under `frames`."""
+    place, tool = term.frames.station, term.frames.tool
+    return "base" if place == BASE else place, "tool" if tool == TOOL else tool
+
+
+def _tip_correction(term: Term, theta: Floats) -> pin.SE3:
+    """The error of the tip that the tool carries, since a URDF has no place for it.
 
     Args:
-        model: The calibrated robot.
-        reference: The nominal robot where the fit began.
+        term: The part of a block.
+        theta: Values of all parameters, shape (P,).
     """
-    targets = {k: list(p.measurement.targets) for k, p in model.terms.items()}
-    about: Json = {
-        "model": model_name(model),
-        "targets": list(dict.fromkeys(t for own in targets.values() for t in own)),
-    }
-    if len(targets) > 1 or any(model.only.key[1:]):
-        blocks = targets.items()
-        about["blocks"] = [{**key._asdict(), "targets": own} for key, own in blocks]
-    sections: Json = {"targets": {}, "planes": {}}
-    for (section, name), found in model.references.items():
-        start = reference.references[section, name].stated()
-        entry = _entry(found.stated(), start)
-        if (section, name) == (CAMERA, CAMERA):
-            sections[CAMERA] = entry
-        else:
-            key = CAMERAS if section == CAMERA else section
-            sections.setdefault(key, {})[name] = entry
-    return {
-        "measurements": about,
-        "frames": _frames(model, reference),
-        **sections,
-        "setup": setup_document(model.setup),
-    }
-
-
-def _frames(model: CalibratedModel, reference: CalibratedModel) -> Json:
-    """The frames of all stations, then of all tools, each once."""
-    stations: Json = {}
-    tools: Json = {}
-    for key, term in model.terms.items():
-        error, start = term.error, reference.terms[key]
-        inner, tool = len(error.screws) - FRAME, _carrier(term)
-        tool = _tip_correction(term, model.theta) * tool
-        for found, place, pose, begun, at, link in (
-            (stations, term.frames.station, error.base, start.error.base, 0, "base"),
-            (tools, term.frames.tool, tool, _carrier(start), inner, "tip"),
-        ):
-            known = not model.given.free[term.index][at : at + FRAME].any()
-            stated = frame_setup(pose, known=known), frame_setup(begun, known=True)
-            name, entry = frame_key(place), _entry(*stated)
-            if name not in ("base", "tool"):
-                entry["link"] = getattr(error.chain, link)
-            found[name] = entry
-    return stations | tools
-
-
-def _carrier(term: Term) -> pin.SE3:
-    """The tool frame of a part, or that of the tool that its own is known on."""
-    return term.error.tool * term.frames.offset.inverse()
-
-
-def _entry(found: Any, start: Any) -> Json:
-    """A frame or a reference object, what of it was estimated, and where it began."""
-    stated = {key: v for key, v in asdict(start).items() if "estimate" not in key}
-    entry = {k.replace("estimate", "estimated"): v for k, v in asdict(found).items()}
-    return {**entry, "reference": stated}
+    if term.error.chain.tip_joint is not None:
+        return pin.SE3.Identity()
+    return term.error.corrections(term.values(theta)[0])[-2]
 
 
 def model_of(
-    document: Json, chains: Chains, *, reference: bool = False
+    record: ModelRecord, chains: Chains, reference: Places | None = None
 ) -> CalibratedModel:
-    """The calibrated robot of a document.
+    """The calibrated robot of plain data.
 
     Args:
-        document: What `model_document` made, and the parameters.
+        record: What `model_record` made.
         chains: The nominal chains.
-        reference: Whether to return the nominal robot where the fit began.
+        reference: Where the fit began, for the nominal robot there.
 
     Raises:
         CalibPinError, KeyError, TypeError, ValueError, AttributeError: If a part is
             missing or is not what it should be, see `json_text.reading`.
     """
-    setup, stated = setup_of(document["setup"]), _stated(document, reference)
-    blocks = _blocks(document["measurements"])
+    setup, places = setup_of(record.setup), reference or record.places
+    sections = {f.name: getattr(places, f.name) for f in fields(places)}
+    named = {(section, name) for section in sections for name in sections[section]}
+    for section, name in named:
+        place = plain(sections[section][name])
+        # An image may have no edge.
+        _require_finite([v for key, v in place.items() if key != "size"])
+    # A model that looks at nothing with a name has no targets.
+    blocks = {block.key: list(block.targets) or [""] for block in record.blocks}
     terms, given = assembled(
         [
-            _measured(term, setup, stated, blocks[key])
+            _measured(term, setup, places, blocks[key])
             for key, term in make_terms(chains, blocks, setup)[0].items()
         ]
     )
-    values = _values(document["parameters"])
-    count = count_without_instruments(Terms(chains, terms, given))
-    if tuple(values) not in (given.names, given.names[:count]):
+    values = {entry.name: entry.value for entry in record.parameters}
+    _require_finite([*values.values()])
+    if tuple(values) != given.names:
         raise ValueError("the parameters are not those of this chain, in their order")
-    theta = given.vector({} if reference else values)
-    terms = {key: _placed(term, stated, theta) for key, term in terms.items()}
+    theta = given.vector(values if reference is None else {})
+    terms = {key: _placed(term, places, theta) for key, term in terms.items()}
     model = CalibratedModel(chains, terms, given, theta, setup)
-    places = {place for place in stated if place[0] != "frames"}
-    for section, name in places - model.references.keys():
-        raise ValueError(f"no measurement refers to '{name}' under '{section}'")
+    for section, name in named - model.references.keys():
+        if section != "frames":
+            raise ValueError(f"no measurement refers to '{name}' under '{section}'")
     # Frames and reference objects hold their own values.
     return replace(model, theta=np.where(model.referred, 0.0, theta))
 
 
-def _stated(document: Json, reference: bool) -> Places:
-    """The frames and reference objects of a document, as a setup states them.
+def _require_finite(value: Any) -> None:
+    """Refuse plain data with numbers that nobody knows, or that nothing can have.
 
-    Args:
-        document: The document.
-        reference: Whether it is where the fit began.
+    Raises:
+        ValueError: If there is null, or a number beyond `LARGEST`.
     """
-    sections = {name: document.get(name, {}) for name in SECTIONS}
-    if CAMERA in document:
-        sections[CAMERAS] = {CAMERA: document[CAMERA]}
-    found: Places = {}
-    for section, entries in sections.items():
-        kind = SECTIONS[section]
-        for name, entry in entries.items():
-            values = {**entry, **entry["reference"]} if reference else entry
-            place = {
-                part.name: values[part.name.replace("estimate", "estimated")]
-                for part in fields(kind)
-            }
-            # An image may have no edge.
-            require_finite([v for key, v in place.items() if key != "size"])
-            found[CAMERA if section == CAMERAS else section, name] = typed(kind, place)
-    return found
+    if isinstance(value, list):
+        for item in value:
+            _require_finite(item)
+    elif value is None or (type(value) is float and not abs(value) < LARGEST):
+        raise ValueError(f"{value} stands in the place of a number")
 
 
-def _blocks(about: Json) -> dict[BlockKey, list[str]]:
-    """The targets of the blocks of measurements; the only one need not be listed."""
-    found: dict[BlockKey, list[str]] = {}
-    for block in about.get("blocks", [about]):
-        key = typed(BlockKey, dict.fromkeys(BlockKey._fields, "") | block)
-        # A model that looks at nothing with a name has no targets.
-        found[key] = list(typed(tuple[str, ...], block["targets"])) or [""]
-    return found
-
-
-def _values(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Value of every parameter by name."""
-    values = {typed(str, e["name"]): typed(float, e["value"]) for e in entries}
-    require_finite([*values.values()])
-    return values
-
-
-def _measured(term: Term, setup: Setup, stated: Places, targets: Sequence[str]) -> Term:
-    """A part with its instrument as it was fitted.
-
-    Args:
-        term: The term.
-        setup: The setup.
-        stated: Frames and reference objects.
-        targets: Targets of the block.
-    """
+def _measured(term: Term, setup: Setup, places: Places, targets: Sequence[str]) -> Term:
+    """A part with its instrument as it was fitted, to targets of its block."""
     sections: dict[str, dict[str, Any]] = {}
     for reference in term.measurement.references:
         section, name = term.frames.place(reference)
-        sections.setdefault(section, {})[reference.name] = stated[section, name]
-    camera = sections.pop(CAMERA, {}).get(CAMERA)
+        found = getattr(places, section)[name]
+        sections.setdefault(section, {})[reference.name] = found
+    camera = sections.pop("camera", {}).get("camera")
     fitted: Any = {**sections, "camera": camera}
     measurement = measurement_model(term.key.model, replace(setup, **fitted), targets)
     if (list(measurement.targets) or [""]) != targets:
@@ -279,31 +226,16 @@ def _measured(term: Term, setup: Setup, stated: Places, targets: Sequence[str]) 
     return replace(term, measurement=measurement)
 
 
-def _placed(term: Term, stated: Places, theta: Floats) -> Term:
+def _placed(term: Term, places: Places, theta: Floats) -> Term:
     """A part about its station and its tool."""
-    places = frame_key(term.frames.station), frame_key(term.frames.tool)
-    base, tool = (frame_pose(stated["frames", name]) for name in places)
+    base, tool = (frame_pose(places.frames[name]) for name in _frame_keys(term))
     tool = _tip_correction(term, theta).actInv(tool) * term.frames.offset
     return replace(term, error=term.error.with_frames(base, tool))
 
 
-RESIDUAL_MODEL = "residual_model.json"
-"""Name of the file of what was learned."""
-
-RESIDUAL = "calib-pin/residual-model"
-"""Its format."""
-
-
-def encode_residual_model(
-    model: CalibratedModel, run: str | None = None
-) -> bytes | None:
-    """The file of a learned correction; None where nothing was learned.
-
-    Args:
-        model: The calibrated robot.
-        run: Id of the run that learned it.
-    """
-    learned, shift = None, np.zeros(count_without_instruments(model))
+def learned_record(model: CalibratedModel) -> LearnedRecord | None:
+    """The learned correction of a robot; None where nothing was learned."""
+    learned, shift = None, np.zeros(len(model.given))
     for term in model.terms.values():
         own = term.error.learned
         if isinstance(own, LearnedCorrection):
@@ -311,54 +243,27 @@ def encode_residual_model(
             shift[term.index[: len(own.shift)]] = own.shift
     if learned is None:
         return None
-    chain = model.moving.error.chain
-    document: Json = {
-        **format_keys(RESIDUAL),
-        **({} if run is None else {"run": run}),
-        "robot": {
-            "name": chain.robot.name,
-            "sha256": sha256(chain.robot.source),
-            "base": chain.base,
-            "tip": chain.tip,
-            "joints": list(chain.joints),
-        },
-        "shift": shift.tolist(),
-        "model": learned.model.document(),
-    }
-    canonical = json.dumps(document, sort_keys=True, separators=(",", ":"))
-    document["sha256"] = sha256(canonical.encode())
-    return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+    content = tuple(shift.tolist()), learned.model.document()
+    return LearnedRecord(learned.model.name, sha256(encode({"": content})), *content)
 
 
-def reference(data: bytes) -> dict[str, str]:
-    """The reference of `calibration.json` to the bytes of such a file beside it."""
-    name = json.loads(data)["model"]["kind"]
-    return {"name": name, "file": RESIDUAL_MODEL, "sha256": sha256(data)}
-
-
-def read_residual_model(
-    data: bytes, system: Terms, file: str | Path
-) -> LearnedCorrection:
-    """The correction of a residual model, with a shift of all parameters.
-
-    Args:
-        data: Bytes of the file, those that its calibration was written with.
-        system: The robot that it corrects.
-        file: The file.
+def learned_model(
+    model: CalibratedModel, record: LearnedRecord | None
+) -> CalibratedModel:
+    """A robot with what it has learned.
 
     Raises:
-        InputError: If it is no such file.
+        ValueError: If that is not as it was written, or does not belong to the robot.
     """
-    document = decoded(data, "residual model", RESIDUAL, file)
-    if of_older_release(document.get("model")):
-        reason = "of an older version of calib-pin: calibrate again"
-        raise InputError(reason, file=file)
-    count = count_without_instruments(system)
-    shift = np.zeros(len(system.given))
-    with reading(file, "residual model"):
-        shift[:count] = numbers(document, "shift", (count,))
-        joints = len(system.moving.error.chain.joints)
-        return LearnedCorrection(restore(document["model"], joints), shift)
+    if (record is None) != (model.setup.learned is None):
+        raise ValueError("'residual_model' and 'setup.learned' need each other")
+    if record is None:
+        return model
+    if sha256(encode({"": (record.shift, record.model)})) != record.sha256:
+        raise ValueError("'residual_model' is not the one that was learned")
+    shift = numbers({"shift": record.shift}, "shift", (len(model.given),))
+    learned = restore(record.model, len(model.moving.error.chain.joints))
+    return with_learned(model, LearnedCorrection(learned, shift))
 
 
 AGREEMENT = 1e-9

@@ -37,14 +37,11 @@ MEASUREMENTS = "measurements.csv"
 """Name of the file."""
 
 SETS = ("train", "validate")
-WORDS = ("set", "file", "line", "target", "payload")
-"""The first columns; all others but `KEYS` hold numbers."""
+WORDS = ("set", "file", "line", "target", "payload", *BlockKey._fields)
+"""The first columns; all others hold numbers."""
 
 STATED = ("temperature", "time")
 """Columns of conditions, where they are known."""
-
-KEYS = BlockKey._fields
-"""Columns that stand behind these where there are several blocks of measurements."""
 
 LEGEND = """\
 calib-pin measurements of a calibration, run {run}; lengths in m, angles in rad, images
@@ -55,11 +52,8 @@ measured.<k>: the values in the layout of the model. weight: 0 is rejected.
 leverage: of the fit. tool.<axis>: the calibrated tool point in the base link.
 <component>.before, .after: predicted minus measured by the nominal robot (registered)
 and by the calibrated one. .sigma: its standard deviation as it is used, .stated: as it
-was stated. An empty cell is a number that a measurement does not have."""
-
-OF_BLOCKS = """
-model, chain, station, tool: the block. A model has its own values and components."""
-"""End of the legend where there are several blocks."""
+was stated. An empty cell is a number that a measurement does not have. model, chain,
+station, tool: the block; each model has its own values and components."""
 
 
 def encode_errors(result: CalibrationResult, run: str) -> bytes:
@@ -71,38 +65,33 @@ def encode_errors(result: CalibrationResult, run: str) -> bytes:
     """
     from pydantic_core import to_json
 
-    parts = [result.fitted, *([] if result.held_out is None else [result.held_out])]
+    parts = zip(SETS, (result.fitted, result.held_out), strict=True)
     directed = "direction" in needed_conditions(result.model.setup.parameters)
-    tables = [p.table(name, directed) for p, name in zip(parts, SETS, strict=False)]
-    names = dict.fromkeys(name for table in tables for name in table)
-    told = [*WORDS, *(name for name in KEYS if name in names)]
-    for errors, table in zip(parts, tables, strict=True):
-        if told != [*WORDS] and "model" not in table:
-            key = errors.rows.only.key._asdict()
-            table |= {name: [value] * len(errors) for name, value in key.items()}
-    numbers = [name for name in names if name not in told]
-    text, found = io.StringIO(newline=""), list[bytes]()
-    legend = LEGEND.format(run=run) + (OF_BLOCKS if "model" in told else "")
-    text.write("".join(f"# {line}\n" for line in legend.splitlines()))
-    csv.writer(text, lineterminator="\n").writerow([*told, *numbers])
-    # Files may have names that are not UTF-8.
-    found.append(text.getvalue().encode("utf-8", "backslashreplace"))
+    tables = [p.table(name, directed) for name, p in parts if p is not None]
+    columns: dict[str, list[Any]] = {n: [] for table in tables for n in table}
     for table in tables:
         unknown = [math.nan] * len(table["set"])
-        for start in range(0, len(unknown), LINES):
-            part = slice(start, start + LINES)
-            words = io.StringIO(newline="")
-            csv.writer(words, lineterminator="\0").writerows(
-                zip(*(table[name][part] for name in told), strict=True)
-            )
-            heads = words.getvalue().encode("utf-8", "backslashreplace").split(b"\0")
-            cells = zip(*(table.get(n, unknown)[part] for n in numbers), strict=True)
-            # A JSON writer is four times faster than `repr`, and as exact.
-            lines = to_json(list(cells), inf_nan_mode="constants")
-            lines = lines.replace(b"NaN", b"").replace(b"Infinity", b"inf")
-            tails = lines[2:-2].split(b"],[")
-            found += (b"%b,%b\n" % line for line in zip(heads, tails, strict=False))
-    return b"".join(found)
+        for name, column in columns.items():
+            column += table.get(name, unknown)
+    numbers = [column for name, column in columns.items() if name not in WORDS]
+    found, count = list[bytes](), len(columns["set"])
+    for start in range(0, count, LINES):
+        part = slice(start, start + LINES)
+        text = io.StringIO(newline="")
+        words = zip(*(columns[name][part] for name in WORDS), strict=True)
+        csv.writer(text, lineterminator="\0").writerows(words)
+        # Files may have names that are not UTF-8.
+        heads = text.getvalue().encode("utf-8", "backslashreplace").split(b"\0")
+        cells = [*zip(*(column[part] for column in numbers), strict=True)]
+        # A JSON writer is four times faster than `repr`, and as exact.
+        lines = to_json(cells, inf_nan_mode="constants")
+        lines = lines.replace(b"NaN", b"").replace(b"Infinity", b"inf")
+        tails = lines[2:-2].split(b"],[")
+        found += (b"%b,%b\n" % line for line in zip(heads, tails, strict=False))
+    text = io.StringIO(newline="")
+    text.writelines(f"# {line}\n" for line in LEGEND.format(run=run).splitlines())
+    csv.writer(text, lineterminator="\n").writerow(columns)
+    return b"".join([text.getvalue().encode("utf-8", "backslashreplace"), *found])
 
 
 def decode_errors(
@@ -114,7 +103,7 @@ def decode_errors(
         data: Bytes of the file.
         model: The calibrated robot.
         to_base: By set, rotations from the measurement frame of each block to its base
-            link, shape (B, 3, 3), or one for all, shape (3, 3).
+            link, shape (B, 3, 3).
 
     Raises:
         KeyError: If a column is missing.
@@ -123,12 +112,14 @@ def decode_errors(
     """
     cells = read_cells(data, MEASUREMENTS)
     whole = {n: c.grown(n) for n, c in zip(cells.header, cells.columns, strict=True)}
-    words = {n: [*whole[n].texts()] for n in (*WORDS, *KEYS) if n in whole}
+    words = {name: [*whole[name].texts()] for name in WORDS}
     columns = {name: column.numbers for name, column in whole.items()}
-    count, only = len(words["set"]), model.only.key._asdict()
-    words = {name: [value] * count for name, value in only.items()} | words
+    sets: dict[str, dict[BlockKey, list[int]]] = {name: {} for name in SETS}
+    for row, (name, _, _, _, _, *key) in enumerate(zip(*words.values(), strict=True)):
+        sets[name].setdefault(BlockKey(*key), []).append(row)
     fitted, held_out = (
-        _part(words, columns, model, to_base[name], name) for name in SETS
+        _part(words, columns, blocks, model, to_base[name]) if blocks else None
+        for name, blocks in sets.items()
     )
     if fitted is None:
         raise ValueError("there are no measurements")
@@ -138,18 +129,11 @@ def decode_errors(
 def _part(
     words: Mapping[str, Sequence[str]],
     columns: Mapping[str, Floats],
+    blocks: Mapping[BlockKey, Sequence[int]],
     model: CalibratedModel,
     to_base: Floats,
-    name: str,
-) -> MeasurementErrors | None:
-    """The errors of one set; None where it is empty."""
-    of_block: dict[BlockKey, list[int]] = {}
-    keys = map(BlockKey, *(words[column] for column in KEYS))
-    for row, (found, key) in enumerate(zip(words["set"], keys, strict=True)):
-        if found == name:
-            of_block.setdefault(key, []).append(row)
-    if not of_block:
-        return None
+) -> MeasurementErrors:
+    """The errors of one set, by the rows of its blocks."""
     unknown, joints = unknown_errors(model, 0), model.chains.joints
     _, first = side_by_side(_quantities(model))
 
@@ -159,13 +143,12 @@ def _part(
         return np.column_stack([np.zeros((len(rows), 0)), *found])
 
     def block(key: BlockKey, rows: Sequence[int]) -> Measurements:
-        about, at = declared(key.model), first[key.model]
-        own = unknown.components[at : at + len(about.components)]
-        sigma = None
-        if f"{own[0]}.stated" in columns:
-            sigma = numbers(rows, "{}.stated", own)
+        about, start = declared(key.model), first[key.model]
+        own = unknown.components[start : start + len(about.components)]
+        stated = f"{own[0]}.stated" in columns
+        sigma = numbers(rows, "{}.stated", own) if stated else np.array(np.nan)
         file, line, target, payload = (
-            [words[column][row] for row in rows] for column in WORDS[1:]
+            [words[column][row] for row in rows] for column in WORDS[1:5]
         )
         held: Any = {n: columns[n][rows] for n in STATED if n in columns}
         if f"direction.{joints[0]}" in columns:
@@ -175,7 +158,7 @@ def _part(
             joints=joints,
             q=numbers(rows, "joint.{}", joints),
             values=numbers(rows, "measured.{}", range(1, len(about.values) + 1)),
-            sigma=None if sigma is None or np.isnan(sigma).all() else sigma,
+            sigma=None if np.isnan(sigma).all() else sigma,
             target=Labels.of(target),
             conditions=Conditions(Labels.of(payload), **held),
             start=numbers(rows, "start.{}", joints if about.relative else ()),
@@ -185,16 +168,16 @@ def _part(
             **key._asdict(),
         )
 
-    rows = [row for chosen in of_block.values() for row in chosen]
+    rows = [row for chosen in blocks.values() for row in chosen]
     stages = ("before", "after", "sigma")
     errors: Any = {
         stage: numbers(rows, f"{{}}.{stage}", unknown.components) for stage in stages
     }
     return replace(
         unknown,
-        rows=Observations(tuple(block(*found) for found in of_block.items())),
+        rows=Observations(tuple(block(*found) for found in blocks.items())),
         points=numbers(rows, "tool.{}", AXES),
-        to_base=np.broadcast_to(to_base, (len(of_block), 3, 3)),
+        to_base=np.broadcast_to(to_base, (len(blocks), 3, 3)),
         leverage=columns["leverage"][rows],
         **errors,
     )

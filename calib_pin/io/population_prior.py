@@ -43,10 +43,8 @@ SYMMETRIC = 1e-9
 
 def prior_document(prior: JointPrior) -> Json:
     """A prior as plain data."""
-    content = plain(prior)
-    del content["file"]
     name = FORMAT if isinstance(prior, PopulationPrior) else OF_ROBOT
-    return {**format_keys(name), **content}
+    return {**format_keys(name), **plain(prior)}
 
 
 def prior_of(document: Mapping[str, Any]) -> JointPrior:
@@ -58,8 +56,17 @@ def prior_of(document: Mapping[str, Any]) -> JointPrior:
     """
     kind = JointPrior if document.get("format") == OF_ROBOT else PopulationPrior
     prior = typed(kind, document)
-    _require_whole(prior)
-    return replace(prior, file="")
+    C = np.array(prior.covariance)
+    if not np.isfinite([*C.flat, *(p.mean for p in prior.parameters)]).all():
+        raise ValueError("a number is missing, or infinite")
+    if not all(0.0 < sigma < np.inf for sigma in prior.noise.values()):
+        raise ValueError("'noise' has a standard deviation that is none")
+    if C.shape != (count := len(set(prior.names)), len(prior.names)):
+        raise ValueError(f"'covariance' does not have {count} rows and columns")
+    deviations = np.diag(np.linalg.cholesky(C))
+    if np.abs((C - C.T) / np.outer(deviations, deviations)).max() > SYMMETRIC:
+        raise ValueError("'covariance' is not symmetric")
+    return prior
 
 
 def read_population_prior(path: str | Path) -> PopulationPrior:
@@ -93,27 +100,3 @@ def write_population_prior(
         OutputError: If it cannot be written.
     """
     write_atomically(Path(path), encode(prior_document(prior)), force=force)
-
-
-def _require_whole(prior: JointPrior) -> None:
-    """Refuse numbers that are no prior.
-
-    Raises:
-        ValueError: If they are none.
-    """
-    count, covariance = len(set(prior.names)), np.array(prior.covariance)
-    if not count or covariance.shape != (len(prior.names), count):
-        raise ValueError(f"'covariance' does not have {count} rows and columns")
-    means = [parameter.mean for parameter in prior.parameters]
-    if not np.isfinite([*covariance, means]).all():
-        raise ValueError("a number is missing, or infinite")
-    if not all(0.0 < sigma < np.inf for sigma in prior.noise.values()):
-        raise ValueError("'noise' has a standard deviation that is none")
-    variances = np.diag(covariance)
-    if not (variances > 0.0).all():
-        raise ValueError("'covariance' has a variance that is not positive")
-    correlation = covariance / np.sqrt(np.outer(variances, variances))
-    if np.abs(correlation - correlation.T).max() > SYMMETRIC:
-        raise ValueError("'covariance' is not symmetric")
-    if np.linalg.eigvalsh(correlation)[0] <= 0.0:
-        raise ValueError("'covariance' is not positive definite")

@@ -1,5 +1,9 @@
 """`calibration.json`, section 8 of the contract: a result as a document, and back.
 
+The document holds the fields of `CalibrationResult` as they are declared there, and
+beside them those of `Document`: the robot, the frames and reference objects of its
+model, and the files. Whoever adds a field to the result has it written and read back.
+
 It is the document of a folder, of which one run wrote all, and which can be moved. It
 has the id of the run and a manifest, the SHA-256 of every file that was written with
 it. A URDF is known by its hash, so that it stays as it is. The page says when it was
@@ -12,43 +16,26 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from reprlib import repr
-from typing import get_type_hints
-
-import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, RobotError
-from calib_pin.estimation.evidence import (
-    TRUSTED,
-    VERDICTS,
-    ExpectedAccuracy,
-    FoundCurve,
-    PoseErrors,
-    TipAccuracy,
-)
-from calib_pin.estimation.learning import with_learned
+from calib_pin.estimation.evidence import TRUSTED, VERDICTS, FoundCurve
 from calib_pin.io.calibrated_model import (
-    CAMERAS,
-    count_without_instruments,
-    model_document,
+    LearnedRecord,
+    ModelRecord,
+    Places,
+    learned_model,
+    learned_record,
     model_of,
-    read_residual_model,
+    model_record,
+    places_of,
 )
 from calib_pin.io.files import inside, read_bytes, settled, sha256
-from calib_pin.io.json_text import (
-    Json,
-    decoded,
-    encode,
-    format_keys,
-    plain,
-    reading,
-    typed,
-)
+from calib_pin.io.json_text import Json, decoded, encode, merged, plain, reading, typed
 from calib_pin.io.measurement_errors import (
     MEASUREMENTS,
     SETS,
@@ -62,26 +49,18 @@ from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.units import DISPLAY
-from calib_pin.validation.accuracy import QuantityErrors
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.result import (
-    Breakdown,
     CalibrationResult,
-    Identification,
     NamedArray,
     Provenance,
-    ToolAccuracy,
-    UrdfResult,
 )
 
-FORMAT = "calib-pin/calibration"
-
-BREAKDOWN = tuple(f.name for f in fields(Breakdown) if f.name != "accuracies")
-"""Parts of a result that tell of its stations, tools, chains and blocks."""
+FORMAT, VERSION = "calib-pin/calibration", 2
 
 JSON = 1 << 28
 """Bytes of the largest document: its objects take many times as much memory."""
@@ -97,123 +76,149 @@ MADE = ("command", "created")
 PICTURES = (".png", ".pdf", ".svg")
 """Endings of files from which no program takes a number: these may be edited."""
 
-STATED = (
-    *("findings", "parameters", "identifiability", "validation"),
-    *("statistics", "solver", "distances", *BREAKDOWN),
-)
-"""Parts of a result that are written as they are declared, under their own names."""
 
-SAMPLES = ("configurations", "points", "position", "orientation")
-"""Keys of the predicted uncertainty of the tool point, arrays over the workspace."""
+@dataclass(frozen=True)
+class Source:
+    """A file and the SHA-256 of its content, empty for what has none, as a pipe."""
 
-CURVE = ("measurements", "position")
-"""Keys of that uncertainty by the number of measurements."""
+    file: str
+    sha256: str
 
-STAGES = ("before", "after")
-"""Keys of errors: of the nominal robot, registered, and of the calibrated one."""
+    @staticmethod
+    def of(file: str) -> Source:
+        """A file as it is now.
+
+        Raises:
+            InputError: If it cannot be read.
+        """
+        # A pipe cannot be read twice.
+        known = Path(file).is_file()
+        return Source(file, sha256(read_bytes(file)) if known else "")
+
+
+@dataclass(frozen=True)
+class Ends:
+    """The links at both ends of a chain."""
+
+    base: str
+    tip: str
+
+
+@dataclass(frozen=True)
+class RobotRecord:
+    """The robot that was calibrated, and its chains; the first that moves at the top.
+
+    Attributes:
+        joints: Of all chains.
+        chains: By name; none where the only one has no name.
+    """
+
+    name: str
+    source: Source = field(metadata={"key": ""})
+    ends: Ends = field(metadata={"key": ""})
+    joints: tuple[str, ...]
+    chains: Mapping[str, Ends] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Document:
+    """The parts of `calibration.json` that are not the result's own.
+
+    Attributes:
+        run: Id of the run that wrote the folder; empty for what stands in none.
+        manifest: SHA-256 of the files that were written with it, by name; None for
+            those that are known by the id.
+        reference: Where the fit began, from which its parameters deviate.
+        rotations: By set, rotations from the measurement frame of each block to the
+            base link, shape (B, 3, 3).
+        suggestions: Suggested measurements.
+    """
+
+    format: str = FORMAT
+    version: int = VERSION
+    run: str = ""
+    manifest: Mapping[str, str | None] = field(
+        default_factory=dict, metadata={"key": "files"}
+    )
+    robot: RobotRecord
+    files: tuple[Source, ...] = field(metadata={"key": "measurements.files"})
+    training: int = field(metadata={"key": "measurements.training"})
+    validation: int = field(metadata={"key": "measurements.validation"})
+    model: ModelRecord = field(metadata={"key": ""})
+    reference: Places
+    rotations: Mapping[str, Floats] = field(metadata={"key": "rotations_to_base"})
+    residual_model: LearnedRecord | None
+    urdf_model: ModelRecord | None
+    suggestions: tuple[Suggestion, ...] = field(
+        metadata={"key": "identifiability.remedies"}
+    )
+    chi2_interval: tuple[float, ...] = field(
+        metadata={"key": "statistics.chi2_interval"}
+    )
+    setup_file: Source | None
+
+    def __post_init__(self) -> None:
+        """Refuse a manifest of files that are not those of a folder."""
+        if not all(map(inside, self.manifest)):
+            raise ValueError("'files' are not those of a folder")
 
 
 def calibration_document(
     result: CalibrationResult,
     provenance: Provenance | None = None,
-    residual_model: Mapping[str, str] | None = None,
     suggestions: Sequence[Suggestion] = (),
 ) -> Json:
-    """A result as the JSON document of version 1.
+    """A result as the JSON document of version 2.
 
     Errors of single measurements stand beside it, see `io.measurement_errors`.
 
     Args:
         result: The result.
         provenance: How it came about; default what the result says.
-        residual_model: Where what was learned is written, see `io.calibrated_model`.
         suggestions: Suggested measurements.
 
     Raises:
         InputError: If a measurement file cannot be read again for its hash.
     """
     model, dof = result.model, result.statistics.dof
-    made = provenance or result.provenance
-    hashes = made.hashes or tuple(map(_sha256_of, result.files))
-    setup, method = model.setup.file, result.validation.method
-    covariance, urdf = result.covariance, result.urdf
-    begun, described = result.recalibration, model_document(model, result.reference)
-    _mark_unknown(described, result)
-    return {
-        **format_keys(FORMAT),
-        "verdict": {"status": result.verdict, "reason": result.reason},
-        "findings": plain(result.findings),
-        "robot": _robot(model),
-        "measurements": {
-            "files": [
-                {"file": file, "sha256": content}
-                for file, content in zip(result.files, hashes, strict=True)
-            ],
-            **described.pop("measurements"),
-            "training": len(result.fitted),
-            "validation": result.validation.count,
-            "placed_by_validation": list(result.validation.located),
-        },
-        **_rotations(result),
-        **described,
-        **identification_parts(result, suggestions),
-        "errors": _errors(result.errors, method),
-        "validation": plain(result.validation),
-        **_predictions(result),
-        **{key: plain(getattr(result, key)) for key in BREAKDOWN},
-        "statistics": {
-            **plain(result.statistics),
-            "chi2_interval": list(chi2_interval(dof)) if dof > 0 else [],
-        },
-        "covariance": plain(covariance) if np.isfinite(covariance).all() else None,
-        "solver": {**plain(result.solver), "seconds": made.seconds},
-        "distances": plain(result.distances),
-        "residual_model": plain(residual_model),
-        "rejected_residual_model": result.rejected,
-        "model_ladder": plain(result.model_selection),
-        **({} if begun is None else {"recalibration": plain(begun)}),
-        "urdf": urdf and _urdf(urdf, method),
-        "setup_file": {"file": setup, "sha256": _sha256_of(setup)} if setup else None,
-        "provenance": {
-            **made.versions,
-            "command": list(made.command),
-            "created": made.created,
-        },
-    }
-
-
-def _mark_unknown(described: Json, result: CalibrationResult) -> None:
-    """Say in the entries of frames and instruments which values are left open."""
-    for suffix, frames in ((".station", result.stations), (".tool", result.tools)):
-        for frame in frames:
-            for name in (frame.name, frame.name + suffix):
-                if frame.unknown and name in described["frames"]:
-                    described["frames"][name]["unknown"] = list(frame.unknown)
-    for owner, kind, component in (name.rsplit(".", 2) for name in result.unknown):
-        if kind not in ("frame", "station", "tool"):
-            key = f"{kind}s" if f"{kind}s" in described else CAMERAS
-            entry = described.get(key, described)[owner]
-            entry.setdefault("unknown", []).append(component)
-
-
-def identification_parts(
-    found: Identification, suggestions: Sequence[Suggestion] = ()
-) -> Json:
-    """The parts `parameters` and `identifiability` of section 8 of the contract.
-
-    Args:
-        found: The identifiability of a robot.
-        suggestions: Suggested measurements.
-    """
-    return {
-        "parameters": plain(found.parameters),
-        "identifiability": {
-            **plain(found.identifiability),
-            "coupled": plain(found.groups),
-            "robot_errors": plain(found.robot_errors),
-            "remedies": plain(suggestions),
-        },
-    }
+    alone = None if result.urdf is None else result.urdf.model
+    made, chains = provenance or result.provenance, result.model.chains
+    chain, setup = model.moving.error.chain, model.setup.file
+    files = map(Source, result.files, made.hashes)
+    names = () if chains.names == ("",) else chains.names
+    parts = zip(SETS, (result.fitted, result.held_out), strict=True)
+    record = Document(
+        robot=RobotRecord(
+            chains.robot.name,
+            Source(chains.robot.file, sha256(chains.robot.source)),
+            Ends(chain.base, chain.tip),
+            chains.joints,
+            {n: Ends(chains[n].base, chains[n].tip) for n in names},
+        ),
+        files=tuple(files if made.hashes else map(Source.of, result.files)),
+        training=len(result.fitted),
+        validation=result.validation.count,
+        model=model_record(model),
+        reference=places_of(result.reference),
+        rotations={name: part.to_base for name, part in parts if part is not None},
+        residual_model=learned_record(model),
+        urdf_model=None if alone is None else model_record(alone),
+        suggestions=tuple(suggestions),
+        chi2_interval=chi2_interval(dof) if dof > 0 else (),
+        setup_file=Source.of(setup) if setup else None,
+    )
+    expected = dict(result.accuracies)
+    for name, accuracy in expected.items():
+        if (tip := accuracy.tip) is not None:
+            # The curve is found when somebody asks.
+            tip = replace(tip, by_count=FoundCurve(*tip.by_count.curve))
+            expected[name] = replace(accuracy, tip=tip)
+    own = plain(replace(result, provenance=made, accuracies=expected))
+    for errors in own["errors"].values():
+        errors["validation"]["method"] = result.validation.method
+    document = merged(plain(record), own)
+    first = ("format", "version", "verdict", "findings", "robot")
+    return {key: document[key] for key in first} | document
 
 
 def provenance(command: tuple[str, ...] = (), seconds: float = math.nan) -> Provenance:
@@ -273,11 +278,9 @@ def read_written(path: str | Path) -> tuple[CalibrationResult, Json]:
     """
     file = document_file(path)
     with settled(file.parent):
-        document, model = _read_model(file)
+        document, record, model = _read_model(file)
         with reading(file):
-            result = _result(document, model, file)
-            read_suggestions(document)
-    return result, document
+            return _result(document, record, model, file), document
 
 
 @serial_blas
@@ -302,7 +305,7 @@ def read_calibration(
     """
     path = Path(path)
     with settled(path.parent):
-        document, model = _read_model(path)
+        document, _, model = _read_model(path)
     verdict = document["verdict"]
     if notice is not None and verdict["status"] not in TRUSTED:
         notice(f"{path} must not be trusted: {verdict['reason']}")
@@ -310,9 +313,8 @@ def read_calibration(
 
 
 def read_suggestions(document: Json) -> tuple[Suggestion, ...]:
-    """The suggested measurements in a document."""
-    stated = document["identifiability"]["remedies"]
-    return typed(tuple[Suggestion, ...], stated)
+    """The suggested measurements in a document that was read."""
+    return typed(tuple[Suggestion, ...], document["identifiability"]["remedies"])
 
 
 def used_files(path: str | Path, files: Sequence[Path]) -> list[Path]:
@@ -322,254 +324,73 @@ def used_files(path: str | Path, files: Sequence[Path]) -> list[Path]:
         path: A `calibration.json`, which can be read.
         files: Measurement files; what is no file, such as a pipe, is left alone.
     """
-    document = read_document(path)
-    with reading(path):
-        stated = document["measurements"]["files"]
-        known = {typed(str, entry["sha256"]) for entry in stated}
-    return [file for file in files if _sha256_of(str(file)) in known - {""}]
+    known = {source.sha256 for source in read_record(path).files} - {""}
+    return [file for file in files if Source.of(str(file)).sha256 in known]
 
 
-def _sha256_of(file: str) -> str:
-    """Hexadecimal SHA-256 of a file; empty for what is none, such as a pipe."""
-    # A pipe cannot be read twice.
-    return sha256(read_bytes(file)) if Path(file).is_file() else ""
-
-
-# --- the robot ---------------------------------------------------------------------
-
-
-def _read_model(path: Path) -> tuple[Json, CalibratedModel]:
-    """A `calibration.json` and the calibrated robot that it tells of.
+def _read_model(path: Path) -> tuple[Json, Document, CalibratedModel]:
+    """A `calibration.json`, and the calibrated robot that it tells of.
 
     Raises:
         InputError, RobotError: As `read_calibration`.
     """
     document = read_document(path)
     with reading(path):
-        verdict, stated = document["verdict"], document["robot"]
-        if verdict["status"] not in VERDICTS:
-            raise ValueError(f"'{verdict['status']}' is no verdict")
-        texts = verdict["reason"], stated["file"], stated["sha256"]
-        _, name, content = typed(tuple[str, str, str], texts)
-    robot = find_robot(name, content, path)
+        record, verdict = typed(Document, document), document["verdict"]
+        if verdict["status"] not in VERDICTS or not isinstance(verdict["reason"], str):
+            raise ValueError(f"{verdict} is no verdict")
+    robot = find_robot(record.robot.source, path)
     with reading(path):
-        model = model_of(document, _chains(document, robot))
-        learned = document["residual_model"]
-        if (learned is None) != (model.setup.learned is None):
-            raise ValueError("'residual_model' and 'setup.learned' need each other")
-        if learned is not None:
-            # Its name alone: a calibration does not reach into other folders.
-            file = path.with_name(Path(learned["file"]).name)
-            content = typed(str, learned["sha256"])
-    require_one_run(document, robot.source, path)
-    if learned is None:
-        return document, model
-    data = read_bytes(file)
-    if sha256(data) != content:
-        reason = "not the file that this calibration was written with"
-        raise InputError(reason, file=file)
-    return document, with_learned(model, read_residual_model(data, model, file))
+        model = model_of(record.model, _chains(record, robot))
+        model = learned_model(model, record.residual_model)
+    require_one_run(record, robot.source, path)
+    return document, record, model
 
 
-def _robot(model: CalibratedModel) -> Json:
-    """The robot with the ends of its chains, where they have names."""
-    chains, chain = model.chains, model.moving.error.chain
-    about: Json = {
-        "name": chains.robot.name,
-        "file": chains.robot.file,
-        "sha256": sha256(chains.robot.source),
-        "base": chain.base,
-        "tip": chain.tip,
-        "joints": list(chains.joints),
-    }
-    if chains.names != ("",):
-        ends = {name: chains[name] for name in chains.names}
-        about["chains"] = {k: {"base": e.base, "tip": e.tip} for k, e in ends.items()}
-    return about
-
-
-def _chains(document: Json, robot: Robot) -> Chains:
+def _chains(record: Document, robot: Robot) -> Chains:
     """The chains that were measured."""
-    about, setup = document["robot"], setup_of(document["setup"])
-    built = {
-        name: Chain(robot, typed(str, end["base"]), typed(str, end["tip"]))
-        for name, end in about.get("chains", {"": about}).items()
-    }
+    about, setup = record.robot, setup_of(record.model.setup)
+    ends = about.chains or {"": about.ends}
+    built = {name: Chain(robot, e.base, e.tip) for name, e in ends.items()}
     default = built.get("", setup)
     stated = default.base, default.tip, setup.chains
     chains = Chains(robot, *stated, tuple(built), built)
-    if list(chains.joints) != about["joints"]:
+    if chains.joints != about.joints:
         raise ValueError("the joints are not those from base to tip")
     return chains
 
 
-# --- the result --------------------------------------------------------------------
-
-
-def _result(document: Json, model: CalibratedModel, file: Path) -> CalibrationResult:
-    verdict, about = document["verdict"], document["measurements"]
-    kinds = get_type_hints(CalibrationResult)
-    parts = {key: document[key] for key in STATED} | {
-        "recalibration": document.get("recalibration"),
-        "model_selection": document["model_ladder"],
-        "groups": document["identifiability"]["coupled"],
-        "robot_errors": document["identifiability"]["robot_errors"],
-    }
-    known = {key: typed(kinds[key], part) for key, part in parts.items()}
-    names = [parameter.name for parameter in known["parameters"]]
-    covariance = document["covariance"] or np.full((len(names), len(names)), np.nan)
-    fitted, held_out = _measured(document, model, file.parent)
-    made, urdf = document["provenance"], document["urdf"]
-    return CalibrationResult(
-        **known,
+def _result(
+    document: Json, record: Document, model: CalibratedModel, file: Path
+) -> CalibrationResult:
+    fitted, held_out = unknown_errors(model, record.training), None
+    if (measured := file.parent / MEASUREMENTS).is_file():
+        data = read_bytes(measured)
+        fitted, held_out = decode_errors(data, model, record.rotations)
+    names, about = model.given.names, document["provenance"]
+    result = typed(
+        CalibrationResult,
+        document,
         model=model,
-        reference=model_of(document, model.chains, reference=True),
-        verdict=verdict["status"],
-        reason=verdict["reason"],
-        errors=_read_errors(document["errors"]),
-        accuracies=_accuracies(document, model),
-        covariance=NamedArray.of(covariance, names, names),
+        reference=model_of(record.model, model.chains, record.reference),
+        covariance=NamedArray.of(document["covariance"], names, names),
         fitted=fitted,
         held_out=held_out,
-        files=tuple(typed(str, entry["file"]) for entry in about["files"]),
-        urdf=urdf and _urdf_result(urdf, model.chains),
-        rejected=typed(str, document["rejected_residual_model"]),
-        provenance=Provenance(
-            command=typed(tuple[str, ...], made["command"]),
-            created=typed(str, made["created"]),
-            seconds=typed(float, document["solver"]["seconds"]),
-            versions={k: v for k, v in made.items() if k not in MADE},
+        files=tuple(source.file for source in record.files),
+        provenance=typed(
+            Provenance,
+            document,
+            versions={n: text for n, text in about.items() if n not in MADE},
             file=str(file),
-            hashes=tuple(typed(str, entry["sha256"]) for entry in about["files"]),
+            hashes=tuple(source.sha256 for source in record.files),
         ),
     )
-
-
-def _errors(errors: Sequence[QuantityErrors], method: str) -> Json:
-    return {
-        e.name: {
-            "unit": e.unit,
-            "training": {"before": plain(e.before), "after": plain(e.after)},
-            "validation": {
-                "method": method,
-                "before": plain(e.validation_before),
-                "after": plain(e.validation_after),
-            },
-        }
-        for e in errors
-    }
-
-
-def _read_errors(document: Json) -> tuple[QuantityErrors, ...]:
-    found = []
-    for name, entry in document.items():
-        if entry["unit"] not in DISPLAY:
-            raise ValueError(f"{repr(entry['unit'])} is no unit of '{name}'")
-        unseen = {f"validation_{k}": entry["validation"][k] for k in STAGES}
-        stated = {"name": name, "unit": entry["unit"], **entry["training"], **unseen}
-        found.append(typed(QuantityErrors, stated))
-    return tuple(found)
-
-
-def _predictions(result: CalibrationResult) -> Json:
-    """The expected errors of the tools: of the first chain, and of the others."""
-    _, *others = result.accuracies or [""]
-    found = {name: _predicted(result.accuracies[name]) for name in others}
-    return {
-        "predicted": _predicted(result.accuracy),
-        **({"predicted_by_chain": found} if found else {}),
-    }
-
-
-def _predicted(accuracy: ToolAccuracy) -> Json | None:
-    """Errors of the tool to expect: what noise leaves by the fit, and all of them."""
-    stages = {"measured": accuracy.measured, "workspace": accuracy.workspace}
-    known = {name: plain(found) for name, found in stages.items() if found}
-    if accuracy.tip is None:
-        return {"position": None, "orientation": None, **known} if known else None
-    tip = accuracy.tip
-    samples = tip.q, tip.points, tip.position, tip.orientation
-    return {
-        **plain(PoseErrors(*tip.rms)),
-        "robot": plain(PoseErrors(*tip.of_robot)),
-        **known,
-        "samples": plain(dict(zip(SAMPLES, samples, strict=True))),
-        "by_count": plain(dict(zip(CURVE, tip.by_count.curve, strict=True))),
-    }
-
-
-def _accuracies(document: Json, model: CalibratedModel) -> dict[str, ToolAccuracy]:
-    """The expected errors of the tool by the name of the chain."""
-    first = {model.moving.key.chain: document["predicted"]}
-    entries = first | document.get("predicted_by_chain", {})
-    return {name: _accuracy(entry or {}) for name, entry in entries.items()}
-
-
-def _accuracy(entry: Json) -> ToolAccuracy:
-    tip = None
-    if "samples" in entry:
-        samples = (np.array(entry["samples"][key], float) for key in SAMPLES)
-        q, points, position, orientation = samples
-        if not len(q) == len(points) == len(position) == len(orientation):
-            raise ValueError("the lists of 'samples' are not of one length")
-        counts, errors = (np.array(entry["by_count"][key], float) for key in CURVE)
-        alone, curve = typed(PoseErrors, entry["robot"]), FoundCurve((counts, errors))
-        tip = TipAccuracy(q, points, position, orientation, alone, curve)
-    stages = (entry.get(key) for key in ("measured", "workspace"))
-    return ToolAccuracy(tip, *(s and typed(ExpectedAccuracy, s) for s in stages))
-
-
-def _rotations(result: CalibrationResult) -> Json:
-    """Rotations from the measurement frame to the base link.
-
-    It is that of the first block; where others differ, those of all stand beside it.
-    """
-    sets = zip(SETS, (result.fitted, result.held_out), strict=True)
-    found = {name: part.to_base for name, part in sets if part is not None}
-    first = result.fitted.to_base[0]
-    every = np.concatenate([*found.values()])
-    alike = np.array_equal(every, np.broadcast_to(first, every.shape), equal_nan=True)
-    return {
-        "rotation_to_base": first.tolist(),
-        **({} if alike else {"rotations_to_base": plain(found)}),
-    }
-
-
-def _measured(
-    document: Json, model: CalibratedModel, folder: Path
-) -> tuple[MeasurementErrors, MeasurementErrors | None]:
-    """The errors of the fitted and of the validation measurements."""
-    count = typed(int, document["measurements"]["training"])
-    try:
-        data = read_bytes(folder / MEASUREMENTS)
-    except InputError:
-        return unknown_errors(model, count), None
-    rotations = dict.fromkeys(SETS, document["rotation_to_base"])
-    rotations |= document.get("rotations_to_base", {})
-    to_base = {name: np.array(stated, float) for name, stated in rotations.items()}
-    return decode_errors(data, model, to_base)
-
-
-def _urdf(urdf: UrdfResult, method: str) -> Json:
-    described = None
-    if urdf.model is not None:
-        model, count = urdf.model, count_without_instruments(urdf.model)
-        values = zip(model.given.names[:count], model.theta.tolist(), strict=False)
-        parameters = [{"name": name, "value": value} for name, value in values]
-        described = {**model_document(model, model), "parameters": parameters}
-    return {
-        "reason": urdf.reason,
-        "errors": _errors(urdf.errors, method),
-        "model": described,
-    }
-
-
-def _urdf_result(entry: Json, chains: Chains) -> UrdfResult:
-    return UrdfResult(
-        model=entry["model"] and model_of(entry["model"], chains),
-        errors=_read_errors(entry["errors"]),
-        reason=typed(str, entry["reason"]),
-    )
+    if (urdf := result.urdf) and (alone := record.urdf_model):
+        urdf = replace(urdf, model=model_of(alone, model.chains))
+    for error in (*result.errors, *(urdf.errors if urdf else ())):
+        if error.unit not in DISPLAY:
+            raise ValueError(f"'{error.unit}' is no unit of '{error.name}'")
+    return replace(result, urdf=urdf)
 
 
 # --- the folder -------------------------------------------------------------------
@@ -589,21 +410,15 @@ def urdf_name(robot: str) -> str:
     return f"{name}-corrected.urdf" if taken else f"{name}.urdf"
 
 
-def run_id(document: Json, learned: bytes | None) -> str:
+def run_id(document: Json) -> str:
     """Id of the run that led to a document; the same input and seed lead to the same.
 
     Args:
         document: The `calibration.json`, without an id.
-        learned: Its residual model, without an id.
     """
-    solver, about = document["solver"], document["provenance"]
-    content = {
-        **document,
-        "residual_model": None,
-        "solver": {k: v for k, v in solver.items() if k != "seconds"},
-        "provenance": {k: v for k, v in about.items() if k not in MADE},
-    }
-    return sha256(encode(content) + (learned or b""))[:16]
+    made = {key: None for key in MADE}
+    unlike = {"solver": {"seconds": None}, "provenance": made}
+    return sha256(encode(merged(document, unlike)))[:16]
 
 
 def read_document(path: str | Path) -> Json:
@@ -612,37 +427,28 @@ def read_document(path: str | Path) -> Json:
     Raises:
         InputError: If the file is not such a document, or of another version.
     """
-    document = decoded(read_bytes(path, JSON), "calibration", FORMAT, path)
-    # Version 0.1 of the program wrote none of these.
-    if not document.keys() >= set(BREAKDOWN):
-        reason = "of an older version of calib-pin, or edited: calibrate again"
-        raise InputError(f"{reason} from the measurements", file=path)
-    return document
+    data = read_bytes(path, JSON)
+    return decoded(data, "calibration", FORMAT, path, version=VERSION)
 
 
-def members(document: Json) -> dict[str, str | None]:
-    """SHA-256 of the files that were written with a calibration, by name.
-
-    None for those that are known by the id of the run.
+def read_record(path: str | Path) -> Document:
+    """The robot and the files of a `calibration.json`.
 
     Raises:
-        ValueError: If these are no such names.
+        InputError: If the file is not such a document, or of another version.
     """
-    stated = document.get("files", {})
-    if not isinstance(stated, Mapping) or not all(
-        isinstance(name, str) and inside(name) for name in stated
-    ):
-        raise ValueError("'files' are not those of a folder")
-    return dict(stated)
+    document = read_document(path)
+    with reading(path):
+        return typed(Document, document)
 
 
-def require_one_run(document: Json, robot: bytes, path: Path) -> None:
+def require_one_run(record: Document, robot: bytes, path: Path) -> None:
     """Refuse a calibration among files that were not written with it.
 
     Those that are not there are not missed here; pictures may be edited.
 
     Args:
-        document: The calibration.
+        record: The calibration.
         robot: The robot that was calibrated, which may stand in the place of the
             corrected one.
         path: The `calibration.json`.
@@ -650,16 +456,13 @@ def require_one_run(document: Json, robot: bytes, path: Path) -> None:
     Raises:
         InputError: If one of them is of another run, or was edited.
     """
-    run = str(document.get("run", "")).encode()
-    with reading(path):
-        listed = members(document)
-    for name, content in listed.items():
+    for name, content in record.manifest.items():
         file = path.parent / name
         if file.suffix in PICTURES or not file.is_file():
             continue
         data = read_bytes(file)
         known = sha256(data) == content or data == robot
-        if not (run in data if content is None else known):
+        if not (record.run.encode() in data if content is None else known):
             raise InputError(
                 f"not the file that '{path.name}' beside it was written with, but of "
                 "another run or edited; keep the files of one run together, or remove "
@@ -668,43 +471,40 @@ def require_one_run(document: Json, robot: bytes, path: Path) -> None:
             )
 
 
-def find_robot(name: str, content: str, path: Path) -> Robot:
+def find_robot(source: Source, path: Path) -> Robot:
     """The robot that was calibrated, recognized by its content.
 
     Where it was calibrated comes before the copy: meshes are beside the former.
 
     Args:
-        name: Its file as it was given.
-        content: Its SHA-256.
+        source: Its file as it was given.
         path: The `calibration.json`.
 
     Raises:
         InputError: If there is only another one.
         RobotError: If there is none.
     """
-    copy, other = path.parent / NOMINAL, None
+    copy = path.parent / NOMINAL
     try:
-        given = locate_robot(name)
+        given = locate_robot(source.file)
     except RobotError:  # The package it came from is not installed here.
         given = copy
     places = [given, path.parent / given, path.parent / given.name, copy]
     # A xacro file was expanded, and what came of it is in the copy.
-    for place in places[3:] if is_xacro(given) else places:
-        if not place.is_file():
-            continue
+    expanded = is_xacro(given)
+    found = [place for place in places[3 * expanded :] if place.is_file()]
+    for place in found:
         data = read_bytes(place)
-        if sha256(data) != content and place != copy:
+        if sha256(data) != source.sha256 and place != copy:
             data = straight_source(data)
-        if sha256(data) == content:
-            kept = given if is_xacro(given) and given.is_file() else place
-            there = kept == given and given != copy
-            return parse_robot(data, name if there else str(place))
-        other = other or place
-    if other is None:
-        reason = f"the robot '{name}' that was calibrated is neither there nor beside"
-        raise RobotError(f"{reason} the calibration", file=path)
+        if sha256(data) == source.sha256:
+            there = given != copy and ((expanded and given.is_file()) or place == given)
+            return parse_robot(data, source.file if there else str(place))
+    if not found:
+        reason = f"the robot '{source.file}' that was calibrated is neither there nor"
+        raise RobotError(f"{reason} beside the calibration", file=path)
     raise InputError(
-        f"'{other}' is not the robot that was calibrated: its content differs; keep "
+        f"'{found[0]}' is not the robot that was calibrated: its content differs; keep "
         "the files of one run together",
         file=path,
     )
@@ -723,7 +523,7 @@ def written_before(path: Path) -> list[Path]:
     """
     try:
         with settled(path.parent):
-            names = members(read_document(path))
-    except (InputError, ValueError):
+            names = read_record(path).manifest
+    except InputError:
         return []
     return [path.parent / name for name in names if (path.parent / name).is_file()]

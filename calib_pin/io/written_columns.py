@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import count
 from typing import Any
@@ -18,8 +18,6 @@ from calib_pin.measurement_models import declared
 from calib_pin.observations import (
     AT,
     BlockKey,
-    Booleans,
-    Indices,
     Labels,
     Measurements,
     Observations,
@@ -49,25 +47,16 @@ def measurement_columns(
         names = getattr(data, field)
         if any(names.distinct):
             yield field, writable(field, names[order])
-    yield from stated_conditions(data, order)
-    if data.validate.any():
-        yield "set", Labels(("train", "validate"), data.validate[order].astype(int))
-
-
-def stated_conditions(
-    data: Observations, order: Indices
-) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Columns of the conditions that are stated, but for the payload.
-
-    Directions that follow from the order of rows, or from their time, do so again.
-    """
     held = data.conditions
+    # Directions that follow from the order of rows, or from their time, do so again.
     if held.source == "columns":
         for name, column in zip(data.joints, held.direction[order].T, strict=True):
             yield name + DIRECTION, column
     for name in ("temperature", "time"):
         if len(column := getattr(held, name)):
             yield name, column[order]
+    if data.validate.any():
+        yield "set", Labels(("train", "validate"), data.validate[order].astype(int))
 
 
 def _measured(data: Observations) -> dict[str, NDArray[Any]]:
@@ -118,7 +107,10 @@ def _with_starts(data: Observations) -> Observations:
 
 
 def _started(data: Measurements) -> Measurements:
-    """Relative measurements with a row for every start."""
+    """Relative measurements with a row for every start.
+
+    Targets tell starts apart; of several with one name the first keeps it.
+    """
     if not data.start.size:
         raise _unreadable(data, 0, "has no start")
     for wrong, reason in (
@@ -127,47 +119,37 @@ def _started(data: Measurements) -> Measurements:
     ):
         if wrong.any():
             raise _unreadable(data, int(np.argmax(wrong)), reason)
-    target, first = _start_names(data)
-    index = np.repeat(np.arange(len(data)), 1 + first)
-    begins = np.append(index[1:] == index[:-1], False)
-    rows = replace(data, target=target).rows(index)
+    names, taken = dict[tuple[str, ...], str](), set(data.target.names)
+    index, begins, targets = list[int](), list[bool](), list[str]()
+    for row, (target, payload) in enumerate(
+        zip(data.target, data.payload, strict=True)
+    ):
+        # Bit by bit, for starts have to read back.
+        start = target, payload, data.start[row].tobytes().hex()
+        first = start not in names
+        if first:
+            kept = all(other != target for other, *_ in names)
+            names[start] = target if kept else _free_name(target, taken)
+            taken.add(names[start])
+        index += [row] * (1 + first)
+        begins += [True, False] if first else [False]
+        targets += [names[start]] * (1 + first)
+    rows, begin = data.rows(np.array(index)), np.array(begins)
     q, values = rows.q.copy(), rows.values.copy()
-    q[begins], values[begins] = rows.start[begins], 0.0
-    return replace(rows, q=q, values=values)
+    q[begin], values[begin] = rows.start[begin], 0.0
+    return replace(rows, q=q, values=values, target=Labels.of(targets))
+
+
+def _free_name(target: str, taken: Collection[str]) -> str:
+    """A name like that of a target that none has."""
+    stem = f"{target}start" if not target or target.endswith(AT) else target
+    return next(n for k in count(2) if (n := f"{stem}/{k}") not in taken)
 
 
 def _unreadable(data: Measurements, row: int, reason: str) -> OutputError:
     return OutputError(
         f"{data.source(row)}: the relative distance {reason} and would not read back"
     )
-
-
-def _start_names(data: Measurements) -> tuple[Labels, Booleans]:
-    """Targets that tell starts apart; of several with one name the first keeps it.
-
-    Returns:
-        The target of each row, and whether it is the first of its start, shape (N,).
-    """
-    # Bit by bit, for starts have to read back.
-    bits = np.ascontiguousarray(data.start).view(np.int64)
-    _, found, start = np.unique(
-        np.column_stack([data.target.codes, data.payload.codes, bits]),
-        axis=0,
-        return_index=True,
-        return_inverse=True,
-    )
-    taken, kept, numbers = set(data.target.names), set[str](), count(2)
-    names = [""] * len(found)
-    for k in np.argsort(found).tolist():
-        name = names[k] = data.target[found[k]]
-        stem = f"{name}start" if not name or name.endswith(AT) else name
-        while name in kept and names[k] in taken:
-            names[k] = f"{stem}/{next(numbers)}"
-        kept.add(name)
-        taken.add(names[k])
-    first = np.zeros(len(data), bool)
-    first[found] = True
-    return Labels(tuple(names), start.reshape(-1)), first
 
 
 def column_name(joint: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -97,11 +97,11 @@ class Plan(Printed):
         groups: Those of the coupled groups.
     """
 
-    problem: Problem
-    q: Floats
-    aims: tuple[Aim, ...]
-    criterion: str
-    value: float
+    problem: Problem = field(metadata={"key": None})
+    q: Floats = field(metadata={"key": "configurations"})
+    aims: tuple[Aim, ...] = field(metadata={"key": None})
+    criterion: str = field(metadata={"key": "criterion.name"})
+    value: float = field(metadata={"key": "criterion.value"})
     random: float
     method: str
     status: Status
@@ -109,12 +109,14 @@ class Plan(Printed):
     measured: int
     candidates: int
     tried: int
-    blocked: tuple[int, ...] | None
+    blocked: tuple[int, ...] | None = field(metadata={"key": None})
     unmeasurable: tuple[str, ...]
     assumed_tool: bool
     predicted: Predicted
-    parameters: tuple[ParameterEstimate, ...]
-    groups: tuple[CoupledGroup, ...]
+    parameters: tuple[ParameterEstimate, ...] = field(
+        metadata={"key": "predicted.parameters"}
+    )
+    groups: tuple[CoupledGroup, ...] = field(metadata={"key": "predicted.coupled"})
 
     @property
     def target(self) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
@@ -237,9 +237,9 @@ class Predicted:
         robot_errors: The expected estimates for people, each independent error once.
     """
 
-    theta: Floats
-    covariance: Floats
-    directions: Directions
+    theta: Floats = field(metadata={"key": None})
+    covariance: Floats = field(metadata={"key": None})
+    directions: Directions = field(metadata={"key": None})
     position: float
     orientation: float
     robot_errors: tuple[RobotError, ...] = ()

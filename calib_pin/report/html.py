@@ -299,14 +299,12 @@ def provenance_blocks(document: Mapping[str, Any]) -> Iterator[Block]:
     """Command, files with their hashes, versions and seed, as the document has them."""
     about, solver = document["provenance"], document["solver"]
     robot, measured = document["robot"], document["measurements"]
+    seconds = solver["seconds"]
     used = [("robot", robot["file"], robot["sha256"])]
     if document["setup_file"] is not None:
         stated = document["setup_file"]
         used.append(("setup", stated["file"], stated["sha256"]))
     used += [("measurements", f["file"], f["sha256"]) for f in measured["files"]]
-    if document["residual_model"] is not None:
-        learned = document["residual_model"]
-        used.append(("residual model", learned["file"], learned["sha256"]))
     versions = {k: v for k, v in about.items() if k not in ("command", "created")}
     yield Facts(
         "Provenance",
@@ -321,7 +319,7 @@ def provenance_blocks(document: Mapping[str, Any]) -> Iterator[Block]:
                 "iterations",
                 f"{solver['iterations']} ({solver['evaluations']} evaluations)",
             ),
-            ("time", f"{solver['seconds']:.2f} s"),
+            ("time", "unknown" if seconds is None else f"{seconds:.2f} s"),
         ],
     )
     yield Table(

@@ -145,14 +145,14 @@ def ladder_table(ladder: ModelSelection) -> Table:
     """
     rungs = ladder.candidates
     quantities = [
-        (name, unit) for name, unit, _ in max((r.errors for r in rungs), key=len)
+        (name, unit) for name, unit, *_ in max((r.errors for r in rungs), key=len)
     ]
     far = any(rung.away for rung in rungs)
     rows = []
     for k, rung in enumerate(rungs):
         away = dict.fromkeys((name for name, _ in quantities), Cell("-"))
         near = dict(away)
-        near |= {name: quantity(mean, unit) for name, unit, mean in rung.errors}
+        near |= {name: quantity(mean, unit) for name, unit, mean, _ in rung.errors}
         if rung.away is not None:
             away |= {e.name: quantity(e.mean, e.unit) for e in rung.away.errors}
         pairs = [(near[name], away[name]) if far else (near[name],) for name in near]

@@ -27,7 +27,6 @@ __all__ = [
     "Space",
     "TrainedRegion",
     "TrainingRows",
-    "of_older_release",
     "restore",
 ]
 
@@ -59,17 +58,6 @@ RESIDUAL_MODELS: Mapping[str, Fitter] = {
     "gaussian-process": _fit_gaussian_process,
 }
 """Fit of each residual model."""
-
-OLDER = ("made_of", "free")
-"""Keys of documents that only older releases wrote."""
-
-
-def of_older_release(document: object) -> bool:
-    """Whether a document is of a Gaussian process of version 0.2 or older.
-
-    Those were made of harmonics, or faded with the distance.
-    """
-    return isinstance(document, Mapping) and not document.keys().isdisjoint(OLDER)
 
 
 def restore(document: object, joints: int) -> ResidualModel:

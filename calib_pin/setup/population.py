@@ -111,7 +111,7 @@ class JointPrior:
     parameters: tuple[ExpectedParameter, ...]
     covariance: tuple[Row, ...]
     noise: Mapping[str, float] = field(default_factory=dict)
-    file: str = ""
+    file: str = field(default="", metadata={"key": None})
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -47,7 +47,7 @@ class QuantityErrors:
 
     name: str
     unit: str
-    before: Accuracy
-    after: Accuracy
-    validation_before: Accuracy | None
-    validation_after: Accuracy | None
+    before: Accuracy = field(metadata={"key": "training.before"})
+    after: Accuracy = field(metadata={"key": "training.after"})
+    validation_before: Accuracy | None = field(metadata={"key": "validation.before"})
+    validation_after: Accuracy | None = field(metadata={"key": "validation.after"})

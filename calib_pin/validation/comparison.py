@@ -96,8 +96,8 @@ class Difference:
 
     name: str
     unit: str
-    first: float
-    second: float
+    first: float = field(metadata={"key": "a"})
+    second: float = field(metadata={"key": "b"})
     sigma: float
     terms: tuple[Coefficient, ...] = ()
 
@@ -131,10 +131,10 @@ class Displacement:
             [m].
     """
 
-    frame: str
+    frame: str = field(metadata={"key": None})
     shift: float = field(metadata={"key": "position"})
     turn: float | None = field(metadata={"key": "orientation"})
-    of_tool: bool = False
+    of_tool: bool = field(default=False, metadata={"key": None})
     sigma: PoseErrors = UNKNOWN
     chance: float = math.nan
     motion: float = field(default=math.nan, metadata={"key": "tool_point"})

@@ -62,8 +62,6 @@ class MeasurementErrors:
     def table(self, name: str, directions: bool = False) -> dict[str, Sequence[Any]]:
         """Cells of the columns of `measurements.csv`, SI units; NaN where none is.
 
-        Model, chain, station and tool are columns unless they go without saying.
-
         Args:
             name: The set, `train` or `validate`.
             directions: Whether directions of approach are told that no file states.
@@ -80,10 +78,9 @@ class MeasurementErrors:
         def add(names: Iterable[str], values: Floats) -> None:
             found.update(zip(names, values.T.tolist(), strict=True))
 
-        if len(rows.blocks) > 1 or any(rows.keys[0][1:]):
-            of_row = [rows.keys[k] for k in rows.block_of.tolist()]
-            for column in BlockKey._fields:
-                found[column] = [getattr(key, column) for key in of_row]
+        of_row = [rows.keys[k] for k in rows.block_of.tolist()]
+        for column in BlockKey._fields:
+            found[column] = [getattr(key, column) for key in of_row]
         add((f"joint.{joint}" for joint in rows.joints), rows.q)
         width = max(block.values.shape[1] for block in rows.blocks)
         start, values, stated = (

@@ -49,7 +49,6 @@ from calib_pin.validation.held_out import cross_validate
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.result import (
     Candidate,
-    MeanError,
     ModelSelection,
 )
 from calib_pin.validation.splits import Grouping, folds, regions
@@ -257,7 +256,7 @@ class _Candidates:
         judged = replace(
             candidate,
             rank=model.fit.rank,
-            errors=tuple(MeanError(e.name, e.unit, e.mean) for e in errors[0].errors),
+            errors=errors[0].errors,
             score=errors[0].score,
             deviation=errors[0].deviation,
             away=errors[1] if away else None,

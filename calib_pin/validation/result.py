@@ -65,14 +65,6 @@ class NamedArray(np.ndarray):
         self.rows, self.columns = (), ()
 
 
-class MeanError(NamedTuple):
-    """Mean error of one quantity of held-out measurements, in its unit."""
-
-    name: str
-    unit: str
-    mean: float
-
-
 class QuantityError(NamedTuple):
     """Errors of one quantity of held-out measurements, in its unit."""
 
@@ -106,7 +98,7 @@ class Candidate:
         parameters: Names of its parameterizations.
         learned: Its residual model, None for none.
         rank: Practical rank of its fit; 0 where it could not be tried.
-        errors: Mean error on held-out measurements of every quantity.
+        errors: Errors on held-out measurements of every quantity.
         score: Mean error on held-out measurements, root mean square of the components
             in standard deviations; NaN where it could not be tried.
         deviation: Standard error of the score.
@@ -123,7 +115,7 @@ class Candidate:
     parameters: tuple[str, ...]
     learned: str | None
     rank: int = 0
-    errors: tuple[MeanError, ...] = field(default=(), metadata={"by": "name"})
+    errors: tuple[QuantityError, ...] = field(default=(), metadata={"by": "name"})
     score: float = float("nan")
     deviation: float = float("nan")
     helps: bool = False
@@ -263,12 +255,14 @@ class Provenance:
         hashes: SHA-256 of the measurement files; of a pipe there is none.
     """
 
-    command: tuple[str, ...] = ()
-    created: str = ""
-    seconds: float = math.nan
-    versions: Mapping[str, str] = field(default_factory=dict)
-    file: str = ""
-    hashes: tuple[str, ...] = ()
+    command: tuple[str, ...] = field(default=(), metadata={"key": "provenance.command"})
+    created: str = field(default="", metadata={"key": "provenance.created"})
+    seconds: float = field(default=math.nan, metadata={"key": "solver.seconds"})
+    versions: Mapping[str, str] = field(
+        default_factory=dict, metadata={"key": "provenance"}
+    )
+    file: str = field(default="", metadata={"key": None})
+    hashes: tuple[str, ...] = field(default=(), metadata={"key": None})
 
 
 @dataclass(frozen=True)
@@ -498,7 +492,9 @@ class Breakdown:
             measurements leave open; of a frame along its own axes.
     """
 
-    accuracies: Mapping[str, ToolAccuracy] = field(default_factory=dict)
+    accuracies: Mapping[str, ToolAccuracy] = field(
+        default_factory=dict, metadata={"key": "predicted"}
+    )
     stations: tuple[FrameSummary, ...] = ()
     tools: tuple[FrameSummary, ...] = ()
     chains: tuple[ChainSummary, ...] = ()
@@ -712,9 +708,13 @@ class Identification(Printed):
     """
 
     parameters: tuple[ParameterEstimate, ...]
-    groups: tuple[CoupledGroup, ...]
+    groups: tuple[CoupledGroup, ...] = field(
+        metadata={"key": "identifiability.coupled"}
+    )
     identifiability: Identifiability
-    robot_errors: tuple[RobotError, ...] = field(default=(), kw_only=True)
+    robot_errors: tuple[RobotError, ...] = field(
+        default=(), kw_only=True, metadata={"key": "identifiability.robot_errors"}
+    )
 
 
 @dataclass(frozen=True)
@@ -728,8 +728,8 @@ class UrdfResult:
         reason: Why there must be no URDF; empty where it is good.
     """
 
-    model: CalibratedModel | None
-    errors: tuple[QuantityErrors, ...]
+    model: CalibratedModel | None = field(metadata={"key": None})
+    errors: tuple[QuantityErrors, ...] = field(metadata={"by": "name"})
     reason: str
 
 
@@ -746,17 +746,18 @@ class Prediction(NamedTuple):
     covariance: Floats
 
 
+@dataclass(frozen=True, repr=False)
 class Tables(Identification, Breakdown):
-    """A result as arrays with names and as tables."""
+    """A result as arrays with names and as tables, see `CalibrationResult`."""
 
-    model: CalibratedModel
-    reference: CalibratedModel
+    model: CalibratedModel = field(metadata={"key": None})
+    reference: CalibratedModel = field(metadata={"key": None})
+    verdict: str = field(metadata={"key": "verdict.status"})
+    reason: str = field(metadata={"key": "verdict.reason"})
+    errors: tuple[QuantityErrors, ...] = field(metadata={"by": "name"})
     covariance: NamedArray
-    verdict: str
-    reason: str
-    errors: tuple[QuantityErrors, ...]
-    fitted: MeasurementErrors
-    held_out: MeasurementErrors | None
+    fitted: MeasurementErrors = field(metadata={"key": None})
+    held_out: MeasurementErrors | None = field(metadata={"key": None})
 
     @property
     def residuals(self) -> NamedArray:
@@ -894,24 +895,18 @@ class CalibrationResult(Tables):
         recalibration: How it went on from an older calibration; None where it did not.
     """
 
-    model: CalibratedModel
-    reference: CalibratedModel
-    verdict: str
-    reason: str
-    errors: tuple[QuantityErrors, ...]
     validation: Validation
     solver: SolverSummary
     statistics: Statistics
-    covariance: NamedArray = field(repr=False)
-    fitted: MeasurementErrors = field(repr=False)
-    held_out: MeasurementErrors | None = field(repr=False)
-    files: tuple[str, ...] = ()
-    model_selection: ModelSelection | None = None
+    files: tuple[str, ...] = field(default=(), metadata={"key": None})
+    model_selection: ModelSelection | None = field(
+        default=None, metadata={"key": "model_ladder"}
+    )
     urdf: UrdfResult | None = None
-    rejected: str = ""
+    rejected: str = field(default="", metadata={"key": "rejected_residual_model"})
     distances: tuple[FoundDistance, ...] = ()
     findings: tuple[Finding, ...] = ()
-    provenance: Provenance = field(default_factory=Provenance)
+    provenance: Provenance = field(default_factory=Provenance, metadata={"key": ""})
     recalibration: Recalibration | None = None
 
     @property
@@ -948,9 +943,9 @@ class Evaluation(Printed):
     errors: tuple[tuple[str, str, Accuracy], ...]
     rows: int
     registered: bool
-    verdict: str = "good"
-    reason: str = ""
-    outside: int = 0
-    located: tuple[str, ...] = ()
+    verdict: str = field(default="good", metadata={"key": "verdict.status"})
+    reason: str = field(default="", metadata={"key": "verdict.reason"})
+    outside: int = field(default=0, metadata={"key": "outside_trained_region"})
+    located: tuple[str, ...] = field(default=(), metadata={"key": "placed"})
     counts: tuple[int, ...] = ()
     findings: tuple[Finding, ...] = ()

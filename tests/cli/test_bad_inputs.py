@@ -169,10 +169,10 @@ CASES: dict[str, Case] = {
         dict(file="bad.yaml", line=1),
     ),
     # calibrations
-    "later version": (
+    "earlier version": (
         EVALUATE,
-        {"done/calibration.json": stored("version", to=2)},
-        dict(file="done/calibration.json", value=2, allowed="1"),
+        {"done/calibration.json": stored("version", to=1)},
+        dict(file="done/calibration.json", value=1, allowed="2"),
     ),
     "another robot": (
         EVALUATE,

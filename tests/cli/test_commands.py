@@ -174,7 +174,7 @@ def test_what_is_written(command, quantities, here, run):
     check_form(found, CONTRACT)
     assert list(found)[:5] == ["format", "version", "verdict", "findings", "robot"]
     assert found["format"] == "calib-pin/calibration"
-    assert found["version"] == 1
+    assert found["version"] == 2
     assert found["verdict"]["status"] == "good"
     assert result.out.startswith("GOOD: ")
     assert list(found["errors"]) == quantities
@@ -448,10 +448,9 @@ def test_a_model_ladder(here, run, monkeypatch):
     assert found["setup"]["parameters"] == ["joint-offset"]
     validation = found["errors"]["position"]["validation"]
     assert validation["method"] == "5-fold"
-    assert ladder["rungs"][0]["errors"]["position"] == {
-        "unit": "m",
-        "mean": validation["after"]["mean"],
-    }
+    size = validation["after"]
+    expected = {"unit": "m", "mean": size["mean"], "rms": size["rms"]}
+    assert ladder["rungs"][0]["errors"]["position"] == expected
     # The calibration is that of the kept rung.
     assert run("evaluate out/calibration.json new.csv").status == 0
     plain = document("done")

@@ -100,7 +100,7 @@ def test_wrong_words(words, named, here, fails):
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        (lambda d: d.update(version=2), "2"),
+        (lambda d: d.update(version=1), "calibrate again"),
         (lambda d: d["parameters"][0].update(sigma="1 mm"), "'1 mm'"),
         (lambda d: d["robot"].update(tip="link4"), "compared"),
         (lambda d: d.pop("identifiability"), "'identifiability'"),

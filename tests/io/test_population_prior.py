@@ -57,10 +57,6 @@ def test_a_result_holds_it() -> None:
     assert setup_of(document) == Setup(prior=PRIOR, tip="x")
 
 
-def without(key: str) -> dict[str, Any]:
-    return {k: v for k, v in prior_document(PRIOR).items() if k != key}
-
-
 def changed(**values: Any) -> dict[str, Any]:
     return {**prior_document(PRIOR), **values}
 
@@ -69,7 +65,7 @@ TWICE = [prior_document(PRIOR)["parameters"][0]] * 2
 BAD = [
     {"format": "calib-pin/plan"},
     changed(version=2),
-    without("covariance"),
+    {k: v for k, v in changed().items() if k != "covariance"},
     changed(covariance=[[1.0]]),
     changed(covariance=[[1e-7, 2e-8], [3e-8, 4e-8]]),
     changed(covariance=[[1e-7, 1e-7], [1e-7, 4e-8]]),

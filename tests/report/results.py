@@ -30,8 +30,8 @@ from calib_pin.setup import (
 from calib_pin.validation.result import (
     CalibrationResult,
     Candidate,
-    MeanError,
     ModelSelection,
+    QuantityError,
     Validation,
 )
 
@@ -67,7 +67,7 @@ SEEN = Setup(
 """A camera that stands still looks at a board of four marks."""
 
 
-SIZES = [(MeanError("position", "m", size),) for size in (2e-3, 1e-4)]
+SIZES = [(QuantityError("position", "m", size, size),) for size in (2e-3, 1e-4)]
 LADDER = ModelSelection(
     "geometric",
     "near",

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.estimation.evidence import PoseErrors
 from calib_pin.report.comparison import comparison_report
 from calib_pin.report.tables import significant
 from calib_pin.report.terminal import plain_text
@@ -56,10 +57,8 @@ def second(found: Comparison, **changes: Any) -> Comparison:
     if "size" in changes:
         changes["tip"] = None
         if (size := changes.pop("size")) is not None:
-            known = {"position": np.full(1, size), "orientation": np.full(1, size)}
-            changes["tip"] = replace(
-                result.accuracy.tip, of_robot=(size, size), **known
-            )
+            sizes = PoseErrors(size, size)
+            changes["tip"] = replace(result.accuracy.tip, of_robot=sizes, rms=sizes)
     return replace(found, second=changed(result, **changes))
 
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib_pin.cli.results import Run, result_contents, result_files
+from calib_pin.cli.results import result_contents, result_files
 from calib_pin.io.measurement_errors import decode_errors, encode_errors
-from calib_pin.io.results import read_suggestions, read_written
+from calib_pin.io.results import provenance, read_suggestions, read_written
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.figures import Drawn, calibration_figures
 from calib_pin.report.figures.cumulative import cumulative_errors
@@ -44,7 +44,7 @@ def test_page_and_figures_from_files_are_the_same_bytes(
 
     drawn = figures(result)
     files = result_files(tmp_path / "out", model.chains.robot.name)
-    run = Run(("calib-pin", "calibrate", "a b.csv"), 1.25)
+    run = provenance(("calib-pin", "calibrate", "a b.csv"), 1.25)
     for path, data in result_contents(result, files, run, drawn, {}, better).items():
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(data)

@@ -151,7 +151,7 @@ def _errors(rung: Candidate) -> str:
     if rung.reason:
         return "not tried"
     parts = []
-    for _, unit, mean in rung.errors:
+    for _, unit, mean, _ in rung.errors:
         shown, factor = unit_of(unit)
         parts.append(f"{number(factor * mean)} {shown}")
     return ", ".join(parts)

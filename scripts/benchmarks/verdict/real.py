@@ -171,7 +171,7 @@ def blocks() -> Iterator[Line]:
         result = calib_pin.calibrate(chain, rows.rows(~held), ladder=True)
         assert result.model_selection is not None
         rung = result.model_selection.candidates[result.model_selection.chosen]
-        promised.append(next(e for name, _, e in rung.errors if name == "position"))
+        promised.append(next(e.mean for e in rung.errors if e.name == "position"))
         ((_, _, accuracy),) = calib_pin.evaluate(result.model, rows.rows(held)).errors
         found.append(accuracy.mean)
     ratio = float(np.mean(found) / np.mean(promised))

@@ -37,7 +37,7 @@ def test_tip_errors_are_in_millimeters(calibrated, draw):
     assert np.asarray(own.get_xdata()).tolist() == [40]
     ticks = [label.get_text() for label in axes.get_yticklabels()]
     assert "0.1" in ticks and not any("10" in tick for tick in ticks)
-    last = replace(tip, by_count=FoundCurve((counts[-1:], errors[-1:])))
+    last = replace(tip, by_count=FoundCurve(counts[-1:], errors[-1:]))
     assert tip_by_count(changed(calibrated, tip=last)) is None
 
 
@@ -68,7 +68,7 @@ def test_rungs_have_their_score_and_its_deviation(calibrated, draw):
 
 
 def test_rungs_alike_have_a_linear_axis(calibrated, draw):
-    rung = Candidate("a\nname", (), None, 7, (("x", "m", 1e-3),), 0.0, 0.0)
+    rung = Candidate("a\nname", (), None, 7, (("x", "m", 1e-3, 1e-3),), 0.0, 0.0)
     selection = ModelSelection(rung.name, "near", {}, (rung,))
     drawn = draw(model_ladder, replace(calibrated, model_selection=selection))
     (axes,) = drawn.figure.axes

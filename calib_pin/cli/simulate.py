@@ -127,11 +127,11 @@ def simulate(
 
     from calib_pin.estimation.formulation import nominal_problem
     from calib_pin.io.calibrated_model import encode_urdf
-    from calib_pin.io.condition_columns import read_held
     from calib_pin.io.files import write_files
     from calib_pin.io.measurements import (
         encode_measurements,
         read_configurations,
+        read_held,
         read_names,
     )
     from calib_pin.io.setup import read_true_errors

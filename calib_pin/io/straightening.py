@@ -14,7 +14,8 @@ stay where they are.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -69,15 +70,13 @@ def straightened(robot: Robot) -> Robot:
     if not slides:
         return robot
     origins = (document.origin(joints[name]).translation for name in slides)
-    names = enumerated(f"'{name}'" for name in slides)
-    source = move_origins(document, _moved(document, slides))
     remark = (
         f"offsets of up to {max(map(np.linalg.norm, origins)):.3g} m along parallel "
         "axes cancel: straightened, by moving the frames of joints "
-        f"{names} along their axes; the forward kinematics are the same, and the "
-        "corrected URDF has these frames"
+        f"{enumerated(map(repr, slides))} along their axes; the forward kinematics are "
+        "the same, and the corrected URDF has these frames"
     )
-    found = parse_robot(source, robot.file)
+    found = parse_robot(move_origins(document, _moved(document, slides)), robot.file)
     return replace(found, remarks=(*robot.remarks, remark))
 
 
@@ -91,63 +90,51 @@ def straight_source(source: bytes) -> bytes:
 
 def _slides(document: Document) -> dict[str, Floats]:
     """The slide of each joint that is to be moved, in its own frame, shape (3,) [m]."""
-    joints, axes = document.named("joint"), dict[str, Floats]()
-    for name, joint in joints.items():
-        if joint.attributes["type"] in TURNING:
-            axis = document.axis(joint)
-            axes[name] = np.asarray(axis / np.linalg.norm(axis))
-    places = {name: document.origin(joints[name]) for name in axes}
+    every = document.named("joint").items()
+    joints = {name: j for name, j in every if j.attributes["type"] in TURNING}
+    places = {name: document.origin(joint) for name, joint in joints.items()}
+    axes = {name: document.axis(joint) for name, joint in joints.items()}
+    axes = {name: np.asarray(a / np.linalg.norm(a)) for name, a in axes.items()}
     above = {joint.link("child"): name for name, joint in joints.items()}
-    behind: dict[str, list[str]] = {}
-    for name, axis in axes.items():
-        parent = above.get(joints[name].link("parent"), "")
-        if parent in axes:
-            sine = np.cross(places[name].rotation @ axis, axes[parent])
+    behind = defaultdict[str, list[str]](list)
+    for name, joint in joints.items():
+        if parent := above.get(joint.link("parent")):
+            sine = np.cross(places[name].rotation @ axes[name], axes[parent])
             if np.linalg.norm(sine) < PARALLEL:
-                behind.setdefault(parent, []).append(name)
-    found: dict[str, Floats] = {}
+                behind[parent].append(name)
+    found = dict[str, Floats]()
     for first in behind.keys() - {name for names in behind.values() for name in names}:
-        found |= _group(first, behind, axes, places)
+        # From the first joint on parallel axes on, with how far its frame has moved.
+        slides, pending, worst, way = {}, [(first, np.zeros(3))], 0.0, 0.0
+        while pending:
+            name, carried = pending.pop()
+            axis = places[name].rotation @ axes[name]
+            worst = max(worst, abs(places[name].translation @ axis))
+            offset = places[name].translation - carried
+            if name in behind:
+                slides[name] = -(offset @ axis) * axes[name]
+                offset = offset - (offset @ axis) * axis
+                pending += [(other, slides[name]) for other in behind[name]]
+            way += float(np.linalg.norm(offset))
+        found |= slides if worst > max(LEAST, TIMES * way) else {}
     return {name: found[name] for name in joints if name in found}
-
-
-def _group(
-    first: str,
-    behind: Mapping[str, list[str]],
-    axes: Mapping[str, Floats],
-    places: Mapping[str, pin.SE3],
-) -> dict[str, Floats]:
-    """Slides of joints on parallel axes, from the first on; none if all is well."""
-    slides: dict[str, Floats] = {}
-    pending, worst, way = [(first, np.zeros(3))], 0.0, 0.0
-    while pending:
-        name, carried = pending.pop()
-        axis, place = axes[name], places[name]
-        worst = max(worst, abs(place.rotation.T @ place.translation @ axis))
-        offset = place.translation - carried
-        if name in behind:
-            slides[name] = -(place.rotation.T @ offset @ axis) * axis
-            offset = offset + place.rotation @ slides[name]
-            pending += [(other, slides[name]) for other in behind[name]]
-        way += float(np.linalg.norm(offset))
-    return slides if worst > max(LEAST, TIMES * way) else {}
 
 
 def _moved(
     document: Document, slides: Mapping[str, Floats]
-) -> list[tuple[Element, pin.SE3]]:
+) -> Iterator[tuple[Element, pin.SE3]]:
     """Corrections of origins, each multiplied from the right."""
-    moved: list[tuple[Element, Floats]] = []
     joints, still = document.named("joint"), np.zeros(3)
     links = {joints[name].link("child"): slide for name, slide in slides.items()}
     for name, joint in joints.items():
-        own, carried = slides.get(name, still), links.get(joint.link("parent"), still)
-        moved.append((joint, own - document.origin(joint).rotation.T @ carried))
-    for name, link in document.named("link").items():
-        slide = links.get(name, still)
-        for part in (p for kind in INSIDE for p in link.all(kind)):
+        carried = links.get(joint.link("parent"), still)
+        turned = document.origin(joint).rotation.T @ carried
+        yield joint, pin.SE3(np.eye(3), slides.get(name, still) - turned)
+    for name, slide in links.items():
+        link = document.named("link")[name]
+        for part in (part for kind in INSIDE for part in link.all(kind)):
             old = document.origin(part)
-            stays = np.linalg.norm(old.translation - slide)
-            if stays < np.linalg.norm(old.translation):
-                moved.append((part, -old.rotation.T @ slide))
-    return [(element, pin.SE3(np.eye(3), shift)) for element, shift in moved]
+            if np.linalg.norm(old.translation - slide) < np.linalg.norm(
+                old.translation
+            ):
+                yield part, pin.SE3(np.eye(3), -old.rotation.T @ slide)

@@ -10,20 +10,15 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import InputError
-from calib_pin.io import cells as cells_module
-from calib_pin.io.cells import Cells, read_cells
-from calib_pin.io.columns import Column
+from calib_pin.io import table as cells_module
+from calib_pin.io.table import Cells, read_cells
 
 LINES = ["# p\xe4th", "a,b", "", "1,\xe4", '" x ","#"', "  ", " # c", "2,"]
 KEPT = [(4, ("1", "\xe4")), (5, (" x ", "#")), (8, ("2", ""))]
 
 
-def columns_of(found: Cells) -> list[Column]:
-    return [c.grown(n) for n, c in zip(found.header, found.columns, strict=True)]
-
-
 def rows_of(found: Cells) -> list[tuple[str, ...]]:
-    texts = [column.texts() for column in columns_of(found)]
+    texts = [column.texts() for column in found.columns()]
     return [*zip(*texts, strict=True)]
 
 
@@ -36,7 +31,7 @@ def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
     progress: list[float] = []
     data = (end.join(LINES) + end * last).encode(code)
     found = read_cells(data, "a.csv", progress.append)
-    assert (found.header, found.header_line) == (("a", "b"), 2)
+    assert (tuple(found.heading.names), found.heading.line) == (("a", "b"), 2)
     assert [*zip(found.lines, rows_of(found), strict=True)] == KEPT
     assert len(found.remarks) == (code == "latin-1")
     assert progress == sorted(progress) and progress[-1] == 1.0
@@ -65,8 +60,10 @@ def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
 )
 def test_headers(text, header, line, rows):
     found = read_cells(text.encode(), "a.csv")
-    assert list(found.header) == (header.split() if "," in text + ";" else [header])
-    assert found.header_line == line
+    assert list(found.heading.names) == (
+        header.split() if "," in text + ";" else [header]
+    )
+    assert found.heading.line == line
     assert not found.remarks
     assert rows is None or rows_of(found) == rows
 
@@ -75,7 +72,7 @@ def test_headers(text, header, line, rows):
 def test_blanks_separate_where_nothing_else_does(sign):
     data = f"{sign}a b [mm]  c\n1.5 2  3\n4.5 x 6\n".encode()
     found = read_cells(data, "a.csv")
-    assert found.header == ("a", "b [mm]", "c")
+    assert tuple(found.heading.names) == ("a", "b [mm]", "c")
     assert rows_of(found) == [("1.5", "2", "3"), ("4.5", "x", "6")]
 
 

@@ -7,7 +7,8 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 
-from calib_pin.io.columns import read_numbers, split_header
+from calib_pin.io.columns import split_header
+from calib_pin.io.table import read_numbers
 
 
 def halfway(values: np.ndarray) -> list[str]:

@@ -132,7 +132,7 @@ def test_sockets_of_a_station_are_those_of_all_tools_and_chains(write, tree, ref
     text = "torso,left,right,slide,chain,station,tool,target\n"
     text += "0,0,,,left_hand,a,t,s\n0,,0.5,0,,a,u,s\n"
     assert len(read_measurements(write(text), tree, model="fixed-point").blocks) == 2
-    with refused(InputError, line=2, value="s"):
+    with refused(InputError, line=2, reason="'s'"):
         read_measurements(
             write(text.replace(",a,u", ",b,u")), tree, model="fixed-point"
         )

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from calib_pin.errors import CalibPinError, InputError, OptionError, OutputError
-from calib_pin.io.measured_columns import components as components_of
 from calib_pin.io.measurements import (
     read_configurations,
     read_measurements,
@@ -577,13 +576,13 @@ REFUSED = [
     (f"# c\n{J},distance\n# c\n", None, None, None),
     (b"lift\x00,elbow\n0,0\n", None, None, None),
     ("# c\nlift;elbow;wrist;distance\n0,1;2;3;4,5\n0;2;3;1.5\n", 4, "distance", "1.5"),
-    ("lift;elbow;wrist;x\n0,1;2;3,4\n", 2, "x", None),
+    ("lift;elbow;wrist;x\n0,1;2;3,4\n", 2, None, None, "3 cells for 4"),
     ("lift elbow [deg] wrist\n0 0 0\n", 1, None, None, "no measured columns"),
     ("0.1,0.2,0.3,1\n0,0,0,1\n", 1, None, None, "header"),
     # Rows that do not fit.
-    (f"{R}\n0,0,0\n", 4, "distance", None),
-    (f"{R}0,0,0,1,abc\n", 3, None, "abc"),
-    (f"{J},distance\n0,0,0,0,0,0,1,5\n", 2, None, "0", "decimal"),
+    (f"{R}\n0,0,0\n", 4, None, None, "3 cells for 4"),
+    (f"{R}0,0,0,1,abc\n", 3, None, None, "5 cells for 4"),
+    (f"{J},distance\n0,0,0,0,0,0,1,5\n", 2, None, None, "decimal"),
     (f'{J},distance\n0,0,0,"1\n0,0,0,1\n', 2, None, None),
     (f'{J},distance,target\n0,0,0,1,"a"b\n', 2, None, None),
     # Cells that are not numbers.
@@ -620,10 +619,10 @@ REFUSED = [
     (f"{J},rx,ry,rz\n0,0,0,0,0,0\n", 1, "x", None, "'pose'"),
     (f"{J},x,y,z,qx,qy,qz\n0,0,0,1,2,3,0,0,0\n", 1, "qw", None),
     (f"{J},x,y,z,yaw\n0,0,0,1,2,3,0\n", 1, "roll", None),
-    (f"{VECTOR},yaw\n0,0,0,1,2,3,0,0,0,0\n", 1, "yaw", None, "rx"),
+    (f"{VECTOR},yaw\n0,0,0,1,2,3,0,0,0,0\n", 1, "yaw", None, "rz and yaw"),
     # Quaternions.
     *(
-        (f"{QUATERNION}{cells}\n", 3, "qx, qy, qz, qw", cells.replace(",", ", "))
+        (f"{QUATERNION}{cells}\n", 3, "qw", cells.split(",")[-1], "norm")
         for cells in ("0,0,1,1", "0,0,0,0", "0,0,0,1.011", "0,0,0,-0.989")
     ),
     # Sigmas.
@@ -677,12 +676,12 @@ REFUSED_BY_MODEL = [
     ("fixed-point", "n\n0,0,0,1\n", 1, "target", None),
     ("camera", "u,v,target\n0,0,0,1,2,m\n0,0,0,1,2,\n", 3, "target", ""),
     ("fixed-point", "target\n0,0,0,a\n0.1,0,0,ball@\n", 3, "target", "ball@"),
-    ("plane-contact", "target\n0,0,0,wall\n0.1,0,0,ball@\n", 3, "target", "ball@"),
-    ("sphere-contact", "target\n0,0,0,a\n0,0,0,\n", 3, "target", ""),
-    ("point-distance", "distance,target\n0,0,0,1,\n0,0,0,1,a\n", 2, "target", ""),
+    ("plane-contact", "target\n0,0,0,wall\n0.1,0,0,ball@\n", 3, "target", None),
+    ("sphere-contact", "target\n0,0,0,a\n0,0,0,\n", 3, "target", None),
+    ("point-distance", "distance,target\n0,0,0,1,\n0,0,0,1,a\n", 2, "target", None),
     # A ball that is in a socket once tells nothing.
-    ("fixed-point", "target\n0,0,0,a\n0,0,0,b\n0.1,0,0,a\n", 3, "target", "b"),
-    ("fixed-point", "target\n0,0,0,x@a\n1e-9,0,0,y@a\n", 2, "target", "x@a"),
+    ("fixed-point", "target\n0,0,0,a\n0,0,0,b\n0.1,0,0,a\n", 3, "target", None, "'b'"),
+    ("fixed-point", "target\n0,0,0,x@a\n1e-9,0,0,y@a\n", 2, "target", None, "'a'"),
     # Numbers that cannot be.
     ("camera", "u,v,target\n0,0,0,1,-2e5,m\n", 2, "v", "-2e5"),
     ("camera", "u [m],v,target\n0,0,0,1,1,m\n", 1, "u", None, "'m'"),
@@ -869,16 +868,10 @@ def test_missing_file(tmp_path, chain, refused):
 def test_every_measurement_model_has_a_file_format():
     setup = Setup(camera=CameraSetup("hand", (500.0, 500.0), (320.0, 240.0)))
     for name in MEASUREMENT_MODELS:
-        components = components_of(name)
-        assert tuple(components) == declared(name).components
-        model = measurement_model(name, setup)
-        units = {}
+        units, model = declared(name).units, measurement_model(name, setup)
+        assert tuple(units) == declared(name).components
         for quantity in model.quantities:
-            indices = range(*quantity.columns.indices(len(components)))
-            units.update(dict.fromkeys(indices, quantity.unit))
-        assert [kind.si for kind in components.values()] == [
-            units[i] for i in range(len(components))
-        ]
+            assert {*list(units.values())[quantity.columns]} == {quantity.unit}
         assert model.width == len(declared(name).values)
 
 
@@ -1223,7 +1216,7 @@ def test_sockets_count_over_all_files(write, chain, refused):
         for name, row in (("a", "0,0,0,s,train"), ("b", "0.1,0,0,s,validate"))
     ]
     assert len(read(files, chain, model="fixed-point")) == 2
-    with refused(InputError, file=str(files[1]), line=2, value="s"):
+    with refused(InputError, file=str(files[1]), line=2, reason="'s'"):
         read(files[1], chain, model="fixed-point")
     data = read(files[1], chain, model="fixed-point", sockets=["s"])
     assert len(data) == 1

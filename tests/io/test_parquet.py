@@ -105,7 +105,7 @@ def test_cells_of_every_type(write: Write) -> None:
         assert list(every[name]) == texts
         assert list(few[name]) == [texts[3], texts[1]]
         column = found.columns[name]
-        assert column.blank().tolist() == [not text for text in texts]
+        assert column.missing().tolist() == [not text for text in texts]
         numbers = [as_number(text) for text in texts]
         expected = [np.nan if number is None else number for number in numbers]
         np.testing.assert_array_equal(column.numbers, expected)

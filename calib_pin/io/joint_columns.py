@@ -93,59 +93,50 @@ def read_positions(
         InputError: If a column is missing, its values cannot be in their unit, or a
             joint is not where the one that it mimics takes it.
     """
-    chains, count = Chains.of(chain), len(table.lines)
-    needed = {name: drives_of(chains[name]) for name in chains.names}
-    if chain_of is None:
-        every = [joint for names in needed.values() for joint in names]
-        needed, chain_of = {"": every}, Labels.all("", count)
-    own = [j for j in columns.joints if any(j in names for names in needed.values())]
-    lacking = [joint for joint in own if columns.maps[joint][0] not in table]
+    chains, own = Chains.of(chain), zip(columns.joints, columns.names, strict=True)
+    lacking = [joint for joint, name in own if joint and name not in table]
     table.require(
-        [name for joint in own for name in kinds_of(columns, joint)],
+        columns.names,
         "no joint column",
         table.columns.keys() - {*columns.names, *reserved(), *chains.robot.model.names},
         (lacking and advice(chains[chains.names[0]], lacking)) or ELSEWHERE,
     )
-    q, stated = np.zeros((count, len(chains.joints))), {}
+    q, stated = np.zeros((len(table.lines), len(chains.joints))), {}
     for i, joint in enumerate(chains.joints):
-        kinds = kinds_of(columns, joint)
-        if kinds.keys() <= table.columns.keys():
-            needs = np.array([joint in needed[name] for name in chain_of.names])
-            blank = [table.columns[name].missing() for name in kinds]
-            rows = needs[chain_of.codes] | ~np.any(blank, axis=0)
+        names = kinds_of(columns, joint).keys()
+        if names <= table.columns.keys():
+            rows = np.ones(len(q), bool)
+            if chain_of is not None:
+                needs = [joint in drives_of(chains[name]) for name in chain_of.names]
+                blank = [table.columns[name].missing() for name in names]
+                rows = np.array(needs)[chain_of.codes] | ~np.any(blank, axis=0)
             stated[joint] = rows
-            index = slice(None) if rows.all() else np.flatnonzero(rows)
-            limits = float(chains.lower[i]), float(chains.upper[i])
-            some = table.rows(index, table.columns)
-            q[index, i] = _positions(some, columns, joint, limits) if rows.any() else 0
+            some = slice(None) if rows.all() else np.flatnonzero(rows)
+            if rows.any():
+                part = table.rows(some, table.columns)
+                q[some, i] = _positions(part, chains, columns, i)
     followed = chains.follow(q)
     for joint in chains.mimics.keys() & stated.keys():
         i, leader = chains.joints.index(joint), chains.mimics[joint].leader
-        apart = abs(followed - q)[:, i]
+        apart, unit = abs(followed - q)[:, i], "rad" if chains.revolute[i] else "m"
         if chains.revolute[i]:  # A controller may report it within one turn.
             apart = abs(apart - 2.0 * np.pi * np.round(apart / (2.0 * np.pi)))
         # One that leads nothing may lack.
         far = stated[joint] & stated.get(leader, True) & (apart > MIMICRY)
-        place = (
-            f"{followed[np.argmax(far), i]:.6g} {'rad' if chains.revolute[i] else 'm'}"
-        )
-        table.refuse(
-            far,
-            f"joint '{joint}' mimics '{leader}', which puts it at {place}",
-            columns.maps[joint][0],
-            f"{MIMICRY:g} away from there or less; the column may be left out",
-        )
+        place = f"{followed[np.argmax(far), i]:.6g} {unit}"
+        reason = f"joint '{joint}' mimics '{leader}', which puts it at {place}"
+        allowed = f"less than {MIMICRY:g} {unit} away; the column may be left out"
+        table.refuse(far, reason, columns.maps[joint][0], allowed)
     return followed[:, : len(chain.joints)]
 
 
-def _positions(
-    table: Table, columns: JointColumns, joint: str, limits: tuple[float, float]
-) -> Floats:
+def _positions(table: Table, chains: Chains, columns: JointColumns, i: int) -> Floats:
     """Positions of one joint, shape (N,) [rad, m].
 
     Raises:
         InputError: If they can only be degrees or millimeters.
     """
+    joint, lower, upper = chains.joints[i], chains.lower[i], chains.upper[i]
     kinds, (column, given) = kinds_of(columns, joint), columns.maps[joint]
     parts = {name: table.numbers(name, kind) for name, kind in kinds.items()}
     q, kind, why = parts[column], kinds[column], ""
@@ -154,18 +145,16 @@ def _positions(
         with np.errstate(over="ignore", invalid="ignore"):
             q = q + sum(factor * parts[name] for name, factor in given.coupled.items())
             q = given.sign * given.gear * q + given.offset
-        offset = f"{given.offset:g} {kind.si}"
-        why = f"as mapped to joint '{joint}' with an offset of {offset}"
-    lower, upper = limits
-    largest, free = (LONGEST_TRAVEL, FREE_TRAVEL)
+        why = f"as mapped to joint '{joint}', offset {given.offset:g} {kind.si}"
+    most, free = LONGEST_TRAVEL, FREE_TRAVEL
     if kind is ANGLE:
-        largest, free = kind.largest, np.pi
+        most, free = kind.largest, np.pi
     # A turntable may be allowed more turns than any threshold would guess.
-    largest = max(largest, 2.0 * abs(lower), 2.0 * abs(upper))
-    table.check(column, q, replace(kind, largest=largest), why)
+    most = max(most, 2.0 * abs(lower), 2.0 * abs(upper))
+    table.check(column, q, replace(kind, largest=most), why)
     unit = table.columns[column].unit or kind.si
     # The chain gives free limits to joints without any, which may go further.
-    if limits != (-free, free) and unit in kind.smaller:
+    if (lower, upper) != (-free, free) and unit in kind.smaller:
         excess = np.maximum(lower - q, q - upper)
         ratio = kind.units[kind.smaller[unit]] / kind.units[unit]
         if lower <= ratio * q[np.argmax(excess)] <= upper:

@@ -357,9 +357,8 @@ class _Reader:
         of_sigma, sigma = measured_columns.read_sigma(table, key.model)
         sets = table.labels("set", "train")
         validate = sets.where("validate")
-        if "set" in table:
-            other = ~(validate | sets.where("train"))
-            table.refuse(other, "unknown set", "set", "train, validate")
+        other = ~(validate | sets.where("train"))
+        table.refuse(other, "unknown set", "set", "train, validate")
         ways = (way for way, columns in STATED.items() if {*columns} <= {*read})
         part = Measurements(
             joints=chains.joints,
@@ -594,22 +593,9 @@ def write_measurements(
         ...     file.read_text().split()[-2:]
         ['lift,distance', '0.25,1.5']
     """
-    data = encode_measurements(measurements, comments, progress)
+    columns = dict(measurement_columns(measurements))
+    data = encode_table(columns, comments, progress)
     write_atomically(Path(path), data, force=force)
-
-
-def encode_measurements(
-    measurements: Measurements | Observations,
-    comments: Sequence[str] = (),
-    progress: Progress | None = None,
-) -> bytes:
-    """The file that `write_measurements` writes.
-
-    Raises:
-        OptionError: If there is no such measurement model.
-        OutputError: If a name or a relative distance would not read back.
-    """
-    return encode_table(dict(measurement_columns(measurements)), comments, progress)
 
 
 def encode_table(
@@ -624,23 +610,21 @@ def encode_table(
         comments: Lines for the head of the file.
         progress: Told the part that is done, 0 to 1.
     """
-    data, text = io.BytesIO(), io.StringIO(newline="")
+    data = io.BytesIO()
+    text = io.TextIOWrapper(data, "utf-8", newline="")
     for comment in comments:
         for line in comment.splitlines() or [""]:
             text.write(f"# {line}".rstrip() + "\n")
     # The csv module writes floats by repr, which loses nothing.
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
-    count = max(map(len, columns.values()), default=0)
-    for start in range(0, count, LINES):
-        parts = [column[start : start + LINES] for column in columns.values()]
+    rows = max(map(len, columns.values()), default=0)
+    for start in range(0, rows, LINES):
+        parts = (column[start : start + LINES] for column in columns.values())
         # numpy's own numbers would be written slowly.
-        cells = [p.tolist() if isinstance(p, np.ndarray) else p for p in parts]
+        cells = (p.tolist() if isinstance(p, np.ndarray) else p for p in parts)
         writer.writerows(zip(*cells, strict=True))
-        data.write(text.getvalue().encode())
-        text.seek(0)
-        text.truncate()
         if progress is not None:
-            progress(start / count)
-    data.write(text.getvalue().encode())
+            progress(start / rows)
+    text.flush()
     return data.getvalue()

@@ -17,6 +17,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
 from itertools import compress, count, islice
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,7 @@ COMMENTS = ("#", "%", "//")
 OTHER = frozenset(" \t\r\n\v\f#%/")
 """First letters of all lines that are blank or comments."""
 
-SEPARATORS = "\t;,"
+SEPARATORS = "\t;, "
 """In this order: where others separate, a comma is a decimal mark."""
 
 START = 1 << 12
@@ -315,8 +316,8 @@ class Table:
             return
         if row in (same := column.outlying):
             lines = ", ".join(map(str, self.lines[same]))
-            reason = f"stands in {len(same)} rows and looks like a sign that there is "
-            reason += f"no reading; leave them out by 'reading: {{without: [{lines}]}}'"
+            reason = f"is in {len(same)} rows and looks like a sign that there is no "
+            reason += f"reading; leave them out by 'reading: {{without: [{lines}]}}'"
             raise self.cell_error(reason, name, int(same[0]))
         unit = column.unit or kind.si
         smaller, number = (
@@ -333,11 +334,11 @@ class Table:
             smaller = counted(np.concatenate([[], *plain])) or smaller
             if np.nanmax(np.abs(column.numbers)) == 100.0:
                 reason += "; -100 to 100 of a range: [steps/N@0], N = 819200 / range"
-        if smaller and column.theirs in ("", name):
-            reason += f"; write the header as '{name} [{smaller}]'"
-        elif smaller:
-            stated = f"{{{name}: {column.theirs} [{smaller}]}}"
-            reason += f"; state in the setup 'columns: {stated}'"
+        stated = f"; write the header as '{name} [{smaller}]'"
+        if column.theirs not in ("", name):
+            both = f"{{{name}: {column.theirs} [{smaller}]}}"
+            stated = f"; state in the setup 'columns: {both}'"
+        reason += stated if smaller else ""
         raise self.cell_error(reason, name, row, ", ".join(kind.units))
 
 
@@ -489,24 +490,19 @@ class Cells:
             if line[0] not in OTHER or not (line.isspace() or _is_comment(line))
             if number > self.heading.line
         ]
-        if len(numbers) < len(lines):
-            lines = [lines[number - first] for number in numbers]
-        later = bool(self.lines)
+        lines = [lines[number - first] for number in numbers]
+        later, width = bool(self.lines), len(self.parts)
         self.lines.extend(numbers)
         # The texts of numbers are for messages and names, and so for small files.
-        if later and self.heading.separator == ",":
-            read = read_lines(lines, len(self.parts))
-            if read is not None:
-                unsaid = np.broadcast_to(np.int64(-1), len(lines))
-                for part, values in zip(self.parts, read, strict=True):
-                    part.append((values, unsaid))
-                return
-        if self.heading.separator == " ":
-            lines = ["\t".join(line.split()) for line in lines]
+        plain = later and self.heading.separator == ","
+        if plain and (read := read_lines(lines, width)) is not None:
+            unsaid = np.broadcast_to(np.int64(-1), len(lines))
+            for part, values in zip(self.parts, read, strict=True):
+                part.append((values, unsaid))
+            return
         rows = self._rows(numbers, lines)
-        if self.heading.separator != ",":
-            every = (cell for row in rows for cell in row if "," in cell)
-            self.commas = self.commas or any(map(COMMA.fullmatch, every))
+        some = (cell for row in rows for cell in row if "," in cell)
+        self.commas |= any(map(COMMA.fullmatch, some))
         for k, cells in enumerate(zip(*rows, strict=True)):
             self.add(k, cells)
 
@@ -531,7 +527,9 @@ class Cells:
     def _rows(self, numbers: Sequence[int], lines: Sequence[str]) -> list[list[str]]:
         """Cells of some lines, as many of each as the header has."""
         rows, width = list[list[str]](), len(self.parts)
-        mark = self.heading.separator.replace(" ", "\t")
+        mark = self.heading.separator
+        if mark == " ":
+            mark, lines = "\t", ["\t".join(line.split()) for line in lines]
         reader = csv.reader(lines, delimiter=mark, strict=True, skipinitialspace=True)
         try:
             for row in reader:
@@ -612,15 +610,12 @@ def _read_parquet(file: str) -> Cells:
         InputError: If it cannot be read.
         OptionError: If the extra is missing.
     """
-    try:
-        import pyarrow as pa
-        from pyarrow import parquet
-    except ImportError:
-        raise OptionError(
-            "Parquet files need pyarrow, which is missing: pip install "
-            "'calib-pin[parquet]'",
-            file=file,
-        ) from None
+    if find_spec("pyarrow") is None:
+        reason = "Parquet files need pyarrow, which is missing: pip install "
+        raise OptionError(reason + "'calib-pin[parquet]'", file=file)
+    import pyarrow as pa
+    from pyarrow import parquet
+
     try:
         with parquet.ParquetFile(file) as opened:
             table = opened.read(use_threads=False)
@@ -664,17 +659,15 @@ def _is_comment(line: str) -> bool:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """The separator that stands as often in most lines."""
+    """The separator that cuts most lines into as many cells."""
     for mark in SEPARATORS:
-        counts = Counter(line.count(mark) for line in lines)
-        ((often, most),) = counts.most_common(1)
-        if often and 2 * most >= len(lines):
+        counts = Counter(len(cells_of(line, mark)) for line in lines)
+        ((width, often),) = counts.most_common(1)
+        # A single column may have a space in its name, but not in its numbers.
+        rows = mark != " " or len(cells_of(lines[-1], mark)) == width
+        if width > 1 and 2 * often >= len(lines) and rows:
             return mark
-    found = max(SEPARATORS, key=lines[0].count)
-    names = cells_of(lines[0], " ")
-    # A single column may have a space in its name, but not in its numbers.
-    alone = found not in lines[0] and len(names) > 1
-    return " " if alone and len(lines[-1].split()) == len(names) else found
+    return ","
 
 
 def _header(
@@ -702,13 +695,9 @@ def _header(
     longest = max(above, key=lambda one: len(one[1]), default=(0, []))
     if 2 * len(longest[1]) >= width:
         return longest
-    raise InputError(
-        "the first row holds numbers, a header with the names of the columns is "
-        "missing",
-        file=file,
-        line=first,
-        allowed=f"{width} names above it, such as {separator.join(_names(width))}",
-    )
+    reason = "the first row holds numbers, a header with the names of the columns is "
+    allowed = f"{width} names above it, such as {separator.join(_names(width))}"
+    raise InputError(reason + "missing", file=file, line=first, allowed=allowed)
 
 
 def _is_row(cells: Sequence[str], separator: str) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from calib_pin.errors import InputError
 from calib_pin.io.columns import ANGLE, ELSEWHERE, LENGTH, Floats, Kind, split_header
 from calib_pin.io.measured_columns import reserved
-from calib_pin.io.table import Table
+from calib_pin.io.table import Table, found_numbers
 from calib_pin.io.written_columns import column_name
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -233,14 +233,17 @@ def spare_positions(
     model, found = chains.robot.model, dict[tuple[str, str], Floats]()
     for joint in [*model.names][1:]:
         if joint not in chains.joints:
-            own = table.found(joint, ANGLE if turns(model, joint) else LENGTH)
+            own = found_numbers(table, joint, ANGLE if turns(model, joint) else LENGTH)
             found |= {} if own is None else {(joint, joint): own}
     for name in spare:
         near, nearest = NEAR, dict[tuple[str, str], Floats]()
         for i, joint in enumerate(chains.joints if name not in reserved() else ()):
             column, given = columns.maps[joint]
             kind = kind_of(columns, column)
-            own, other = table.found(column, kind), table.found(name, kind)
+            own, other = (
+                found_numbers(table, column, kind),
+                found_numbers(table, name, kind),
+            )
             if own is None or other is None:
                 continue
             with np.errstate(over="ignore"):  # What means something else.

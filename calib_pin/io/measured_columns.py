@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -19,13 +19,13 @@ from calib_pin.io.columns import (
     Floats,
     Kind,
 )
-from calib_pin.io.table import Table
+from calib_pin.io.table import Table, found_numbers
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.measurement_models.declaration import DIAL
 from calib_pin.measurement_models.orientations import quaternions
 from calib_pin.observations import AT, BlockKey, Conditions, Indices
-from calib_pin.setup import STATED, WORLD, OrientationSetup
+from calib_pin.setup import STATED, OrientationSetup
 
 POSITION = ("x", "y", "z")
 """Columns of a position."""
@@ -113,9 +113,9 @@ def reserved() -> frozenset[str]:
     return read | {f"sigma_{name}" for name in measured()}
 
 
-def read_kinds(table: Table, kinds: Mapping[str, Kind]) -> Floats:
+def read_kinds(table: Table, kinds: Iterable[tuple[str, Kind]]) -> Floats:
     """Columns side by side, shape (N, k), of values that can be meant."""
-    columns = [table.values(name, kind) for name, kind in kinds.items()]
+    columns = [table.check(n, table.numbers(n, kind), kind) for n, kind in kinds]
     return np.column_stack([np.zeros((len(table.lines), 0)), *columns])
 
 
@@ -144,13 +144,14 @@ def read_quaternions(
         way: How it states orientations, one of `STATED`.
         reading: How they are to be read.
     """
-    kinds = {name: ORIENTATION[name] for name in STATED[way]}
+    kinds = [(name, ORIENTATION[name]) for name in STATED[way]]
     given = quaternions(read_kinds(table, kinds), way, reading)
     with np.errstate(over="ignore"):
         norm = np.linalg.norm(given, axis=1)
     off = abs(norm - 1.0)
     if off[row := int(np.argmax(off))] > 1e-2:
-        reason = f"the norm of the quaternion is {norm[row]:.6g}"
+        cells = ", ".join(table.columns[name].text(row) for name in STATED[way])
+        reason = f"the norm of the quaternion '{cells}' is {norm[row]:.6g}"
         raise table.cell_error(reason, STATED[way][-1], row, "0.99 to 1.01")
     # Dividing a unit quaternion once more may change its last bit, and a file that was
     # written from here must read back as it was.
@@ -194,9 +195,9 @@ def read_values(
             needs = ", ".join(map(" or ".join, ways))
             reason = f"of a gauge '{model}' needs every column once, and no other"
             raise table.error(reason, there[-1], needs)
-        values = read_kinds(table, dict.fromkeys(found, STROKE))
+        values = read_kinds(table, [(name, STROKE) for name in found])
         return tuple(found), values * [-1.0 if DIAL in n else 1.0 for n in found]
-    values = read_kinds(table, kinds)
+    values = read_kinds(table, kinds.items())
     if not declared(model).oriented:
         return tuple(kinds), values
     way = orientation_columns(table)
@@ -220,16 +221,15 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
             guessed, or a value cannot be.
     """
     stated, ways = declared(model), sigmas(model)
-    several = len({*stated.units.values()}) > 1
-    for name in table.columns:
-        of = name.removeprefix("sigma_")
+    odd = {*measured(model)}
+    if stated.contact:
         # Beside its own column it is of something that is not read either.
-        read = of in measured(model) or (stated.contact and of not in table)
-        sigma = name in reserved() and name != of and read
-        if (sigma and name not in read_by(model)) or (several and name == "sigma"):
-            allowed = ", ".join(f"sigma_{component}" for component in ways)
-            reason = f"model '{model}' has no component of this standard deviation"
-            raise table.error(reason, name, allowed)
+        odd |= {name for name in measured() if name not in table}
+    odd = {f"sigma_{name}" for name in odd} - read_by(model)
+    odd |= {"sigma"} if len({*stated.units.values()}) > 1 else set()
+    for name in (name for name in table.columns if name in odd):
+        reason = f"model '{model}' has no component of this standard deviation"
+        raise table.error(reason, name, ", ".join(f"sigma_{of}" for of in ways))
     found = {
         component: name
         for component, names in ways.items()
@@ -242,29 +242,8 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
         [f"sigma_{name}" for name in ways if name not in found],
         "a sigma is needed for every component or for none; missing:",
     )
-    units = stated.units.values()
-    columns = map(table.values, found.values(), map(SIGMAS.__getitem__, units))
-    return found, np.column_stack([*columns])
-
-
-def check_targets(table: Table, key: BlockKey) -> None:
-    """Refuse measurements that do not name what they cannot do without.
-
-    Args:
-        table: The file.
-        key: What the measurements have in common.
-
-    Raises:
-        InputError: If there are such.
-    """
-    naming, who = declared(key.model).naming, f"model '{key.model}'"
-    noun = naming.noun if naming.required == "every" else ""
-    if key.chain == WORLD and not noun:
-        noun, who = "point that stands still", f"chain '{WORLD}'"
-    if noun:
-        table.require(["target"], f"{who} needs the {noun} of each row in a column")
-        nameless = table.labels("target").map(place_of).where("")
-        table.refuse(nameless, f"the row names no {noun}", "target")
+    kinds = [SIGMAS[unit] for unit in stated.units.values()]
+    return found, read_kinds(table, zip(found.values(), kinds, strict=True))
 
 
 def place_of(target: str) -> str:
@@ -349,22 +328,22 @@ def read_conditions(
     stated: dict[str, Any] = {
         name: numbers
         for name, kind in CONDITIONS.items()
-        if (numbers := table.found(name, kind)) is not None
+        if (numbers := found_numbers(table, name, kind)) is not None
     }
     names = [joint + DIRECTION for joint in joints]
     used = {name for name in names if name in table}
-    if used:
-        columns = np.zeros((len(table.lines), len(joints)), np.int8)
-        for name in used:
-            column = table.columns[name]
-            signs = np.where(column.missing(), 0.0, column.numbers)
-            wrong = ~np.isin(signs, (-1.0, 0.0, 1.0))
-            allowed = "1, -1, or 0 where it is not known"
-            reason = "not the sign of a joint's last motion"
-            table.refuse(wrong, reason, name, allowed)
-            columns[:, names.index(name)] = signs
-        stated |= {"direction": columns, "source": "columns"}
-    return Conditions(**stated), frozenset(used | stated.keys())
+    columns = np.zeros((len(table.lines), len(joints)), np.int8)
+    for name in used:
+        column = table.columns[name]
+        signs = np.where(column.missing(), 0.0, column.numbers)
+        wrong, allowed = (
+            ~np.isin(signs, (-1, 0, 1)),
+            "1, -1, or 0 where it is not known",
+        )
+        table.refuse(wrong, "not the sign of a joint's last motion", name, allowed)
+        columns[:, names.index(name)] = signs
+    stated |= {"direction": columns, "source": "columns"} if used else {}
+    return Conditions(**stated), frozenset(used | CONDITIONS.keys() & stated.keys())
 
 
 def asked_models(model: str | None) -> tuple[str, ...]:

@@ -344,7 +344,6 @@ class _Reader:
         read, values = measured_columns.read_values(
             table, key.model, spare, self.orientation
         )
-        measured_columns.check_targets(table, key)
         # How far apart points stand that stand still has nothing to do with the robot.
         if "x" in read and key.chain != WORLD:
             measured_columns.check_spread(table, chains[key.chain], values[:, :3])
@@ -414,13 +413,20 @@ def _check_names(data: Observations, sockets: Collection[str]) -> None:
         for block in data.blocks:
             if not getattr(block, k) and block.key[:2] in named:
                 raise block.error(0, f"the row names no {k}, others do", column=k)
+    for block in data.blocks:
+        still, naming = block.chain == WORLD, declared(block.model).naming
+        nameless = block.target.map(place_of).where("")
+        if nameless.any() and (still or naming.required == "every"):
+            noun = f"point of chain '{WORLD}'" if still else naming.noun
+            reason = f"the row names no {noun} in a column 'target'"
+            raise block.error(int(np.argmax(nameless)), reason, column="target")
     for model, station in dict.fromkeys((key.model, key.station) for key in data.keys):
         own = [b for b in data.blocks if (b.model, b.station) == (model, station)]
         rows, naming = Observations(tuple(own)), declared(model).naming
-        places = rows.target.map(place_of)
-        nameless, every = places.where(""), naming.required == "all or none"
-        if every and nameless.any() and not nameless.all():
-            reason = f"the row names no {naming.noun}, others do"
+        places, noun = rows.target.map(place_of), naming.noun
+        nameless, some = places.where(""), naming.required == "all or none"
+        if some and nameless.any() and not nameless.all():
+            reason = f"the row names no {noun}, others do"
             raise rows.error(int(np.argmax(nameless)), reason, column="target")
         if naming.configurations > 1:
             seen = np.unique(rows.groups() * len(places.names) + places.codes)
@@ -428,8 +434,8 @@ def _check_names(data: Observations, sockets: Collection[str]) -> None:
             lonely = (seldom & ~np.isin(places.names, [*sockets]))[places.codes]
             if lonely.any():
                 row = int(np.argmax(lonely))
-                reason = f"the {naming.noun} '{places[row]}' has one configuration only"
-                allowed = f"two configurations or more in every {naming.noun}"
+                reason = f"the {noun} '{places[row]}' has one configuration only"
+                allowed = f"two configurations or more in every {noun}"
                 raise rows.error(row, reason, column="target", allowed=allowed)
 
 

@@ -274,18 +274,6 @@ class Table:
         numbers = numbers - zero if zero else numbers
         return numbers if factor == 1.0 else numbers * factor
 
-    def values(self, name: str, kind: Kind) -> Floats:
-        """As `numbers`, of which each can be meant, see `check`."""
-        values = self.numbers(name, kind)
-        self.check(name, values, kind)
-        return values
-
-    def found(self, name: str, kind: Kind) -> Floats | None:
-        """As `numbers`; None where there is no such column, or one of other cells."""
-        with suppress(InputError):
-            return self.numbers(name, kind) if name in self else None
-        return None
-
     def check(
         self,
         name: str,
@@ -293,8 +281,8 @@ class Table:
         kind: Kind,
         why: str = "",
         sizes: Floats | None = None,
-    ) -> None:
-        """Refuse values that cannot be in the stated unit.
+    ) -> Floats:
+        """The values, of which none may be so that another unit must be meant.
 
         Args:
             name: Name of the column.
@@ -313,7 +301,7 @@ class Table:
         sizes = np.abs(values) if sizes is None else sizes
         row, column = int(np.argmax(sizes)), self.columns[name]
         if sizes[row] <= kind.largest:
-            return
+            return values
         if row in (same := column.outlying):
             lines = ", ".join(map(str, self.lines[same]))
             reason = f"is in {len(same)} rows and looks like a sign that there is no "
@@ -373,25 +361,29 @@ def read_table(
     given = cells.columns()
     if found.remark:
         ours, row = side_by_side(found, given)
-        return replace(table, columns=found.read(ours), lines=lines[row]).called(
-            columns
-        )
-    named = dict[str, Column]()
+        table = replace(table, columns=found.read(ours), lines=lines[row])
+        return table.called(columns)
+    headers = defaultdict[str, list[str]](list)
     for column in given:
-        if first := named.get(column.theirs):
-            both = f"'{first.header}', '{column.header}'"
-            raise table.error(
-                f"two columns are '{column.theirs}': {both}", first.theirs
-            )
-        named[column.theirs] = column
-    table = replace(table, columns=named)
+        headers[column.theirs].append(f"'{column.header}'")
+    for name, both in headers.items():
+        if len(both) > 1:
+            raise table.error(f"two columns are '{name}': {', '.join(both)}", name)
+    table = replace(table, columns={column.theirs: column for column in given})
     table = table.called(columns)
     if read := reading(table.columns, Path(cells.file)):
-        remarks = (*table.remarks, f"read as {read.remark}")
+        remarks += (f"read as {read.remark}",)
         # The setup names columns as the file does, or as they are called then.
         table = replace(table, columns=read.columns, remarks=remarks)
         table = table.called(table.missing)
     return table
+
+
+def found_numbers(table: Table, name: str, kind: Kind) -> Floats | None:
+    """As `Table.numbers`; None where there is no such column, or one of other cells."""
+    with suppress(InputError):
+        return table.numbers(name, kind) if name in table else None
+    return None
 
 
 def with_readings(table: Table, kept: Booleans, what: str, notice: Notice) -> Table:

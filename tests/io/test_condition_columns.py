@@ -5,8 +5,7 @@ import pytest
 
 from calib_pin import load_chain
 from calib_pin.errors import InputError
-from calib_pin.io.measurements import read_held
-from calib_pin.io.measurements import read_measurements, write_measurements
+from calib_pin.io.measurements import read_held, read_measurements, write_measurements
 
 J = [f"joint_{k}" for k in range(1, 7)]
 STATED = f"{','.join(J)},x,y,z,time [min],temperature,joint_2.direction"

@@ -172,8 +172,8 @@ REFUSED = [
     ("torso,right,slide,x,y,z,chain\n0,0,0,1,2,3,left_hand\n", 1, "left", None),
     (f"{LEFT}\n0,0,1,2,3,left_hnad\n", 2, "chain", "left_hnad", "'left_hand'"),
     (f"{LEFT}\n0,0,1,2,3,base\n", 2, "chain", "base"),
-    (f"{ARMS},,,,world,a,,1,2,3,b@,train,\n", 2, "target", "b@"),
-    ("x,y,z,chain\n1,2,3,world\n", 1, "target", None, "'world'"),
+    (f"{ARMS},,,,world,a,,1,2,3,b@,train,\n", 2, "target", None),
+    ("x,y,z,chain\n1,2,3,world\n", 2, "target", None, "'world'"),
     (
         f"{LEFT},station\n0,0,1,2,3,left_hand,a\n0,0,1,2,3,left_hand,\n",
         3,

@@ -188,7 +188,7 @@ def test_a_wrong_unit_of_a_foreign_column_is_mended_in_the_setup(tmp_path):
     file.write_text(LOG)
     table = read_table(file, columns={"x": "X (mm)"})
     with pytest.raises(InputError) as caught:
-        table.values("x", replace(LENGTH, largest=0.5))
+        table.check("x", table.numbers("x", LENGTH), replace(LENGTH, largest=0.5))
     assert "columns: {x: X (mm) [mm]}" in str(caught.value)
     assert caught.value.column == "X (mm) (x)"
 

@@ -302,10 +302,10 @@ class _Reader:
 
     def _keys(self, table: Table, chain_of: Labels) -> dict[BlockKey, Indices | slice]:
         """The rows of each block, in the order in which these begin."""
-        model = (
-            "" if "model" in table else measured_columns.infer_model(table, self.asked)
-        )
-        models = table.labels("model", model)
+        models = table.labels("model")
+        if "model" not in table:
+            model = measured_columns.infer_model(table, self.asked)
+            models = Labels.all(model, len(table.lines))
         allowed = ", ".join(MEASUREMENT_MODELS)
         for name in models.distinct:
             if name not in MEASUREMENT_MODELS:
@@ -316,12 +316,14 @@ class _Reader:
         code = np.zeros(len(table.lines), np.int64)
         for column in columns:
             code = code * len(column.names) + column.codes
-        found = np.sort(np.unique(code, return_index=True)[1]).tolist()
+        _, first, which = np.unique(code, return_index=True, return_inverse=True)
+        ends = np.cumsum(np.bincount(which))[:-1]
+        rows = np.split(np.argsort(which, kind="stable"), ends)
         return {
-            BlockKey(*(column[row] for column in columns)): (
-                np.flatnonzero(code == code[row]) if len(found) > 1 else slice(None)
+            BlockKey(*(column[int(first[k])] for column in columns)): (
+                rows[k] if len(rows) > 1 else slice(None)
             )
-            for row in found
+            for k in np.argsort(first).tolist()
         }
 
     def _block(

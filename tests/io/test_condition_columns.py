@@ -7,8 +7,6 @@ from calib_pin import load_chain
 from calib_pin.errors import InputError
 from calib_pin.io.measurements import read_held, read_measurements, write_measurements
 
-J = [f"joint_{k}" for k in range(1, 7)]
-STATED = f"{','.join(J)},x,y,z,time [min],temperature,joint_2.direction"
 ROWS = """
 0,0,0,0,0,0,1,0,1,0,20.5,1
 0.1,0.2,0,0,0,0,1,0,1,2,21,-1
@@ -22,15 +20,14 @@ def chain():
 
 
 @pytest.fixture
-def header(chain):
-    return STATED.replace("joint_2", chain.joints[1]).replace(
-        ",".join(J), ",".join(chain.joints)
-    )
+def file(tmp_path, chain):
+    header = [*chain.joints, "x,y,z,time [min],temperature", chain.joints[1]]
+    (tmp_path / "m.csv").write_text(",".join(header) + ".direction" + ROWS)
+    return tmp_path / "m.csv"
 
 
-def test_conditions_are_read_and_written(tmp_path, chain, header):
-    file, again = tmp_path / "m.csv", tmp_path / "again.csv"
-    file.write_text(header + ROWS)
+def test_conditions_are_read_and_written(tmp_path, chain, file):
+    again = tmp_path / "again.csv"
     data = read_measurements(file, chain, notice=pytest.fail)
     held = data.conditions
     assert held.time.tolist() == [0, 120, 60]
@@ -71,9 +68,8 @@ def test_a_date_is_no_time(tmp_path, chain):
     assert notices == [f"{file}: columns ignored: time, temperature"]
 
 
-def test_a_direction_that_is_none(tmp_path, chain, header):
-    file = tmp_path / "m.csv"
-    file.write_text(header + ROWS.replace("21,-1", "21,up"))
+def test_a_direction_that_is_none(chain, file):
+    file.write_text(file.read_text().replace("21,-1", "21,up"))
     with pytest.raises(InputError) as caught:
         read_measurements(file, chain)
     assert (caught.value.line, caught.value.value) == (3, "up")

@@ -185,9 +185,7 @@ def read_values(
     kinds, ways = needed(model), declared(model).readings
     unknown = {*spare} - reserved()
     table.require(kinds, f"model '{model}' needs the missing", unknown)
-    there = sorted(name for name in gauges() if name in table) if ways else []
-    # A gauge that nobody has read was none.
-    there = [name for name in there if not table.columns[name].missing().all()]
+    there = sorted(gauges() & table.columns.keys()) if ways else []
     if there:
         found = [name for names in ways for name in names if name in there]
         once = all(len({*names} & {*there}) == 1 for names in ways)

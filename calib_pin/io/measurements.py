@@ -139,8 +139,8 @@ def read_measurements(
             if "station" in table:
                 reason = "the file names stations, leave out --station-per-file"
                 raise table.error(reason, "station")
-        absent = {"chain": unnamed, "station": stations[-1] if stations else ""}
-        reader = _Reader(chains, asked, joints, orientation, absent, told)
+        station = stations[-1] if stations else ""
+        reader = _Reader(chains, asked, joints, orientation, unnamed, station, told)
         parts += reader.blocks(table)
     parts.sort(key=lambda part: [*asked, part.model].index(part.model))
     given = () if chains.names == ("",) else chains.names
@@ -212,7 +212,8 @@ class _Reader:
         asked: Measurement models of a file without a column `model`.
         joints: How file columns become joints; others are taken by their own name.
         orientation: How columns of an orientation are to be read.
-        absent: Chain and station of measurements that name none.
+        unnamed: Chain of measurements that name none.
+        station: Station of all, where the file names none.
         notice: Called with sentences about the file.
     """
 
@@ -220,7 +221,8 @@ class _Reader:
     asked: Sequence[str]
     joints: Mapping[str, JointMap]
     orientation: OrientationSetup | None
-    absent: Mapping[str, str]
+    unnamed: str
+    station: str
     notice: Notice
 
     def blocks(self, table: Table) -> list[Measurements]:
@@ -234,8 +236,7 @@ class _Reader:
             InputError: If a measurement names a model or a chain that there is not, or
                 has a value of another model, or the file does not hold such.
         """
-        chain_of = table.labels("chain", self.absent["chain"])
-        chain_of = chain_of.map(lambda name: name or self.absent["chain"])
+        chain_of = table.labels("chain").map(lambda name: name or self.unnamed)
         chains = self._chains(table, chain_of)
         table, columns = joint_columns.own_columns(table, chains, self.joints)
         table = self._of_sheet(table)
@@ -311,7 +312,7 @@ class _Reader:
             if name not in MEASUREMENT_MODELS:
                 reason = f"unknown measurement model{nearest(name, MEASUREMENT_MODELS)}"
                 table.refuse(models.where(name), reason, "model", allowed)
-        station = table.labels("station", self.absent["station"])
+        station = table.labels("station", self.station)
         columns = (models, chain_of, station, table.labels("tool"))
         code = np.zeros(len(table.lines), np.int64)
         for column in columns:
@@ -410,12 +411,11 @@ def _check_names(data: Observations, sockets: Collection[str]) -> None:
 
     The places of one station are the same for all chains and tools.
     """
-    for k in ("station", "tool"):
-        named = {key[:2] for key in data.keys if getattr(key, k)}
-        for block in data.blocks:
-            if not getattr(block, k) and block.key[:2] in named:
-                raise block.error(0, f"the row names no {k}, others do", column=k)
     for block in data.blocks:
+        alike = [key for key in data.keys if key[:2] == block.key[:2]]
+        for k in ("station", "tool"):
+            if not getattr(block, k) and any(getattr(key, k) for key in alike):
+                raise block.error(0, f"the row names no {k}, others do", column=k)
         still, naming = block.chain == WORLD, declared(block.model).naming
         nameless = block.target.map(place_of).where("")
         if nameless.any() and (still or naming.required == "every"):

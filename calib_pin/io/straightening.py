@@ -21,14 +21,8 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
+import calib_pin.io.urdf_tree as urdf_tree
 from calib_pin.errors import RobotError, enumerated
-from calib_pin.io.urdf_tree import (
-    Document,
-    Element,
-    move_origins,
-    parse_document,
-    parse_robot,
-)
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 
@@ -65,7 +59,7 @@ def straightened(robot: Robot) -> Robot:
     offsets = (placement.translation for placement in robot.model.jointPlacements)
     if max(map(np.linalg.norm, offsets)) < LEAST:
         return robot
-    document = parse_document(robot.source, robot.file)
+    document = urdf_tree.parse_document(robot.source, robot.file)
     joints, slides = document.named("joint"), _slides(document)
     if not slides:
         return robot
@@ -76,19 +70,21 @@ def straightened(robot: Robot) -> Robot:
         f"{enumerated(map(repr, slides))} along their axes; the forward kinematics are "
         "the same, and the corrected URDF has these frames"
     )
-    found = parse_robot(move_origins(document, _moved(document, slides)), robot.file)
+    found = urdf_tree.parse_robot(
+        urdf_tree.move_origins(document, _moved(document, slides)), robot.file
+    )
     return replace(found, remarks=(*robot.remarks, remark))
 
 
 def straight_source(source: bytes) -> bytes:
     """The bytes of a URDF after straightening, as far as it can be read."""
     try:
-        return straightened(parse_robot(source, "")).source
+        return straightened(urdf_tree.parse_robot(source, "")).source
     except RobotError:
         return source
 
 
-def _slides(document: Document) -> dict[str, Floats]:
+def _slides(document: urdf_tree.Document) -> dict[str, Floats]:
     """The slide of each joint that is to be moved, in its own frame, shape (3,) [m]."""
     every = document.named("joint").items()
     joints = {name: j for name, j in every if j.attributes["type"] in TURNING}
@@ -121,8 +117,8 @@ def _slides(document: Document) -> dict[str, Floats]:
 
 
 def _moved(
-    document: Document, slides: Mapping[str, Floats]
-) -> Iterator[tuple[Element, pin.SE3]]:
+    document: urdf_tree.Document, slides: Mapping[str, Floats]
+) -> Iterator[tuple[urdf_tree.Element, pin.SE3]]:
     """Corrections of origins, each multiplied from the right."""
     joints, still = document.named("joint"), np.zeros(3)
     links = {joints[name].link("child"): slide for name, slide in slides.items()}

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import nearest
 from calib_pin.observations.labels import Labels
 from calib_pin.setup.values import LARGEST_ANGLE, LARGEST_LENGTH
-from calib_pin.units import as_number, steps_of
+from calib_pin.units import steps_of
 
 Floats = NDArray[np.float64]
 
@@ -162,8 +162,6 @@ class Column:
             return NO_READING if cell else "the cell is empty"
         if not math.isnan(number):
             return "not a finite number"
-        if as_number(cell) is not None:
-            return "not a number, where others have a decimal comma"
         if THOUSANDS.fullmatch(cell):
             return "not a number (thousands are not to be separated)"
         if COMMA.fullmatch(cell):

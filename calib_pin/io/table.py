@@ -445,7 +445,7 @@ class Cells:
         self.numbers = [array("d") for _ in names]
         self.codes = [array("i") for _ in names]
         self.words = [defaultdict[str, int](count().__next__) for _ in names]
-        self.commas = False
+        self.comma = 0  # The first line with a decimal comma.
 
     def columns(self) -> list[Column]:
         """The columns, whose names are those of the file."""
@@ -492,24 +492,36 @@ class Cells:
                 self.grow(k, values)
             return
         rows = self._rows(numbers, lines)
-        some = (cell for row in rows for cell in row if "," in cell)
-        self.commas |= any(map(COMMA.fullmatch, some))
+        if self.heading.separator != "," and not self.comma:
+            found = zip(numbers, lines, rows, strict=True)
+            found = (
+                n for n, t, row in found if "," in t and any(map(COMMA.fullmatch, row))
+            )
+            self.comma = next(found, 0)
         for k, cells in enumerate(zip(*rows, strict=True)):
             self.add(k, cells)
 
     def add(self, k: int, written: Sequence[str]) -> None:
         """Add rows of a column by their untrimmed texts."""
-        cells, wrong = written, set[str]()
-        if self.heading.separator != ",":
+        cells = written
+        if self.comma:
             every = {*written}
             commas = {cell for cell in every if COMMA.fullmatch(cell)}
             points = {c for c in every if "." in c and as_number(c.strip()) is not None}
             thousands = all(THOUSANDS.fullmatch(cell.strip()) for cell in points)
             # Beside decimal commas, in this column or others, these are no fractions.
-            wrong = points if commas or (thousands and self.commas) else wrong
+            if points and (commas or thousands):
+                row = next(k for k, cell in enumerate(written) if cell in points)
+                raise InputError(
+                    "a number has a decimal point here, others a comma (line "
+                    f"{self.comma})",
+                    file=self.file,
+                    line=self.lines[row - len(written)],
+                    column=self.heading.names[k],
+                    value=written[row].strip(),
+                )
             cells = [c.replace(",", ".") if c in commas else c for c in written]
         numbers = read_numbers(cells)
-        numbers[[cell in wrong for cell in written]] = np.nan
         finite, words = np.isfinite(numbers), self.words[k]
         codes, kept = np.full(len(cells), -1), ~finite | (len(words) <= TEXTS)
         codes[kept] = [words[cell] for cell in compress(cells, kept)]

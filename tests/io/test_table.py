@@ -186,9 +186,9 @@ def test_a_wrong_unit_of_a_foreign_column_is_mended_in_the_setup(tmp_path):
     ],
 )
 def test_marks_that_may_separate_thousands(table, rows, line, column):
-    with pytest.raises(InputError, match="comma") as caught:
-        table(rows).numbers(column, PURE)
-    assert caught.value.line == line
+    with pytest.raises(InputError, match=r"comma \(line [23]\)") as caught:
+        table(rows)
+    assert (caught.value.line, caught.value.column) == (line, column)
     # Seconds of another software have their point.
     assert table("t;a\n0.5;1,5\n1.25;2,5\n").numbers("t", PURE).tolist() == [0.5, 1.25]
 

@@ -492,12 +492,11 @@ class Cells:
                 self.grow(k, values)
             return
         rows = self._rows(numbers, lines)
-        if self.heading.separator != "," and not self.comma:
-            found = zip(numbers, lines, rows, strict=True)
-            found = (
-                n for n, t, row in found if "," in t and any(map(COMMA.fullmatch, row))
-            )
-            self.comma = next(found, 0)
+        for number, row in zip(numbers, rows, strict=True):
+            if self.comma or self.heading.separator == ",":
+                break
+            if any("," in cell and COMMA.fullmatch(cell) for cell in row):
+                self.comma = number
         for k, cells in enumerate(zip(*rows, strict=True)):
             self.add(k, cells)
 

@@ -511,14 +511,10 @@ class Cells:
             # Beside decimal commas, in this column or others, these are no fractions.
             if points and (commas or thousands):
                 row = next(k for k, cell in enumerate(written) if cell in points)
-                raise InputError(
-                    "a number has a decimal point here, others a comma (line "
-                    f"{self.comma})",
-                    file=self.file,
-                    line=self.lines[row - len(written)],
-                    column=self.heading.names[k],
-                    value=written[row].strip(),
-                )
+                reason = "a number has a decimal point here, others a comma (line "
+                reason, line = f"{reason}{self.comma})", self.lines[row - len(written)]
+                about = {"column": self.heading.names[k], "value": written[row].strip()}
+                raise InputError(reason, file=self.file, line=line, **about)
             cells = [c.replace(",", ".") if c in commas else c for c in written]
         numbers = read_numbers(cells)
         finite, words = np.isfinite(numbers), self.words[k]
@@ -626,18 +622,20 @@ def _read_parquet(file: str) -> Cells:
 
     try:
         with parquet.ParquetFile(file) as opened:
-            table = opened.read(use_threads=False)
+            names = opened.schema_arrow.names
+            lines = array("q", range(1, opened.metadata.num_rows + 1))
+            heading = Heading(",", [name.strip() for name in names], 0, "")
+            found = Cells(file, heading, lines=lines)
+            for k, name in enumerate(names):  # One after the other, for memory.
+                cells = opened.read([name], use_threads=False).column(0)
+                if pa.types.is_floating(cells.type) or pa.types.is_integer(cells.type):
+                    found.grow(k, cells.cast(pa.float64(), safe=False).to_numpy())
+                else:
+                    texts = ["" if c is None else str(c) for c in cells.to_pylist()]
+                    found.add(k, texts)
     except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
         what = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"cannot be read as Parquet: {what}", file=file) from None
-    names = [name.strip() for name in table.column_names]
-    lines = array("q", range(1, table.num_rows + 1))
-    found = Cells(file, Heading(",", names, 0, ""), lines=lines)
-    for k, cells in enumerate(table.columns):
-        if pa.types.is_floating(cells.type) or pa.types.is_integer(cells.type):
-            found.grow(k, cells.cast(pa.float64(), safe=False).to_numpy())
-        else:
-            found.add(k, ["" if c is None else str(c) for c in cells.to_pylist()])
     return found
 
 

@@ -304,7 +304,9 @@ class Table:
             return values
         if row in (same := column.outlying):
             lines = ", ".join(map(str, self.lines[same]))
-            reason = f"is in {len(same)} rows and looks like a sign that there is no "
+            reason = (
+                f"stands in {len(same)} rows and looks like a sign that there is no "
+            )
             reason += f"reading; leave them out by 'reading: {{without: [{lines}]}}'"
             raise self.cell_error(reason, name, int(same[0]))
         unit = column.unit or kind.si

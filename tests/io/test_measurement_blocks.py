@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import InputError, RobotError
-from calib_pin.io.measurements import (
-    read_configurations,
-    read_measurements,
-    write_measurements,
-)
+from calib_pin.io.measurements import read_configurations, read_measurements
 from calib_pin.observations import BlockKey
 
 ARMS = "torso,left,right,slide,chain,station,tool,x,y,z,target,set,payload\n"
@@ -44,20 +40,6 @@ def test_blocks_of_a_file(write, tree):
     assert data.payload == ("", "p", "", "", "", "")
     assert data.target == ("", "", "", "", "post", "")
     assert data.validate.tolist() == [False, False, False, True, False, False]
-
-
-def test_what_is_written_of_blocks(write, tree, tmp_path):
-    file = tmp_path / "out.csv"
-    write_measurements(file, read_measurements(write(BOTH), tree))
-    header, first, *lines = file.read_text().splitlines()
-    columns = "chain,station,tool,x,y,z,target,payload,set"
-    assert header == f"torso,left,right,finger,slide,{columns}"
-    assert first == "0.1,0.2,0.0,0.1,0.0,left_hand,day 1,probe,1.0,2.0,3.0,,,train"
-    assert lines[2].partition("world")[2] == ",day 1,,9.0,9.0,9.0,post,,train"
-    # The only name is written as well, so that it reads back.
-    (*_, touch) = read_measurements(file, tree).blocks
-    write_measurements(file, touch, force=True)
-    assert read_measurements(file, tree).keys == (touch.key,)
 
 
 def test_files_of_different_chains_have_the_joints_of_all(write, tree):

@@ -17,6 +17,7 @@ from hypothesis.extra.numpy import arrays
 from calib_pin.errors import CalibPinError, InputError, OptionError, OutputError
 from calib_pin.io.measurements import (
     read_configurations,
+    read_held,
     read_measurements,
     write_measurements,
 )
@@ -540,6 +541,7 @@ REFUSED = [
     (f"{J},x,y,z,sigma_x,sigma_z\n0,0,0,1,2,3,1,1\n", 1, "sigma_y", None),
     (f"{VECTOR},sigma\n0,0,0,1,2,3,0,0,0,1\n", 1, "sigma", None),
     (f"{VECTOR},sigma_qw\n0,0,0,1,2,3,0,0,0,1\n", 1, "sigma_qw", None),
+    (f"{J},distance,elbow.direction\n0,0,0,1,up\n", 2, "elbow.direction", "up"),
     # Sets.
     (f"{J},distance,set\n0,0,0,1,train\n0,0,0,1,test\n", 3, "set", "test"),
     (f"{J},distance,set\n0,0,0,1,\n", 2, "set", ""),
@@ -718,71 +720,59 @@ def test_files_that_cannot_be_joined(write, chain, refused, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("model", "text", "values", "sigma", "target"),
+    ("model", "text", "values", "sigma"),
     [
         (
             "camera",
-            "v,u [px],target,sigma\n20.5,10,m1,0.5\n-1,1e5,m2,0.25\n",
-            [[10.0, 20.5], [1e5, -1.0]],
-            [[0.5, 0.5], [0.25, 0.25]],
-            ("m1", "m2"),
+            "v,u [px],target,sigma|2,10,m,0.5|-1,1e5,n,1",
+            [[10, 2], [1e5, -1]],
+            0.5,
         ),
-        (
-            "fixed-point",
-            "target,sigma [mm]\nball@a,1\nother@a,2\n",
-            [[], []],
-            [[1e-3] * 3, [2e-3] * 3],
-            ("ball@a", "other@a"),
-        ),
-        ("plane-contact", "note\na\nb\n", [[], []], None, ("", "")),
-        (
-            "plane-contact",
-            "target,sigma [um]\ntip@table,5\ntable,5\n",
-            [[], []],
-            [[5e-6], [5e-6]],
-            ("tip@table", "table"),
-        ),
+        ("fixed-point", "target,sigma [mm]|ball@a,1|other@a,2", [[], []], 1e-3),
+        ("plane-contact", "note|a|b", [[], []], None),
+        ("plane-contact", "target,sigma [um]|tip@table,5|table,10", [[], []], 5e-6),
         # Away from the surface, and pushed in.
         (
             "plane-contact",
-            "deviation [mm],sigma_deviation [um]\n0.5,5\n-1,5\n",
-            [[5e-4], [-1e-3]],
-            [[5e-6], [5e-6]],
-            ("", ""),
+            "deviation,sigma_deviation|0.01,0.1|-0.02,0.2",
+            [[0.01], [-0.02]],
+            0.1,
         ),
         (
             "sphere-contact",
-            "dial [mm],sigma_contact\n0.5,1\n-1,1\n",
-            [[-5e-4], [1e-3]],
-            [[1.0], [1.0]],
-            ("", ""),
+            "dial [mm],sigma_contact|10,0.1|-20,0.2",
+            [[-0.01], [0.02]],
+            0.1,
         ),
         # Nobody has read it.
-        ("sphere-contact", "dial\n-\n\n", [[], []], None, ("", "")),
+        ("sphere-contact", "dial|-|", [[], []], None),
         (
             "fixed-point",
-            "target,dial_z,deviation_x,dial_y\na,0.01,0.02,-0.03\na,0,0,0.04\n",
+            "target,dial_z,deviation_x,dial_y|a,0.01,0.02,-0.03|a,0,0,0.04",
             [[0.02, 0.03, -0.01], [0.0, -0.04, 0.0]],
             None,
-            ("a", "a"),
         ),
         (
             "point-distance",
-            "distance [mm],sigma_distance\n1500,0.1\n2,0.1\n",
+            "distance [mm],sigma_distance|1500,0.1|2,0.2",
             [[1.5], [0.002]],
-            [[0.1], [0.1]],
-            ("", ""),
+            0.1,
         ),
     ],
 )
-def test_columns_of_models(write, chain, model, text, values, sigma, target):
-    header, *rows = text.splitlines()
-    rows = map("".join, zip(["0,0,0,", "0.1,0.2,0.3,"], rows, strict=True))
+def test_columns_of_models(write, chain, model, text, values, sigma):
+    """The second sigma is twice the first."""
+    header, *rows = text.split("|")
+    rows = [f"0,0,0,{rows[0]}", f"0.1,0.2,0.3,{rows[1]}"]
     data = read(write("\n".join([f"{J},{header}", *rows])), chain, model=model)
-    assert (data.model, data.target) == (model, target)
-    assert data.values.tolist() == values
+    named = "target" in header
+    where = header.split(",").index("target") if named else 0
+    assert data.target == tuple(r.split(",")[3 + where] if named else "" for r in rows)
+    assert (data.model, data.values.tolist()) == (model, values)
     assert (data.sigma is None) == (sigma is None)
-    assert sigma is None or np.allclose(data.sigma, sigma, rtol=1e-12, atol=0.0)
+    if sigma is not None:
+        expected = np.outer([sigma, 2 * sigma], np.ones(data.sigma.shape[1]))
+        np.testing.assert_allclose(data.sigma, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -799,6 +789,44 @@ def test_models_are_inferred(write, chain, columns, model):
     row = ",".join("a" if name == "target" else "0" for name in columns.split(","))
     data = read(write(f"{J},{columns}\n0,0,0,{row}\n"), chain)
     assert data.model == model
+
+
+# --- conditions --------------------------------------------------------------------
+
+
+def test_conditions_are_read_and_written(write, tmp_path, chain):
+    text = f"{J},distance,time [min],temperature,elbow.direction\n0,0,0,1,0,20.5,1\n"
+    file = write(text + "0.1,0.2,0,1,2,21,-1\n0,0.2,0,1,1,22,\n")
+    data, again = read(file, chain, notice=pytest.fail), tmp_path / "again.csv"
+    held = data.conditions
+    assert held.time.tolist() == [0, 120, 60]
+    assert held.temperature.tolist() == [20.5, 21, 22]
+    # What is not stated is by time: the last line was measured second.
+    assert held.direction.tolist() == [[0, 1, 0], [1, -1, 0], [0, 0, 0]]
+    assert held.source == "time"
+    write_measurements(again, data)
+    assert again.read_text().splitlines()[0].endswith("distance,temperature,time")
+    assert read(again, chain).conditions.time.tobytes() == held.time.tobytes()
+    assert read_held(file, chain.joints, data.q).direction[:, 1].tolist() == [1, -1, 0]
+
+
+def test_stated_directions_are_written(write, tmp_path, chain):
+    ends = ",".join(f"{joint}.direction" for joint in chain.joints)
+    file, again = (
+        write(f"{J},distance,{ends}\n0,0,0,1,1,-1,1\n"),
+        tmp_path / "again.csv",
+    )
+    write_measurements(again, read(file, chain, notice=pytest.fail))
+    held = read(again, chain).conditions
+    assert (held.direction.tolist(), held.source) == ([[1, -1, 1]], "columns")
+
+
+def test_a_date_is_no_time(write, chain):
+    notices, rows = list[str](), "0,0,0,1,2026-11-24,20\n0.1,0,0,1,2026-11-25,\n"
+    file = write(f"{J},distance,time,temperature\n{rows}")
+    held = read(file, chain, notice=notices.append).conditions
+    assert (held.time.size, held.temperature.size, held.source) == (0, 0, "order")
+    assert notices == [f"{file}: columns ignored: time, temperature"]
 
 
 # --- relative distances ------------------------------------------------------------
@@ -847,26 +875,21 @@ def relative(**changes):
     return Measurements(**{**fields, **changes})
 
 
-def test_starts_are_written_before_their_rows(tmp_path):
+@pytest.mark.parametrize(
+    ("about", "lifts"),
+    [
+        ({"target": ("a", "b", "a"), "start": np.eye(3)[[0, 1, 0]]}, "1 .1 0 .2 .3"),
+        ({"lines": np.array([7, 3, 5]), "files": ["m.csv"] * 3}, "0 .2 .3 .1"),
+    ],
+)
+def test_starts_are_written_before_their_rows(tmp_path, about, lifts):
     file = tmp_path / "out.csv"
-    write_measurements(
-        file, relative(target=("a", "b", "a"), start=np.eye(3)[[0, 1, 0]])
-    )
-    assert file.read_text() == (
-        "lift,elbow,wrist,distance,target\n"
-        "1.0,0.0,0.0,0.0,a\n0.1,0.0,0.0,0.1,a\n"
-        "0.0,1.0,0.0,0.0,b\n0.2,0.0,0.0,0.2,b\n"
-        "0.3,0.0,0.0,0.3,a\n"
-    )
-
-
-def test_starts_are_written_before_the_first_in_the_file(tmp_path):
-    file = tmp_path / "out.csv"
-    lines = np.array([7, 3, 5])
-    write_measurements(file, relative(lines=lines, files=["m.csv"] * 3))
-    assert [row.split(",")[0] for row in file.read_text().splitlines()] == [
-        *("lift", "0.0", "0.2", "0.3", "0.1")
-    ]
+    write_measurements(file, relative(**about))
+    header, *rows = file.read_text().splitlines()
+    assert header == f"{J},distance" + ",target" * ("target" in about)
+    assert [float(row.split(",")[0]) for row in rows] == [*map(float, lifts.split())]
+    if "target" in about:
+        assert rows[2:4] == ["0.0,1.0,0.0,0.0,b", "0.2,0.0,0.0,0.2,b"]
 
 
 @pytest.mark.parametrize(

@@ -150,19 +150,6 @@ def test_sigma_by_component(write, chain, names, cells, sigma):
     np.testing.assert_allclose(data.sigma, [sigma])
 
 
-def test_model_asked_for_takes_its_columns_only(write, chain):
-    header = f"{J},x,y,z,qx,qy,qz,qw,distance,sigma_distance,sigma_rx\n"
-    file = write(header + "0,0,0,1,2,3,0,0,0,1,4,0.1,0.1\n")
-    notices: list[str] = []
-    data = read(file, chain, model="position", notice=notices.append)
-    assert (data.model, data.values.tolist()) == ("position", [[1, 2, 3]])
-    assert data.sigma is None
-    names = "qx, qy, qz, qw, distance, sigma_distance, sigma_rx"
-    assert told(notices) == [(file, names)]
-    data = read(file, chain, model="plane-distance")
-    assert (data.values.tolist(), data.sigma.tolist()) == ([[4.0]], [[0.1]])
-
-
 @pytest.mark.parametrize(
     ("text", "names", "options"),
     [
@@ -179,6 +166,12 @@ def test_model_asked_for_takes_its_columns_only(write, chain):
             {"joints": {"J2": JointMap("elbow")}},
         ),
         (f"{J},x,sigma_x\n0,0,0,1,1\n", "x, sigma_x", {"model": "plane-contact"}),
+        (
+            f"{J},x,y,z,qx,qy,qz,qw,distance,sigma_distance,sigma_rx\n"
+            "0,0,0,1,2,3,0,0,0,1,4,0.1,0.1\n",
+            "qx, qy, qz, qw, distance, sigma_distance, sigma_rx",
+            {"model": "position"},
+        ),
         (
             f"{J},x,y,z,distance,qx,sigma_u,note,model\n0,0,0,1,2,3,,a,b,c,position\n"
             "0,0,0,,,,1,d,e,f,plane-distance\n",
@@ -980,13 +973,11 @@ def test_what_is_written_of_several_models(tmp_path, write, chain):
     # A model that is left without rows is not in the file.
     write_measurements(file, data.rows(np.array([2])), force=True)
     assert read(file, chain).model == "position"
-    two = (" p",) * 2
-    bad = {"payload": {"conditions": Conditions(two)}, "target": {"target": two}}
-    bad |= {name: {name: " p"} for name in ("station", "tool", "chain")}
+    bad = {name: {name: " p"} for name in ("station", "tool", "chain")}
+    bad |= {"payload": {"conditions": Conditions((" p",) * 2)}}
     for name, change in bad.items():
-        camera = replace(data.blocks[0], **change)
         with pytest.raises(OutputError, match=f"{name} ' p'"):
-            write_measurements(file, camera, force=True)
+            write_measurements(file, replace(data.blocks[0], **change), force=True)
 
 
 def test_several_files_of_different_models(write, chain, refused):
@@ -1158,15 +1149,13 @@ def test_real_files(tmp_path, data_folder, name, tip, folder, options, counts, i
 
 def test_progress_of_reading_and_writing(tmp_path):
     """It grows to all, in parts of thousands of lines, and changes no byte."""
-    rng = np.random.default_rng(0)
-    q = rng.uniform(-1.0, 1.0, (12_000, 1))
-    rows = Measurements(("lift",), q, "plane-distance", rng.uniform(0.5, 2.0, q.shape))
-    written: list[float] = []
-    write_measurements(tmp_path / "a.csv", rows, progress=written.append)
-    write_measurements(tmp_path / "b.csv", rows)
-    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
-    assert written == sorted(written) and len(written) == 3
-    assert written[0] >= 0.0 and written[-1] <= 1.0
-    seen: list[float] = []
-    read_table(tmp_path / "a.csv", seen.append)
+    q = np.random.default_rng(0).uniform(0.5, 1.0, (12_000, 1))
+    rows, file = Measurements(("lift",), q, "plane-distance", q), tmp_path / "a.csv"
+    written, seen = list[float](), list[float]()
+    write_measurements(file, rows, progress=written.append)
+    first = file.read_bytes()
+    write_measurements(file, rows, force=True)
+    assert file.read_bytes() == first
+    assert written == sorted(written) and len(written) == 3 and written[0] >= 0.0
+    read_table(file, seen.append)
     assert seen == sorted(seen) and len(seen) == 2 and seen[-1] == 1.0

@@ -196,8 +196,8 @@ def test_marks_that_may_separate_thousands(table, rows, line, column):
 @pytest.mark.parametrize("cell", ["2.168,00", '"2,168.00"', "2'168.00", '"1,145,240"'])
 def test_separated_thousands_are_no_number(table, cell):
     with pytest.raises(InputError, match="thousands") as caught:
-        table(f"a\tb\n1\t2\n1\t{cell}\n").numbers("b", PURE)
-    assert (caught.value.line, caught.value.value) == (3, cell.strip('"'))
+        table(f"a\tb\n1\t{cell}\n").numbers("b", PURE)
+    assert (caught.value.line, caught.value.value) == (2, cell.strip('"'))
 
 
 # --- cells ----------------------------------------------------------------------

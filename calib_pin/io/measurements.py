@@ -23,7 +23,7 @@ from calib_pin.errors import InputError, RobotError, nearest
 from calib_pin.io.columns import NO_READING, Column, Floats, closest
 from calib_pin.io.files import write_atomically
 from calib_pin.io.foreign_headers import check_gauges
-from calib_pin.io.measured_columns import NAMES, ORIENTED, asked_models, place_of
+from calib_pin.io.measured_columns import DIRECTION, NAMES, asked_models, place_of
 from calib_pin.io.table import Notice, Table, read_table, require_columns, with_readings
 from calib_pin.io.written_columns import measurement_columns, writable
 from calib_pin.kinematics.chain import Chain
@@ -48,6 +48,9 @@ from calib_pin.units import steps_of
 
 LINES = 5000
 """Lines that are written between two reports of the progress."""
+
+Keys = dict[BlockKey, Indices | slice]
+"""The rows of each block."""
 
 OURS = {"image", "pose", "cycle"}
 """Columns that our commands write for people, or for one another."""
@@ -293,7 +296,7 @@ class _Reader:
     def _of_sheet(self, table: Table) -> Table:
         """The file with z = 0 where it states x and y alone: points of a sheet."""
         there = table.columns.keys()
-        others = ORIENTED & there or {*self.asked} - {"position"}
+        others = measured_columns.ORIENTED & there or {*self.asked} - {"position"}
         hidden = "z" in {*there, *table.missing} or closest("z", there)
         if hidden or others or not {"x", "y"} <= there:
             return table
@@ -301,7 +304,7 @@ class _Reader:
         z = Column("z", None, np.zeros(len(table.lines)))
         return replace(table, columns={**table.columns, "z": z})
 
-    def _keys(self, table: Table, chain_of: Labels) -> dict[BlockKey, Indices | slice]:
+    def _keys(self, table: Table, chain_of: Labels) -> Keys:
         """The rows of each block, in the order in which these begin."""
         models = table.labels("model")
         if "model" not in table:
@@ -380,10 +383,7 @@ class _Reader:
 
 
 def _with_readings(
-    table: Table,
-    chains: Chains,
-    columns: JointColumns,
-    keys: Mapping[BlockKey, Indices | slice],
+    table: Table, chains: Chains, columns: JointColumns, keys: Keys
 ) -> Booleans:
     """Whether measurements have all that their model and their joints read, shape (N,).
 
@@ -557,9 +557,7 @@ def encode_configurations(
     columns: dict[str, Floats | Sequence[str] | Sequence[int]] = {
         **joint_columns.shown_columns(q, JointColumns.of(chain, joints), degrees)
     }
-    columns |= {
-        joint + measured_columns.DIRECTION: column for joint, column in sides.items()
-    }
+    columns |= {joint + DIRECTION: column for joint, column in sides.items()}
     named = {**places, "target": target}
     columns |= {k: writable(k, column) for k, column in named.items() if any(column)}
     return encode_table(columns, comments)

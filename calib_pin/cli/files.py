@@ -44,7 +44,7 @@ def open_setup(
 
     from calib_pin.estimation.robust.weights import LOSSES
     from calib_pin.estimation.solve import SOLVERS
-    from calib_pin.io.inferred_model import asked_models
+    from calib_pin.io.measured_columns import asked_models
     from calib_pin.io.setup import read_setup
     from calib_pin.parameterizations import PARAMETERIZATIONS
     from calib_pin.residual_models import RESIDUAL_MODELS
@@ -92,7 +92,7 @@ def stated_blocks(setup: Setup, *chains: str) -> tuple[BlockKey, ...]:
     """
     from itertools import product
 
-    from calib_pin.io.inferred_model import asked_models
+    from calib_pin.io.measured_columns import asked_models
     from calib_pin.measurement_models import MEASUREMENT_MODELS
     from calib_pin.observations import BlockKey
 

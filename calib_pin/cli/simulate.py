@@ -127,14 +127,15 @@ def simulate(
 
     from calib_pin.estimation.formulation import nominal_problem
     from calib_pin.io.calibrated_model import encode_urdf
-    from calib_pin.io.condition_columns import read_held
     from calib_pin.io.files import write_files
     from calib_pin.io.measurements import (
-        encode_measurements,
+        encode_table,
         read_configurations,
+        read_held,
         read_names,
     )
     from calib_pin.io.setup import read_true_errors
+    from calib_pin.io.written_columns import measurement_columns
     from calib_pin.observations import Observations
     from calib_pin.simulation import draw_errors
     from calib_pin.simulation import simulate as run
@@ -198,7 +199,8 @@ def simulate(
                     )
                 )
         tell = stage(bar, "write")
-        contents = {output: encode_measurements(rows, [comment], tell)}
+        columns = dict(measurement_columns(rows))
+        contents = {output: encode_table(columns, [comment], tell)}
         true = CalibratedModel.create(problem, theta)
         if truth is not None:
             contents[truth] = encode_urdf(true.without_corrections, truth)

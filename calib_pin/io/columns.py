@@ -1,15 +1,11 @@
-"""Columns of CSV files: what they hold, what they may hold, and their headers."""
+"""A column of a table: its cells, the unit of its header, and what it may hold."""
 
 from __future__ import annotations
 
 import math
 import re
-from array import array
-from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import compress, count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,100 +13,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import nearest
 from calib_pin.observations.labels import Labels
 from calib_pin.setup.values import LARGEST_ANGLE, LARGEST_LENGTH
-from calib_pin.units import as_number, steps_of
-
-
-def read_numbers(cells: Sequence[str]) -> NDArray[np.float64]:
-    """The numbers in some cells, to the last bit as Python's `float` has them.
-
-    Args:
-        cells: Untrimmed text, N strings.
-
-    Returns:
-        The numbers, shape (N,); infinite or not-a-number where a cell says so or holds
-        none.
-    """
-    if (numbers := _decimals(cells, len(cells))) is not None:
-        return numbers
-    known = {cell: as_number(cell.strip()) for cell in set(cells)}
-    return np.array([known[cell] for cell in cells], np.float64)
-
-
-def read_lines(lines: Sequence[str], width: int) -> NDArray[np.float64] | None:
-    """The numbers in lines of cells between commas, as `read_numbers` has them.
-
-    Args:
-        lines: Lines, N strings.
-        width: Cells in each.
-
-    Returns:
-        The numbers by column, shape (width, N); None unless all cells are decimal
-        fractions, which are read three times as fast at once.
-    """
-    if {line.count(",") for line in lines} != {width - 1}:
-        return None
-    numbers = _decimals(lines, len(lines) * width)
-    if numbers is None or not np.isfinite(numbers).all():
-        return None
-    return numbers.reshape(-1, width).T
-
-
-def _decimals(cells: Sequence[str], count: int) -> NDArray[np.float64] | None:
-    """The numbers of so many cells, shape (count,), where all are decimal fractions."""
-    # Importing it takes time, and most of the commands have done so before.
-    from pydantic_core import from_json
-
-    # A JSON reader is four times faster than `float` with all digits of a number, and
-    # rounds to the nearest number as well. What it reads as anything but a decimal
-    # fraction is not left to it (JSON's integers have no -0).
-    with suppress(ValueError):
-        numbers = from_json(f"[{','.join(cells)}]", allow_inf_nan=False)
-        if len(numbers) == count and set(map(type, numbers)) == {float}:
-            return np.array(numbers)
-    return None
-
-
-def with_points(cells: Sequence[str]) -> list[str]:
-    """Cells whose numbers have a decimal comma, with a point instead."""
-    return [
-        cell.replace(",", ".") if "," in cell and _COMMA.fullmatch(cell) else cell
-        for cell in cells
-    ]
-
-
-def what_is_wrong(cell: str, value: float) -> str:
-    """The reason why a cell cannot be used.
-
-    Args:
-        cell: Its trimmed text.
-        value: The number in it, as `read_numbers` reads it.
-    """
-    if cell.lower() in MISSING:
-        return NO_READING if cell else "the cell is empty"
-    if not math.isnan(value):
-        return "not positive" if math.isfinite(value) else "not a finite number"
-    if THOUSANDS.fullmatch(cell):
-        return "not a number (thousands are not to be separated)"
-    if _COMMA.fullmatch(cell):
-        return "not a number (between commas the decimal mark must be a point)"
-    return "not a number"
-
-
-HUGE = 1e9
-"""Numbers from here on are none of a length or an angle, in any unit."""
-
-NO_READING = "the reading is missing"
-
-MISSING = frozenset(
-    ["", "nan", "n/a", "na", "#n/a", "missing", "null", "none", "*", "-", "--", "?"]
-)
-"""Texts of cells that have no reading, in any case."""
-
-THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?:[.,]\d*)?")
-"""Numbers that may have signs between thousands."""
-
-_COMMA = re.compile(r"\s*[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?\s*")
-
+from calib_pin.units import steps_of
 
 Floats = NDArray[np.float64]
 
@@ -124,12 +27,14 @@ class Kind:
         units: Factor to `si` of each unit.
         smaller: The unit that is likely meant when a value is far too large in another.
         largest: Largest absolute value that can be meant, in `si`.
+        least: Least value that can be meant, in `si`.
     """
 
     si: str
     units: Mapping[str, float]
     smaller: Mapping[str, str]
     largest: float
+    least: float = -np.inf
 
 
 class _Angles(dict[str, float]):
@@ -165,8 +70,8 @@ ANGLE = Kind(
 PIXEL = Kind("px", {"px": 1.0}, {}, 1e5)
 PURE = Kind("", {}, {}, np.inf)
 
-UNITS = {*ANGLE.units, *LENGTH.units, *PIXEL.units}
-"""Units as calib-pin writes them."""
+KINDS: Mapping[str, Kind] = {kind.si: kind for kind in (LENGTH, ANGLE, PIXEL)}
+"""How numbers of a unit may be written."""
 
 COUNTERS = {1023: "steps/1228.8@512", 4095: STEPS}
 """Units of servos by the largest position that they count: those of 10 bits turn by 300
@@ -185,9 +90,21 @@ def counted(numbers: Floats) -> str:
     return next((unit for top, unit in COUNTERS.items() if numbers.max() <= top), "")
 
 
-TEXTS = 1 << 8
-"""Different cells of a column up to which the texts of its numbers are kept: names such
-as 01 and 1.10 are few, and numbers that are measured are not."""
+HUGE = 1e9
+"""Numbers from here on are none of a length or an angle, in any unit."""
+
+NO_READING = "the reading is missing"
+
+MISSING = frozenset(
+    ["", "nan", "n/a", "na", "#n/a", "missing", "null", "none", "*", "-", "--", "?"]
+)
+"""Texts of cells that have no reading, in any case."""
+
+THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:([.,' ])\d{3})(?:\1\d{3})*(?:[.,]\d*)?")
+"""Numbers that may have signs between thousands."""
+
+COMMA = re.compile(r"\s*[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?\s*")
+"""Numbers with a decimal comma."""
 
 
 @dataclass(frozen=True)
@@ -229,13 +146,27 @@ class Column:
             return Labels(self.words, self.codes)
         return Labels.of([self.text(row) for row in range(len(self.numbers))])
 
-    def blank(self) -> NDArray[np.bool_]:
-        """Whether each cell is blank, shape (N,)."""
-        return self._holds(lambda word: not word.strip())
-
     def missing(self) -> NDArray[np.bool_]:
-        """Whether each cell says that there is no reading, shape (N,)."""
-        return self._holds(lambda word: word.strip().lower() in MISSING)
+        """Whether each cell is blank or says that it has no reading, shape (N,)."""
+        blank = np.isnan(self.numbers)
+        if not self.words:
+            return blank
+        # The last entry is that of the code -1.
+        said = [word.strip().lower() in MISSING for word in self.words]
+        return np.where(self.codes < 0, blank, np.array([*said, False])[self.codes])
+
+    def fault(self, row: int) -> str:
+        """The reason why a cell is no finite number."""
+        cell, number = self.text(row), float(self.numbers[row])
+        if cell.lower() in MISSING:
+            return NO_READING if cell else "the cell is empty"
+        if not math.isnan(number):
+            return "not a finite number"
+        if THOUSANDS.fullmatch(cell):
+            return "not a number (thousands are not to be separated)"
+        if COMMA.fullmatch(cell):
+            return "not a number (between commas the decimal mark must be a point)"
+        return "not a number"
 
     @property
     def outlying(self) -> NDArray[np.int64]:
@@ -259,75 +190,6 @@ class Column:
         """Whether it is one of numbers: most of its cells that are not missing."""
         found = np.count_nonzero(np.isfinite(self.numbers))
         return bool(2 * found > len(self.numbers) - np.count_nonzero(self.missing()))
-
-    def _holds(self, matches: Callable[[str], bool]) -> NDArray[np.bool_]:
-        blank = np.isnan(self.numbers)
-        if not self.words:
-            return blank
-        # The last entry is that of the code -1.
-        found = np.array([*map(matches, self.words), False])[self.codes]
-        return np.asarray(found | (blank & (self.codes < 0)))
-
-
-class GrowingColumn:
-    """Numbers and words of a column, see `Column`, while the file is read.
-
-    Attributes:
-        numbers: The numbers so far.
-        marks: Decimal marks of the numbers, of a file in which commas may be some: the
-            first row with each; the key `1.000` for a point that may separate
-            thousands.
-    """
-
-    def __init__(self) -> None:
-        """A column without rows."""
-        self.numbers = array("d")
-        self.marks = dict[str, int]()
-        self._codes, self._words = array("q"), defaultdict[str, int](count().__next__)
-
-    @property
-    def few(self) -> bool:
-        """Whether it has so few different cells so far that their texts are kept."""
-        return len(self._words) <= TEXTS
-
-    def extend(self, cells: Sequence[str], *, commas: bool = False) -> None:
-        """Add rows.
-
-        Args:
-            cells: Their untrimmed texts.
-            commas: Whether a decimal mark may be a comma, which becomes a point.
-        """
-        written = cells
-        cells = with_points(cells) if commas else cells
-        numbers = read_numbers(cells)
-        finite = np.isfinite(numbers)
-        for row, cell in enumerate(written) if commas else ():
-            if finite[row] and ("," in cell or "." in cell):
-                thousands = "," not in cell and THOUSANDS.fullmatch(cell.strip())
-                mark = "1.000" if thousands else "," if "," in cell else "."
-                self.marks.setdefault(mark, len(self.numbers) + row)
-        codes, kept = np.full(len(cells), -1), ~finite | self.few
-        codes[kept] = [self._words[cell] for cell in compress(cells, kept)]
-        self.add(numbers, codes)
-
-    def add(self, numbers: Floats, codes: NDArray[np.int64] | None = None) -> None:
-        """Add rows by their numbers, all of them finite where no codes are given."""
-        codes = np.full(len(numbers), -1) if codes is None else codes
-        self._codes.frombytes(codes.tobytes())
-        self.numbers.frombytes(numbers.tobytes())
-
-    def grown(self, header: str) -> Column:
-        """The column below a header cell."""
-        name, unit = split_header(header)
-        numbers = np.frombuffer(self.numbers)
-        numbers.setflags(write=False)
-        codes, finite = np.array(self._codes), np.isfinite(numbers)
-        # Some of them would be taken for other names than the rest.
-        if not self.few or (codes[finite] < 0).any():
-            codes[finite] = -1
-        if (codes < 0).all():
-            return Column(header, unit, numbers, theirs=name)
-        return Column(header, unit, numbers, tuple(self._words), codes, name)
 
 
 ELSEWHERE = "; 'calib-pin init' finds columns with other names"

@@ -30,8 +30,7 @@ from calib_pin.io.foreign_headers import (
     vectors,
     without_meaning,
 )
-from calib_pin.io.inferred_model import asked_models
-from calib_pin.io.measured_columns import optional, reserved
+from calib_pin.io.measured_columns import asked_models, optional, reserved
 from calib_pin.io.measurements import read_measurements
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from calib_pin.errors import CalibPinError, InputError
-from calib_pin.io.columns import (
-    ANGLE,
-    ELSEWHERE,
-    LENGTH,
-    Floats,
-    Kind,
-    closest,
-    split_header,
-)
+from calib_pin.errors import InputError
+from calib_pin.io.columns import ANGLE, ELSEWHERE, LENGTH, Floats, Kind, split_header
 from calib_pin.io.measured_columns import reserved
-from calib_pin.io.table import Table
+from calib_pin.io.table import Table, found_numbers
 from calib_pin.io.written_columns import column_name
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -34,9 +27,6 @@ encoders of both, and limits that are rounded, differ by less."""
 NEAR = 0.05
 """Distance of a column from that of a joint, rms in standard deviations of it, below
 which it is one of that joint, too."""
-
-SOME = 1000
-"""Rows that tell how near it is."""
 
 LONGEST_TRAVEL = 20.0
 """Largest position of a prismatic joint that can be meant [m]: a long rail."""
@@ -103,66 +93,76 @@ def read_positions(
         InputError: If a column is missing, its values cannot be in their unit, or a
             joint is not where the one that it mimics takes it.
     """
-    chains, count = Chains.of(chain), len(table.lines)
-    needed = {name: frozenset(drives_of(chains[name])) for name in chains.names}
-    if chain_of is None:
-        needed = {"": frozenset[str]().union(*needed.values())}
-        chain_of = Labels.all("", count)
-    _check_present(table, chains, columns, needed)
-    q, stated = np.zeros((count, len(chains.joints))), {}
+    chains, own = Chains.of(chain), zip(columns.joints, columns.names, strict=True)
+    lacking = [joint for joint, name in own if joint and name not in table]
+    table.require(
+        columns.names,
+        "no joint column",
+        table.columns.keys() - {*columns.names, *reserved(), *chains.robot.model.names},
+        (lacking and advice(chains[chains.names[0]], lacking)) or ELSEWHERE,
+    )
+    q, stated = np.zeros((len(table.lines), len(chains.joints))), {}
     for i, joint in enumerate(chains.joints):
-        kinds = kinds_of(columns, joint)
-        if not all(name in table for name in kinds):
-            continue
-        needs = np.array([joint in needed[name] for name in chain_of.names])
-        rows = needs[chain_of.codes]
-        if not rows.all():
-            blank = [table.columns[name].blank() for name in kinds]
-            rows |= ~np.any(blank, axis=0)
-        limits = float(chains.lower[i]), float(chains.upper[i])
-        if rows.all():
-            q[:, i] = _positions(table, columns, joint, limits)
-        elif rows.any():
-            own = table.rows(np.flatnonzero(rows), kinds)
-            q[rows, i] = _positions(own, columns, joint, limits)
-        stated[joint] = rows
+        names = kinds_of(columns, joint).keys()
+        if names <= table.columns.keys():
+            rows = np.ones(len(q), bool)
+            if chain_of is not None:
+                needs = [joint in drives_of(chains[name]) for name in chain_of.names]
+                blank = [table.columns[name].missing() for name in names]
+                rows = np.array(needs)[chain_of.codes] | ~np.any(blank, axis=0)
+            stated[joint] = rows
+            some = slice(None) if rows.all() else np.flatnonzero(rows)
+            if rows.any():
+                part = table.rows(some, table.columns)
+                q[some, i] = _positions(part, chains, columns, i)
     followed = chains.follow(q)
     for joint in chains.mimics.keys() & stated.keys():
         i, leader = chains.joints.index(joint), chains.mimics[joint].leader
-        apart = abs(followed - q)[:, i]
+        apart, unit = abs(followed - q)[:, i], "rad" if chains.revolute[i] else "m"
         if chains.revolute[i]:  # A controller may report it within one turn.
             apart = abs(apart - 2.0 * np.pi * np.round(apart / (2.0 * np.pi)))
         # One that leads nothing may lack.
         far = stated[joint] & stated.get(leader, True) & (apart > MIMICRY)
-        if far.any():
-            row, name = int(np.argmax(far)), columns.maps[joint][0]
-            kind = kinds_of(columns, joint)[name]
-            raise table.cell_error(
-                f"joint '{joint}' mimics '{leader}', which puts it at "
-                f"{followed[row, i]:.6g} {kind.si}",
-                name,
-                row,
-                f"{MIMICRY:g} {kind.si} away from there or less; the column may be "
-                "left out",
-            )
+        place = f"{followed[np.argmax(far), i]:.6g} {unit}"
+        reason = f"joint '{joint}' mimics '{leader}', which puts it at {place}"
+        allowed = f"less than {MIMICRY:g} {unit} away; the column may be left out"
+        table.refuse(far, reason, columns.maps[joint][0], allowed)
     return followed[:, : len(chain.joints)]
 
 
-def _positions(
-    table: Table, columns: JointColumns, joint: str, limits: tuple[float, float]
-) -> Floats:
-    """Positions of one joint, shape (N,) [rad, m]."""
+def _positions(table: Table, chains: Chains, columns: JointColumns, i: int) -> Floats:
+    """Positions of one joint, shape (N,) [rad, m].
+
+    Raises:
+        InputError: If they can only be degrees or millimeters.
+    """
+    joint, lower, upper = chains.joints[i], chains.lower[i], chains.upper[i]
     kinds, (column, given) = kinds_of(columns, joint), columns.maps[joint]
-    parts = {c: table.numbers(c, kind) for c, kind in kinds.items()}
-    position = parts[column]
+    parts = {name: table.numbers(name, kind) for name, kind in kinds.items()}
+    q, kind, why = parts[column], kinds[column], ""
     if given != JointMap(joint):
         # What overflows is told with its line.
         with np.errstate(over="ignore", invalid="ignore"):
-            for name, factor in given.coupled.items():
-                position = position + factor * parts[name]
-            position = given.sign * given.gear * position + given.offset
-    _check_unit(table, column, kinds[column], given, position, limits)
-    return position
+            q = q + sum(factor * parts[name] for name, factor in given.coupled.items())
+            q = given.sign * given.gear * q + given.offset
+        why = f"as mapped to joint '{joint}', offset {given.offset:g} {kind.si}"
+    most, free = LONGEST_TRAVEL, FREE_TRAVEL
+    if kind is ANGLE:
+        most, free = kind.largest, np.pi
+    # A turntable may be allowed more turns than any threshold would guess.
+    most = max(most, 2.0 * abs(lower), 2.0 * abs(upper))
+    table.check(column, q, replace(kind, largest=most), why)
+    unit = table.columns[column].unit or kind.si
+    # The chain gives free limits to joints without any, which may go further.
+    if (lower, upper) != (-free, free) and unit in kind.smaller:
+        excess = np.maximum(lower - q, q - upper)
+        ratio = kind.units[kind.smaller[unit]] / kind.units[unit]
+        if lower <= ratio * q[np.argmax(excess)] <= upper:
+            # A meter or radian of grace: limits are often narrower than the robot's.
+            grace = replace(kind, largest=max(upper - lower, 1.0))
+            why = f"the limits are {lower:.6g} to {upper:.6g}"
+            table.check(column, q, grace, why, excess)
+    return q
 
 
 def shown_columns(
@@ -190,7 +190,7 @@ def shown_columns(
             # Other software reads brackets at the end of a name as a unit.
             unit = unit or kind.si
             header = f"{header} [{unit}]"
-        shown[header] = values / ANGLE.units["deg"] if unit == "deg" else values
+        shown[header] = values / kind.units[unit] if unit else values
     return shown
 
 
@@ -232,105 +232,24 @@ def spare_positions(
     """
     model, found = chains.robot.model, dict[tuple[str, str], Floats]()
     for joint in [*model.names][1:]:
-        if joint not in chains.joints and joint in table:
-            kind = ANGLE if turns(model, joint) else LENGTH
-            positions = _all_numbers(table, joint, kind)
-            found |= {} if positions is None else {(joint, joint): positions}
-    some = table.rows(slice(SOME), table.columns)
-    kinds = {column: kind_of(columns, column) for column, _ in columns.maps.values()}
-    here = {column: _all_numbers(some, column, kind) for column, kind in kinds.items()}
-    for name in (name for name in spare if name not in reserved()):
-        far = {}
-        for joint, (column, _) in columns.maps.items():
-            own, there = here[column], _all_numbers(some, name, kinds[column])
-            if own is not None and there is not None:
-                with np.errstate(over="ignore"):  # What means something else.
-                    rms = float(np.sqrt(np.mean((there - own) ** 2)))
-                far[joint] = rms / max(float(own.std()), 1e-300)
-        closest = min(far, key=lambda joint: far[joint], default="")
-        if closest and 0.0 < far[closest] < NEAR:
-            column, given = columns.maps[closest]
-            own, there = (
-                _all_numbers(table, one, kinds[column]) for one in (column, name)
+        if joint not in chains.joints:
+            own = found_numbers(table, joint, ANGLE if turns(model, joint) else LENGTH)
+            found |= {} if own is None else {(joint, joint): own}
+    for name in spare:
+        near, nearest = NEAR, dict[tuple[str, str], Floats]()
+        for i, joint in enumerate(chains.joints if name not in reserved() else ()):
+            column, given = columns.maps[joint]
+            kind = kind_of(columns, column)
+            own, other = (
+                found_numbers(table, column, kind),
+                found_numbers(table, name, kind),
             )
-            if own is not None and there is not None:
-                position = q[:, chains.joints.index(closest)]
-                moved = given.sign * given.gear * (there - own)
-                found[closest, name] = position + moved
+            if own is None or other is None:
+                continue
+            with np.errstate(over="ignore"):  # What means something else.
+                rms = float(np.sqrt(np.mean((other - own) ** 2)))
+            if 0.0 < rms < near * own.std():
+                near, moved = rms / own.std(), given.sign * given.gear * (other - own)
+                nearest = {(joint, name): q[:, i] + moved}
+        found |= nearest
     return found
-
-
-def _all_numbers(table: Table, name: str, kind: Kind) -> Floats | None:
-    """The numbers of a column [SI unit of the kind]; None where it has others."""
-    if name not in table:
-        return None
-    try:
-        return table.numbers(name, kind)
-    except CalibPinError:
-        return None
-
-
-def _check_present(
-    table: Table,
-    chains: Chains,
-    columns: JointColumns,
-    needed: Mapping[str, Set[str]],
-) -> None:
-    """Refuse files without a joint that measurements of a chain need."""
-    every = frozenset[str]().union(*needed.values())
-    joint_of = {
-        name: joint
-        for joint in columns.joints
-        if joint in every
-        for name in kinds_of(columns, joint)
-    }
-    missing = [column for column in joint_of if column not in table]
-    if not missing:
-        return
-    first, rest = missing[0], missing[1:]
-    known = {*joint_of, *reserved(), *chains.robot.model.names}
-    free = [name for name in table.columns if name not in known]
-    chain = next(name for name in needed if joint_of[first] in needed[name])
-    what = f"joint '{joint_of[first]}' of the chain" + f" '{chain}'" * bool(chain)
-    if first != joint_of[first]:
-        what = f"column '{first}' for {what}"
-    also = f"; missing as well: {', '.join(rest)}" if rest else ""
-    hint = closest(first, free)
-    # A column that is only coupled has no joint of its own.
-    maps = [(joint, columns.maps[joint][0]) for joint in filter(None, columns.joints)]
-    own = [joint for joint, column in maps if column in missing]
-    hint = hint or advice(chains[chain or chains.names[0]], own) or ELSEWHERE
-    raise table.error(f"{what} is missing{also}{hint}", first)
-
-
-def _check_unit(
-    table: Table,
-    column: str,
-    kind: Kind,
-    given: JointMap,
-    q: Floats,
-    limits: tuple[float, float],
-) -> None:
-    """Refuse positions that can only be degrees or millimeters."""
-    lower, upper = limits
-    general = kind.largest if kind is ANGLE else LONGEST_TRAVEL
-    # A turntable may be allowed more turns than any threshold would guess.
-    largest = max(general, 2.0 * abs(lower), 2.0 * abs(upper))
-    why = ""
-    if given != JointMap(given.joint):
-        offset = f"{given.offset:g} {kind.si}"
-        why = f"as mapped to joint '{given.joint}' with an offset of {offset}"
-    table.check_size(column, q, kind, largest, why)
-    unit = table.columns[column].unit or kind.si
-    # The chain gives these to joints without limits, which may go further.
-    free = (-np.pi, np.pi) if kind is ANGLE else (-FREE_TRAVEL, FREE_TRAVEL)
-    if limits == free or unit not in kind.smaller:
-        return
-    excess = np.maximum(lower - q, q - upper)
-    row = int(np.argmax(excess))
-    ratio = kind.units[kind.smaller[unit]] / kind.units[unit]
-    # A meter or radian of grace: limits in URDFs are often narrower than the robot's.
-    far_off = excess[row] > max(upper - lower, 1.0)
-    if far_off and lower <= ratio * q[row] <= upper:
-        why = f"the limits are {lower:.6g} to {upper:.6g}"
-        raise table.implausible(column, row, float(q[row]), kind, why)

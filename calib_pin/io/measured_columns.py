@@ -1,77 +1,137 @@
-"""Measured columns of a file: which model reads which, their values and sigmas."""
+"""Measured columns of a file: which model reads which, their values and conditions."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib_pin.errors import InputError
+from calib_pin.errors import OptionError
 from calib_pin.io.columns import (
     ANGLE,
+    ELSEWHERE,
+    KINDS,
     LENGTH,
     PIXEL,
     PURE,
     Floats,
     Kind,
-    closest,
 )
-from calib_pin.io.table import Table
+from calib_pin.io.table import Table, found_numbers
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.measurement_models.declaration import DIAL
 from calib_pin.measurement_models.orientations import quaternions
-from calib_pin.observations import AT, BlockKey, Labels
-from calib_pin.setup import STATED, WORLD, OrientationSetup
+from calib_pin.observations import AT, BlockKey, Conditions, Indices
+from calib_pin.setup import STATED, OrientationSetup
 
-ORIENTATIONS: Mapping[str, Mapping[str, Kind]] = {
-    way: dict.fromkeys(names, PURE if way == "quaternion" else ANGLE)
+POSITION = ("x", "y", "z")
+"""Columns of a position."""
+
+ORIENTATION: Mapping[str, Kind] = {
+    name: PURE if way == "quaternion" else ANGLE
     for way, names in STATED.items()
+    for name in names
 }
-"""The kinds of the columns of an orientation, by the ways to state it."""
+"""The kinds of the columns of an orientation, in all the ways to state it."""
+
+ORIENTED = frozenset(ORIENTATION)
+"""Their names."""
+
+NAMES = (*BlockKey._fields, "target", "payload", "set")
+"""Columns of names; the first tell blocks apart."""
+
+STROKE = replace(LENGTH, largest=0.1)
+"""Readings of gauges."""
+
+SIGMAS = {
+    kind.si: replace(kind, largest=size, least=1e-12 * size)
+    for kind, size in ((LENGTH, 1.0), (ANGLE, 1.0), (PIXEL, 1e3))
+}
+"""Standard deviations that can be meant, by unit."""
+
+DIRECTION = ".direction"
+"""End of the name of a column with the direction in which a joint was approached."""
+
+CONDITIONS = {
+    "temperature": Kind("degC", {"degC": 1.0}, {}, 1e3),
+    "time": Kind(
+        "s", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}, {}, 1e12
+    ),
+}
+"""Columns that are read where they hold numbers throughout."""
+
+FEW = 4
+"""Measurements from which an orientation that never moves is none."""
 
 
-def read_kinds(table: Table, kinds: Mapping[str, Kind]) -> Floats:
-    """Columns side by side, shape (N, k), checked for their unit."""
-    values = np.empty((len(table.lines), len(kinds)))
-    for k, (name, kind) in enumerate(kinds.items()):
-        values[:, k] = table.numbers(name, kind)
-        table.check_size(name, values[:, k], kind, kind.largest)
-    return values
+def needed(model: str) -> dict[str, Kind]:
+    """The measured columns that a model cannot do without."""
+    return {name: KINDS[unit] for name, unit in declared(model).columns.items()}
+
+
+def optional(model: str) -> dict[str, Kind]:
+    """The deviations that a model reads where there are any."""
+    return {name: STROKE for ways in declared(model).readings for name in ways}
+
+
+def measured(*models: str) -> dict[str, Kind]:
+    """All columns that hold what a model measures; default what any model does."""
+    found = dict[str, Kind]()
+    for model in models or MEASUREMENT_MODELS:
+        found |= needed(model) | optional(model)
+        found |= ORIENTATION if declared(model).oriented else {}
+    return found
+
+
+def gauges() -> frozenset[str]:
+    """Columns that hold deviations of some contact."""
+    return frozenset(name for name, kind in measured().items() if kind is STROKE)
+
+
+def sigmas(model: str) -> dict[str, tuple[str, ...]]:
+    """Columns of a standard deviation, by residual component; the last one counts."""
+    stated = declared(model)
+    ways: Sequence[tuple[str, ...]] = stated.readings or [()] * len(stated.components)
+    return {
+        name: ("sigma", *(f"sigma_{way}" for way in (name, *others)))
+        for name, others in zip(stated.components, ways, strict=True)
+    }
+
+
+def read_by(model: str) -> frozenset[str]:
+    """Columns that a model reads where there are any, beside those that all do."""
+    stated = {name for names in sigmas(model).values() for name in names}
+    return frozenset({*measured(model)} | stated - {"sigma"})
+
+
+def reserved() -> frozenset[str]:
+    """Names that have a meaning in every file, whatever the robot's joints are."""
+    read = frozenset({"sigma", *NAMES}).union(*map(read_by, MEASUREMENT_MODELS))
+    return read | {f"sigma_{name}" for name in measured()}
+
+
+def read_kinds(table: Table, kinds: Iterable[tuple[str, Kind]]) -> Floats:
+    """Columns side by side, shape (N, k), of values that can be meant."""
+    columns = [table.check(n, table.numbers(n, kind), kind) for n, kind in kinds]
+    return np.column_stack([np.zeros((len(table.lines), 0)), *columns])
 
 
 def orientation_columns(table: Table) -> str:
     """The one way in which a file states orientations, one of `STATED`."""
-    ways = " or ".join(",".join(kinds) for kinds in STATED.values())
-    present = {
-        way: [name for name in kinds if name in table] for way, kinds in STATED.items()
+    first = {
+        way: name for way, names in STATED.items() for name in names if name in table
     }
-    stated = [way for way, names in present.items() if names]
-    if not stated:
-        raise table.error("model 'pose' needs an orientation", allowed=ways)
-    if len(stated) > 1:
-        names = [present[way][0] for way in stated]
-        raise table.error(
-            f"the orientation is given more than once, by {' and by '.join(names)}",
-            names[1],
-            f"one of {ways}",
-        )
-    missing = [name for name in STATED[stated[0]] if name not in table]
-    if missing:
-        whole = ", ".join(STATED[stated[0]])
-        raise table.error(
-            f"of the orientation {whole} the file lacks {', '.join(missing)}",
-            missing[0],
-        )
-    return stated[0]
-
-
-def stated_way(columns: Collection[str]) -> str:
-    """The way in which columns state an orientation; empty for none."""
-    ways = (way for way, names in STATED.items() if set(names) <= set(columns))
-    return next(ways, "")
+    if len(first) != 1:
+        found = " and ".join(first.values()) or "none"
+        ways = " or ".join(",".join(names) for names in STATED.values())
+        reason = f"model 'pose' needs one orientation, the file has {found}"
+        raise table.error(reason, [*first.values(), None][-2 if first else 0], ways)
+    (way,) = first
+    table.require(STATED[way], f"the orientation {', '.join(STATED[way])} lacks")
+    return way
 
 
 def read_quaternions(
@@ -84,85 +144,20 @@ def read_quaternions(
         way: How it states orientations, one of `STATED`.
         reading: How they are to be read.
     """
-    given = quaternions(read_kinds(table, ORIENTATIONS[way]), way, reading)
+    kinds = [(name, ORIENTATION[name]) for name in STATED[way]]
+    given = quaternions(read_kinds(table, kinds), way, reading)
     with np.errstate(over="ignore"):
         norm = np.linalg.norm(given, axis=1)
-    row = int(np.argmax(np.abs(norm - 1.0)))
-    if abs(norm[row] - 1.0) > 1e-2:
-        raise InputError(
-            f"the quaternion has the norm {norm[row]:.6g}",
-            file=table.file,
-            line=int(table.lines[row]),
-            column=", ".join(STATED[way]),
-            value=", ".join(table.columns[c].text(row) for c in STATED[way]),
-            allowed="a norm of 0.99 to 1.01",
-        )
+    off = abs(norm - 1.0)
+    if off[row := int(np.argmax(off))] > 1e-2:
+        cells = ", ".join(table.columns[name].text(row) for name in STATED[way])
+        reason = f"the norm of the quaternion '{cells}' is {norm[row]:.6g}"
+        raise table.cell_error(reason, STATED[way][-1], row, "0.99 to 1.01")
     # Dividing a unit quaternion once more may change its last bit, and a file that was
     # written from here must read back as it was.
-    norm[np.abs(norm - 1.0) < 1e-14] = 1.0
+    norm[off < 1e-14] = 1.0
     unit = given / norm[:, None]
     return np.asarray(np.where(unit[:, 3:] < 0.0, -unit, unit))
-
-
-POSITION = ("x", "y", "z")
-"""Columns of a position."""
-
-KINDS: Mapping[str, Kind] = {kind.si: kind for kind in (LENGTH, ANGLE, PIXEL)}
-"""How numbers of a unit may be written."""
-
-ORIENTED = frozenset(name for names in STATED.values() for name in names)
-"""Columns of an orientation, in any of the ways."""
-
-
-NAMES = (*BlockKey._fields, "target", "payload", "set")
-"""Columns of names; the first tell blocks apart."""
-
-
-def needed(model: str) -> dict[str, Kind]:
-    """The measured columns that a model cannot do without."""
-    return {name: KINDS[unit] for name, unit in declared(model).columns.items()}
-
-
-def components(model: str) -> dict[str, Kind]:
-    """The residual components of a model; a sigma belongs to one of these."""
-    return {name: KINDS[unit] for name, unit in declared(model).units.items()}
-
-
-STROKE = replace(LENGTH, largest=0.1)
-"""Readings of gauges."""
-
-
-def optional(model: str) -> frozenset[str]:
-    """The measured columns that a model reads where there are any."""
-    return frozenset(name for ways in declared(model).readings for name in ways)
-
-
-def gauges() -> frozenset[str]:
-    """Columns that hold deviations of some contact."""
-    return frozenset[str]().union(*map(optional, MEASUREMENT_MODELS))
-
-
-def measured() -> frozenset[str]:
-    """Columns that hold what some model measures."""
-    return ORIENTED.union(gauges(), *map(needed, MEASUREMENT_MODELS))
-
-
-def sigmas() -> frozenset[str]:
-    """Columns that hold standard deviations."""
-    names = measured().union(*map(components, MEASUREMENT_MODELS))
-    return frozenset({"sigma"} | {f"sigma_{name}" for name in names})
-
-
-def reserved() -> frozenset[str]:
-    """Names that have a meaning in every file, whatever the robot's joints are."""
-    return measured() | sigmas() | set(NAMES)
-
-
-LARGEST_SIGMA = {"m": 1.0, "rad": 1.0, "px": 1e3}
-"""Largest standard deviation that can be meant, by unit."""
-
-SMALLEST_SIGMA = {"m": 1e-12, "rad": 1e-12, "px": 1e-9}
-"""Smallest standard deviation that can be meant, by unit."""
 
 
 def read_values(
@@ -184,42 +179,28 @@ def read_values(
         `Measurements.values`, shape (N, D).
 
     Raises:
-        InputError: If a column is missing, or a value cannot be.
+        InputError: If a column is missing, or a value cannot be; of the deviations of
+            contacts, if only some components have one, or one has two.
     """
-    kinds = needed(model)
-    _check_present(table, model, tuple(kinds), spare)
-    if declared(model).contact:
-        return read_deviations(table, model)
-    values = read_kinds(table, kinds)
+    kinds, ways = needed(model), declared(model).readings
+    unknown = {*spare} - reserved()
+    table.require(kinds, f"model '{model}' needs the missing", unknown)
+    there = sorted(gauges() & table.columns.keys()) if ways else []
+    if there:
+        found = [name for names in ways for name in names if name in there]
+        once = all(len({*names} & {*there}) == 1 for names in ways)
+        if len(there) != len(ways) or not once:
+            needs = ", ".join(map(" or ".join, ways))
+            reason = f"of a gauge '{model}' needs every column once, and no other"
+            raise table.error(reason, there[-1], needs)
+        values = read_kinds(table, [(name, STROKE) for name in found])
+        return tuple(found), values * [-1.0 if DIAL in n else 1.0 for n in found]
+    values = read_kinds(table, kinds.items())
     if not declared(model).oriented:
         return tuple(kinds), values
     way = orientation_columns(table)
     turned = read_quaternions(table, way, orientation)
     return (*kinds, *STATED[way]), np.hstack([values, turned])
-
-
-def read_deviations(table: Table, model: str) -> tuple[tuple[str, ...], Floats]:
-    """The deviations of contacts, as `read_values`; none where no gauge was read.
-
-    Raises:
-        InputError: If only some components have one, or one has two.
-    """
-    ways = declared(model).readings
-    there = sorted(gauges() & table.columns.keys())
-    there = [name for name in there if not table.columns[name].missing().all()]
-    found = [name for names in ways for name in names if name in there]
-    others = [name for name in there if name not in found]
-    once = all((names[0] in found) != (names[1] in found) for names in ways)
-    if others or (found and not once):
-        raise table.error(
-            f"of a gauge '{model}' needs every column once, and no other",
-            (others or found)[-1],
-            ", ".join(map(" or ".join, ways)),
-        )
-    if not found:
-        return (), np.zeros((len(table.lines), 0))
-    values = read_kinds(table, dict.fromkeys(found, STROKE))
-    return tuple(found), values * [-1.0 if DIAL in n else 1.0 for n in found]
 
 
 def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | None]:
@@ -234,72 +215,33 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
         and None where the file states none.
 
     Raises:
-        InputError: If only some components have one, or a value is not positive.
+        InputError: If only some components have one, its meaning would have to be
+            guessed, or a value cannot be.
     """
-    kinds = components(model)
-    of_gauges = declared(model).readings or [("", "")] * len(kinds)
-    if declared(model).oriented:
-        _check_pose_sigma(table, model)
-    if declared(model).contact and len(kinds) == 1:
-        _check_contact_sigma(table)
+    stated, ways = declared(model), sigmas(model)
+    odd = {*measured(model)}
+    if stated.contact:
+        # Beside its own column it is of something that is not read either.
+        odd |= {name for name in measured() if name not in table}
+    odd = {f"sigma_{name}" for name in odd} - read_by(model)
+    odd |= {"sigma"} if len({*stated.units.values()}) > 1 else set()
+    for name in (name for name in table.columns if name in odd):
+        reason = f"model '{model}' has no component of this standard deviation"
+        raise table.error(reason, name, ", ".join(f"sigma_{of}" for of in ways))
     found = {
         component: name
-        for component, ways in zip(kinds, of_gauges, strict=True)
-        for name in ("sigma", *(f"sigma_{way}" for way in (component, *ways)))
+        for component, names in ways.items()
+        for name in names
         if name in table
     }
     if not found:
         return {}, None
-    missing = [f"sigma_{name}" for name in kinds if name not in found]
-    if missing:
-        raise table.error(
-            "a sigma is needed for every component or for none; missing: "
-            f"{', '.join(missing)}",
-            missing[0],
-        )
-    columns = []
-    for component, name in found.items():
-        kind = kinds[component]
-        column = table.numbers(name, kind, positive=True)
-        table.check_size(name, column, kind, LARGEST_SIGMA[kind.si])
-        row, smallest = int(np.argmin(column)), SMALLEST_SIGMA[kind.si]
-        if column[row] < smallest:
-            raise table.cell_error(
-                "too small for a standard deviation",
-                name,
-                row,
-                f"{smallest:g} {kind.si} or more",
-            )
-        columns.append(column)
-    return found, np.stack(columns, axis=1)
-
-
-def check_targets(table: Table, key: BlockKey, target: Labels) -> None:
-    """Refuse measurements that do not name what they cannot do without.
-
-    Args:
-        table: The file.
-        key: What the measurements have in common.
-        target: The target of each; empty names if the file has no such column.
-
-    Raises:
-        InputError: If there are such.
-    """
-    naming, noun = declared(key.model).naming, ""
-    if naming.required == "every":
-        noun, reason = naming.noun, f"model '{key.model}'"
-    elif key.chain == WORLD:
-        noun, reason = "point that stands still", f"chain '{WORLD}'"
-    if not noun:
-        return
-    if "target" not in table:
-        raise table.error(
-            f"{reason} needs a column 'target' with the {noun} of each row", "target"
-        )
-    nameless = target.map(place_of).where("")
-    if nameless.any():
-        row = int(np.argmax(nameless))
-        raise table.cell_error(f"the row names no {noun}", "target", row)
+    table.require(
+        [f"sigma_{name}" for name in ways if name not in found],
+        "a sigma is needed for every component or for none; missing:",
+    )
+    kinds = [SIGMAS[unit] for unit in stated.units.values()]
+    return found, read_kinds(table, zip(found.values(), kinds, strict=True))
 
 
 def place_of(target: str) -> str:
@@ -307,17 +249,13 @@ def place_of(target: str) -> str:
     return target.rpartition(AT)[2]
 
 
-def find_starts(
-    table: Table, target: Labels, payload: Labels, distance: Floats, q: Floats
-) -> NDArray[np.int64]:
+def find_starts(table: Table, distance: Floats, q: Floats) -> Indices:
     """The row at which the relative measurement of each row starts, shape (N,).
 
     Rows of one target belong together; the first of them is their start.
 
     Args:
         table: The file.
-        target: Target of each row.
-        payload: Payload of each row.
         distance: Distances from the start, shape (N,) [m].
         q: Joint positions, shape (N, n) [rad, m].
 
@@ -325,39 +263,21 @@ def find_starts(
         InputError: If a start is not one, nothing starts there, or a row cannot be
             measured from it.
     """
-    count = len(distance)
+    target, payload = table.labels("target"), table.labels("payload")
     _, first, which = np.unique(target.codes, return_index=True, return_inverse=True)
     start = np.asarray(first[which])
-    begins = start == np.arange(count)
-    sizes = np.bincount(start, minlength=count)
-    still = (q == q[start]).all(axis=1) & ~begins
-    other = payload.codes != payload.codes[start]
+    begins = start == np.arange(len(start))
+    alone = np.bincount(start, minlength=len(start)) == 1
+    still = ~begins & (q == q[start]).all(axis=1)
+    wrong = (begins != (distance == 0.0)) | (distance < 0.0)
     of = "the first row of a target is its start"
-    for wrong, reason, column, allowed in (
-        (begins & (distance != 0.0), f"{of}, where the distance is 0", "distance", "0"),
-        (
-            sizes == 1,
-            f"{of}, and no other row is measured from it",
-            "target" if "target" in table else "distance",
-            None,
-        ),
-        (
-            ~begins & (distance <= 0.0),
-            f"{of}; all others are away from it, a new start needs a target of its own",
-            "distance",
-            "more than 0",
-        ),
-        (
-            still,
-            "the joint positions are those of the start, from where no distance can be "
-            "measured",
-            "distance",
-            None,
-        ),
-        (other, "the payload is not that of the start", "payload", None),
-    ):
-        if wrong.any():
-            raise table.cell_error(reason, column, int(np.argmax(wrong)), allowed)
+    table.refuse(wrong, f"{of}, and only there the distance is 0", "distance")
+    named = "target" if "target" in table else "distance"
+    table.refuse(alone, f"{of}, and no other row is measured from it", named)
+    table.refuse(still, "the joint positions are those of the start", "distance")
+    if "payload" in table:
+        other = payload.codes != payload.codes[start]
+        table.refuse(other, "the payload is not that of the start", "payload")
     return start
 
 
@@ -378,57 +298,111 @@ def check_spread(
     placements = (*chain.placements, chain.tip_placement)
     reach = sum(float(np.linalg.norm(M.translation)) for M in placements)
     reach += float((chain.upper - chain.lower)[~chain.revolute].sum())
-    for k, (name, column) in enumerate(zip(POSITION, positions.T, strict=True)):
-        if base is None:
-            center, spread = float(np.median(column)), float(np.ptp(column))
-            what = "the measurements span"
-        else:
-            center, what = float(base[k]), "it is away from the base"
-            spread = float(np.abs(column - center).max())
-        # One meter for a tool, and a factor for a URDF that is far off.
-        if spread > 4.0 * (reach + 1.0):
-            row = int(np.argmax(np.abs(column - center)))
-            why = f"{what} {spread:.3g} m and the robot reaches {reach:.3g} m"
-            raise table.implausible(name, row, float(column[row]), LENGTH, why)
+    center = np.median(positions, axis=0) if base is None else base
+    # One meter for a tool, and a factor for a URDF that is far off.
+    kind = replace(LENGTH, largest=4.0 * (reach + 1.0))
+    for name, values, away in zip(POSITION, positions.T, center, strict=True):
+        why = f"the robot reaches {reach:.3g} m"
+        table.check(name, values, kind, why, abs(values - away))
 
 
-def _check_present(
-    table: Table, model: str, names: Sequence[str], spare: Sequence[str]
-) -> None:
-    missing = [name for name in names if name not in table]
-    if not missing:
-        return
-    unknown = [name for name in spare if name not in reserved()]
-    hint = next(filter(None, (closest(name, unknown) for name in missing)), "")
-    what = ", ".join(missing)
-    raise table.error(f"model '{model}' needs the missing {what}{hint}", missing[0])
+def read_conditions(
+    table: Table, joints: Sequence[str]
+) -> tuple[Conditions, frozenset[str]]:
+    """The conditions that a file states, but for the payload.
 
+    A temperature or a time that is not a number in each row, such as a date, is none.
 
-def _check_pose_sigma(table: Table, model: str) -> None:
-    """Refuse a sigma whose meaning for a pose would have to be guessed."""
-    allowed = ", ".join(f"sigma_{name}" for name in components(model))
-    if "sigma" in table:
-        raise table.error(
-            "'sigma' cannot hold for lengths and angles at once", "sigma", allowed
+    Args:
+        table: The file.
+        joints: Names of the joints.
+
+    Returns:
+        The conditions, and the columns that hold them.
+
+    Raises:
+        InputError: If a direction of approach is none of -1, 0 and 1, or blank.
+    """
+    stated: dict[str, Any] = {
+        name: numbers
+        for name, kind in CONDITIONS.items()
+        if (numbers := found_numbers(table, name, kind)) is not None
+    }
+    names = [joint + DIRECTION for joint in joints]
+    used = {name for name in names if name in table}
+    columns = np.zeros((len(table.lines), len(joints)), np.int8)
+    for name in used:
+        column = table.columns[name]
+        signs = np.where(column.missing(), 0.0, column.numbers)
+        wrong, allowed = (
+            ~np.isin(signs, (-1, 0, 1)),
+            "1, -1, or 0 where it is not known",
         )
-    for name in (*STATED["quaternion"], *STATED["roll-pitch-yaw"]):
-        if f"sigma_{name}" in table:
-            raise table.error(
-                "the sigma of an orientation is that of its rotation vector in the "
-                "tool frame",
-                f"sigma_{name}",
-                allowed,
-            )
+        table.refuse(wrong, "not the sign of a joint's last motion", name, allowed)
+        columns[:, names.index(name)] = signs
+    stated |= {"direction": columns, "source": "columns"} if used else {}
+    return Conditions(**stated), frozenset(used | CONDITIONS.keys() & stated.keys())
 
 
-def _check_contact_sigma(table: Table) -> None:
-    """Refuse a sigma that a contact does not have."""
-    kinds = {k: v for name in MEASUREMENT_MODELS for k, v in needed(name).items()}
-    for name in (name for name, kind in kinds.items() if kind is LENGTH):
-        # Beside its own column it is of something that is not read either.
-        if f"sigma_{name}" in table and name not in table:
-            raise table.error(
-                "a contact is off its surface in one direction only",
-                f"sigma_{name}",
-                "sigma, sigma_contact",
-            )
+def asked_models(model: str | None) -> tuple[str, ...]:
+    """The measurement models of an option: one, or several with a plus between them.
+
+    Raises:
+        OptionError: If there is no model of a name, or one is named twice.
+    """
+    names = () if model is None else tuple(model.split("+"))
+    for name in names:
+        declared(name)
+    if len(set(names)) != len(names):
+        raise OptionError("a measurement model is named twice", value=model)
+    return names
+
+
+def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
+    """The one model whose columns a file has.
+
+    A model that measures less than another gives way to it: position to pose, and
+    contacts to all.
+
+    Args:
+        table: The file.
+        asked: The model that is asked for, which wins; of several the file has to be
+            one, none allows all that columns tell apart.
+
+    Raises:
+        InputError: If there is none, or more than one.
+    """
+    if len(asked) == 1:
+        return asked[0]
+    names = asked or [name for name in MEASUREMENT_MODELS if declared(name).inference]
+    there, needs = {*table.columns}, {name: {*needed(name)} for name in names}
+    partly = [name for name in names if needs[name] & there]
+    # No instrument repeats all of its digits.
+    turned = [table.columns[name].numbers for name in ORIENTED & there]
+    oriented = any(len(n) < FEW or bool(np.ptp(n) != 0.0) for n in turned)
+    told, fitting = list[str](), list[str]()
+    for name in names:
+        stated = declared(name)
+        whole, named = needs[name] <= there, stated.naming.required == "every"
+        # What is there in part is told as missing; `u` alone may mean something else.
+        if not asked and stated.inference and not stated.inference.complete:
+            whole = name in partly or stated.oriented
+        if stated.contact:
+            whole = not partly and ("target" in there or not named)
+        if whole and (oriented or not stated.oriented):
+            fitting.append(name)
+        about = ["orientation"] * stated.oriented + ["target"] * named
+        told.append(f"{name} ({', '.join([*needed(name), *about]) or 'nothing'})")
+    fuller = [needs[name] for name in fitting if declared(name).oriented]
+    fitting = [
+        name
+        for name in fitting
+        if declared(name).oriented or not any(needs[name] <= other for other in fuller)
+    ]
+    if len(fitting) == 1 or (partly and not fitting and not asked):
+        return [*fitting, *partly][0]
+    reason = f"no measured columns for {', '.join(told)}; contacts need --model"
+    if fitting:
+        reason = f"the columns allow {' and '.join(fitting)}; name what is measured "
+        reason += "with --model, or row by row in a column 'model'"
+    raise table.error(reason + ELSEWHERE * (not fitting))

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from calib_pin.estimation.layout import side_by_side
-from calib_pin.io.cells import read_cells
 from calib_pin.io.measurements import LINES
+from calib_pin.io.table import read_cells
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity, declared
 from calib_pin.observations import (
@@ -110,8 +110,8 @@ def decode_errors(
         ValueError: If there is no measurement, or a cell is no number.
         InputError: If it is no CSV file.
     """
-    cells = read_cells(data, MEASUREMENTS)
-    whole = {n: c.grown(n) for n, c in zip(cells.header, cells.columns, strict=True)}
+    cells = read_cells(data, MEASUREMENTS).columns()
+    whole = {column.header: column for column in cells}
     words = {name: [*whole[name].texts()] for name in WORDS}
     columns = {name: column.numbers for name, column in whole.items()}
     sets: dict[str, dict[BlockKey, list[int]]] = {name: {} for name in SETS}

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
-from itertools import chain as one_after_another
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -18,40 +17,43 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import InputError
-from calib_pin.io.columns import Floats
-from calib_pin.io.condition_columns import DIRECTION
+import calib_pin.io.joint_columns as joint_columns
+import calib_pin.io.measured_columns as measured_columns
+from calib_pin.errors import InputError, RobotError, nearest
+from calib_pin.io.columns import NO_READING, Column, Floats, closest
 from calib_pin.io.files import write_atomically
-from calib_pin.io.inferred_model import asked_models
-from calib_pin.io.joint_columns import (
-    own_columns,
-    read_positions,
-    shown_columns,
-)
-from calib_pin.io.measurement_blocks import check_names, check_places, read_blocks
-from calib_pin.io.table import Table, read_table, require_columns
-from calib_pin.io.written_columns import (
-    measurement_columns,
-    writable,
-)
+from calib_pin.io.foreign_headers import check_gauges
+from calib_pin.io.measured_columns import DIRECTION, NAMES, asked_models, place_of
+from calib_pin.io.table import Notice, Table, read_table, require_columns, with_readings
+from calib_pin.io.written_columns import measurement_columns, writable
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.joint_columns import JointColumns
+from calib_pin.kinematics.joint_columns import JointColumns, drives_of
+from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import (
+    BlockKey,
+    Booleans,
+    Conditions,
+    Indices,
     Labels,
     Measurements,
     Observations,
+    approached,
     with_directions,
 )
 from calib_pin.progress import Progress, portion
-from calib_pin.setup import JointMap, ReadingSetup
-
-CUT = 0.9
-"""Part of the time after which lines are cut into cells."""
+from calib_pin.setup import STATED, WORLD, JointMap, OrientationSetup, ReadingSetup
+from calib_pin.units import steps_of
 
 LINES = 5000
 """Lines that are written between two reports of the progress."""
+
+Keys = dict[BlockKey, Indices | slice]
+"""The rows of each block."""
+
+OURS = {"image", "pose", "cycle"}
+"""Columns that our commands write for people, or for one another."""
 
 
 def read_measurements(
@@ -65,7 +67,7 @@ def read_measurements(
     joints: Mapping[str, JointMap] = {},
     reading: ReadingSetup | None = None,
     sockets: Collection[str] = (),
-    notice: Callable[[str], None] | None = None,
+    notice: Notice | None = None,
     progress: Progress | None = None,
 ) -> Observations:
     r"""Read measurement files and join them in the given order.
@@ -120,39 +122,37 @@ def read_measurements(
     asked, chains = asked_models(model), Chains.of(chain)
     if unnamed is None:
         unnamed = chains.names[0] if len(chains.names) == 1 else ""
-    stations = _stations(files) if station_per_file else [None] * len(files)
-    parts, tables = list[Measurements](), list[Table]()
-    for k, (file, station) in enumerate(zip(files, stations, strict=True)):
+    told, orientation = notice or (lambda remark: None), None
+    parts, tables, stations = list[Measurements](), list[Table](), list[str]()
+    for k, file in enumerate(files):
         tell = portion(progress, k / len(files), 1.0 / len(files))
-        table = read_table(file, portion(tell, 0.0, CUT), columns=columns)
-        if notice is not None:
-            for remark in table.remarks:
-                notice(f"{file}: {remark}")
+        table = read_table(file, tell, columns=columns)
+        for remark in table.remarks:
+            told(f"{file}: {remark}")
         if reading is not None:
+            orientation = reading.orientation
             table, reading = _without(table, reading, alone=len(files) == 1)
         tables.append(table.rows(slice(0), table.columns))
         if k + 1 == len(files):
             require_columns(tables)
-        parts += read_blocks(
-            table,
-            chains,
-            joints,
-            reading.orientation if reading else None,
-            asked,
-            station,
-            unnamed,
-            notice,
-            tell,
-        )
+        if station_per_file:
+            stem = Path(file).stem
+            called = (f"{stem}-{n}" if n > 1 else stem for n in count(1))
+            stations += [next(name for name in called if name not in stations)]
+            if "station" in table:
+                reason = "the file names stations, leave out --station-per-file"
+                raise table.error(reason, "station")
+        station = stations[-1] if stations else ""
+        reader = _Reader(chains, asked, joints, orientation, unnamed, station, told)
+        parts += reader.blocks(table)
     parts.sort(key=lambda part: [*asked, part.model].index(part.model))
     given = () if chains.names == ("",) else chains.names
-    names = dict.fromkeys([*given, *(part.chain for part in parts)])
-    data = Observations.of(*_with_joints(parts, chains.named(tuple(names))))
+    chains = chains.named((*given, *(part.chain for part in parts)))
+    data = Observations.of(*(_with_joints(part, chains) for part in parts))
     if reading is not None:
         data = read_otherwise(data, reading)
     data = with_directions(data)
-    check_names(data)
-    check_places(data, sockets)
+    _check_names(data, sockets)
     return data
 
 
@@ -172,11 +172,9 @@ def _without(
         The rows that remain, and what remains to be done.
     """
     late = reading.shift or reading.reversed or reading.lag
-    if late or not reading.without:
-        return table, reading
     own = {
         place: int(line)
-        for place in reading.without
+        for place in (() if late else reading.without)
         for file, _, line in [place.rpartition(":")]
         if (alone and not file) or f"/{table.file}".endswith(f"/{file}")
         if int(line) in table.lines
@@ -188,43 +186,284 @@ def _without(
     return table.rows(kept, table.columns), replace(reading, without=others)
 
 
-def _stations(files: Sequence[str | Path]) -> list[str | None]:
-    """A name for each file: that of the file, made unique."""
-    names: list[str | None] = []
-    for file in files:
-        stem = Path(file).stem
-        others = (f"{stem}-{k}" for k in count(2))
-        names.append(
-            next(
-                name for name in one_after_another([stem], others) if name not in names
-            )
-        )
-    return names
-
-
-def _with_joints(parts: Sequence[Measurements], chains: Chains) -> list[Measurements]:
+def _with_joints(part: Measurements, chains: Chains) -> Measurements:
     """The same with the joints of all chains; those that were not stated are zero."""
+    if part.joints == chains.joints:
+        return part
+    index = [chains.joints.index(joint) for joint in part.joints]
 
-    def spread(q: Floats, joints: Sequence[str]) -> Floats:
+    def spread(q: Floats) -> Floats:
         result = np.zeros((len(q), len(chains.joints)))
-        result[:, [chains.joints.index(joint) for joint in joints]] = q
+        result[:, index] = q
         return chains.follow(result)
 
-    return [
-        part
-        if part.joints == chains.joints
-        else replace(
-            part,
-            joints=chains.joints,
-            q=spread(part.q, part.joints),
-            start=spread(part.start, part.joints) if part.start.size else part.start,
-            conditions=part.conditions.among(
-                [chains.joints.index(joint) for joint in part.joints],
-                len(chains.joints),
-            ),
+    return replace(
+        part,
+        joints=chains.joints,
+        q=spread(part.q),
+        start=spread(part.start) if part.start.size else part.start,
+        conditions=part.conditions.among(index, len(chains.joints)),
+    )
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """How measurements of one file are read.
+
+    Attributes:
+        chains: The chains that it may name.
+        asked: Measurement models of a file without a column `model`.
+        joints: How file columns become joints; others are taken by their own name.
+        orientation: How columns of an orientation are to be read.
+        unnamed: Chain of measurements that name none.
+        station: Station of all, where the file names none.
+        notice: Called with sentences about the file.
+    """
+
+    chains: Chains
+    asked: Sequence[str]
+    joints: Mapping[str, JointMap]
+    orientation: OrientationSetup | None
+    unnamed: str
+    station: str
+    notice: Notice
+
+    def blocks(self, table: Table) -> list[Measurements]:
+        """Measurements of the file, in the order in which blocks begin.
+
+        A measurement leaves blank what only the models of others read: a number there
+        was meant to be read, and would be lost. Columns that none of them reads may
+        hold anything.
+
+        Raises:
+            InputError: If a measurement names a model or a chain that there is not, or
+                has a value of another model, or the file does not hold such.
+        """
+        chain_of = table.labels("chain").map(lambda name: name or self.unnamed)
+        chains = self._chains(table, chain_of)
+        table, columns = joint_columns.own_columns(table, chains, self.joints)
+        table = self._of_sheet(table)
+        keys = self._keys(table, chain_of)
+        kept = _with_readings(table, chains, columns, keys)
+        if not kept.all():
+            some = with_readings(table, kept, "measurements", self.notice)
+            return self.blocks(some)
+        q = joint_columns.read_positions(table, chains, columns, chain_of)
+        spare = joint_columns.spare_columns(table, chains, self.joints)
+        further = joint_columns.spare_positions(table, chains, columns, q, spare)
+        held, used = measured_columns.read_conditions(table, chains.joints)
+        steps = {
+            joint: turn[0]
+            for joint, (name, _) in columns.maps.items()
+            if name in table and (turn := steps_of(table.columns[name].unit or ""))
+        }
+        payload = table.labels("payload")
+        held = replace(held, payload=payload, spare=further, steps=steps)
+        parts, unread = list[Measurements](), {*spare} - used - {*NAMES} - OURS
+        read = {key: measured_columns.read_by(key.model) for key in keys}
+        anybody = frozenset[str]().union(*read.values())
+        for key, rows in keys.items():
+            some = table.rows(rows, measured_columns.reserved())
+            for name in [n for n in some.columns if n in anybody - read[key]]:
+                some.refuse(
+                    ~some.columns[name].missing(),
+                    f"the row measures '{key.model}', which has no {name}",
+                    name,
+                    "a blank cell; what else was measured is in a row of its own",
+                )
+            part, names = self._block(
+                some, chains, key, q[rows], held.rows(rows), spare
+            )
+            parts.append(part)
+            unread -= names
+        ignored = [name for name in table.columns if name in unread]
+        if any(declared(part.model).contact for part in parts):
+            check_gauges(table, ignored)
+        if ignored:
+            self.notice(table.ignored(ignored))
+        return parts
+
+    def _chains(self, table: Table, chain_of: Labels) -> Chains:
+        """The chains that the file measures."""
+        for name in chain_of.distinct if "chain" in table else ():
+            try:
+                self.chains.named((name,))
+            except RobotError as error:
+                wrong = chain_of.where(name)
+                table.refuse(wrong, error.reason, "chain", error.allowed)
+        return self.chains.named(chain_of.distinct)
+
+    def _of_sheet(self, table: Table) -> Table:
+        """The file with z = 0 where it states x and y alone: points of a sheet."""
+        there = table.columns.keys()
+        others = measured_columns.ORIENTED & there or {*self.asked} - {"position"}
+        hidden = "z" in {*there, *table.missing} or closest("z", there)
+        if hidden or others or not {"x", "y"} <= there:
+            return table
+        self.notice(f"{table.file}: no z: a sheet, z = 0, on which the robot stands")
+        z = Column("z", None, np.zeros(len(table.lines)))
+        return replace(table, columns={**table.columns, "z": z})
+
+    def _keys(self, table: Table, chain_of: Labels) -> Keys:
+        """The rows of each block, in the order in which these begin."""
+        models = table.labels("model")
+        if "model" not in table:
+            model = measured_columns.infer_model(table, self.asked)
+            models = Labels.all(model, len(table.lines))
+        allowed = ", ".join(MEASUREMENT_MODELS)
+        for name in models.distinct:
+            if name not in MEASUREMENT_MODELS:
+                reason = f"unknown measurement model{nearest(name, MEASUREMENT_MODELS)}"
+                table.refuse(models.where(name), reason, "model", allowed)
+        station = table.labels("station", self.station)
+        columns = (models, chain_of, station, table.labels("tool"))
+        code = np.zeros(len(table.lines), np.int64)
+        for column in columns:
+            code = code * len(column.names) + column.codes
+        _, first, which = np.unique(code, return_index=True, return_inverse=True)
+        ends = np.cumsum(np.bincount(which))[:-1]
+        rows = np.split(np.argsort(which, kind="stable"), ends)
+        return {
+            BlockKey(*(column[int(first[k])] for column in columns)): (
+                rows[k] if len(rows) > 1 else slice(None)
+            )
+            for k in np.argsort(first).tolist()
+        }
+
+    def _block(
+        self,
+        table: Table,
+        chains: Chains,
+        key: BlockKey,
+        q: Floats,
+        held: Conditions,
+        spare: Sequence[str],
+    ) -> tuple[Measurements, set[str]]:
+        """Measurements of one block, and the columns that hold them."""
+        kept = {*NAMES, *measured_columns.needed(key.model)}
+        columns = {
+            name: column
+            for name, column in table.columns.items()
+            if name in kept or not column.missing().all()
+        }
+        table = replace(table, columns=columns)
+        read, values = measured_columns.read_values(
+            table, key.model, spare, self.orientation
         )
-        for part in parts
-    ]
+        # How far apart points stand that stand still has nothing to do with the robot.
+        if "x" in read and key.chain != WORLD:
+            measured_columns.check_spread(table, chains[key.chain], values[:, :3])
+        start = np.zeros((0, 0))
+        if declared(key.model).relative:
+            row_of = measured_columns.find_starts(table, values[:, 0], q)
+            rows = np.flatnonzero(row_of != np.arange(len(row_of)))
+            table, start = table.rows(rows, table.columns), q[row_of[rows]]
+            q, values, held = q[rows], values[rows], held.rows(rows)
+        of_sigma, sigma = measured_columns.read_sigma(table, key.model)
+        sets = table.labels("set", "train")
+        validate = sets.where("validate")
+        other = ~(validate | sets.where("train"))
+        table.refuse(other, "unknown set", "set", "train, validate")
+        ways = (way for way, columns in STATED.items() if {*columns} <= {*read})
+        part = Measurements(
+            joints=chains.joints,
+            q=q,
+            values=values,
+            sigma=sigma,
+            target=table.labels("target"),
+            conditions=held,
+            start=start,
+            validate=validate,
+            lines=table.lines,
+            files=Labels.all(table.file, len(q)),
+            orientation=next(ways, ""),
+            **key._asdict(),
+        )
+        return part, {*read, *of_sigma.values()}
+
+
+def _with_readings(
+    table: Table, chains: Chains, columns: JointColumns, keys: Keys
+) -> Booleans:
+    """Whether measurements have all that their model and their joints read, shape (N,).
+
+    Raises:
+        InputError: If none has.
+    """
+    kept, lacking = np.ones(len(table.lines), bool), list[str]()
+    for key, rows in keys.items():
+        optional = measured_columns.optional(key.model)
+        read = {*measured_columns.measured(key.model)}
+        for joint in drives_of(chains[key.chain]):
+            read |= joint_columns.kinds_of(columns, joint).keys()
+        for name in (name for name in table.columns if name in read):
+            missing = table.columns[name].missing()[rows]
+            if missing.any() and not (missing.all() and name in optional):
+                kept[rows] &= ~missing
+                lacking.append(name)
+    for name in [] if kept.any() else [n for n in table.columns if n in lacking]:
+        table.refuse(table.columns[name].missing(), NO_READING, name)
+    return kept
+
+
+def _check_names(data: Observations, sockets: Collection[str]) -> None:
+    """Refuse names that some rows leave open, and sockets of one configuration.
+
+    The places of one station are the same for all chains and tools.
+    """
+    for block in data.blocks:
+        alike = [key for key in data.keys if key[:2] == block.key[:2]]
+        for k in ("station", "tool"):
+            if not getattr(block, k) and any(getattr(key, k) for key in alike):
+                raise block.error(0, f"the row names no {k}, others do", column=k)
+        still, naming = block.chain == WORLD, declared(block.model).naming
+        nameless = block.target.map(place_of).where("")
+        if nameless.any() and (still or naming.required == "every"):
+            noun = f"point of chain '{WORLD}'" if still else naming.noun
+            reason = f"the row names no {noun} in a column 'target'"
+            raise block.error(int(np.argmax(nameless)), reason, column="target")
+    for model, station in dict.fromkeys((key.model, key.station) for key in data.keys):
+        own = [b for b in data.blocks if (b.model, b.station) == (model, station)]
+        rows, naming = Observations(tuple(own)), declared(model).naming
+        places, noun = rows.target.map(place_of), naming.noun
+        nameless, some = places.where(""), naming.required == "all or none"
+        if some and nameless.any() and not nameless.all():
+            reason = f"the row names no {noun}, others do"
+            raise rows.error(int(np.argmax(nameless)), reason, column="target")
+        if naming.configurations > 1:
+            seen = np.unique(rows.groups() * len(places.names) + places.codes)
+            seldom = np.bincount(seen % len(places.names)) == 1
+            lonely = (seldom & ~np.isin(places.names, [*sockets]))[places.codes]
+            if lonely.any():
+                row = int(np.argmax(lonely))
+                reason = f"the {noun} '{places[row]}' has one configuration only"
+                allowed = f"two configurations or more in every {noun}"
+                raise rows.error(row, reason, column="target", allowed=allowed)
+
+
+def read_held(
+    path: str | Path,
+    joints: Sequence[str],
+    q: Floats,
+    columns: Mapping[str, str] = {},
+) -> Conditions:
+    """Read only the conditions at the configurations of a CSV file.
+
+    Args:
+        path: CSV file.
+        joints: Names of the joints.
+        q: The configurations, shape (N, n) [rad, m]; directions that the file does not
+            state are those from one to the next.
+        columns: What columns with foreign names are, ours to theirs.
+
+    Raises:
+        InputError: If it is not such a file.
+    """
+    table = read_table(path, columns=columns)
+    held, _ = measured_columns.read_conditions(table, joints)
+    if not held.direction.size:
+        held = replace(held, direction=approached(q), source="order")
+    return replace(held, payload=read_names(path, "payload", columns))
 
 
 def read_configurations(
@@ -257,8 +496,8 @@ def read_configurations(
         [[0.0, 0.0, 0.0, 0.5, 0.0, 0.0]]
     """
     table = read_table(path, columns=columns)
-    table, own = own_columns(table, chain, joints)
-    return read_positions(table, chain, own)
+    table, own = joint_columns.own_columns(table, chain, joints)
+    return joint_columns.read_positions(table, chain, own)
 
 
 def read_names(
@@ -275,7 +514,7 @@ def read_names(
         InputError: If it is not such a file.
     """
     table = read_table(path, columns=columns)
-    return table.texts([column]).get(column, Labels.none())
+    return table.labels(column) if column in table else Labels.none()
 
 
 def encode_configurations(
@@ -316,7 +555,7 @@ def encode_configurations(
         calib_pin.errors.OutputError: target 'wall\n' would not read back
     """
     columns: dict[str, Floats | Sequence[str] | Sequence[int]] = {
-        **shown_columns(q, JointColumns.of(chain, joints), degrees)
+        **joint_columns.shown_columns(q, JointColumns.of(chain, joints), degrees)
     }
     columns |= {joint + DIRECTION: column for joint, column in sides.items()}
     named = {**places, "target": target}
@@ -360,22 +599,9 @@ def write_measurements(
         ...     file.read_text().split()[-2:]
         ['lift,distance', '0.25,1.5']
     """
-    data = encode_measurements(measurements, comments, progress)
+    columns = dict(measurement_columns(measurements))
+    data = encode_table(columns, comments, progress)
     write_atomically(Path(path), data, force=force)
-
-
-def encode_measurements(
-    measurements: Measurements | Observations,
-    comments: Sequence[str] = (),
-    progress: Progress | None = None,
-) -> bytes:
-    """The file that `write_measurements` writes.
-
-    Raises:
-        OptionError: If there is no such measurement model.
-        OutputError: If a name or a relative distance would not read back.
-    """
-    return encode_table(dict(measurement_columns(measurements)), comments, progress)
 
 
 def encode_table(
@@ -390,23 +616,21 @@ def encode_table(
         comments: Lines for the head of the file.
         progress: Told the part that is done, 0 to 1.
     """
-    data, text = io.BytesIO(), io.StringIO(newline="")
+    data = io.BytesIO()
+    text = io.TextIOWrapper(data, "utf-8", newline="")
     for comment in comments:
         for line in comment.splitlines() or [""]:
             text.write(f"# {line}".rstrip() + "\n")
     # The csv module writes floats by repr, which loses nothing.
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
-    count = max(map(len, columns.values()), default=0)
-    for start in range(0, count, LINES):
-        parts = [column[start : start + LINES] for column in columns.values()]
+    rows = max(map(len, columns.values()), default=0)
+    for start in range(0, rows, LINES):
+        parts = (column[start : start + LINES] for column in columns.values())
         # numpy's own numbers would be written slowly.
-        cells = [p.tolist() if isinstance(p, np.ndarray) else p for p in parts]
+        cells = (p.tolist() if isinstance(p, np.ndarray) else p for p in parts)
         writer.writerows(zip(*cells, strict=True))
-        data.write(text.getvalue().encode())
-        text.seek(0)
-        text.truncate()
         if progress is not None:
-            progress(start / count)
-    data.write(text.getvalue().encode())
+            progress(start / rows)
+    text.flush()
     return data.getvalue()

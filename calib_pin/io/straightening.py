@@ -14,20 +14,15 @@ stay where they are.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 
+import calib_pin.io.urdf_tree as urdf_tree
 from calib_pin.errors import RobotError, enumerated
-from calib_pin.io.urdf_tree import (
-    Document,
-    Element,
-    move_origins,
-    parse_document,
-    parse_robot,
-)
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 
@@ -64,90 +59,78 @@ def straightened(robot: Robot) -> Robot:
     offsets = (placement.translation for placement in robot.model.jointPlacements)
     if max(map(np.linalg.norm, offsets)) < LEAST:
         return robot
-    document = parse_document(robot.source, robot.file)
+    document = urdf_tree.parse_document(robot.source, robot.file)
     joints, slides = document.named("joint"), _slides(document)
     if not slides:
         return robot
     origins = (document.origin(joints[name]).translation for name in slides)
-    names = enumerated(f"'{name}'" for name in slides)
-    source = move_origins(document, _moved(document, slides))
     remark = (
         f"offsets of up to {max(map(np.linalg.norm, origins)):.3g} m along parallel "
         "axes cancel: straightened, by moving the frames of joints "
-        f"{names} along their axes; the forward kinematics are the same, and the "
-        "corrected URDF has these frames"
+        f"{enumerated(map(repr, slides))} along their axes; the forward kinematics are "
+        "the same, and the corrected URDF has these frames"
     )
-    found = parse_robot(source, robot.file)
+    found = urdf_tree.parse_robot(
+        urdf_tree.move_origins(document, _moved(document, slides)), robot.file
+    )
     return replace(found, remarks=(*robot.remarks, remark))
 
 
 def straight_source(source: bytes) -> bytes:
     """The bytes of a URDF after straightening, as far as it can be read."""
     try:
-        return straightened(parse_robot(source, "")).source
+        return straightened(urdf_tree.parse_robot(source, "")).source
     except RobotError:
         return source
 
 
-def _slides(document: Document) -> dict[str, Floats]:
+def _slides(document: urdf_tree.Document) -> dict[str, Floats]:
     """The slide of each joint that is to be moved, in its own frame, shape (3,) [m]."""
-    joints, axes = document.named("joint"), dict[str, Floats]()
-    for name, joint in joints.items():
-        if joint.attributes["type"] in TURNING:
-            axis = document.axis(joint)
-            axes[name] = np.asarray(axis / np.linalg.norm(axis))
-    places = {name: document.origin(joints[name]) for name in axes}
+    every = document.named("joint").items()
+    joints = {name: j for name, j in every if j.attributes["type"] in TURNING}
+    places = {name: document.origin(joint) for name, joint in joints.items()}
+    axes = {name: document.axis(joint) for name, joint in joints.items()}
+    axes = {name: np.asarray(a / np.linalg.norm(a)) for name, a in axes.items()}
     above = {joint.link("child"): name for name, joint in joints.items()}
-    behind: dict[str, list[str]] = {}
-    for name, axis in axes.items():
-        parent = above.get(joints[name].link("parent"), "")
-        if parent in axes:
-            sine = np.cross(places[name].rotation @ axis, axes[parent])
+    behind = defaultdict[str, list[str]](list)
+    for name, joint in joints.items():
+        if parent := above.get(joint.link("parent")):
+            sine = np.cross(places[name].rotation @ axes[name], axes[parent])
             if np.linalg.norm(sine) < PARALLEL:
-                behind.setdefault(parent, []).append(name)
-    found: dict[str, Floats] = {}
+                behind[parent].append(name)
+    found = dict[str, Floats]()
     for first in behind.keys() - {name for names in behind.values() for name in names}:
-        found |= _group(first, behind, axes, places)
+        # From the first joint on parallel axes on, with how far its frame has moved.
+        slides, pending, worst, way = {}, [(first, np.zeros(3))], 0.0, 0.0
+        while pending:
+            name, carried = pending.pop()
+            axis = places[name].rotation @ axes[name]
+            worst = max(worst, abs(places[name].translation @ axis))
+            offset = places[name].translation - carried
+            if name in behind:
+                slides[name] = -(offset @ axis) * axes[name]
+                offset = offset - (offset @ axis) * axis
+                pending += [(other, slides[name]) for other in behind[name]]
+            way += float(np.linalg.norm(offset))
+        found |= slides if worst > max(LEAST, TIMES * way) else {}
     return {name: found[name] for name in joints if name in found}
 
 
-def _group(
-    first: str,
-    behind: Mapping[str, list[str]],
-    axes: Mapping[str, Floats],
-    places: Mapping[str, pin.SE3],
-) -> dict[str, Floats]:
-    """Slides of joints on parallel axes, from the first on; none if all is well."""
-    slides: dict[str, Floats] = {}
-    pending, worst, way = [(first, np.zeros(3))], 0.0, 0.0
-    while pending:
-        name, carried = pending.pop()
-        axis, place = axes[name], places[name]
-        worst = max(worst, abs(place.rotation.T @ place.translation @ axis))
-        offset = place.translation - carried
-        if name in behind:
-            slides[name] = -(place.rotation.T @ offset @ axis) * axis
-            offset = offset + place.rotation @ slides[name]
-            pending += [(other, slides[name]) for other in behind[name]]
-        way += float(np.linalg.norm(offset))
-    return slides if worst > max(LEAST, TIMES * way) else {}
-
-
 def _moved(
-    document: Document, slides: Mapping[str, Floats]
-) -> list[tuple[Element, pin.SE3]]:
+    document: urdf_tree.Document, slides: Mapping[str, Floats]
+) -> Iterator[tuple[urdf_tree.Element, pin.SE3]]:
     """Corrections of origins, each multiplied from the right."""
-    moved: list[tuple[Element, Floats]] = []
     joints, still = document.named("joint"), np.zeros(3)
     links = {joints[name].link("child"): slide for name, slide in slides.items()}
     for name, joint in joints.items():
-        own, carried = slides.get(name, still), links.get(joint.link("parent"), still)
-        moved.append((joint, own - document.origin(joint).rotation.T @ carried))
-    for name, link in document.named("link").items():
-        slide = links.get(name, still)
-        for part in (p for kind in INSIDE for p in link.all(kind)):
+        carried = links.get(joint.link("parent"), still)
+        turned = document.origin(joint).rotation.T @ carried
+        yield joint, pin.SE3(np.eye(3), slides.get(name, still) - turned)
+    for name, slide in links.items():
+        link = document.named("link")[name]
+        for part in (part for kind in INSIDE for part in link.all(kind)):
             old = document.origin(part)
-            stays = np.linalg.norm(old.translation - slide)
-            if stays < np.linalg.norm(old.translation):
-                moved.append((part, -old.rotation.T @ slide))
-    return [(element, pin.SE3(np.eye(3), shift)) for element, shift in moved]
+            if np.linalg.norm(old.translation - slide) < np.linalg.norm(
+                old.translation
+            ):
+                yield part, pin.SE3(np.eye(3), -old.rotation.T @ slide)

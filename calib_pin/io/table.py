@@ -1,4 +1,4 @@
-"""Tables: files with named columns of numbers or text, and errors that cite them.
+"""Tables: bytes of a file to named columns of numbers or text, and errors citing them.
 
 A column holds the number of every cell that is one, and the text of the others, so
 columns that mean nothing may hold anything, and a bad number is blamed on its own line.
@@ -8,31 +8,85 @@ numbers as well.
 
 from __future__ import annotations
 
+import codecs
+import csv
+import io
+import re
+from array import array
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from importlib.util import find_spec
+from itertools import compress, count, islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import InputError, enumerated
-from calib_pin.io.cells import read_cells
+from calib_pin.errors import InputError, OptionError, enumerated
 from calib_pin.io.columns import (
     ANGLE,
-    UNITS,
+    COMMA,
+    KINDS,
+    THOUSANDS,
     Column,
     Floats,
-    GrowingColumn,
     Kind,
     closest,
     counted,
     split_header,
-    what_is_wrong,
 )
-from calib_pin.io.dialects import reading, side_by_side
-from calib_pin.observations import Labels
+from calib_pin.io.dialects import Heading, heading, reading, side_by_side
+from calib_pin.io.dialects.base import Lines, cells_of
+from calib_pin.io.files import read_blocks
+from calib_pin.observations import Booleans, Indices, Labels
 from calib_pin.progress import Progress
-from calib_pin.units import steps_of
+from calib_pin.units import as_number, steps_of
+
+Notice = Callable[[str], None]
+"""Called with sentences about a file."""
+
+LINES = 1 << 18
+"""Letters of the lines that are cut into cells at a time."""
+
+HEAD = 200
+"""Lines among which the header stands."""
+
+COMMENTS = ("#", "%", "//")
+"""Signs with which comments begin; a header may stand behind one, above the rows."""
+
+OTHER = frozenset(" \t\r\n\v\f#%/")
+"""First letters of all lines that are blank or comments."""
+
+SEPARATORS = "\t;, "
+"""In this order: where others separate, a comma is a decimal mark."""
+
+START = 1 << 12
+"""Bytes that tell what a file is."""
+
+PARQUET = b"PAR1"
+"""First bytes of a Parquet file."""
+
+BINARY: Sequence[tuple[bytes, bytes, str]] = (
+    (b"PK", b"[Content_Types].xml", "an Excel workbook: save the sheet as CSV"),
+    (b"PK", b"opendocument", "an OpenDocument spreadsheet: save the sheet as CSV"),
+    (b"PK", b".npy", "NumPy arrays: write them with numpy.savetxt, and a header"),
+    (b"PK\x03\x04", b"", "an archive (zip): unpack it"),
+    (b"\xd0\xcf\x11\xe0", b"", "an Excel workbook (xls): save the sheet as CSV"),
+    (b"MATLAB 5.0", b"", "a MATLAB file: write it with writetable"),
+    (b"\x89HDF", b"", "an HDF5 file (or MATLAB 7.3): write it as CSV"),
+    (b"\x93NUMPY", b"", "a NumPy array: write it with numpy.savetxt, and a header"),
+    (b"\x1f\x8b", b"", "compressed (gzip): unpack it"),
+    (b"SQLite format 3", b"", "an SQLite database or a bag of ROS 2: see 'join'"),
+    (b"\x89MCAP", b"", "a bag of ROS 2 (mcap): see 'join'"),
+)
+"""First bytes of files that hold no lines, others in them, and what they are."""
+
+TEXTS = 1 << 8
+"""Different cells of a column up to which the texts of its numbers are kept: names such
+as 01 and 1.10 are few, and numbers that are measured are not."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +113,7 @@ class Table:
         """Whether there is a column of exactly this name."""
         return name in self.columns
 
-    def rows(self, index: NDArray[np.int64] | slice, names: Collection[str]) -> Table:
+    def rows(self, index: Indices | slice, names: Collection[str]) -> Table:
         """Some of the rows and columns.
 
         Args:
@@ -70,39 +124,74 @@ class Table:
         return replace(self, columns=columns, lines=self.lines[index])
 
     def error(
-        self, reason: str, column: str | None = None, allowed: str | None = None
+        self,
+        reason: str,
+        column: str | None = None,
+        allowed: str | None = None,
+        row: int | None = None,
     ) -> InputError:
-        """An error about the header."""
-        line, own = self.header_line, column and self._told(column)
-        return InputError(
-            reason, file=self.file, line=line, column=own, allowed=allowed
-        )
+        """An error about the header, or about a cell of a row."""
+        own = self.columns.get(column or "")
+        if own and own.theirs not in ("", column):
+            # The setup says which column of the file means ours.
+            column = f"{own.theirs} ({column})"
+        line = self.header_line if row is None else int(self.lines[row])
+        value = own.text(row) if own and row is not None else None
+        about: dict[str, Any] = {"line": line, "column": column, "value": value}
+        return InputError(reason, file=self.file, allowed=allowed, **about)
 
     def cell_error(
         self, reason: str, name: str, row: int, allowed: str | None = None
     ) -> InputError:
         """An error about one cell."""
-        line, own = int(self.lines[row]), self._told(name)
-        cell = self.columns[name].text(row)
-        return InputError(
-            reason, file=self.file, line=line, column=own, value=cell, allowed=allowed
-        )
+        return self.error(reason, name, allowed, row)
+
+    def refuse(
+        self, wrong: Booleans, reason: str, name: str, allowed: str | None = None
+    ) -> None:
+        """Refuse rows, shape (N,), if there are any; blames the cell of the first."""
+        if wrong.any():
+            raise self.cell_error(reason, name, int(np.argmax(wrong)), allowed)
+
+    def require(
+        self,
+        names: Collection[str],
+        reason: str,
+        among: Collection[str] = (),
+        advice: str = "",
+    ) -> None:
+        """Refuse a file that lacks columns.
+
+        Args:
+            names: The columns that it must have.
+            reason: What is wrong, before the names of those that are missing.
+            among: Columns that may be meant by these.
+            advice: What to do where none of them may be.
+        """
+        if missing := [name for name in names if name not in self]:
+            hints = (closest(name, among) for name in missing)
+            hint = next(filter(None, hints), advice)
+            raise self.error(f"{reason} {', '.join(missing)}{hint}", missing[0])
 
     def cells(self, names: Collection[str]) -> dict[str, Labels]:
         """Text of whole columns, by name, N strings each."""
         return {name: self.columns[name].texts() for name in names}
 
-    def texts(self, names: Collection[str]) -> dict[str, Labels]:
-        """Trimmed text of those columns that there are, by name, N strings each.
+    def labels(self, name: str, absent: str = "") -> Labels:
+        """Trimmed text of a column, N strings; that of one that there is not is equal.
 
         Raises:
-            InputError: If a header states a unit.
+            InputError: If its header states a unit.
         """
-        there = [name for name in names if name in self]
-        for name in there:
-            if self.columns[name].unit is not None:
-                raise self.error(f"'{name}' is text and takes no unit", name)
-        return {name: self.columns[name].texts().map(str.strip) for name in there}
+        if name not in self:
+            return Labels.all(absent, len(self.lines))
+        if self.columns[name].unit is not None:
+            raise self.error(f"'{name}' is text and takes no unit", name)
+        return self.columns[name].texts().map(str.strip)
+
+    def texts(self, names: Collection[str]) -> dict[str, Labels]:
+        """Those of the columns that there are, by name, see `labels`."""
+        return {name: self.labels(name) for name in names if name in self}
 
     def renamed(self, names: Mapping[str, str]) -> Table:
         """The table with other names of some columns, ours to theirs."""
@@ -112,16 +201,11 @@ class Table:
 
     def whole(self, names: Collection[str]) -> Table:
         """The table in which names among these that end in brackets are not split."""
-        ends = {name for name in names if split_header(name) != (name, None)}
-        columns = {
-            one.header if one.header in ends else name: (
-                replace(one, unit=None, theirs=one.header)
-                if one.header in ends
-                else one
-            )
-            for name, one in self.columns.items()
-        }
-        return replace(self, columns=columns)
+        ends = [c for c in self.columns.values() if c.header in names and c.unit]
+        ends = [c for c in ends if c.header.endswith("]")]
+        table = self.renamed({c.header: c.theirs for c in ends})
+        whole = {c.header: replace(c, unit=None, theirs=c.header) for c in ends}
+        return replace(table, columns={**table.columns, **whole})
 
     def called(self, columns: Mapping[str, str]) -> Table:
         """The table with the names and units that the setup states.
@@ -145,7 +229,7 @@ class Table:
                 both = f"'{taken[name]}' and '{ours}'"
                 raise self.error(f"'columns' in the setup takes {both} from it", name)
             # A unit that the file writes in its own way may be stated in ours.
-            known = own in UNITS or own in ANGLE.units
+            known = any(own in kind.units for kind in KINDS.values())
             if known and unit not in (None, own):
                 reason = f"the header says [{own}], 'columns' in the setup [{unit}]"
                 raise self.error(reason, name)
@@ -161,103 +245,91 @@ class Table:
         headers = [self.columns[name].header for name in names]
         return f"{self.file}: columns ignored: {enumerated(headers)}" * bool(headers)
 
-    def numbers(self, name: str, kind: Kind, *, positive: bool = False) -> Floats:
+    def numbers(self, name: str, kind: Kind) -> Floats:
         """A column of numbers in SI units, shape (N,).
 
         Args:
             name: Name of the column, which must exist.
             kind: Quantity in the column; determines the allowed units.
-            positive: Whether every number must be greater than zero.
 
         Raises:
             InputError: If the unit does not fit, or a cell is not a finite number.
         """
         column = self.columns[name]
-        if column.unit is not None and column.unit not in kind.units:
+        unit, numbers = column.unit, column.numbers
+        if unit is not None and unit not in kind.units:
             allowed = ", ".join(kind.units) or "no unit"
-            raise self.error(f"unit '{column.unit}' does not fit here", name, allowed)
-        turn, zero = steps_of(column.unit or "") or (0.0, 0.0)
-        good = np.isfinite(column.numbers)
-        if positive:
-            good &= column.numbers > 0.0
-        if zero is None:
-            good &= (column.numbers >= 0.0) & (column.numbers <= turn)
-        if not good.all():
-            row = int(np.argmin(good))
-            reason = what_is_wrong(column.text(row), float(column.numbers[row]))
-            allowed = "a positive number" if positive else "a finite number"
-            if zero is None and np.isfinite(column.numbers[row]):
-                reason = "no position of a servo within a turn"
-                allowed = (
-                    f"0 to {turn:g}, or zero in the unit, such as steps/{turn:g}@0"
-                )
-            raise self.cell_error(reason, name, row, allowed)
-        factor = 1.0 if column.unit is None else kind.units[column.unit]
-        if turn:
-            return (column.numbers - (turn / 2.0 if zero is None else zero)) * factor
-        return column.numbers if factor == 1.0 else column.numbers * factor
+            raise self.error(f"unit '{unit}' does not fit here", name, allowed)
+        bad = ~np.isfinite(numbers)
+        if bad.any():
+            reason = column.fault(int(np.argmax(bad)))
+            self.refuse(bad, reason, name, "a finite number")
+        turn, zero = steps_of(unit or "") or (0.0, 0.0)
+        if turn and zero is None:
+            allowed = f"0 to {turn:g}, or zero in the unit, such as steps/{turn:g}@0"
+            outside = (numbers < 0.0) | (numbers > turn)
+            self.refuse(outside, "no position of a servo within a turn", name, allowed)
+            zero = turn / 2.0
+        factor = 1.0 if unit is None else kind.units[unit]
+        numbers = numbers - zero if zero else numbers
+        return numbers if factor == 1.0 else numbers * factor
 
-    def implausible(
-        self, name: str, row: int, value: float, kind: Kind, why: str = ""
-    ) -> InputError:
-        """An error about a value so large that its unit must be another one.
-
-        Args:
-            name: Name of the column.
-            row: Row of the value.
-            value: The value in SI units.
-            kind: Quantity in the column.
-            why: How it shows, where that is not the value alone.
-        """
-        same = self.columns[name].outlying
-        if row in same:
-            lines = ", ".join(map(str, self.lines[same]))
-            reason = f"stands in {len(same)} rows and looks like a sign that there is "
-            reason += f"no reading; leave them out by 'reading: {{without: [{lines}]}}'"
-            return self.cell_error(reason, name, int(same[0]))
-        column = self.columns[name]
-        unit = column.unit or kind.si
-        smaller, number = kind.smaller.get(unit, ""), abs(value) / kind.units[unit]
-        while smaller in kind.smaller and kind.units[smaller] * number > kind.largest:
-            smaller = kind.smaller[smaller]
-        reason = f"{value:.6g} {kind.si} looks like the wrong unit"
-        reason += f", {why}" if why else ""
-        if kind is ANGLE and column.unit is None and counted(column.numbers):
-            plain = [c.numbers for c in self.columns.values() if c.unit is None]
-            smaller = counted(np.concatenate([n for n in plain if counted(n)]))
-            reason += "; whole numbers of all joints are steps, zero in the middle"
-        if kind is ANGLE and np.nanmax(np.abs(column.numbers)) == 100.0:
-            reason += "; -100 to 100 of a range: [steps/N@0], N = 819200 / range"
-        if smaller and column.theirs in ("", name):
-            reason += f"; write the header as '{name} [{smaller}]'"
-        elif smaller:
-            stated = f"{{{name}: {column.theirs} [{smaller}]}}"
-            reason += f"; state in the setup 'columns: {stated}'"
-        return self.cell_error(reason, name, row, ", ".join(kind.units))
-
-    def check_size(
-        self, name: str, values: Floats, kind: Kind, largest: float, why: str = ""
-    ) -> None:
-        """Refuse values that are too large to be in the stated unit.
+    def check(
+        self,
+        name: str,
+        values: Floats,
+        kind: Kind,
+        why: str = "",
+        sizes: Floats | None = None,
+    ) -> Floats:
+        """The values, of which none may be so that another unit must be meant.
 
         Args:
             name: Name of the column.
             values: Its values in SI units, shape (N,).
-            kind: Quantity in the column.
-            largest: Largest absolute value that is plausible.
-            why: Further explanation for the message.
+            kind: Quantity in the column, and its bounds.
+            why: How it shows, where that is not the value alone.
+            sizes: Numbers, shape (N,), of which none may exceed the upper bound, where
+                these are not the absolute values.
 
         Raises:
-            InputError: If a value is larger; blames the largest.
+            InputError: If a value is too large or too small; blames the largest, and
+                names the unit that must be meant.
         """
-        row = int(np.argmax(np.abs(values)))
-        if abs(values[row]) > largest:
-            raise self.implausible(name, row, float(values[row]), kind, why)
-
-    def _told(self, name: str) -> str:
-        """A column with its name in the file, which the setup may say means ours."""
-        theirs = (name in self and self.columns[name].theirs) or name
-        return name if theirs == name else f"{theirs} ({name})"
+        allowed = f"{kind.least:g} {kind.si} or more"
+        self.refuse(values < kind.least, "the value is too small", name, allowed)
+        sizes = np.abs(values) if sizes is None else sizes
+        row, column = int(np.argmax(sizes)), self.columns[name]
+        if sizes[row] <= kind.largest:
+            return values
+        if row in (same := column.outlying):
+            lines = ", ".join(map(str, self.lines[same]))
+            reason = (
+                f"stands in {len(same)} rows and looks like a sign that there is no "
+            )
+            reason += f"reading; leave them out by 'reading: {{without: [{lines}]}}'"
+            raise self.cell_error(reason, name, int(same[0]))
+        unit = column.unit or kind.si
+        smaller, number = (
+            kind.smaller.get(unit, ""),
+            abs(values[row]) / kind.units[unit],
+        )
+        while smaller in kind.smaller and kind.units[smaller] * number > kind.largest:
+            smaller = kind.smaller[smaller]
+        reason = f"{values[row]:.6g} {kind.si} looks like the wrong unit"
+        reason += f", {why}" if why else ""
+        if kind.si == ANGLE.si and column.unit is None:
+            # All joints of a robot are counted by servos of one kind.
+            plain = [c.numbers for c in self.columns.values() if counted(c.numbers)]
+            smaller = counted(np.concatenate([[], *plain])) or smaller
+            if np.nanmax(np.abs(column.numbers)) == 100.0:
+                reason += "; -100 to 100 of a range: [steps/N@0], N = 819200 / range"
+        stated = f"; write the header as '{name} [{smaller}]'"
+        if column.theirs not in ("", name):
+            both = f"{{{name}: {column.theirs} [{smaller}]}}"
+            stated = f"; state in the setup 'columns: {both}'"
+        reason += stated if smaller else ""
+        raise self.cell_error(reason, name, row, ", ".join(kind.units))
 
 
 def read_table(
@@ -283,50 +355,40 @@ def read_table(
         OptionError: If it is a Parquet file, and the extra that reads it is missing.
     """
     cells = read_cells(path, "", progress)
-    line, number = cells.header_line or None, np.frombuffer(cells.lines, np.int64)
-    table = Table(cells.file, line, {}, number, remarks=cells.remarks)
-    if not cells.lines:
+    found, lines = cells.heading, np.frombuffer(cells.lines, np.int64)
+    remarks = cells.remarks + (f"read as {found.remark}",) * bool(found.remark)
+    table = Table(cells.file, found.line or None, {}, lines, remarks=remarks)
+    if not len(lines):
         raise InputError("the file has a header but no rows", file=cells.file)
-    headers = [name or f"column {k}" for k, name in enumerate(cells.header, 1)]
-    given = [c.grown(name) for c, name in zip(cells.columns, headers, strict=True)]
-    if cells.foreign:
-        found, row = side_by_side(cells.foreign, given)
-        ours = cells.foreign.read(found)
-        return replace(table, columns=ours, lines=number[row]).called(columns)
-    names = [column.theirs for column in given]
-    for place, name in enumerate(names):
-        if (first := names.index(name)) < place:
-            both = f"'{given[first].header}', '{given[place].header}'"
-            raise table.error(f"two columns are '{name}': {both}", name)
-    table = replace(table, columns=dict(zip(names, given, strict=True)))
-    _check_marks(table, cells.columns)
+    given = cells.columns()
+    if found.remark:
+        ours, row = side_by_side(found, given)
+        table = replace(table, columns=found.read(ours), lines=lines[row])
+        return table.called(columns)
+    headers = defaultdict[str, list[str]](list)
+    for column in given:
+        headers[column.theirs].append(f"'{column.header}'")
+    for name, both in headers.items():
+        if len(both) > 1:
+            raise table.error(f"two columns are '{name}': {', '.join(both)}", name)
+    table = replace(table, columns={column.theirs: column for column in given})
     table = table.called(columns)
     if read := reading(table.columns, Path(cells.file)):
-        remarks = (*table.remarks, f"read as {read.remark}")
+        remarks += (f"read as {read.remark}",)
         # The setup names columns as the file does, or as they are called then.
         table = replace(table, columns=read.columns, remarks=remarks)
         table = table.called(table.missing)
     return table
 
 
-def _check_marks(table: Table, columns: Sequence[GrowingColumn]) -> None:
-    """Refuse commas and points as decimal marks: some separate thousands."""
-    commas = [column.marks[","] for column in columns if "," in column.marks]
-    for name, column in zip(table.columns, columns, strict=True):
-        points = [row for mark, row in column.marks.items() if mark != ","]
-        thousands = commas and "." not in column.marks
-        if points and ("," in column.marks or thousands):
-            line = table.lines[column.marks.get(",", min(commas))]
-            reason = f"a number has a decimal point here, others a comma (line {line})"
-            raise table.cell_error(reason, name, min(points), "one decimal mark")
+def found_numbers(table: Table, name: str, kind: Kind) -> Floats | None:
+    """As `Table.numbers`; None where there is no such column, or one of other cells."""
+    with suppress(InputError):
+        return table.numbers(name, kind) if name in table else None
+    return None
 
 
-def with_readings(
-    table: Table,
-    kept: NDArray[np.bool_],
-    what: str,
-    notice: Callable[[str], None] | None,
-) -> Table:
+def with_readings(table: Table, kept: Booleans, what: str, notice: Notice) -> Table:
     """The rows that have a reading, and a word on those that have none.
 
     Args:
@@ -337,10 +399,9 @@ def with_readings(
     """
     if kept.all():
         return table
-    if notice is not None:
-        first = table.lines[int(np.argmin(kept))]
-        count = f"{np.count_nonzero(~kept)} of {len(kept)} {what}"
-        notice(f"{table.file}: {count} have no reading (the first in line {first})")
+    first = table.lines[int(np.argmin(kept))]
+    lost = f"{np.count_nonzero(~kept)} of {len(kept)} {what}"
+    notice(f"{table.file}: {lost} have no reading (the first in line {first})")
     return table.rows(np.flatnonzero(kept), table.columns)
 
 
@@ -350,11 +411,361 @@ def require_columns(tables: Sequence[Table]) -> None:
     Raises:
         InputError: If so.
     """
-    missing = [table.missing for table in tables]
-    for ours, theirs in missing[0].items() if missing else ():
-        if all(ours in others for others in missing):
-            table = tables[0]
-            raise table.error(
+    first, *others = tables
+    for ours, theirs in first.missing.items():
+        if all(ours in other.missing for other in others):
+            raise first.error(
                 f"'columns' in the setup takes '{ours}' from '{theirs}', and there is "
-                f"no such column{closest(theirs, list(table.columns))}"
+                f"no such column{closest(theirs, first.columns.keys())}"
             )
+
+
+@dataclass
+class Cells:
+    """The cells of a file by columns, while it is read.
+
+    Attributes:
+        file: Path as the caller gave it.
+        heading: The header: trimmed names, line (0: none), separator (a space stands
+            for any blanks), and what was recognized, if it is that of a dialect.
+        remarks: Sentences about how the file had to be read.
+        lines: Line of each row, or its number.
+        numbers: The numbers of each column.
+        codes: The codes of its texts, see `Column`.
+        words: These texts.
+    """
+
+    file: str
+    heading: Heading
+    remarks: tuple[str, ...] = ()
+    lines: array[int] = field(default_factory=lambda: array("q"))
+
+    def __post_init__(self) -> None:
+        """Columns without rows."""
+        names = self.heading.names
+        # They grow where they are, which takes half the memory of joining parts.
+        self.numbers = [array("d") for _ in names]
+        self.codes = [array("i") for _ in names]
+        self.words = [defaultdict[str, int](count().__next__) for _ in names]
+        self.comma = 0  # The first line with a decimal comma.
+
+    def columns(self) -> list[Column]:
+        """The columns, whose names are those of the file."""
+        result = []
+        for k, header in enumerate(self.heading.names):
+            header = header or f"column {k + 1}"
+            name, unit = split_header(header)
+            numbers = np.frombuffer(self.numbers[k])
+            codes = np.array(self.codes[k], np.int64)
+            numbers.setflags(write=False)
+            finite, words = np.isfinite(numbers), tuple(self.words[k])
+            # Some of them would be taken for other names than the rest.
+            if len(words) > TEXTS or (codes[finite] < 0).any():
+                codes[finite] = -1
+            if (codes < 0).all():
+                words, codes = (), np.zeros(0, np.int64)
+            result.append(Column(header, unit, numbers, words, codes, name))
+        return result
+
+    def extend(self, lines: Sequence[str], first: int) -> None:
+        """Add the rows among some lines.
+
+        Args:
+            lines: The lines.
+            first: Number of the first one.
+
+        Raises:
+            InputError: If a row has more or fewer cells than the header, or its quotes
+                are not as CSV has them; names the line.
+        """
+        numbers = [
+            number
+            for number, line in enumerate(lines, first)
+            if line[0] not in OTHER or not (line.isspace() or _is_comment(line))
+            if number > self.heading.line
+        ]
+        lines = [lines[number - first] for number in numbers]
+        later, width = bool(self.lines), len(self.numbers)
+        self.lines.extend(numbers)
+        # The texts of numbers are for messages and names, and so for small files.
+        plain = later and self.heading.separator == ","
+        if plain and (read := read_lines(lines, width)) is not None:
+            for k, values in enumerate(read):
+                self.grow(k, values)
+            return
+        rows = self._rows(numbers, lines)
+        for number, row in zip(numbers, rows, strict=True):
+            if self.comma or self.heading.separator == ",":
+                break
+            if any("," in cell and COMMA.fullmatch(cell) for cell in row):
+                self.comma = number
+        for k, cells in enumerate(zip(*rows, strict=True)):
+            self.add(k, cells)
+
+    def add(self, k: int, written: Sequence[str]) -> None:
+        """Add rows of a column by their untrimmed texts."""
+        cells = written
+        if self.comma:
+            every = {*written}
+            commas = {cell for cell in every if COMMA.fullmatch(cell)}
+            points = {c for c in every if "." in c and as_number(c.strip()) is not None}
+            thousands = all(THOUSANDS.fullmatch(cell.strip()) for cell in points)
+            # Beside decimal commas, in this column or others, these are no fractions.
+            if points and (commas or thousands):
+                row = next(k for k, cell in enumerate(written) if cell in points)
+                reason = "a number has a decimal point here, others a comma (line "
+                reason, line = f"{reason}{self.comma})", self.lines[row - len(written)]
+                about = {"column": self.heading.names[k], "value": written[row].strip()}
+                raise InputError(reason, file=self.file, line=line, **about)
+            cells = [c.replace(",", ".") if c in commas else c for c in written]
+        numbers = read_numbers(cells)
+        finite, words = np.isfinite(numbers), self.words[k]
+        codes, kept = np.full(len(cells), -1), ~finite | (len(words) <= TEXTS)
+        codes[kept] = [words[cell] for cell in compress(cells, kept)]
+        self.grow(k, numbers, codes)
+
+    def grow(self, k: int, numbers: Floats, codes: Indices | int = -1) -> None:
+        """Add rows of a column by their numbers, and codes of their texts."""
+        self.numbers[k].frombytes(numbers.tobytes())
+        self.codes[k].frombytes(np.full(len(numbers), codes, np.intc).tobytes())
+
+    def _rows(self, numbers: Sequence[int], lines: Sequence[str]) -> list[list[str]]:
+        """Cells of some lines, as many of each as the header has."""
+        rows, width = list[list[str]](), len(self.numbers)
+        mark = self.heading.separator
+        if mark == " ":
+            mark, lines = "\t", ["\t".join(line.split()) for line in lines]
+        reader = csv.reader(lines, delimiter=mark, strict=True, skipinitialspace=True)
+        try:
+            for row in reader:
+                if reader.line_num > len(rows) + 1:
+                    raise csv.Error("a quote is not closed")
+                # Blank cells behind the last column are none.
+                if len(row) < width or any(map(str.strip, row[width:])):
+                    commas = mark == "," and len(row) > width
+                    hint = " (the decimal mark must be a point)" * commas
+                    raise csv.Error(f"{len(row)} cells for {width} columns{hint}")
+                rows.append(row[:width])
+        except csv.Error as error:
+            reason, line = f"the line is no row: {error}", numbers[len(rows)]
+            raise InputError(reason, file=self.file, line=line) from None
+        return rows
+
+
+def read_cells(
+    source: str | Path | bytes, file: str = "", progress: Progress | None = None
+) -> Cells:
+    """Read a file of cells: Parquet by its first bytes, or else text.
+
+    Text is UTF-8, UTF-16 with a byte order mark, or else Latin-1. Comments and blank
+    lines are skipped. The header is the first line with as many cells as the rows below
+    have; it may stand behind the sign of a comment.
+
+    Args:
+        source: The file, or its bytes.
+        file: Its path, for messages, where there are bytes.
+        progress: Told the part of the file that is read, 0 to 1.
+
+    Raises:
+        InputError: If there is no such file, it is of another kind, has no header, or
+            rows of another length.
+        OptionError: If it is a Parquet file, and the extra that reads it is missing.
+    """
+    if isinstance(source, bytes):
+        start = source[:START]
+    else:
+        file, start = str(source), next(read_blocks(source, START), b"")
+        if start.startswith(PARQUET):
+            return _read_parquet(file)
+    kinds = (k for a, b, k in BINARY if start.startswith(a) and b in start)
+    json = re.match(rb"\s*(\{|\[\s*[\[{\"\d-])", start)
+    if kind := "JSON: write it as CSV" if json else next(kinds, ""):
+        raise InputError(f"is {kind}", file=file)
+    wide = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    for encoding in ("utf-16",) if wide else ("utf-8-sig", "latin-1"):
+        with suppress(UnicodeError):
+            return _read(source, encoding, file, progress)
+    raise InputError("not UTF-16 text, as its byte order mark says", file=file)
+
+
+def _read(
+    source: str | Path | bytes, encoding: str, file: str, progress: Progress | None
+) -> Cells:
+    with (
+        (
+            io.BytesIO(source) if isinstance(source, bytes) else Path(source).open("rb")
+        ) as raw,
+        io.TextIOWrapper(raw, encoding) as stream,
+    ):
+        remarks = ("not UTF-8, read as Latin-1",) * (encoding == "latin-1")
+        found = Cells(file, _heading([*islice(stream, HEAD)], file), remarks)
+        size, first = raw.seek(0, io.SEEK_END), 1
+        stream.seek(0)
+        while lines := stream.readlines(LINES):
+            found.extend(lines, first)
+            first += len(lines)
+            if progress is not None:
+                progress(raw.tell() / size)
+    return found
+
+
+def _read_parquet(file: str) -> Cells:
+    """The cells of a Parquet file; its rows are counted from 1.
+
+    Raises:
+        InputError: If it cannot be read.
+        OptionError: If the extra is missing.
+    """
+    if find_spec("pyarrow") is None:
+        reason = "Parquet files need pyarrow, which is missing: pip install "
+        raise OptionError(reason + "'calib-pin[parquet]'", file=file)
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        with parquet.ParquetFile(file) as opened:
+            names = opened.schema_arrow.names
+            lines = array("q", range(1, opened.metadata.num_rows + 1))
+            heading = Heading(",", [name.strip() for name in names], 0, "")
+            found = Cells(file, heading, lines=lines)
+            for k, name in enumerate(names):  # One after the other, for memory.
+                cells = opened.read([name], use_threads=False).column(0)
+                if pa.types.is_floating(cells.type) or pa.types.is_integer(cells.type):
+                    found.grow(k, cells.cast(pa.float64(), safe=False).to_numpy())
+                else:
+                    texts = ["" if c is None else str(c) for c in cells.to_pylist()]
+                    found.add(k, texts)
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as error:
+        what = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"cannot be read as Parquet: {what}", file=file) from None
+    return found
+
+
+def _heading(first: Sequence[str], file: str) -> Heading:
+    """The header that the first lines of a file show."""
+    if "\0" in "".join(first):
+        raise InputError("not a text file (it contains NUL bytes)", file=file)
+    lines = [
+        (number, line.strip("\n"))
+        for number, line in enumerate(first, 1)
+        # Excel writes the separator in a line of its own, and blank lines as others.
+        if line.strip(" ,;\t\r\n") and not re.fullmatch(r'"?sep=."?', line.strip())
+    ]
+    if found := heading(lines):
+        return found
+    plain = [one for one in lines if not _is_comment(one[1])]
+    if not plain:
+        raise InputError("the file is empty, it needs a header and rows", file=file)
+    separator = _separator([text for _, text in plain])
+    line, names = _header(lines, plain, separator, file)
+    return Heading(separator, names, line, "")
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith(COMMENTS)
+
+
+def _separator(lines: Sequence[str]) -> str:
+    """The separator that cuts most lines into as many cells."""
+    for mark in SEPARATORS:
+        counts = Counter(len(cells_of(line, mark)) for line in lines)
+        ((width, often),) = counts.most_common(1)
+        # A single column may have a space in its name, but not in its numbers.
+        rows = mark != " " or len(cells_of(lines[-1], mark)) == width
+        if width > 1 and 2 * often >= len(lines) and rows:
+            return mark
+    return ","
+
+
+def _header(
+    lines: Lines, plain: Lines, separator: str, file: str
+) -> tuple[int, list[str]]:
+    """Line and cells of the header.
+
+    Args:
+        lines: The first lines with their numbers.
+        plain: Those that are no comments.
+        separator: Separator of two cells.
+        file: The file, for messages.
+    """
+    cut = [(number, cells_of(line, separator)) for number, line in plain]
+    rows = [one for one in cut if _is_row(one[1], separator)]
+    if not rows:
+        return cut[0]
+    ((width, _),) = Counter(len(cells) for _, cells in rows).most_common(1)
+    first = next(number for number, cells in rows if len(cells) == width)
+    above = [one for one in cut if one[0] < first]
+    bare = [(n, cells_of(line.lstrip(" \t#%/"), separator)) for n, line in lines]
+    for number, cells in above + [one for one in bare if one[0] < first]:
+        if len(cells) == width and not _is_row(cells, separator):
+            return number, cells
+    longest = max(above, key=lambda one: len(one[1]), default=(0, []))
+    if 2 * len(longest[1]) >= width:
+        return longest
+    reason = "the first row holds numbers, a header with the names of the columns is "
+    allowed = f"{width} names above it, such as {separator.join(_names(width))}"
+    raise InputError(reason + "missing", file=file, line=first, allowed=allowed)
+
+
+def _is_row(cells: Sequence[str], separator: str) -> bool:
+    """Whether a line is one of numbers; columns may be called 1, 2, 3 but not 0.25."""
+    mark = r"\." if separator == "," else "[.,]"
+    number = re.compile(rf"[+-]?\d*{mark}\d+([eE][+-]?\d+)?", re.ASCII)
+    return any(number.fullmatch(cell.strip()) for cell in cells)
+
+
+def _names(width: int) -> list[str]:
+    """Names for a header: of an arm with six or seven joints, where they can be."""
+    for joints in (6, 7):
+        if width - joints in (3, 6):
+            values = ["x", "y", "z", "rx", "ry", "rz"][: width - joints]
+            return [f"j{k}" for k in range(1, joints + 1)] + values
+    return [f"column_{k}" for k in range(1, width + 1)]
+
+
+def read_numbers(cells: Sequence[str]) -> Floats:
+    """The numbers in some cells, to the last bit as Python's `float` has them.
+
+    Args:
+        cells: Untrimmed text, N strings.
+
+    Returns:
+        The numbers, shape (N,); infinite or not-a-number where a cell says so or holds
+        none.
+    """
+    if (numbers := _decimals(cells, len(cells))) is not None:
+        return numbers
+    known = {cell: as_number(cell.strip()) for cell in set(cells)}
+    return np.array([known[cell] for cell in cells], np.float64)
+
+
+def read_lines(lines: Sequence[str], width: int) -> Floats | None:
+    """The numbers in lines of cells between commas, as `read_numbers` has them.
+
+    Args:
+        lines: Lines, N strings.
+        width: Cells in each.
+
+    Returns:
+        The numbers by column, shape (width, N); None unless all cells are decimal
+        fractions, which are read three times as fast at once.
+    """
+    numbers = _decimals(lines, len(lines) * width)
+    if numbers is None or {line.count(",") for line in lines} != {width - 1}:
+        return None
+    return numbers.reshape(-1, width).T
+
+
+def _decimals(cells: Sequence[str], count: int) -> Floats | None:
+    """The numbers of so many cells, shape (count,), where all are decimal fractions."""
+    # Importing it takes time, and most of the commands have done so before.
+    from pydantic_core import from_json
+
+    # A JSON reader is four times faster than `float` with all digits of a number, and
+    # rounds to the nearest number as well. What it reads as anything but a decimal
+    # fraction is not left to it (JSON's integers have no -0).
+    with suppress(ValueError):
+        numbers = from_json(f"[{','.join(cells)}]", allow_inf_nan=False)
+        if len(numbers) == count and set(map(type, numbers)) == {float}:
+            return np.array(numbers)
+    return None

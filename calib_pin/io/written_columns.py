@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import OutputError
 from calib_pin.io.columns import Floats
-from calib_pin.io.condition_columns import DIRECTION
-from calib_pin.io.measured_columns import reserved
+from calib_pin.io.measured_columns import DIRECTION, reserved
 from calib_pin.measurement_models import declared
 from calib_pin.observations import (
     AT,

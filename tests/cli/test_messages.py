@@ -85,8 +85,7 @@ MESSAGES: list[tuple[str, Mapping[str, str], str]] = [
     (
         "calibrate arm.urdf bad.csv",
         {"bad.csv": "joint1,joint2,joint_3,joint4,x,y,z\n0,0,0,0,1,2,3\n"},
-        "bad.csv:1: joint 'joint3' of the chain is missing (did you mean "
-        "'joint_3'?) (column 'joint3')",
+        "bad.csv:1: no joint column joint3 (did you mean 'joint_3'?) (column 'joint3')",
     ),
     (
         "calibrate arm.urdf bad.csv",

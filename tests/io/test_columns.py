@@ -7,7 +7,8 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 
-from calib_pin.io.columns import read_numbers, split_header
+from calib_pin.io.columns import split_header
+from calib_pin.io.table import read_numbers
 
 
 def halfway(values: np.ndarray) -> list[str]:
@@ -38,25 +39,22 @@ def test_numbers_are_those_of_float():
         assert read_numbers(cells).tobytes() == expected.tobytes()
 
 
-@pytest.mark.parametrize(
-    ("cell", "expected"),
-    [
-        *((cell, float(cell)) for cell in (" 1.5", "2.5 ", "\t1\u2003", "+1", ".5")),
-        *((cell, float(cell)) for cell in ("5.", "1e5", "1E-5", "-0", "-00.0", "007")),
-        *((cell, float(cell)) for cell in ("1e-400", "1e400", "9007199254740993")),
-        ("123456789012345678901234567890", 123456789012345678901234567890.0),
-        # Digits of other scripts are no numbers, whatever Python thinks.
-        *((cell, np.nan) for cell in ("\u0663.5", "\uff11", "1\u0660", "1.\uff15e1")),
-        *((cell, float(cell)) for cell in ("inf", "-Infinity", "nan", "NaN")),
-        *(
-            (cell, np.nan)
-            for cell in ("", " ", "1_000", "1_0.5", "0x1p3", "1j", "1.5#")
-        ),
-        *((cell, np.nan) for cell in ("true", "null", '"1.5"', "1.5,2.5", "[1.5]")),
-        *((cell, np.nan) for cell in ("{}", "1.5]", "ball", "--1.0", "1d5", "1e", "-")),
-    ],
-)
-def test_odd_cells(cell, expected):
+NUMBERS = [
+    *(" 1.5", "2.5 ", "\t1\u2003", "+1", ".5", "5.", "1e5", "1E-5", "-0", "-00.0"),
+    *("007", "1e-400", "1e400", "inf", "-Infinity", "nan", "NaN", "9007199254740993"),
+    *("123456789012345678901234567890",),
+]
+# Digits of other scripts are no numbers, whatever Python thinks.
+OTHERS = [
+    *("\u0663.5", "\uff11", "1\u0660", "1.\uff15e1", "", " ", "1_000", "1_0.5", "1d5"),
+    *("1j", "1.5#", "true", "null", '"1.5"', "1.5,2.5", "[1.5]", "{}", "1.5]", "ball"),
+    *("--1.0", "0x1p3", "1e", "-"),
+]
+
+
+@pytest.mark.parametrize("cell", NUMBERS + OTHERS)
+def test_odd_cells(cell):
+    expected = float(cell) if cell in NUMBERS else np.nan
     for cells in ([cell], ["0.25", cell], [cell, "1", "x"]):
         found = read_numbers(cells)
         assert found.shape == (len(cells),)

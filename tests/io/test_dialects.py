@@ -248,7 +248,7 @@ def test_a_number_of_several_objects_is_blamed_on_its_line(table, refused):
         ",,mm,mm,mm,mm,mm,mm\n1,0,1,2,3,4,5,6\n2,0,1,2,3,9999999,5,6\n"
     )
     with refused(InputError, "wrong unit", line=7, column="x", value="9999999"):
-        found.check_size("x", found.numbers("x", LENGTH), LENGTH, 100.0)
+        found.check("x", found.numbers("x", LENGTH), LENGTH)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 import calib_pin
 from calib_pin.errors import OutputError
-from calib_pin.io.files import write_atomically
 from calib_pin.io.measurements import (
     encode_configurations,
     read_configurations,
@@ -26,39 +25,27 @@ CHAIN = calib_pin.load_chain("space6")
 Q = CHAIN.random_configurations(7, np.random.default_rng(0))
 
 
-def write_configurations(path: Path, *about: Any, **more: Any):
-    write_atomically(path, encode_configurations(*about, **more), force=False)
+def write_configurations(path: Path, *about: Any, **more: Any) -> list[str]:
+    path.write_bytes(encode_configurations(*about, **more))
+    return path.read_text().splitlines()
 
 
 def test_files_read_back_bit_by_bit(tmp_path: Path) -> None:
-    file = tmp_path / "plan.csv"
-    write_configurations(file, CHAIN, Q, comments=["one\ntwo", ""])
-    lines = file.read_text().splitlines()
+    file, names = tmp_path / "plan.csv", ("wall", 'floor, "left"', "ä", *[""] * 4)
+    lines = write_configurations(file, CHAIN, Q, comments=["one\ntwo", ""])
     assert lines[:4] == ["# one", "# two", "#", ",".join(CHAIN.joints)]
     assert read_configurations(file, CHAIN).tobytes() == Q.tobytes()
     assert read_names(file, "target") == ()
-
-
-def test_targets_read_back(tmp_path: Path) -> None:
-    names = ("wall", "floor, left", 'a "b"', "wall", "ä", "x", "wall")
-    file = tmp_path / "plan.csv"
+    assert lines[3:] == write_configurations(file, CHAIN, Q, [""] * 7)
     write_configurations(file, CHAIN, Q, names)
     assert read_names(file, "target") == names
     assert read_configurations(file, CHAIN).tobytes() == Q.tobytes()
 
 
-def test_targets_without_names_have_no_column(tmp_path: Path) -> None:
-    file = tmp_path / "plan.csv"
-    write_configurations(file, CHAIN, Q, ("",) * 7)
-    assert "target" not in file.read_text()
-
-
 @pytest.mark.parametrize("name", [" wall", "wall\n", "a\0b"])
-def test_targets_that_would_not_read_back(name: str, tmp_path: Path) -> None:
-    file = tmp_path / "plan.csv"
+def test_targets_that_would_not_read_back(name: str) -> None:
     with pytest.raises(OutputError):
-        write_configurations(file, CHAIN, Q, ("wall",) * 6 + (name,))
-    assert not file.exists()
+        encode_configurations(CHAIN, Q, ("wall",) * 6 + (name,))
 
 
 factor = st.floats(0.01, 100.0) | st.floats(-100.0, -0.01)
@@ -105,13 +92,10 @@ def test_mutual_couplings_are_undone(tmp_path: Path) -> None:
         "A": JointMap(first, coupled={"B": 0.5, "track": 2.0}),
         "B": JointMap(second, sign=-1, coupled={"A": 0.25}),
     }
-    file = tmp_path / "plan.csv"
-    write_configurations(file, CHAIN, Q, joints=joints)
-    header = file.read_text().splitlines()[0].split(",")
-    assert header == ["A", "B", *others, "track"]
-    np.testing.assert_allclose(
-        read_configurations(file, CHAIN, joints), Q, rtol=0.0, atol=1e-12
-    )
+    header, *_ = write_configurations(tmp_path / "plan.csv", CHAIN, Q, joints=joints)
+    assert header.split(",") == ["A", "B", *others, "track"]
+    found = read_configurations(tmp_path / "plan.csv", CHAIN, joints)
+    np.testing.assert_allclose(found, Q, rtol=0.0, atol=1e-12)
 
 
 def test_positions_are_not_changed_by_a_map_of_other_joints() -> None:

@@ -17,7 +17,7 @@ from calib_pin.io.exchange.base import origin_of, placed
 from calib_pin.io.json_text import encode
 from calib_pin.io.results import calibration_document, read_calibration
 from calib_pin.io.straightening import straightened
-from calib_pin.io.urdf import load_chain, load_robot
+from calib_pin.io.urdf import load_chain
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.robot import Robot
@@ -31,16 +31,15 @@ SLIDES = {"upper_arm": 300.0, "forearm": -98.7}
 """How far a factory has moved frames along their axes [m]."""
 
 
-def origins(slides: Mapping[str, float], errors: float = 3e-4) -> list[pin.SE3]:
+def origins(slides: Mapping[str, float]) -> list[pin.SE3]:
     """Origins of an arm with small errors, its frames moved along their axes."""
     rng = np.random.default_rng(3)
     plain = UR10 | {"forearm": (-0.612, 0, 0, 0, 0, 0)}
     plain |= {"wrist_1": (-0.5723, 0, 0.163941, 0, 0, 0)}
     moved, carried = [], pin.SE3.Identity()
     for name in NAMES:
-        error = pin.exp6(pin.Motion(rng.normal(0.0, errors, 6)))
-        z = np.array([0.0, 0.0, slides.get(name, 0.0)])
-        slide = pin.SE3(np.eye(3), z)
+        error = pin.exp6(pin.Motion(rng.normal(0.0, 3e-4, 6)))
+        slide = pin.SE3(np.eye(3), slides.get(name, 0.0) * np.eye(3)[2])
         moved.append(carried.inverse() * placed(plain[name]) * error * slide)
         carried = slide
     return moved
@@ -48,21 +47,18 @@ def origins(slides: Mapping[str, float], errors: float = 3e-4) -> list[pin.SE3]:
 
 def urdf(places: list[pin.SE3], inside: Mapping[int, str] | None = None) -> bytes:
     """An arm whose joints turn about z, with a camera on the forearm."""
-    lines = ['<robot name="arm"><link name="link0"/>']
+    lines = ['<robot name="arm"><link name="link0"/><link name="camera"/>']
     for k, place in enumerate(places, start=1):
-        numbers = list(map(repr, origin_of(place)))
-        lines.append(
-            f'<link name="link{k}">{(inside or {}).get(k, "")}</link>'
-            f'<joint name="joint{k}" type="revolute">'
-            f'<origin xyz="{" ".join(numbers[:3])}" rpy="{" ".join(numbers[3:])}"/>'
-            f'<parent link="link{k - 1}"/><child link="link{k}"/><axis xyz="0 0 1"/>'
-            '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>'
-        )
-    lines.append(
-        '<link name="camera"/><joint name="mount" type="fixed">'
-        '<parent link="link3"/><child link="camera"/></joint></robot>'
-    )
-    return "\n".join(lines).encode()
+        x, y, z, *rpy = map(repr, origin_of(place))
+        lines += [
+            f'<link name="link{k}">{(inside or {}).get(k, "")}</link>',
+            f'<joint name="joint{k}" type="revolute"><axis xyz="0 0 1"/>',
+            f'<origin xyz="{x} {y} {z}" rpy="{" ".join(rpy)}"/>',
+            f'<parent link="link{k - 1}"/><child link="link{k}"/>',
+            '<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>',
+        ]
+    lines += ['<joint name="mount" type="fixed"><parent link="link3"/>']
+    return "\n".join([*lines, '<child link="camera"/></joint></robot>']).encode()
 
 
 def arm(slides: Mapping[str, float], **about: Mapping[int, str]) -> Robot:
@@ -120,7 +116,6 @@ def test_what_does_not_cancel_stays() -> None:
     small = arm({"upper_arm": 0.7, "forearm": -0.2})
     for robot in (parse_robot(urdf(far), "arm.urdf"), small):
         assert straightened(robot) is robot
-    assert load_robot("example:ur10_robot").remarks == ()
 
 
 @pytest.mark.slow
@@ -148,8 +143,6 @@ def test_it_calibrates_as_the_straight_robot(tmp_path: Path) -> None:
         away = result.model.of().poses(q)[:, :3, 3] - true
         results.append(result)
         errors.append(float(np.sqrt(np.mean(np.sum(away**2, axis=1)))))
-        moves = result.model.urdf_corrections().values()
-        assert max(np.linalg.norm(move.translation) for move in moves) < 5e-3
     # 24 identifiable parameters of 180 numbers, each with 0.1 mm of noise.
     assert max(errors) < 1e-4
     assert np.isclose(*errors, rtol=0.05)

@@ -1,37 +1,28 @@
-"""Tables: numbers and text of cells, whatever stands beside them."""
+"""Tables: what files are, where their header is, their rows, and cells by column."""
 
 from __future__ import annotations
 
 import csv
+import gzip
+import io
 import random
+import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from calib_pin.errors import InputError
-from calib_pin.io import cells as cells_module
-from calib_pin.io import columns as columns_module
-from calib_pin.io.columns import LENGTH, PURE
-from calib_pin.io.table import Table, read_table, require_columns
+from calib_pin.io import table as table_module
+from calib_pin.io.columns import LENGTH, MISSING, PURE
+from calib_pin.io.table import Cells, Table, read_cells, read_table, require_columns
+from calib_pin.units import as_number
 
-ODD = (
-    *(
-        "1_000",
-        "inf",
-        "nan",
-        "+1",
-        "-0",
-        "1e5",
-        ".5",
-        "5.",
-        "\u0663",
-        "0x1p3",
-        "1j",
-        "1#2",
-    ),
-    *("", "  ", " 1.5 ", '"1.0"', '"a,b"', '"a""b"', "true", "null", "ball", "1e400"),
-    *("\u00a01", "9007199254740993", "2.2250738585072011e-308", "0.10", "007"),
-)
+ODD = [
+    *("1_000", "inf", "nan", "+1", "-0", "1e5", ".5", "5.", "0x1p3", "1j", "1#2", ""),
+    *("true", "null", "ball", "1e400", "0.10", "007", "  ", " 1.5 ", '"1.0"', '"a,b"'),
+    *('"a""b"', "\u00a01", "\u0663", "9007199254740993", "2.2250738585072011e-308"),
+]
 COMMENTS = ("# c", "", "  ", ' # "x', "\t")
 
 
@@ -62,19 +53,11 @@ def spoiled(rng: random.Random) -> list[str]:
     return lines
 
 
-def number(cell: str) -> float:
-    try:
-        plain = cell.strip().isascii() and "_" not in cell
-        return float(cell) if plain else float("nan")
-    except ValueError:
-        return float("nan")
-
-
 @pytest.mark.parametrize("count", [3, 4096])
 def test_cells_and_numbers_are_those_of_every_line_alone(monkeypatch, table, count):
-    monkeypatch.setattr(cells_module, "LINES", count)
+    monkeypatch.setattr(table_module, "LINES", count)
     # Lines of nothing but decimals have no texts where there are many.
-    monkeypatch.setattr(cells_module, "read_lines", lambda *_: None)
+    monkeypatch.setattr(table_module, "read_lines", lambda *_: None)
     rng = random.Random(1)
     for _ in range(25):
         lines = spoiled(rng)
@@ -89,8 +72,10 @@ def test_cells_and_numbers_are_those_of_every_line_alone(monkeypatch, table, cou
         for name, expected in zip(header, zip(*body, strict=True), strict=True):
             column = found.columns[name]
             assert found.texts([name])[name] == tuple(map(str.strip, expected))
-            assert column.blank().tolist() == [not cell.strip() for cell in expected]
-            numbers = np.array([number(cell) for cell in expected])
+            gone = [cell.strip().lower() in MISSING for cell in expected]
+            assert column.missing().tolist() == gone
+            known = map(as_number, map(str.strip, expected))
+            numbers = np.array([np.nan if n is None else n for n in known])
             assert column.numbers.tobytes() == numbers.tobytes()
             for row, cell in enumerate(expected):
                 assert column.text(row) == cell.strip()
@@ -115,8 +100,8 @@ def test_numbers_are_texts_as_well(monkeypatch, table):
     error = some.cell_error("too large", "x", 1)
     assert (error.line, error.value) == (5, "2.50")
     # Of many that differ there are the numbers alone, and the other texts.
-    monkeypatch.setattr(columns_module, "TEXTS", 2)
-    monkeypatch.setattr(cells_module, "LINES", 1)
+    monkeypatch.setattr(table_module, "TEXTS", 2)
+    monkeypatch.setattr(table_module, "LINES", 1)
     found = table("name,x\n1.10,01\n1.10,02\n1.1,03\n1.1,a\n1.10,04\n")
     assert found.texts(["name"]) == {"name": ("1.10", "1.10", "1.1", "1.1", "1.10")}
     assert found.texts(["x"]) == {"x": ("1", "2", "3", "a", "4")}
@@ -186,7 +171,7 @@ def test_a_wrong_unit_of_a_foreign_column_is_mended_in_the_setup(tmp_path):
     file.write_text(LOG)
     table = read_table(file, columns={"x": "X (mm)"})
     with pytest.raises(InputError) as caught:
-        table.check_size("x", table.numbers("x", LENGTH), LENGTH, 0.5)
+        table.check("x", table.numbers("x", LENGTH), replace(LENGTH, largest=0.5))
     assert "columns: {x: X (mm) [mm]}" in str(caught.value)
     assert caught.value.column == "X (mm) (x)"
 
@@ -201,7 +186,7 @@ def test_a_wrong_unit_of_a_foreign_column_is_mended_in_the_setup(tmp_path):
     ],
 )
 def test_marks_that_may_separate_thousands(table, rows, line, column):
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"comma \(line [23]\)") as caught:
         table(rows)
     assert (caught.value.line, caught.value.column) == (line, column)
     # Seconds of another software have their point.
@@ -211,5 +196,140 @@ def test_marks_that_may_separate_thousands(table, rows, line, column):
 @pytest.mark.parametrize("cell", ["2.168,00", '"2,168.00"', "2'168.00", '"1,145,240"'])
 def test_separated_thousands_are_no_number(table, cell):
     with pytest.raises(InputError, match="thousands") as caught:
-        table(f"a\tb\n1\t2\n1\t{cell}\n").numbers("b", PURE)
-    assert (caught.value.line, caught.value.value) == (3, cell.strip('"'))
+        table(f"a\tb\n1\t{cell}\n").numbers("b", PURE)
+    assert (caught.value.line, caught.value.value) == (2, cell.strip('"'))
+
+
+# --- cells ----------------------------------------------------------------------
+
+LINES = ["# p\xe4th", "a,b", "", "1,\xe4", '" x ","#"', "  ", " # c", "2,"]
+KEPT = [(4, ("1", "\xe4")), (5, (" x ", "#")), (8, ("2", ""))]
+
+
+def rows_of(found: Cells) -> list[tuple[str, ...]]:
+    texts = [column.texts() for column in found.columns()]
+    return [*zip(*texts, strict=True)]
+
+
+@pytest.mark.parametrize("count", [1, 2, 1000])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("last", [False, True])
+@pytest.mark.parametrize("code", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+def test_rows_however_they_are_written(monkeypatch, count, end, last, code):
+    monkeypatch.setattr(table_module, "LINES", count)
+    progress: list[float] = []
+    data = (end.join(LINES) + end * last).encode(code)
+    found = read_cells(data, "a.csv", progress.append)
+    assert (tuple(found.heading.names), found.heading.line) == (("a", "b"), 2)
+    assert [*zip(found.lines, rows_of(found), strict=True)] == KEPT
+    assert len(found.remarks) == (code == "latin-1")
+    assert progress == sorted(progress) and progress[-1] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "header", "line", "rows"),
+    [
+        ('a;b\n0,5;"1;5"\n', "a b", 1, [("0.5", "1;5")]),
+        ("sep=;\na;b\n1,5;2\n", "a b", 2, [("1.5", "2")]),
+        ("a\tb,c\n0,5\t1\n", "a b,c", 1, [("0.5", "1")]),
+        # Behind the sign of a comment, as numpy.savetxt and MATLAB write it.
+        ("# a,b\n1.5,2\n", "a b", 1, [("1.5", "2")]),
+        ("# made by\n% a,b\n1.5,2\n", "a b", 2, [("1.5", "2")]),
+        ("//a;b\n1,5;2,5\n", "a b", 1, [("1.5", "2.5")]),
+        # Below lines about the recording.
+        ("Robot: R1\nDate;2026\n\na;b;c\n1;0,5;2\n", "a b c", 4, None),
+        ("Take,1\na,b,c\n1,0.5,2\n", "a b c", 2, None),
+        # Blank cells behind the last column.
+        ("a,b\n1.5,2,\n3.5,4, ,\n", "a b", 1, [("1.5", "2"), ("3.5", "4")]),
+        # Numbers may name columns, and texts alone are rows, too.
+        ("1,2\n0.5,0.25\n", "1 2", 1, [("0.5", "0.25")]),
+        ("robot,file\nr1,a.csv\n", "robot file", 1, [("r1", "a.csv")]),
+        ("a b\n0.5\n", "a b", 1, [("0.5",)]),
+    ],
+)
+def test_headers(text, header, line, rows):
+    found = read_cells(text.encode(), "a.csv")
+    assert list(found.heading.names) == (
+        header.split() if "," in text + ";" else [header]
+    )
+    assert found.heading.line == line
+    assert not found.remarks
+    assert rows is None or rows_of(found) == rows
+
+
+@pytest.mark.parametrize("sign", ["", "# "])
+def test_blanks_separate_where_nothing_else_does(sign):
+    data = f"{sign}a b [mm]  c\n1.5 2  3\n4.5 x 6\n".encode()
+    found = read_cells(data, "a.csv")
+    assert tuple(found.heading.names) == ("a", "b [mm]", "c")
+    assert rows_of(found) == [("1.5", "2", "3"), ("4.5", "x", "6")]
+
+
+@pytest.mark.parametrize(
+    ("count", "names"),
+    [(9, "j1,j2,j3,j4,j5,j6,x,y,z"), (10, "j7,x,y,z"), (12, "rx,ry,rz"), (2, "column")],
+)
+def test_a_header_to_paste_where_there_is_none(count, names):
+    with pytest.raises(InputError) as caught:
+        read_cells((",".join(["0.5"] * count) + "\n").encode(), "a.csv")
+    assert (caught.value.line, str(count) in caught.value.allowed) == (1, True)
+    pasted = caught.value.allowed.split()[-1]
+    assert names in pasted and len(pasted.split(",")) == count
+
+
+def zipped(*names: str) -> bytes:
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive:
+        for name in names:
+            archive.writestr(name, "")
+    return data.getvalue()
+
+
+def saved() -> bytes:
+    data = io.BytesIO()
+    np.save(data, np.zeros((3, 9)))
+    return data.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("data", "word"),
+    [
+        (zipped("[Content_Types].xml", "xl/workbook.xml"), "Excel"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(512), "Excel"),
+        (zipped("q.npy"), "NumPy"),
+        (saved(), "NumPy"),
+        (zipped("m.csv"), "zip"),
+        (gzip.compress(b"a,b\n1,2\n"), "gzip"),
+        (b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(200), "MATLAB"),
+        (b'{"joints": [1, 2]}', "JSON"),
+        (b"[[0.1, 0.2]]", "JSON"),
+        (b"SQLite format 3\x00" + bytes(80), "join"),
+        (b"a,b\n1,\x00\n", "NUL"),
+        (b"\xff\xfex\x00,", "UTF-16"),
+        (b"# only\n\n", "empty"),
+        (b"", "empty"),
+    ],
+    ids=range(14),
+)
+def test_files_that_are_no_text_are_told_by_what_they_are(data, word):
+    with pytest.raises(InputError) as caught:
+        read_cells(data, "m.csv")
+    assert word in caught.value.reason and caught.value.file == "m.csv"
+
+
+@pytest.mark.parametrize("count", [1, 2, 1000])
+@pytest.mark.parametrize(
+    ("data", "line"),
+    [
+        ('a,b\n1,2\n3,"4\n5,6\n', 3),
+        ('a,b\n1,2\n3,"4\n5,"6\n', 3),
+        ('a,b\n1,2\n3,"4"4\n', 3),
+        ("a,b\n1,2\n\n3\n", 4),
+        ("a,b\n1,2\n3,4,5\n", 3),
+    ],
+)
+def test_errors_name_the_line(monkeypatch, count, data, line):
+    monkeypatch.setattr(table_module, "LINES", count)
+    with pytest.raises(InputError) as caught:
+        read_cells(data.encode(), "a.csv")
+    assert (caught.value.file, caught.value.line) == ("a.csv", line)

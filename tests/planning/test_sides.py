@@ -10,8 +10,7 @@ import numpy as np
 import calib_pin
 from calib_pin.calibration import calibrate
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.condition_columns import read_held
-from calib_pin.io.measurements import encode_configurations
+from calib_pin.io.measurements import encode_configurations, read_held
 from calib_pin.observations import Conditions, approached
 from calib_pin.planning.aims import sides_tried
 from calib_pin.planning.plan import plan, sides_of

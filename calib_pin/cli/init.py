@@ -97,9 +97,7 @@ def init(
     seen = given.board if board is None else board_of(board)
     start = Setup(base, tip, model=model, board=seen, camera=given.camera)
     with stated_in(str(measurements[0])):
-        look = first_look(
-            loaded, measurements, start, _choose, station_per_file=station_per_file
-        )
+        look = first_look(loaded, measurements, start, _choose, station_per_file)
     if look.setup.camera is None and (board is not None or setup is not None):
         reason = "--board and --setup are for a camera, and there are no columns u, v"
         raise OptionError(reason)

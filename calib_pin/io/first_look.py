@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from itertools import combinations, product
 from math import inf
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -39,8 +39,6 @@ from calib_pin.units import steps_of
 from calib_pin.validation.evaluation import prepared
 from calib_pin.validation.findings.case import some_of
 from calib_pin.validation.findings.computed_values import COMPUTED, spread
-
-T = TypeVar("T")
 
 TOUCHES = ("fixed-point", "plane-contact", "sphere-contact")
 DISTANCES = ("plane-distance", "point-distance", "relative-distance")
@@ -167,7 +165,6 @@ def first_look(
     files: Sequence[Path],
     setup: Setup,
     choose: Choose,
-    *,
     station_per_file: bool = False,
 ) -> Look:
     """The reading of measurement files that fits the nominal robot best.
@@ -205,9 +202,7 @@ def first_look(
         models = [] if found.share < AT_REST or start.model else [*TOUCHES]
     if len(models) > 1 and models[0] in (*TOUCHES, *DISTANCES):
         setup = replace(setup, model=choose(question, models, "--model"))
-        return first_look(
-            robot, files, setup, choose, station_per_file=station_per_file
-        )
+        return first_look(robot, files, setup, choose, station_per_file)
     if found.fault is not None:
         raise found.fault
     looks = [
@@ -223,7 +218,7 @@ def first_look(
             "header, such as 'x [mm]', or in 'columns' of a setup file"
         )
     ends = _answers("tip", looks, found)
-    if len(ends) > 1:
+    if len(ends) > 1 and found.share < inf:
         tip = choose("which link was measured", ends, "--tip")
         found = best([look for look in looks if look.setup.tip == tip])
     return replace(found, next_share=next_share)
@@ -455,8 +450,12 @@ def readings(
         for position, orientation in headers.vectors(rest) or [({}, {})]
         for turned in _distinct([orientation, {}])
     ]
-    for way, mount in product(ways, _mounts(setup)):
-        models = [setup.model]
+    mounts = [setup]
+    if (camera := setup.camera) is not None:
+        cameras = (replace(camera, mount=mount) for mount in ("hand", "world"))
+        mounts = [replace(setup, camera=camera) for camera in cameras]
+    for way, mount in product(ways, mounts):
+        models: Sequence[str | None] = [setup.model]
         if setup.model is None and "x" in way:  # Whatever else is in the file.
             models = [None if SPATIAL & {*way} - {*VECTORS[0]} else "position"]
         elif setup.model is None:
@@ -482,14 +481,6 @@ def readings(
             )
 
 
-def _mounts(setup: Setup) -> list[Setup]:
-    """The setup with a camera on the hand, and with one that looks at the robot."""
-    if (camera := setup.camera) is None:
-        return [setup]
-    ways = (replace(camera, mount="hand"), replace(camera, mount="world"))
-    return [replace(setup, camera=way) for way in ways]
-
-
 def _units(
     robot: Robot, joints: Mapping[str, Foreign], way: Mapping[str, Foreign]
 ) -> list[dict[str, str]]:
@@ -511,7 +502,7 @@ def _units(
     return [{**a, **b, **c} for a, b, c in product(*map(_distinct, ways))]
 
 
-def _distinct(ways: Sequence[Mapping[str, T]]) -> list[Mapping[str, T]]:
+def _distinct(ways: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return [one for k, one in enumerate(ways) if one not in ways[:k]]
 
 
@@ -537,10 +528,11 @@ def looked(
         parameters = ready.problem.parameters
         unknown = int(np.sum(parameters.free & parameters.nuisance))
         if known <= unknown:
-            count = f"{len(data)} measurement" + "s" * (len(data) > 1)
             reason = (
-                f"{count} ({known} numbers) are too few: where instrument and tool are "
-                f"takes {unknown} already"
+                f"{len(data)} measurement{'s' * (len(data) > 1)} ({known} numbers) "
+            )
+            reason += (
+                f"are too few: where instrument and tool are takes {unknown} already"
             )
             raise InputError(reason, file=files[0])
     except CalibPinError as error:

@@ -15,7 +15,7 @@ import calib_pin.observations.joining as joining
 from calib_pin.errors import InputError, enumerated
 from calib_pin.io.columns import ANGLE, LENGTH, PIXEL, PURE, Floats, Kind
 from calib_pin.io.dialects.base import header
-from calib_pin.io.foreign_headers import OTHER, Foreign, foreign, understood, vectors
+from calib_pin.io.foreign_headers import Foreign, foreign, understood, vectors
 from calib_pin.io.foreign_headers import measured as meanings
 from calib_pin.io.measured_columns import (
     NAMES,
@@ -33,9 +33,6 @@ from calib_pin.setup import STATED
 from calib_pin.units import steps_of
 
 TIME = Kind("s", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, {}, np.inf)
-
-TIMES = ("time", "timestamp", "stamp", "zeit", "t")
-"""Names of a column of times."""
 
 SECONDS = 1e8
 """Times from here on are counted from 1970, and their digits tell the unit."""
@@ -336,14 +333,11 @@ def _is_sigma(name: str) -> bool:
 
 def _is_position(one: Foreign) -> bool:
     """Whether a column of a log may be one of joint positions: no counter, no stamp."""
-    numbers = one.column.numbers[np.isfinite(one.column.numbers)]
-    if not one.column.numeric or OTHER.search(one.words) or STAMPS.search(one.words):
-        return False
     unit = one.column.unit or "rad"
-    if unit not in ANGLE.units and unit not in LENGTH.units:
-        return False
-    steps = np.unique(np.diff(numbers))
-    return not (len(steps) == 1 and steps[0] > 0.0 and len(numbers) > COUNTED)
+    known = unit in ANGLE.units or unit in LENGTH.units
+    steps = np.unique(np.diff(one.numbers))
+    counter = len(steps) == 1 and steps[0] > 0.0 and len(one.numbers) > COUNTED
+    return one.numeric and known and not (counter or STAMPS.search(one.words))
 
 
 def _time_column(table: Table) -> str:
@@ -362,8 +356,8 @@ def _stamp(table: Table) -> str:
         return name
     raise table.error(
         "there is no column 'time', and no column of names that both logs share",
-        allowed=f"one of {', '.join(TIMES)}, 'columns: {{time: NAME}}' in the setup, "
-        "or the names of points in both",
+        allowed="one of time, timestamp, stamp, zeit, t, "
+        "'columns: {time: NAME}' in the setup, or the names of points in both",
     )
 
 
@@ -403,8 +397,11 @@ def _dates(table: Table, name: str) -> Floats:
     """Times of dates, or of clocks with or without a column of dates, (N,) [s]."""
     from dateutil.parser import parse  # type: ignore[import-untyped]
 
+    days = [other for other in table.columns if other.lower() in ("date", "datum")]
+    columns = [table.texts([each])[each] for each in (*days[:1], name)]
     stamps, first = [], datetime(1970, 1, 1)
-    for row, text in enumerate(_with_days(table, name)):
+    for row, cells in enumerate(zip(*columns, strict=True)):
+        text = " ".join(cells).replace(",", ".")
         try:
             try:
                 stamp = datetime.fromisoformat(text)
@@ -419,13 +416,6 @@ def _dates(table: Table, name: str) -> Floats:
     time: Floats = np.array(stamps)
     # A clock without a date begins anew at midnight.
     return np.asarray(time + DAY * np.cumsum(np.diff(time, prepend=time[0]) < -DAY / 2))
-
-
-def _with_days(table: Table, name: str) -> list[str]:
-    """Texts of times, behind those of a column of dates."""
-    days = [other for other in table.columns if other.lower() in ("date", "datum")]
-    columns = [table.texts([each])[each] for each in (*days[:1], name)]
-    return [" ".join(row).replace(",", ".") for row in zip(*columns, strict=True)]
 
 
 def _kind(unit: str | None) -> Kind:

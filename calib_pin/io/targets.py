@@ -13,7 +13,7 @@ import calib_pin.io.joint_columns as joint_columns
 import calib_pin.io.measured_columns as measured_columns
 from calib_pin.control.joints import Joints
 from calib_pin.errors import OutputError
-from calib_pin.io.logs import TIME, TIMES
+from calib_pin.io.logs import TIME
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.chain import Chain
@@ -129,14 +129,14 @@ def read_times(targets: Targets) -> Floats | None:
     Raises:
         InputError: If a time is none, or not after the one before.
     """
-    if TIMES[0] not in targets.table:
+    if "time" not in targets.table:
         return None
-    time = targets.table.numbers(TIMES[0], TIME)
+    time = targets.table.numbers("time", TIME)
     (back,) = np.nonzero(np.diff(time) <= 0.0)
     if len(back):
         row = int(back[0]) + 1
         raise targets.table.cell_error(
-            "the time does not go on", TIMES[0], row, f"more than {time[row - 1]:.6g} s"
+            "the time does not go on", "time", row, f"more than {time[row - 1]:.6g} s"
         )
     return time
 
@@ -189,7 +189,7 @@ def encode_commands(
             )
         columns[ROW] = np.where(via, "", targets.lines[rows].astype(str)).tolist()
     if times is not None:
-        columns[TIMES[0]] = times.tolist()
+        columns["time"] = times.tolist()
     return encode_table(columns, comments)
 
 

@@ -27,7 +27,7 @@ from calib_pin.io.foreign_headers import GAUGED, VECTORS, Foreign
 from calib_pin.io.inferred_model import asked_models
 from calib_pin.io.measured_columns import optional, reserved
 from calib_pin.io.measurements import read_measurements
-from calib_pin.io.table import Table, read_table
+from calib_pin.io.table import read_table
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.joint_columns import advice, drives_of
@@ -181,9 +181,8 @@ def first_look(
         CalibPinError: If the files cannot be read in any way, numbers do not tell their
             units, or all positions were computed by the controller.
     """
-    table = read_table(files[0]).whole(robot.model.names)
-    columns = headers.foreign(table.columns)
-    start, joints = _ends(robot, setup, columns, table, choose)
+    columns = headers.foreign(read_table(files[0]).whole(robot.model.names).columns)
+    start, joints = _ends(robot, setup, columns, choose)
     start = _with_camera(start, columns)
 
     def tried(joints: Sequence[Joints]) -> list[Look]:
@@ -231,23 +230,17 @@ def _answers(key: str, looks: Sequence[Look], found: Look) -> list[str]:
 
 
 def _ends(
-    robot: Robot,
-    setup: Setup,
-    columns: Sequence[Foreign],
-    table: Table,
-    choose: Choose,
+    robot: Robot, setup: Setup, columns: Sequence[Foreign], choose: Choose
 ) -> tuple[Setup, list[Joints]]:
     """The setup with the chains that a column names, and what may be the joints."""
     every = [name for name in robot.model.names if name != "universe"]
-    by_name, named = (
-        headers.joints_by_name(columns, every),
-        headers.measured(columns).get("chain"),
-    )
+    by_name = headers.joints_by_name(columns, every)
+    named = headers.measured(columns).get("chain")
     if named is None or (setup.tip is not None and "=" not in setup.tip):
-        joints = joint_columns(robot, setup.base, setup.tip, columns, by_name)
+        joints = joint_columns(robot, setup, columns, by_name)
     else:
         tips = dict(word.partition("=")[::2] for word in (setup.tip or "").split(","))
-        names = table.texts([named[0].name])[named[0].name].distinct
+        names = named[0].column.texts().map(str.strip).distinct
         chains = dict[str, ChainSetup]()
         for name in (k for k in names if k not in ("", WORLD, *robot.links)):
             links = _links_called(name, chains_of(robot, setup.base), by_name.keys())
@@ -305,11 +298,9 @@ def _with_camera(setup: Setup, columns: Sequence[Foreign]) -> Setup:
         )
     # The image is larger than where corners were seen, by how much nobody knows.
     width, height = (100.0 * -(-found[axis][0].largest // 100.0) for axis in "uv")
+    center = ((width - 1.0) / 2.0, (height - 1.0) / 2.0)
     camera = setup.camera or CameraSetup(
-        mount="hand",
-        focal=(width, width),
-        center=((width - 1.0) / 2.0, (height - 1.0) / 2.0),
-        estimate=True,
+        mount="hand", focal=(width, width), center=center, estimate=True
     )
     return replace(setup, model="camera", camera=camera)
 
@@ -346,18 +337,13 @@ def chains_of(
 
 
 def joint_columns(
-    robot: Robot,
-    base: str | None,
-    tip: str | None,
-    columns: Sequence[Foreign],
-    named: Mapping[str, Foreign],
+    robot: Robot, setup: Setup, columns: Sequence[Foreign], named: dict[str, Foreign]
 ) -> list[Joints]:
     """Columns that may be those of the joints, likeliest first; empty if none may.
 
     Args:
         robot: The robot.
-        base: Link at which chains start; None for the root.
-        tip: Link at which the chain ends, if it is known.
+        setup: Base and tip of the chain, as far as they are known.
         columns: Those of a file.
         named: Those that are called like joints of the robot, by joint.
 
@@ -366,7 +352,7 @@ def joint_columns(
             of its joints.
         RobotError: If no chain can be used.
     """
-    chains = chains_of(robot, base, tip)
+    chains = chains_of(robot, setup.base, setup.tip)
     whole = [one for one in chains if named.keys() >= {*one}]
     fullest = max(chains, key=lambda one: (len({*one} & named.keys()), -len(one)))
     missing = [joint for joint in fullest if joint not in named]
@@ -374,7 +360,7 @@ def joint_columns(
     if len(fullest) - len(missing) >= max(most + 1, FEWEST):
         end = chains[fullest][0]
         told = f"no column for {', '.join(missing)} of the chain to '{end}'"
-        raise InputError(told + advice(Chain(robot, base, end), missing))
+        raise InputError(told + advice(Chain(robot, setup.base, end), missing))
     if whole:
         # A file may hold those that follow, too.
         follow = {j: mimic.leader for j, mimic in robot.mimics.items()}

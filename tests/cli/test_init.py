@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import chdir
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,7 @@ from calib_pin.kinematics.spatial import Floats
 from tests.cli.files import document, numbers, table, write
 
 JOINTS = [f"joint_{k}" for k in range(1, 7)]
-DEGREES = np.array([180.0 / np.pi] * 6 + [1.0] * 3)
-MILLIMETERS = np.array([1.0] * 6 + [1e3] * 3)
+UNITS = np.array([180.0 / np.pi] * 6 + [1e3] * 3)
 INIT = "init space6 foreign.csv -o setup.yaml"
 
 
@@ -241,59 +240,18 @@ def test_the_arm_that_fits_is_the_one_that_was_measured(run, fails, monkeypatch)
     assert result.status == 0 and "\ntip: right_3\n" in result.out
 
 
-def small_motions(rows: Floats) -> Floats:
-    """Numbers that might be radians as well; their scatter is in their unit."""
-    q = rows[np.abs(rows[:, :6]).max(axis=1) < 3.0, :6] / 40.0
+OWN = ",".join(JOINTS)
+
+
+def test_small_motions_in_degrees(measured):
+    """Numbers that might be radians as well are told apart by the robot."""
+    q = measured[np.abs(measured[:, :6]).max(axis=1) < 3.0, :6] / 40.0
     points = calib_pin.load_chain("space6").poses(q)[:, :3, 3]
     points = points + np.random.default_rng(3).normal(0.0, 1e-5, points.shape)
-    rows = np.hstack([q, points]) * DEGREES * MILLIMETERS
-    return np.hstack([rows, np.full((len(rows), 3), 0.1)])
-
-
-def among_others(rows: Floats) -> Floats:
-    """What was commanded is not what was measured, a speed is no position."""
-    rows = rows * DEGREES * MILLIMETERS
-    goals = rows[:, 6:] + 20.0 * rows[:, :3]
-    return np.hstack([0.1 * rows[::-1, :6], rows, goals])
-
-
-OWN = ",".join(JOINTS)
-LOOKS: Mapping[str, tuple[str, Callable[[Floats], Floats], dict[str, str]]] = {
-    "small motions": (
-        f"{OWN},x,y,z,sigma_x,sigma_y,sigma_z",
-        small_motions,
-        {j: f"{j} [deg]" for j in JOINTS}
-        | {n: f"{n} [mm]" for a in "xyz" for n in (a, f"sigma_{a}")},
-    ),
-    "among others": (
-        "qd1,qd2,qd3,qd4,qd5,qd6,S,L,U,R,B,T,X_meas,Y_meas,Z_meas,X_cmd,Y_cmd,Z_cmd",
-        among_others,
-        {j: f"{name} [deg]" for j, name in zip(JOINTS, "SLURBT", strict=True)}
-        | {a: f"{a.upper()}_meas [mm]" for a in "xyz"},
-    ),
-    # Numbers say nothing where the columns are those of a file sorted otherwise.
-    "other than on the robot": (
-        "q0,q1,q2,q3,q4,q5,x,y,z",
-        lambda rows: rows[:, [0, 4, 2, 3, 1, 5, 6, 7, 8]],
-        {j: f"q{k}" for j, k in zip(JOINTS, (0, 4, 2, 3, 1, 5), strict=True)},
-    ),
-    "a unit for each column": (
-        f"{OWN},x,y,z",
-        lambda rows: rows * [*[1.0] * 5, DEGREES[5], *[1.0] * 3],
-        {"joint_6": "joint_6 [deg]"},
-    ),
-}
-"""Headers, the numbers below, and `columns` in the draft."""
-
-
-@pytest.mark.parametrize("name", LOOKS)
-def test_columns_of_other_software(name, measured):
-    header, change, told = LOOKS[name]
-    foreign(header.split(","), change(measured))
+    foreign([*JOINTS, "tcp_x", "tcp_y", "tcp_z"], np.hstack([q, points]) * UNITS)
     assert main(INIT.split()) == 0
-    assert read_setup("setup.yaml").columns == told
-    by_order = "by the order alone, other than on the robot"
-    assert (by_order in Path("setup.yaml").read_text()) == (name in by_order)
+    columns = read_setup("setup.yaml").columns
+    assert columns["joint_1"] == "joint_1 [deg]" and columns["x"] == "tcp_x [mm]"
 
 
 def test_a_gripper_in_percent(run):

@@ -103,11 +103,11 @@ class Dialect:
         """The columns as ours."""
         names, taken = dict[str, tuple[str, str | None]](), set[str]()
         for pattern, ours, unit in self.ours:
-            for theirs in columns:
+            for theirs in (theirs for theirs in columns if theirs not in names):
                 found = re.fullmatch(pattern, theirs)
                 # A joint of the same name in a second topic keeps theirs.
                 if found and (name := found.expand(ours)) not in taken:
-                    names.setdefault(theirs, (name, unit))
+                    names[theirs] = name, unit
                     taken.add(name)
         return {
             name: named(column, name, unit, self.lost)

@@ -194,11 +194,18 @@ def test_sockets():
     assert after < 1e-3 < before
 
 
-LIMB = """<link name="{side}_{k}"/>
-<joint name="{side}_joint_{k}" type="revolute"><origin xyz="{xyz}"/>
-<parent link="{parent}"/><child link="{side}_{k}"/><axis xyz="{axis}"/>
+LIMB = """<link name="{name}"/>
+<joint name="{name}_joint" type="revolute"><origin xyz="{xyz}"/>
+<parent link="{parent}"/><child link="{name}"/><axis xyz="{axis}"/>
 <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
 """
+
+
+def points_of(chain: calib_pin.Chain, q: Floats, tool: Any = (0, 0, 0)) -> Floats:
+    """Measured points of a tool, shape (N, 3) [m]."""
+    T, rng = chain.poses(q), np.random.default_rng(1)
+    found = T[:, :3, :3] @ np.array(tool, float) + T[:, :3, 3]
+    return np.asarray(found + rng.normal(0.0, 1e-5, found.shape))
 
 
 def twins(mirror: float) -> None:
@@ -208,23 +215,21 @@ def twins(mirror: float) -> None:
         mirror: -1 for a right arm that is the mirror image of the left one, 1 for the
             same arm once more.
     """
-    parts = []
+    text = '<robot name="twins"><link name="base"/>'
     for side, sign, shift in (("left", 1.0, 0.4), ("right", mirror, -0.4)):
         places = [f"0.1 {shift} 0.3", f"0 {0.1 * sign} 0.2"]
         places += [f"0.4 {0.05 * sign} 0", f"0.3 {0.1 * sign} 0.05"]
         parent = "base"
         for k, xyz in enumerate(places):
             axis = ("0 0 1", "1 0 0", "0 1 0", "0 0 1")[k]
-            parts.append(LIMB.format(side=side, k=k, xyz=xyz, parent=parent, axis=axis))
-            parent = f"{side}_{k}"
-    text = f'<robot name="twins"><link name="base"/>{"".join(parts)}</robot>'
-    Path("twins.urdf").write_text(text)
+            name = f"{side}_{k}"
+            text += LIMB.format(name=name, xyz=xyz, parent=parent, axis=axis)
+            parent = name
+    Path("twins.urdf").write_text(f"{text}</robot>")
     chain = calib_pin.load_chain("twins.urdf", tip="left_3")
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (40, 4))
-    names = [f"{side}_joint_{k}" for side in ("left", "right") for k in range(4)]
-    points = chain.poses(q)[:, :3, 3]
-    points = points + np.random.default_rng(1).normal(0.0, 1e-5, points.shape)
-    foreign([*names, *"xyz"], np.hstack([q, q, points]))
+    names = [f"{side}_{k}_joint" for side in ("left", "right") for k in range(4)]
+    foreign([*names, *"xyz"], np.hstack([q, q, points_of(chain, q)]))
 
 
 def test_the_arm_that_fits_is_the_one_that_was_measured(run, fails, monkeypatch):
@@ -246,9 +251,8 @@ OWN = ",".join(JOINTS)
 def test_small_motions_in_degrees(measured):
     """Numbers that might be radians as well are told apart by the robot."""
     q = measured[np.abs(measured[:, :6]).max(axis=1) < 3.0, :6] / 40.0
-    points = calib_pin.load_chain("space6").poses(q)[:, :3, 3]
-    points = points + np.random.default_rng(3).normal(0.0, 1e-5, points.shape)
-    foreign([*JOINTS, "tcp_x", "tcp_y", "tcp_z"], np.hstack([q, points]) * UNITS)
+    rows = np.hstack([q, points_of(calib_pin.load_chain("space6"), q)]) * UNITS
+    foreign([*JOINTS, "tcp_x", "tcp_y", "tcp_z"], rows)
     assert main(INIT.split()) == 0
     columns = read_setup("setup.yaml").columns
     assert columns["joint_1"] == "joint_1 [deg]" and columns["x"] == "tcp_x [mm]"
@@ -258,8 +262,8 @@ def test_a_gripper_in_percent(run):
     """It stands still, and names of its columns have words around those of joints."""
     chain = calib_pin.load_chain("example:so101", tip="gripper_frame_link")
     q = chain.random_configurations(40, np.random.default_rng(0))
-    rows = np.hstack([q + 0.001, q, np.full((40, 1), 37.5), chain.poses(q)[:, :3, 3]])
-    rows[:, -3:] += np.random.default_rng(1).normal(0.0, 1e-3, (40, 3))
+    percent = np.full((40, 1), 37.5)
+    rows = np.hstack([q + 0.001, q, percent, points_of(chain, q)])
     names = [f"goal/{joint}/angle" for joint in chain.joints]
     names += [f"state/{joint}/angle" for joint in [*chain.joints, "gripper"]]
     foreign([*names, *"xyz"], rows)
@@ -269,24 +273,16 @@ def test_a_gripper_in_percent(run):
     assert setup.columns["elbow_flex"] == "state/elbow_flex/angle"
 
 
-POSITIONER = """<robot name="table">
-<link name="base"/><link name="tilt"/><link name="top"/>
-<joint name="a" type="revolute"><parent link="base"/><child link="tilt"/>
-<axis xyz="1 0 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-<joint name="b" type="revolute"><parent link="tilt"/><child link="top"/>
-<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-</robot>"""
-
-
 def test_axes_that_meet_tell_no_unit_of_lengths(fails):
     """A positioner of meters fits as well in millimeters, which nothing refuses."""
-    Path("table.urdf").write_text(POSITIONER)
+    text = LIMB.format(name="tilt", xyz="0 0 0", parent="base", axis="1 0 0")
+    text += LIMB.format(name="top", xyz="0 0 0", parent="tilt", axis="0 0 1")
+    text = f'<robot name="table"><link name="base"/>{text}</robot>'
+    Path("table.urdf").write_text(text)
     chain = calib_pin.load_chain("table.urdf")
     q = chain.random_configurations(40, np.random.default_rng(0))
-    T = chain.poses(q)
-    points = T[:, :3, :3] @ [0.4, 0.1, 0.2]
-    points += np.random.default_rng(1).normal(0.0, 1e-4, (40, 3))
-    foreign(["a", "b", *"xyz"], np.hstack([q, points]))
+    points = points_of(chain, q, (0.4, 0.1, 0.2))
+    foreign([*chain.joints, *"xyz"], np.hstack([q, points]))
     fails("init table.urdf foreign.csv -o setup.yaml", "units")
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib_pin.errors import InputError
 from calib_pin.io.columns import Column, split_header
 from calib_pin.io.foreign_headers import (
     Foreign,
@@ -13,7 +12,6 @@ from calib_pin.io.foreign_headers import (
     foreign,
     joints_by_name,
     measured,
-    vectors,
     without_meaning,
 )
 
@@ -52,12 +50,6 @@ def test_what_is_measured(header, ours):
     assert told.items() >= ours.items() and (ours or not told)
 
 
-def test_an_orientation_belongs_to_the_position_of_its_words():
-    found = vectors(columns("a_x,a_y,a_z,b_x,b_y,b_z,b_rx,b_ry,b_rz"))
-    named = [(p["x"].name, [*turned]) for p, turned in found]
-    assert named == [("a_x", []), ("b_x", ["rx", "ry", "rz"])]
-
-
 @pytest.mark.parametrize(
     ("header", "names"),
     [
@@ -79,8 +71,3 @@ def test_joints_by_name():
     named = {joint: one.stated(one.unit) for joint, one in joints.items()}
     assert named == {"elbow": "Elbow.pos", "left_elbow": "left_elbow_angle"}
     assert without_meaning(found)[-1].name == "S"
-
-
-def test_units_that_are_not_known(refused):
-    with refused(InputError, "'cm' is not known", column="x"):
-        columns("x[cm],y[cm],z[cm]")

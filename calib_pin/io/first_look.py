@@ -533,7 +533,7 @@ def looked(
         [
             block.data.values[:, :3]
             if block.data.model in ("position", "pose", "camera")
-            else block.part.error.chain.poses(block.data.q)[:, :3, 3]
+            else block.term.error.chain.poses(block.data.q)[:, :3, 3]
             for block in ready.problem.blocks
         ]
     )

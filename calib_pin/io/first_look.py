@@ -224,7 +224,7 @@ def first_look(
 
 
 def _answers(key: str, looks: Sequence[Look], found: Look) -> list[str]:
-    """What the setups of readings say that fit about as well as the one found."""
+    """Values of a key in the setups of readings that fit about as well as the best."""
     close = [look for look in looks if CLEAR * look.share <= found.share]
     return [*dict.fromkeys(getattr(k.setup, key) or "" for k in [found, *close])]
 

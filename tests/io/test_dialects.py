@@ -34,8 +34,10 @@ def table(tmp_path: Path):
 
 
 def test_whole_seconds_and_the_rest(table):
-    found = table("header.secs,header.nsecs,x\n5,500000000,1\n6,0,2\n")
+    """Beside an index: dialects follow one another."""
+    found = table(",header.secs,header.nsecs,x\n0,5,500000000,1\n1,6,0,2\n")
     assert found.numbers("time", TIME).tolist() == [5.5, 6.0]
+    assert "column 1" not in found and len(found.remarks[0].split("; ")) == 2
     assert "times" in table("sec,usec,x\n1,2,3\n").remarks[0]
     assert not table("time,sec,usec,x\n0,1,2,3\n").remarks
 
@@ -258,22 +260,16 @@ def test_names_and_index_of_a_data_frame(table):
     assert not table(",a\n5,1\n7,1\n").remarks
 
 
-def test_a_joint_of_two_topics_is_that_of_the_first(table):
-    found = table(
-        "__time,/joint_states/elbow/position,/other/joint_states/elbow/position\n"
-        "0.5,1.5,2.5\n"
-    )
-    assert found.columns["elbow"].numbers.tolist() == [1.5]
-    assert "/other/joint_states/elbow/position" in found
-
-
-def test_the_pose_of_a_controller_is_left_out_whatever_stands_beside(table):
+def test_of_two_topics_and_poses_of_controllers(table):
+    """The first has its joints' names; what is left out is there if it is named."""
+    second = "/other/joint_states/elbow/position"
+    found = table(f"__time,/joint_states/elbow/position,{second}\n0.5,1.5,2.5\n")
+    assert found.columns["elbow"].numbers.tolist() == [1.5] and second in found
     names = [f"state.O_T_EE[{k}]" for k in range(16)]
     head = ",".join(["time", *(f"state.q[{k}]" for k in range(7)), *names, "x [mm]"])
-    found = table(head + "\n" + ",".join(["0.5"] * 25))
-    assert list(found.columns) == ["time", *(f"q_{k}" for k in range(7)), "x"]
-    # It is there for whoever names it.
-    found = table(head + "\n" + ",".join(["0.5"] * 25), {"y": "state.O_T_EE[13] [m]"})
+    text = head + "\n" + ",".join(["0.5"] * 25)
+    assert [*table(text).columns] == ["time", *(f"q_{k}" for k in range(7)), "x"]
+    found = table(text, {"y": "state.O_T_EE[13] [m]"})
     assert found.numbers("y", LENGTH).tolist() == [0.5]
 
 
@@ -291,10 +287,3 @@ def test_a_dialect_of_another_package(table, monkeypatch):
     assert list(found.columns) == ["x", "y"] and found.remarks == ("read as loud",)
     assert list(table("X,y\n1,2\n").columns) == ["X", "y"]
     assert list(DIALECTS)[-1] == "shouting"
-
-
-def test_dialects_follow_one_another(table):
-    """An index, and times in two columns beside it."""
-    found = table(",sec,nanosec,x\n0,5,500000000,1\n1,6,0,2\n")
-    assert found.numbers("time", TIME).tolist() == [5.5, 6.0]
-    assert "column 1" not in found and len(found.remarks[0].split("; ")) == 2

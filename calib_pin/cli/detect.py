@@ -403,7 +403,7 @@ def _at_times(joints: Table, taken: Table, images: list[Path], tell: Notice) -> 
     import numpy as np
 
     import calib_pin.io.logs as logs
-    from calib_pin.cli.join import STAND, joined
+    from calib_pin.cli.join import STAND
     from calib_pin.io.table import read_table
 
     taken = logs.with_images(taken)
@@ -411,7 +411,7 @@ def _at_times(joints: Table, taken: Table, images: list[Path], tell: Notice) -> 
     readings = logs.read_reading_log(
         taken.rows(np.array(_rows(taken, images)), taken.columns), tell
     )
-    readings, found = joined(positions, readings, STAND, STAND, tell)
+    readings, found = logs.join_logs(positions, readings, STAND, STAND, tell)
     return read_table(logs.encode_joined(found, positions, readings, keep=True))
 
 

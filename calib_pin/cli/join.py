@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,7 +21,6 @@ from calib_pin.cli.printing import (
 )
 
 if TYPE_CHECKING:
-    from calib_pin.io.logs import JointLog, ReadingLog
     from calib_pin.observations.joining import Joined
 
 STAND = 0.5
@@ -120,6 +119,7 @@ def join(
     from calib_pin.io.files import write_files
     from calib_pin.io.logs import (
         encode_joined,
+        join_logs,
         named_alike,
         read_joint_log,
         read_reading_log,
@@ -130,32 +130,35 @@ def join(
     for path in (joints, measurements):
         require_file(path)
     check_outputs([output], [joints, measurements, setup], force)
-    samples = (
-        joints == measurements and is_bag(joints) and holds_calibration_data(joints)
-    )
+    bags = is_bag(joints), is_bag(measurements)
+    samples = all(bags) and joints == measurements and holds_calibration_data(joints)
     tell = (lambda remark: None) if quiet else notice
     with progress_bar(quiet=quiet) as bar:
         if samples:
             positions, readings, found = read_calibration_data(joints, topic, tell)
         else:
             ours, theirs = (
-                None
-                if is_bag(path)
-                else read_table(path, stage(bar, of), columns=stated)
-                for path, of in ((joints, "joints"), (measurements, "readings"))
+                None if bag else read_table(path, stage(bar, of), columns=stated)
+                for path, bag, of in zip(
+                    (joints, measurements), bags, ("joints", "readings"), strict=True
+                )
             )
             if ours and theirs:
                 ours, theirs = named_alike(ours, theirs)
-            if ours:
-                positions = read_joint_log(ours, stated, tell)
-            else:
-                positions = read_joint_bag(joints, joint_topic)
-            if theirs:
-                readings = read_reading_log(theirs, tell)
-            else:
-                readings = read_reading_bag(measurements, topic)
+            positions = (
+                read_joint_log(ours, stated, tell)
+                if ours
+                else read_joint_bag(joints, joint_topic)
+            )
+            readings = (
+                read_reading_log(theirs, tell)
+                if theirs
+                else read_reading_bag(measurements, topic)
+            )
             with stated_in(f"{joints}, {measurements}"):
-                readings, found = joined(positions, readings, settle, tolerance, tell)
+                readings, found = join_logs(
+                    positions, readings, settle, tolerance, tell
+                )
     data = encode_joined(found, positions, readings, keep=keep or samples)
     with write_files({output: data}, force=force):
         if json:
@@ -165,52 +168,6 @@ def join(
     if not quiet and not json:
         say_written([f"wrote {output}"])
     return 0
-
-
-def joined(
-    joints: JointLog,
-    readings: ReadingLog,
-    settle: float,
-    tolerance: float,
-    tell: Callable[[str], None],
-) -> tuple[ReadingLog, Joined]:
-    """The readings, by the unit of the joints' times, and what joins them.
-
-    Args:
-        joints: The log of the joints.
-        readings: The log of the readings.
-        settle: Time that joints stand before readings count [s].
-        tolerance: Longest time without a sample of the joints [s].
-        tell: Called with sentences about the logs and what was left out.
-
-    Raises:
-        InputError: If nothing does.
-    """
-    from calib_pin.errors import InputError, enumerated
-    from calib_pin.io.logs import IMAGE, POSE, TIME
-    from calib_pin.observations.joining import in_one_unit, join, join_by_name
-
-    q, values = joints.log, readings.log
-    if joints.poses:
-        found = join_by_name(q, values, joints.poses, readings.texts[POSE])
-        if found.alone:
-            told = enumerated(found.alone)
-            tell(f"in one of both files only, and left out: {told}")
-        return readings, found
-    if joints.loose and readings.loose:
-        q, values, steps = in_one_unit(q, values)
-        if steps:
-            longer, unit = "joints" if steps > 0 else "readings", [*TIME.units]
-            read = f"the times of the {longer} are read as {unit[abs(steps)]}"
-            tell(f"{read}: so both last as long")
-    found = join(q, values, settle, tolerance)
-    if not found.standstills:
-        raise InputError("no reading falls into a standstill of the joints")
-    if images := readings.texts.get(IMAGE):
-        used = {images[k] for one in found.standstills for k in one.readings}
-        if lost := [name for name in dict.fromkeys(images) if name not in used]:
-            tell(f"the joints do not stand at the time of {enumerated(lost)}: left out")
-    return replace(readings, log=values), found
 
 
 def _lines(found: Joined, measurements: Path) -> Iterator[str]:

@@ -1,48 +1,50 @@
 """The likeliest reading of measurement files, by trying: what `init` writes down.
 
-Every reading that names, units and links allow is tried on the robot: the nominal robot
-is registered on the measurements, and the reading that leaves the smallest errors is
+Names, numbers and units allow several readings of each column. All of their
+combinations, the likeliest first, are tried on the robot: the nominal robot is
+registered on the measurements, and the combination that leaves the smallest errors is
 the one. A wrong unit or another link leaves errors a hundred times as large.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations, product
 from math import inf
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from calib_pin.errors import CalibPinError, InputError
-from calib_pin.estimation.problem import Problem, distinct_values, error_table
+import calib_pin.io.foreign_headers as headers
+from calib_pin.errors import CalibPinError, InputError, OptionError, enumerated
+from calib_pin.estimation.problem import distinct_values, error_table
 from calib_pin.io.columns import ANGLE, LENGTH, counted
-from calib_pin.io.foreign_headers import (
-    GAUGED,
-    VECTORS,
-    Foreign,
-    families,
-    joints_by_name,
-    measured,
-    require_units,
-    vectors,
-    without_meaning,
-)
+from calib_pin.io.foreign_headers import GAUGED, VECTORS, Foreign
 from calib_pin.io.measured_columns import asked_models, optional, reserved
 from calib_pin.io.measurements import read_measurements
+from calib_pin.io.table import read_table
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.joint_columns import advice, drives_of
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.tree import turns
 from calib_pin.observations import Observations
-from calib_pin.setup import Setup
+from calib_pin.setup import WORLD, CameraSetup, ChainSetup, Setup
 from calib_pin.units import steps_of
 from calib_pin.validation.evaluation import prepared
 from calib_pin.validation.findings.case import some_of
 from calib_pin.validation.findings.computed_values import COMPUTED, spread
+
+TOUCHES = ("fixed-point", "plane-contact", "sphere-contact")
+DISTANCES = ("plane-distance", "point-distance", "relative-distance")
+
+AT_REST = 0.05
+"""Scatter of a nominal robot's ball in its sockets, in parts of how far it moved, below
+which it was in sockets."""
 
 USUAL = ("tool0", "tcp", "ee", "tip", "tool", "flange", "hand", "gripper")
 """Parts of the names of links at which a tool is usually mounted."""
@@ -57,7 +59,7 @@ one of another convention [rad]."""
 LENGTHS = {*VECTORS[0], "distance", *GAUGED}
 """Columns of lengths."""
 
-SPATIAL = {*VECTORS[0], *VECTORS[1], *VECTORS[2], *VECTORS[3]}
+SPATIAL = {name for vector in VECTORS[:4] for name in vector}
 """Columns of positions and orientations."""
 
 CLEAR = 0.5
@@ -79,6 +81,9 @@ the points of a small arm, rms [m]."""
 
 DATE = 1e11
 """Numbers from here on are dates with their digits in a row, and no seconds."""
+
+Choose = Callable[[str, Sequence[str], str], str]
+"""The choice of a user: of a question, the choices, and the option that says it."""
 
 
 @dataclass(frozen=True)
@@ -154,86 +159,229 @@ class Look:
         return ""
 
 
+def first_look(
+    robot: Robot,
+    files: Sequence[Path],
+    setup: Setup,
+    choose: Choose,
+    station_per_file: bool = False,
+) -> Look:
+    """The reading of measurement files that fits the nominal robot best.
+
+    Args:
+        robot: The robot.
+        files: The files; the first shows the columns.
+        setup: What is known: base, tip (of chains that the files name, NAME=LINK,...),
+            model, board and camera.
+        choose: Called where only a user can tell readings apart.
+        station_per_file: Whether each file is a station.
+
+    Raises:
+        CalibPinError: If the files cannot be read in any way, numbers do not tell their
+            units, or all positions were computed by the controller.
+    """
+    columns = headers.foreign(read_table(files[0]).whole(robot.model.names).columns)
+    start, joints = _ends(robot, setup, columns, choose)
+    start = _with_camera(start, columns)
+
+    def tried(joints: Sequence[Joints]) -> list[Look]:
+        ways = (way for own in joints for way in readings(start, robot, own, columns))
+        return [looked(way, robot, files, station_per_file) for way in ways]
+
+    looks = tried(joints)
+    found = best(looks)
+    others = unlikely_joints(robot, start.base, joints)
+    while not found.fits and (other := next(others, None)) is not None:
+        if (better := best(tries := tried([other]))).share < found.share:
+            looks, found = tries, better
+    question, models = "of which kind is the distance", _answers("model", looks, found)
+    if found.setup.model in TOUCHES:
+        question = "did the tool rest in sockets or touch planes or spheres"
+        models = [] if found.share < AT_REST or start.model else [*TOUCHES]
+    if len(models) > 1 and models[0] in (*TOUCHES, *DISTANCES):
+        setup = replace(setup, model=choose(question, models, "--model"))
+        return first_look(robot, files, setup, choose, station_per_file)
+    if found.fault is not None:
+        raise found.fault
+    looks = [
+        look
+        for look in looks
+        if look.setup.model == found.setup.model and look.position not in found.computed
+    ]
+    same = [look for look in looks if look.joints is found.joints]
+    next_share = min((k.share for k in same if k.units != found.units), default=inf)
+    if CLEAR * next_share <= found.share < inf:
+        raise InputError(
+            "the robot fits about as well with other units; state the units in the "
+            "header, such as 'x [mm]', or in 'columns' of a setup file"
+        )
+    ends = _answers("tip", looks, found)
+    if len(ends) > 1 and found.share < inf:
+        tip = choose("which link was measured", ends, "--tip")
+        found = best([look for look in looks if look.setup.tip == tip])
+    return replace(found, next_share=next_share)
+
+
+def _answers(key: str, looks: Sequence[Look], found: Look) -> list[str]:
+    """Values of a key in the setups of readings that fit about as well as the best."""
+    close = [look for look in looks if CLEAR * look.share <= found.share]
+    return [*dict.fromkeys(getattr(k.setup, key) or "" for k in [found, *close])]
+
+
+def _ends(
+    robot: Robot, setup: Setup, columns: Sequence[Foreign], choose: Choose
+) -> tuple[Setup, list[Joints]]:
+    """The setup with the chains that a column names, and what may be the joints."""
+    every = [name for name in robot.model.names if name != "universe"]
+    by_name = headers.joints_by_name(columns, every)
+    named = headers.measured(columns).get("chain")
+    if named is None or (setup.tip is not None and "=" not in setup.tip):
+        joints = joint_columns(robot, setup, columns, by_name)
+    else:
+        tips = dict(word.partition("=")[::2] for word in (setup.tip or "").split(","))
+        names = named[0].column.texts().map(str.strip).distinct
+        chains = dict[str, ChainSetup]()
+        for name in (k for k in names if k not in ("", WORLD, *robot.links)):
+            links = _links_called(name, chains_of(robot, setup.base), by_name.keys())
+            asked = f"which link is the tip of chain '{name}'"
+            option = f"--tip {name}=LINK"
+            tip = tips.get(name) or choose(asked, links or robot.links, option)
+            chains[name] = ChainSetup(tip=tip)
+        setup = replace(setup, tip=None, chains=chains)
+        joints = [Joints(by_name)] if by_name else []
+    if not joints:
+        raise InputError(
+            "joint positions are needed (a pose of the controller hides the branch and "
+            "the errors of the robot), and no columns are found for them; map them "
+            f"with 'columns' in a setup file (joints: {enumerated(every)})"
+        )
+    return setup, joints
+
+
+def _parts(link: str) -> list[str]:
+    return re.split(r"[^a-z0-9]+", link.lower())
+
+
+def _links_called(
+    name: str, chains: Mapping[tuple[str, ...], Sequence[str]], joints: Set[str]
+) -> list[str]:
+    """The links that may be the tip of a chain, whose name their names contain.
+
+    Of these the ones count that the most of the joints of the file move.
+    """
+    called = {
+        one: [link for link in links if {*_parts(name)} <= {*_parts(link)}]
+        for one, links in chains.items()
+        if joints >= {*one}
+    }
+    most = max((len(one) for one, links in called.items() if links), default=0)
+    found = [links for one, links in called.items() if links and len(one) == most]
+    # Of links that the same joints move, one is as good as another.
+    return found[0][:1] if len(found) == 1 else [k for links in found for k in links]
+
+
+def _with_camera(setup: Setup, columns: Sequence[Foreign]) -> Setup:
+    """The setup with a camera to start from, where columns are those of a camera.
+
+    Raises:
+        OptionError: If nothing says which board it saw.
+    """
+    found = headers.measured(columns)
+    if not {"u", "v"} <= found.keys() or setup.model not in (None, "camera"):
+        return setup
+    if setup.board is None:
+        raise OptionError(
+            "the points that the camera saw must be known: state --board, or --setup, "
+            "the file of detect's --setup-output",
+            allowed="such as charuco:7x5:0.03:0.022, lengths in m",
+        )
+    # The image is larger than where corners were seen, by how much nobody knows.
+    width, height = (100.0 * -(-found[axis][0].largest // 100.0) for axis in "uv")
+    center = ((width - 1.0) / 2.0, (height - 1.0) / 2.0)
+    camera = setup.camera or CameraSetup(
+        mount="hand", focal=(width, width), center=center, estimate=True
+    )
+    return replace(setup, model="camera", camera=camera)
+
+
 def likely_tip(links: Sequence[str], robot: Robot) -> list[str]:
     """Links ordered: those usual for a tool first, then leaves, as in the file."""
 
     def order(link: str) -> tuple[int, bool]:
-        parts = re.split(r"[^a-z0-9]+", link.lower())
-        ranks = (k for k, part in enumerate(USUAL) if part in parts)
+        ranks = (k for k, part in enumerate(USUAL) if part in _parts(link))
         return next(ranks, len(USUAL)), link not in robot.leaves
 
     return sorted(links, key=order)
 
 
-def chains_of(robot: Robot, base: str | None) -> dict[tuple[str, ...], list[str]]:
+def chains_of(
+    robot: Robot, base: str | None, tip: str | None = None
+) -> dict[tuple[str, ...], list[str]]:
     """The links that drives move, by their joints, the likeliest tips first.
 
     Raises:
-        InputError: If there is no such base.
+        InputError: If there is no such base or tip.
+        RobotError: If no chain can be used.
     """
     found = dict[tuple[str, ...], list[str]]()
-    for link in robot.links:
-        try:
+    for link in robot.links if tip is None else ():
+        with suppress(CalibPinError):
             chain = Chain(robot, base, link)
-        except CalibPinError:
-            if base is not None and base not in robot.links:
-                raise
-            continue
-        if chain.joints:
-            found.setdefault(tuple(drives_of(chain)), []).append(link)
+            if chain.joints:
+                found.setdefault(tuple(drives_of(chain)), []).append(link)
+    if not found:  # Of which the robot says why.
+        tip = tip or likely_tip(robot.leaves, robot)[0]
+        found[tuple(drives_of(Chain(robot, base, tip)))] = [tip]
     return {joints: likely_tip(links, robot) for joints, links in found.items()}
 
 
 def joint_columns(
-    robot: Robot, base: str | None, tip: str | None, columns: Sequence[Foreign]
+    robot: Robot, setup: Setup, columns: Sequence[Foreign], named: dict[str, Foreign]
 ) -> list[Joints]:
     """Columns that may be those of the joints, likeliest first; empty if none may.
 
     Args:
         robot: The robot.
-        base: Link at which chains start; None for the root.
-        tip: Link at which the chain ends, if it is known.
+        setup: Base and tip of the chain, as far as they are known.
         columns: Those of a file.
+        named: Those that are called like joints of the robot, by joint.
 
     Raises:
         InputError: If there is no such base or tip, or a chain lacks columns for some
             of its joints.
         RobotError: If no chain can be used.
     """
-    chains = chains_of(robot, base) if tip is None else {}
-    if not chains:  # Of which the robot says why.
-        tip = tip or likely_tip(robot.leaves, robot)[0]
-        chains = {tuple(drives_of(Chain(robot, base, tip))): [tip]}
-    every = [name for name in robot.model.names if name != "universe"]
-    named = joints_by_name(columns, every)
-    whole = [joints for joints in chains if {*joints} <= {*named}]
-    longest = [one for one in whole if not any({*one} < {*other} for other in whole)]
-    fullest = max(chains, key=lambda one: (len({*one} & {*named}), -len(one)))
+    chains = chains_of(robot, setup.base, setup.tip)
+    whole = [one for one in chains if named.keys() >= {*one}]
+    fullest = max(chains, key=lambda one: (len({*one} & named.keys()), -len(one)))
     missing = [joint for joint in fullest if joint not in named]
-    most = max(map(len, longest), default=0)
+    most = max(map(len, whole), default=0)
     if len(fullest) - len(missing) >= max(most + 1, FEWEST):
         end = chains[fullest][0]
         told = f"no column for {', '.join(missing)} of the chain to '{end}'"
-        raise InputError(told + advice(Chain(robot, base, end), missing))
-    if longest:
+        raise InputError(told + advice(Chain(robot, setup.base, end), missing))
+    if whole:
         # A file may hold those that follow, too.
-        follow = {j: mimic.leader for j, mimic in robot.mimics.items() if j in named}
+        follow = {j: mimic.leader for j, mimic in robot.mimics.items()}
         return [
             Joints({j: named[j] for j in named if follow.get(j, j) in one}, chains[one])
-            for one in longest
+            for one in whole
+            if not any({*one} < {*other} for other in whole)
         ]
-    found = []
-    ordered = without_meaning(columns)
-    for family in [*families(columns), ordered]:
+    found, ordered = [], headers.without_meaning(columns)
+    for family in [*headers.families(columns), ordered]:
         # Columns behind those of the longest chain are those of external axes.
         most = max((len(one) for one in chains if len(one) <= len(family)), default=0)
         if family is ordered and len(family) != most:
             break
-        for one in chains:
-            if len(one) == most >= FEWEST:
-                own = dict(zip(one, family, strict=False))
-                if all(_may_be(robot, *item) for item in own.items()):
-                    found.append(Joints(own, chains[one], "as on the robot"))
+        for one in (one for one in chains if len(one) == most >= FEWEST):
+            own = dict(zip(one, family, strict=False))
+            kinds = (ANGLE if turns(robot.model, joint) else LENGTH for joint in one)
+            units = (column.unit for column in own.values())
+            if all(
+                u is None or u in k.units for k, u in zip(kinds, units, strict=True)
+            ):
+                found.append(Joints(own, chains[one], "as on the robot"))
     return found
 
 
@@ -251,133 +399,100 @@ def unlikely_joints(
         base: Link at which chains start; None for the root.
         likely: What fits in no way.
     """
-    chains = chains_of(robot, base)
-    for own in likely:
+    for own in (own for own in likely if own.tips):
         moving = {joint for joint, one in own.columns.items() if one.moves}
-        for one, links in chains.items():
-            if own.tips and moving <= {*one} < own.columns.keys():
+        for one, links in chains_of(robot, base).items():
+            if moving <= {*one} < own.columns.keys():
                 yield Joints({joint: own.columns[joint] for joint in one}, links)
     for own in (own for own in likely if own.order):
-        joints, columns = [*own.columns], own.columns.values()
-        swapped = [
-            own.columns | {a: own.columns[b], b: own.columns[a]}
-            for a, b in combinations(joints, 2)
-        ]
-        for other in [dict(zip(sorted(joints), columns, strict=True)), *swapped]:
+        columns = own.columns
+        others = [dict(zip(sorted(columns), columns.values(), strict=True))]
+        for a, b in combinations(columns, 2):
+            others.append(columns | {a: columns[b], b: columns[a]})
+        for other in others:
             yield replace(own, columns=other, order="other than on the robot")
 
 
-def _may_be(robot: Robot, joint: str, one: Foreign) -> bool:
-    """Whether a column's unit is one of a joint."""
-    kind = ANGLE if turns(robot.model, joint) else LENGTH
-    return one.unit is None or one.unit in kind.units
-
-
-def named_chains(
-    robot: Robot, base: str | None, names: Sequence[str], columns: Sequence[Foreign]
-) -> tuple[Joints, dict[str, list[str]]]:
-    """The columns of all joints, and the links that may be the tip of each chain.
-
-    A name is that of a link, or a word in the names of links; of these the ones count
-    that the most of the joints of the file move.
-    """
-    every = [name for name in robot.model.names if name != "universe"]
-    joints, found = joints_by_name(columns, every), dict[str, list[str]]()
-    chains = chains_of(robot, base)
-    for name in names:
-        words = {*re.split(r"[^a-z0-9]+", name.lower())}
-        alike = dict[tuple[str, ...], list[str]]()
-        for one, links in chains.items():
-            same = [k for k in links if words <= {*re.split(r"[^a-z0-9]+", k.lower())}]
-            if same and {*one} <= {*joints}:
-                alike[one] = same
-        most = max(map(len, alike), default=0)
-        longest = [links for one, links in alike.items() if len(one) == most]
-        # Of links that the same joints move, one is as good as another.
-        alone = len(longest) == 1
-        found[name] = longest[0][:1] if alone else [k for own in longest for k in own]
-    return Joints(joints), found
-
-
 def readings(
-    setup: Setup,
-    robot: Robot,
-    found_joints: Joints,
-    columns: Sequence[Foreign],
+    setup: Setup, robot: Robot, own: Joints, columns: Sequence[Foreign]
 ) -> Iterator[Look]:
     """Readings of a file that its names and numbers allow, likeliest first."""
-    joints = found_joints.columns
-    require_units(joints.values())
-    if setup.tip is None and found_joints.tips:
-        setup = replace(setup, tip=found_joints.tips[0])
+    joints, by_name = own.columns, {one.name: one for one in columns}
+    headers.require_units(joints.values())
+    if own.tips:
+        setup = replace(setup, tip=setup.tip or own.tips[0])
     used = {one.name for one in joints.values()}
-    by_name = {one.name: one for one in columns}
     rest = [one for one in columns if one.name not in used]
-    names = dict[str, Foreign]()
-    asked = asked_models(setup.model)
-    gauges = frozenset[str]().union(*map(optional, asked))
-    for ours, choices in measured(rest).items():
-        if ours in GAUGED and ours not in gauges:
-            continue
-        own = next((one for one in choices if one.name == ours), None)
-        chosen = own or choices[0]
-        if ours != "time" or chosen.largest < DATE:
-            names[ours] = chosen
-    poses = vectors(rest)
-    without = {n: one for n, one in names.items() if n not in SPATIAL}
+    gauges = frozenset[str]().union(*map(optional, asked_models(setup.model)))
+    names = {
+        ours: one
+        for ours, (one, *_) in headers.measured(rest).items()
+        if ours not in SPATIAL and (ours not in GAUGED or ours in gauges)
+        if ours != "time" or one.largest < DATE
+    }
     ways = [
-        {**without, **position, **turned}
-        for position, orientation in poses
-        for turned in ((orientation, {}) if orientation else ({},))
-    ] or [names]
+        {**names, **position, **turned}
+        for position, orientation in headers.vectors(rest) or [({}, {})]
+        for turned in _distinct([orientation, {}])
+    ]
+    mounts = [setup]
+    if (camera := setup.camera) is not None:
+        cameras = (replace(camera, mount=mount) for mount in ("hand", "world"))
+        mounts = [replace(setup, camera=camera) for camera in cameras]
+    for way, mount in product(ways, mounts):
+        models: Sequence[str | None] = [setup.model]
+        if setup.model is None and "x" in way:  # Whatever else is in the file.
+            models = [None if SPATIAL & {*way} - {*VECTORS[0]} else "position"]
+        elif setup.model is None:
+            models = DISTANCES if "distance" in way else TOUCHES[:1]
+        for units, model in product(_units(robot, joints, way), models):
+            stated = dict[str, str]()
+            for ours, one in [*joints.items(), *way.items()]:
+                told = one.stated(units.get(ours, one.unit))
+                if one.name != ours or told not in (ours, one.column.header):
+                    stated[ours] = told
+            for ours in (ours for ours in units if ours in way):
+                # The scatter of numbers is in their unit.
+                sigma = by_name.get(f"sigma_{ours}")
+                if sigma is not None and sigma.unit is None:
+                    stated[sigma.name] = sigma.stated(units[ours])
+            meant = {*used, *(one.name for one in way.values()), *reserved()}
+            yield Look(
+                replace(mount, model=model, columns=stated),
+                joints=own,
+                units=units,
+                ignored=tuple(one.name for one in columns if one.name not in meant),
+                position=way["x"].name if "x" in way else "",
+            )
+
+
+def _units(
+    robot: Robot, joints: Mapping[str, Foreign], way: Mapping[str, Foreign]
+) -> list[dict[str, str]]:
+    """Units of columns that state none, where they may be in others than rad and m."""
     free = {joint: one for joint, one in joints.items() if one.unit is None}
-    turning = {joint for joint in free if turns(robot.model, joint)}
-    # A joint that stands still, as a gripper in percent, tells no unit.
-    far = {j for j in turning if free[j].moves and free[j].largest > TURNED}
-    angles = [turning, far] if far else [far, turning]
-    numbers = [np.zeros(0), *(free[joint].column.numbers for joint in turning)]
+    turning = {joint: one for joint, one in free.items() if turns(robot.model, joint)}
+    numbers = [np.zeros(0), *(one.column.numbers for one in turning.values())]
     steps = counted(np.concatenate(numbers))
-    angles = [turning] if steps else angles
-    none = set[str]()
-    slides = [none, free.keys() - turning]
-    for way, degrees, millimeters, length in product(
-        ways, _distinct(angles), _distinct(slides), ["m", "mm"]
-    ):
-        lengths = [one for n, one in way.items() if n in LENGTHS]
-        unstated = [one for one in lengths if one.unit is None]
-        if length == "mm" and not unstated:
-            continue
-        stated, units = dict[str, str](), dict[str, str]()
-        for ours, one in [*joints.items(), *way.items()]:
-            unit = one.unit
-            if ours in degrees:
-                unit = units.setdefault(ours, steps or "deg")
-            if ours in millimeters or (one in unstated and length == "mm"):
-                unit = units.setdefault(ours, "mm")
-            foreign = one.name != ours or (unit is not None and one.column.unit is None)
-            if foreign or unit not in (None, one.column.unit):
-                stated[ours] = one.stated(unit)
-        for ours, unit in units.items():
-            # The scatter of numbers is in their unit.
-            sigma = by_name.get(f"sigma_{ours}")
-            if sigma is not None and sigma.unit is None and ours in way:
-                stated[sigma.name] = sigma.stated(unit)
-        columns_of = {**stated, **setup.columns}
-        read = replace(setup, columns=columns_of)
-        if "x" in way and read.model is None and not SPATIAL & {*way} - {*VECTORS[0]}:
-            read = replace(read, model="position")  # Whatever else is in the file.
-        meant = {*used, *(one.name for one in way.values()), *reserved()}
-        ignored = tuple(one.name for one in columns if one.name not in meant)
-        x = way["x"].name if "x" in way else ""
-        yield Look(read, joints=found_joints, units=units, ignored=ignored, position=x)
+    every = dict.fromkeys(turning, steps or "deg")
+    # A joint that stands still, as a gripper in percent, tells no unit.
+    far = {j: "deg" for j, one in turning.items() if one.moves and one.largest > TURNED}
+    slides = dict.fromkeys((joint for joint in free if joint not in turning), "mm")
+    lengths = [ours for ours in way if ours in LENGTHS and way[ours].unit is None]
+    ways = (
+        [every] if steps else [every, far] if far else [far, every],
+        [{}, slides],
+        [{}, dict.fromkeys(lengths, "mm")],
+    )
+    return [{**a, **b, **c} for a, b, c in product(*map(_distinct, ways))]
 
 
-def _distinct(sets: Sequence[Set[str]]) -> list[Set[str]]:
-    return [one for k, one in enumerate(sets) if one not in sets[:k]]
+def _distinct(ways: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [one for k, one in enumerate(ways) if one not in ways[:k]]
 
 
 def looked(
-    look: Look, robot: Robot, files: Sequence[Path], *, station_per_file: bool = False
+    look: Look, robot: Robot, files: Sequence[Path], station_per_file: bool = False
 ) -> Look:
     """A reading with the errors that it leaves the nominal robot."""
     setup, remarks = look.setup, list[str]()
@@ -389,7 +504,6 @@ def looked(
             chains,
             model=setup.model,
             columns=setup.columns,
-            joints=setup.joints,
             station_per_file=station_per_file,
             notice=remarks.append,
         )
@@ -399,40 +513,31 @@ def looked(
         parameters = ready.problem.parameters
         unknown = int(np.sum(parameters.free & parameters.nuisance))
         if known <= unknown:
-            count = f"{len(data)} measurement" + "s" * (len(data) > 1)
             reason = (
-                f"{count} ({known} numbers) are too few: where instrument and tool are "
-                f"takes {unknown} already"
+                f"{len(data)} measurement{'s' * (len(data) > 1)} ({known} numbers) "
+            )
+            reason += (
+                f"are too few: where instrument and tool are takes {unknown} already"
             )
             raise InputError(reason, file=files[0])
     except CalibPinError as error:
         return replace(look, fault=error)
     residual = error_table(ready.problem, ready.theta)
-    errors = {}
-    for quantity in ready.problem.layout.quantities:
-        sizes = quantity.errors(residual)
-        if len(sizes):
-            errors[quantity.name] = float(np.sqrt(np.mean(sizes**2)))
-    first = next(iter(errors), "")
-    moved = _moved(ready.problem)
-    share = errors[first] / moved if first and moved > 0.0 else inf
-    return replace(look, data=data, errors=errors, share=share, remarks=remarks)
-
-
-def _moved(problem: Problem) -> float:
-    """How far measured points moved about their means, or else the tips [m, px].
-
-    Where both tell no length, as on a positioner whose tool may sit anywhere, errors in
-    another unit are the same part of what was measured in it.
-    """
-    return spread(
+    sizes = {q.name: q.errors(residual) for q in ready.problem.layout.quantities}
+    errors = {n: float(np.sqrt(np.mean(of**2))) for n, of in sizes.items() if len(of)}
+    # How far measured points moved about their means, or else the tips: where both
+    # tell no length, as on a positioner whose tool may sit anywhere, errors in another
+    # unit are the same part of what was measured in it.
+    moved = spread(
         [
             block.data.values[:, :3]
             if block.data.model in ("position", "pose", "camera")
             else block.term.error.chain.poses(block.data.q)[:, :3, 3]
-            for block in problem.blocks
+            for block in ready.problem.blocks
         ]
     )
+    share = next(iter(errors.values())) / moved if errors and moved > 0.0 else inf
+    return replace(look, data=data, errors=errors, share=share, remarks=remarks)
 
 
 def best(looks: Sequence[Look]) -> Look:
@@ -445,27 +550,16 @@ def best(looks: Sequence[Look]) -> Look:
         InputError: If the nominal robot fits to a file as no instrument sees one.
     """
     whole = [look for look in looks if look.errors]
-    if not whole:
-        return looks[0]
     computed = {look.position for look in whole if look.share <= COMPUTED} - {""}
     seen = [look for look in whole if look.position not in computed]
-    if not seen:
-        first = whole[0]
-        size = 1e3 * next(iter(first.errors.values()))
+    if computed and not seen:
+        size = 1e3 * next(iter(whole[0].errors.values()))
         raise InputError(
             f"the positions fit to the nominal robot to {size:.2g} mm, which no "
             "instrument does: they are computed from the joints by the controller, and "
             "no measurement"
         )
-    whole = seen
-    turned = [k for k in whole if k.errors.get("orientation", 0.0) <= DROPPED] or whole
-    least = min(look.share for look in turned)
-    chosen = next(look for look in turned if CLEAR * look.share <= least)
-    others = (
-        look.share
-        for look in whole
-        if look.joints is chosen.joints and look.units != chosen.units
-    )
-    return replace(
-        chosen, next_share=min(others, default=inf), computed=sorted(computed)
-    )
+    turned = [k for k in seen if k.errors.get("orientation", 0.0) <= DROPPED] or seen
+    least = min((look.share for look in turned), default=inf)
+    chosen = (look for look in turned if CLEAR * look.share <= least)
+    return replace(next(chosen, looks[0]), computed=sorted(computed))

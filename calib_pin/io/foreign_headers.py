@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib_pin.errors import InputError
-from calib_pin.io.columns import ANGLE, LENGTH, STEPS, Column, split_header
+from calib_pin.io.columns import ANGLE, LENGTH, STEPS, Column, Floats, split_header
 from calib_pin.io.measured_columns import reserved
 from calib_pin.io.table import Table
+from calib_pin.setup import STATED
 
 UNITS = {
     "m": ("m", "meter", "meters", "metre", "metres"),
@@ -75,17 +76,11 @@ SHARED = 3
 """Measurements of each name of a column with a foreign name, on the average, from which
 it names what they have in common; one that numbers the measurements names nothing."""
 
-VECTORS = (
-    ("x", "y", "z"),
-    ("qx", "qy", "qz", "qw"),
-    ("rx", "ry", "rz"),
-    ("roll", "pitch", "yaw"),
-    ("u", "v"),
-)
-"""Columns that mean something together only."""
+VECTORS = (("x", "y", "z"), *STATED.values(), ("u", "v"))
+"""Columns that mean something together only: positions, orientations, pixels."""
 
 UNITS_OF: Mapping[str, Collection[str | None]] = {
-    **dict.fromkeys((*"xyz", "distance", *GAUGED), (None, *LENGTH.units)),
+    **dict.fromkeys((*VECTORS[0], "distance", *GAUGED), (None, *LENGTH.units)),
     **dict.fromkeys((*VECTORS[2], *VECTORS[3]), (None, *ANGLE.units)),
     **dict.fromkeys(VECTORS[1], (None,)),
 }
@@ -152,16 +147,24 @@ class Foreign:
         return self.column.header if unit is None else f"{self.name} [{unit}]"
 
     @property
+    def numbers(self) -> Floats:
+        """Those of its numbers that are finite."""
+        return self.column.numbers[np.isfinite(self.column.numbers)]
+
+    @property
     def largest(self) -> float:
         """Largest absolute number; zero where there is none."""
-        numbers = self.column.numbers[np.isfinite(self.column.numbers)]
-        return float(np.abs(numbers).max(initial=0.0))
+        return float(np.abs(self.numbers).max(initial=0.0))
 
     @property
     def moves(self) -> bool:
         """Whether it holds numbers that are not all the same."""
-        numbers = self.column.numbers[np.isfinite(self.column.numbers)]
-        return numbers.size > 1 and float(np.ptp(numbers)) > 0.0
+        return self.numbers.size > 1 and float(np.ptp(self.numbers)) > 0.0
+
+    @property
+    def numeric(self) -> bool:
+        """Whether it holds numbers that may be positions of a joint."""
+        return self.column.numeric and not OTHER.search(self.words)
 
 
 def foreign(columns: Mapping[str, Column]) -> tuple[Foreign, ...]:
@@ -188,40 +191,35 @@ def require_units(columns: Iterable[Foreign]) -> None:
     """
     for one in columns:
         if one.column.unit and one.unit is None:
-            raise InputError(
-                f"the unit '{one.column.unit}' is not known",
-                column=one.name,
-                allowed=", ".join((*UNITS, STEPS)),
-            )
+            reason = f"the unit '{one.column.unit}' is not known"
+            allowed = ", ".join((*UNITS, STEPS))
+            raise InputError(reason, column=one.name, allowed=allowed)
 
 
 def _with_axes(columns: Sequence[Foreign]) -> list[Foreign]:
     """The same, elements of vectors of three called by their axes."""
-    found = [ELEMENT.fullmatch(one.words) for one in columns]
-    numbers = defaultdict[str, list[int]](list)
-    for match in filter(None, found):
-        numbers[match[1]].append(int(match[2]))
-    whole = {
-        stem: min(of)
-        for stem, of in numbers.items()
-        if sorted(of) in ([0, 1, 2], [1, 2, 3])
-    }
-    return [
-        replace(one, words=f"{match[1]} {'xyz'[int(match[2]) - whole[match[1]]]}")
-        if match and match[1] in whole
-        else one
-        for one, match in zip(columns, found, strict=True)
-    ]
+    axes, result = dict[str, dict[str, str]](), list[Foreign]()
+    elements = [ELEMENT.fullmatch(one.words) for one in columns]
+    for stem in {match[1] for match in elements if match}:
+        numbers = sorted(match[2] for match in elements if match and match[1] == stem)
+        if "".join(numbers) in ("012", "123"):
+            axes[stem] = dict(zip(numbers, "xyz", strict=True))
+    for one, match in zip(columns, elements, strict=True):
+        axis = match and axes.get(match[1], {}).get(match[2])
+        result.append(
+            replace(one, words=f"{match[1]} {axis}") if match and axis else one
+        )
+    return result
 
 
 def _split(name: str, column: Column) -> Foreign:
-    words, _ = split_header(column.header)
-    stated = _unit(column.unit or "")
+    """A column, with the unit in any brackets or at the end of its name."""
+    words, stated = split_header(column.header)[0], _unit(column.unit or "")
     endings = (r"\(([^()]*)\)$", r"[ _/](?:in )?([^\W\d_]+|°)$")
     for ending in endings if stated is None else ():
-        found = re.search(ending, words.strip())
+        found = re.search(ending, words)
         if found and (stated := _unit(found[1])) is not None:
-            words = words.strip()[: found.start()]
+            words = words[: found.start()]
             break
     return Foreign(name, _spaced(words).strip(" _-/"), stated, column)
 
@@ -244,24 +242,47 @@ def measured(columns: Sequence[Foreign]) -> dict[str, list[Foreign]]:
     Vectors are whole, and their columns are alike but for the word of the axis: those
     in the same place are of one vector.
     """
-    found = dict[str, dict[str, Foreign]]()
+    return {ours: [*choices.values()] for ours, choices in _meant(columns).items()}
+
+
+def _meant(columns: Sequence[Foreign]) -> dict[str, dict[str, Foreign]]:
+    """The columns that may be each of ours, by the words beside, as `measured` does."""
+    found = defaultdict[str, dict[str, Foreign]](dict)
     for ours in MEANINGS:
-        ordered = sorted(columns, key=lambda one: (one.name != ours, _likelihood(one)))
-        found[ours] = {}
-        for one in ordered:
+        for one in sorted(
+            columns, key=lambda one: (one.name != ours, _likelihood(one))
+        ):
             stem = _stem(one, ours)
-            if stem is None or one.unit not in UNITS_OF.get(ours, (one.unit,)):
-                continue
-            if ours not in NAMES or _names(one, ours):
+            fits = stem is not None and one.unit in UNITS_OF.get(ours, (one.unit,))
+            if stem is not None and fits and (ours not in NAMES or _names(one, ours)):
                 found[ours].setdefault(stem, one)
     for vector in VECTORS:
-        stems = [*found[vector[0]]]
         # Points of a sheet have no z.
         needed = [v for v in vector if v != "z" or found[v]]
-        whole = [stem for stem in stems if all(stem in found[v] for v in needed)]
-        for ours in needed:
-            found[ours] = {stem: found[ours][stem] for stem in whole}
-    return {ours: [*choices.values()] for ours, choices in found.items() if choices}
+        whole = [s for s in found[vector[0]] if all(s in found[v] for v in needed)]
+        found |= {v: {stem: found[v][stem] for stem in whole} for v in needed}
+    return {ours: choices for ours, choices in found.items() if choices}
+
+
+def vectors(
+    columns: Sequence[Foreign],
+) -> list[tuple[dict[str, Foreign], dict[str, Foreign]]]:
+    """Positions that a file may state, the likeliest first, each with an orientation.
+
+    The orientation is that of the same words; of another position's words it is not.
+    One that never moves, while others do, is none.
+    """
+    found, result = _meant(columns), []
+    for stem in (stems := found.get("x", {})):
+        position = {axis: found[axis][stem] for axis in VECTORS[0] if axis in found}
+        beside, ways = PLACES.sub("", stem).strip(), list[dict[str, Foreign]]()
+        for names in (names for names in VECTORS[1:4] if names[0] in found):
+            alone = [*found[names[0]]][: len(stems) == 1]
+            for own in [beside] if beside in found[names[0]] else alone:
+                ways.append({name: found[name][own] for name in names})
+        moving = (way for way in ways if any(one.moves for one in way.values()))
+        result.append((position, next(moving, {})))
+    return result
 
 
 def understood(table: Table) -> Table:
@@ -275,10 +296,9 @@ def understood(table: Table) -> Table:
         for ours, choices in measured(columns).items()
         if ours not in table and choices[0].name not in reserved()
     }
-    units = {one.name: one.unit for one in columns if one.unit is not None}
     stated = {
-        name: replace(column, unit=units.get(name, column.unit))
-        for name, column in table.columns.items()
+        one.name: replace(one.column, unit=one.unit or one.column.unit)
+        for one in columns
     }
     return replace(table, columns=stated).renamed(names)
 
@@ -296,8 +316,7 @@ def check_gauges(table: Table, names: Iterable[str]) -> None:
     found = measured(foreign({name: table.columns[name] for name in names}))
     for ours, (one, *_) in found.items():
         # Whole numbers without a unit count readings.
-        numbers = one.column.numbers[np.isfinite(one.column.numbers)]
-        if ours in GAUGED and (one.unit or (numbers % 1.0 != 0.0).any()):
+        if ours in GAUGED and (one.unit or (one.numbers % 1.0 != 0.0).any()):
             lines = f"columns: {{{ours}: '{one.stated(one.unit)}'}}"
             raise table.error(
                 "these look like readings of a gauge, how far the contact is off; "
@@ -314,7 +333,6 @@ def _stem(one: Foreign, ours: str) -> str | None:
     """
     if one.name == ours:
         return ""
-    capitals = "^" * one.name.isupper()
     parts = re.findall(r"[^\W_]+", one.words)
     single = any(ours in vector for vector in VECTORS)
     ways = [(parts[:-2], "".join(parts[-2:])), (parts[:-1], "".join(parts[-1:]))]
@@ -325,45 +343,17 @@ def _stem(one: Foreign, ours: str) -> str | None:
         before = [word[:-1]] if ours in VECTORS[0] and word[:-1] else []
         stem = " ".join([*rest, *before])
         alike = re.fullmatch(MEANINGS[ours], word) and not OTHER.search(stem)
-        turned = ours in ("x", "y", "z") and TURNED.search(stem)
+        turned = ours in VECTORS[0] and TURNED.search(stem)
         first = rest == parts[1:] and len(parts) > 1
         if alike and not turned and (single or not first or LABEL.fullmatch(stem)):
-            return stem + capitals
+            return stem + "^" * one.name.isupper()
     return None
-
-
-def vectors(
-    columns: Sequence[Foreign],
-) -> list[tuple[dict[str, Foreign], dict[str, Foreign]]]:
-    """Positions that a file may state, the likeliest first, each with an orientation.
-
-    The orientation is that of the same words; of another position's words it is not.
-    One that never moves, while others do, is none.
-    """
-    found = measured(columns)
-    turned = [names for names in VECTORS[1:4] if names[0] in found]
-    stems = [_stem(one, "x") for one in found.get("x", ())]
-    stems = [stem and PLACES.sub("", stem).strip() for stem in stems]
-    result = []
-    for k, stem in enumerate(stems):
-        position = {axis: found[axis][k] for axis in VECTORS[0] if axis in found}
-        orientation = dict[str, Foreign]()
-        for names in turned:
-            of = [_stem(one, names[0]) for one in found[names[0]]]
-            at = of.index(stem) if stem in of else 0
-            fits = stem in of or len(stems) == 1
-            whole = {name: found[name][at] for name in names}
-            if fits and any(one.moves for one in whole.values()) and not orientation:
-                orientation = whole
-        result.append((position, orientation))
-    return result
 
 
 def _names(one: Foreign, ours: str) -> bool:
     """Whether a column says what several measurements have in common."""
-    numbers = one.column.numbers
-    count = max(len(one.column.words), len(np.unique(numbers[np.isfinite(numbers)])))
-    return one.name == ours or len(numbers) >= SHARED * max(count, 1)
+    count = max(len(one.column.words), len(np.unique(one.numbers)), 1)
+    return one.name == ours or len(one.column.numbers) >= SHARED * count
 
 
 def _likelihood(one: Foreign) -> int:
@@ -381,24 +371,17 @@ def joints_by_name(
     `observation.state.elbow.pos`; of several such columns the likeliest is meant, which
     is a measured one.
     """
-    by_name = {one.name: one for one in columns}
     words = {joint: _parts(_spaced(joint)) for joint in joints}
-    found = dict[str, list[Foreign]]()
-    for one in _numeric(columns):
+    found = defaultdict[str, list[tuple[bool, int, int, int]]](list)
+    for k, one in enumerate(columns):
         own = _parts(one.words)
-        named = [joint for joint, parts in words.items() if _holds(own, parts)]
+        named = [j for j, parts in words.items() if one.numeric and _holds(own, parts)]
         # The longest: the elbow of the left arm is no other elbow.
-        for joint in sorted(named, key=lambda name: len(words[name]))[-1:]:
-            found.setdefault(joint, []).append(one)
-
-    def order(joint: str) -> Callable[[Foreign], tuple[int, int]]:
-        return lambda one: (_likelihood(one), len(_parts(one.words)))
-
-    return {
-        joint: by_name.get(joint) or min(found[joint], key=order(joint))
-        for joint in joints
-        if joint in by_name or joint in found
-    }
+        longest = sorted(named, key=lambda joint: len(words[joint]))[-1:]
+        for joint in [one.name] if one.name in words else longest:
+            order = one.name != joint, _likelihood(one), len(own)
+            found[joint].append((*order, k))
+    return {joint: columns[min(found[joint])[-1]] for joint in joints if joint in found}
 
 
 def _parts(text: str) -> list[str]:
@@ -417,30 +400,21 @@ def families(columns: Sequence[Foreign]) -> list[list[Foreign]]:
 
     Those whose name is that of joints come first, then measured before commanded ones.
     """
-    found = dict[tuple[str, str], dict[int, Foreign]]()
-    for one in _numeric(columns):
-        if match := NUMBERED.match(one.words):
+    found = defaultdict[tuple[str, str], dict[int, Foreign]](dict)
+    for one in columns:
+        if one.numeric and (match := NUMBERED.match(one.words)):
             key = match[1].strip(" _-."), match[3].strip(" _-.")
-            found.setdefault(key, {})[int(match[2])] = one
+            found[key][int(match[2])] = one
     whole = [
-        (stem, [family[k] for k in sorted(family)])
+        (re.split(r"[ _.\-]", stem)[-1], [family[k] for k in sorted(family)])
         for (stem, _), family in found.items()
         if len(family) > 1 and max(family) - min(family) == len(family) - 1
     ]
-
-    def order(item: tuple[str, list[Foreign]]) -> tuple[bool, int]:
-        stem, family = item
-        word = re.split(r"[ _.\-]", stem)[-1] if stem else ""
-        return not JOINTED.fullmatch(word), _likelihood(family[0])
-
-    return [family for _, family in sorted(whole, key=order)]
+    whole.sort(key=lambda own: (not JOINTED.fullmatch(own[0]), _likelihood(own[1][0])))
+    return [family for _, family in whole]
 
 
 def without_meaning(columns: Sequence[Foreign]) -> list[Foreign]:
     """All columns of numbers that mean nothing else: joints by their order alone."""
     meant = [one for choices in measured(columns).values() for one in choices]
-    return [one for one in _numeric(columns) if one not in meant]
-
-
-def _numeric(columns: Sequence[Foreign]) -> list[Foreign]:
-    return [one for one in columns if one.column.numeric if not OTHER.search(one.words)]
+    return [one for one in columns if one.numeric and one not in meant]

@@ -1,11 +1,12 @@
-"""Logs that are joined by time or by names: CSV files in, a measurement file out."""
+"""Logs that are joined by time or by names: tables in, a measurement file out."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ import calib_pin.observations.joining as joining
 from calib_pin.errors import InputError, enumerated
 from calib_pin.io.columns import ANGLE, LENGTH, PIXEL, PURE, Floats, Kind
 from calib_pin.io.dialects.base import header
-from calib_pin.io.foreign_headers import OTHER, Foreign, foreign, understood, vectors
+from calib_pin.io.foreign_headers import Foreign, foreign, understood, vectors
 from calib_pin.io.foreign_headers import measured as meanings
 from calib_pin.io.measured_columns import (
     NAMES,
@@ -32,9 +33,6 @@ from calib_pin.setup import STATED
 from calib_pin.units import steps_of
 
 TIME = Kind("s", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, {}, np.inf)
-
-TIMES = ("time", "timestamp", "stamp", "zeit", "t")
-"""Names of a column of times."""
 
 SECONDS = 1e8
 """Times from here on are counted from 1970, and their digits tell the unit."""
@@ -68,40 +66,26 @@ Notice = Callable[[str], None]
 
 
 @dataclass(frozen=True)
-class JointLog:
-    """Joint positions by time.
-
-    Attributes:
-        log: Time and positions [s; rad, m].
-        headers: Headers of the columns, with their units.
-        factors: Factors that bring their numbers to SI units, shape (n,).
-        poses: Names of the rows, of logs without times.
-        loose: Whether nothing says in which unit the times are.
-    """
-
-    log: joining.Log
-    headers: tuple[str, ...]
-    factors: Floats
-    poses: Sequence[str] = ()
-    loose: bool = False
-
-
-@dataclass(frozen=True)
-class ReadingLog:
-    """Measured values by time.
+class Series:
+    """Joint positions or measured values by time, or by names.
 
     Attributes:
         log: Time and values in SI units; an orientation as a quaternion, the last.
-        columns: Their names.
+        units: The columns of the values, and the unit in which each is written.
         texts: Further columns by name, N strings each; `POSE` of logs without times,
             `IMAGE` of images; standard deviations of those that are no series.
         loose: Whether nothing says in which unit the times are.
     """
 
     log: joining.Log
-    columns: tuple[str, ...]
-    texts: Mapping[str, Sequence[str]]
+    units: Mapping[str, str | None]
+    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
     loose: bool = False
+
+    @property
+    def oriented(self) -> bool:
+        """Whether the last four values are a quaternion."""
+        return QUATERNION[0] in self.units
 
 
 def named_alike(joints: Table, readings: Table) -> tuple[Table, Table]:
@@ -128,9 +112,7 @@ def _names_of(table: Table) -> dict[str, list[str]]:
     }
 
 
-def read_joint_log(
-    table: Table, columns: Mapping[str, str], notice: Notice
-) -> JointLog:
+def read_joint_log(table: Table, columns: Mapping[str, str], notice: Notice) -> Series:
     """The joints of a log: those that the setup names, or its columns of positions.
 
     Args:
@@ -152,19 +134,10 @@ def read_joint_log(
     ] or [one.name for one in found if one.name not in others and _is_position(one)]
     if not names:
         raise table.error("there are no columns of joints beside the time")
-    table = _whole(table, stamp, names, notice)
-    units = [table.columns[name].unit for name in names]
-    kinds = [*map(_kind, units)]
-    # Steps of servos are told in radians.
-    units = [None if steps_of(unit or "") else unit for unit in units]
-    factors = [k.units.get(u or "", 1.0) for k, u in zip(kinds, units, strict=True)]
-    time, poses, loose = _times(table, stamp)
-    log = joining.Log(time, np.column_stack([*map(table.numbers, names, kinds)]))
-    headers = tuple(map(header, names, units))
-    return JointLog(log, headers, np.array(factors), poses, loose)
+    return _read(table, stamp, names, notice)
 
 
-def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
+def read_reading_log(table: Table, notice: Notice) -> Series:
     """The measured values of a log, or none of a list of images.
 
     Readings of several targets, tools or stations may alternate, or share a time.
@@ -191,36 +164,63 @@ def read_reading_log(table: Table, notice: Notice) -> ReadingLog:
             "there are no measured columns; 'columns' in the setup says which they are",
             allowed="x, y, z, distance, u, v, an orientation, or a column 'image'",
         )
-    table = _whole(table, stamp, [*own, *(STATED[way] if way else ())], notice)
-    texts = table.texts([name for name in NAMES if name in table])
-    kind = np.zeros(len(table.lines), np.int64)
-    for labels in texts.values():
-        kind = kind * len(labels.names) + labels.codes
-    single = IMAGE in table or stamp == POSE
-    passed = [n for n in table.columns if n == IMAGE or (single and _is_sigma(n))]
-    headers = {n: IMAGE if n == IMAGE else table.columns[n].header for n in passed}
-    texts |= {headers[n]: cells for n, cells in table.cells(passed).items()}
-    # Images may stand in any order.
-    ordered = np.arange(len(kind)) if IMAGE in table else kind
-    time, poses, loose = _times(table, stamp, ordered)
-    values = [np.empty((0, len(time)))]
-    values += [table.numbers(name, _kind(table.columns[name].unit)) for name in own]
+    passed = [name for name in table.columns if name == IMAGE]
+    if IMAGE in table or stamp == POSE:
+        passed += [name for name in table.columns if _is_sigma(name)]
+    used = {stamp, *own, *NAMES, *ORIENTED, *passed, "temperature"}
+    read = _read(table, stamp, own, notice, way, NAMES, passed)
+    if ignored := table.ignored([name for name in table.columns if name not in used]):
+        notice(ignored)
+    return replace(read, units=dict.fromkeys(read.units))
+
+
+def _read(
+    table: Table,
+    stamp: str,
+    names: Sequence[str],
+    notice: Notice,
+    way: str = "",
+    kinds: Sequence[str] = (),
+    passed: Sequence[str] = (),
+) -> Series:
+    """The rows of a log in the order of their times.
+
+    Args:
+        table: The log.
+        stamp: Column of its times or names.
+        names: Columns of numbers.
+        notice: Called with sentences about the file and what was left out.
+        way: How it states orientations; empty where it does not.
+        kinds: Columns of names of what a row is of.
+        passed: Columns whose cells are kept as they are.
+    """
+    table = _whole(table, stamp, [*names, *(STATED[way] if way else ())], notice)
+    units = {name: table.columns[name].unit for name in names}
+    values = [table.numbers(name, _kind(unit)) for name, unit in units.items()]
+    # Steps of servos are told in radians.
+    units = {n: None if steps_of(unit or "") else unit for n, unit in units.items()}
     if way:
         values += [*read_quaternions(table, way).T]
-        own += QUATERNION
-    used = {stamp, *own, *NAMES, *ORIENTED, *passed, "temperature"}
-    ignored = table.ignored([name for name in table.columns if name not in used])
-    if ignored:
-        notice(ignored)
+        units |= dict.fromkeys(QUATERNION)
+    labels = table.texts(kinds)
+    kind = np.zeros(len(table.lines), np.int64)
+    for texts in labels.values():
+        kind = kind * len(texts.names) + texts.codes
+    for name, texts in table.cells(passed).items():
+        labels[IMAGE if name == IMAGE else table.columns[name].header] = texts
+    # Images may stand in any order.
+    ordered = np.arange(len(kind)) if IMAGE in passed else kind
+    time, loose = _times(table, stamp, ordered)
+    labels |= {POSE: table.texts([POSE])[POSE]} if stamp == POSE else {}
     order = np.argsort(time, kind="stable")
-    log = joining.Log(time[order], np.vstack(values).T[order], kind[order])
-    cells = {name: [*labels[order]] for name, labels in texts.items()}
-    cells |= {POSE: [*poses]} if poses else {}
-    return ReadingLog(joining.continuous(log) if way else log, tuple(own), cells, loose)
+    rows = np.vstack([np.empty((0, len(time))), *values]).T[order]
+    log = joining.Log(time[order], rows, kind[order])
+    cells = {name: [*texts[order]] for name, texts in labels.items()}
+    return Series(joining.continuous(log) if way else log, units, cells, loose)
 
 
 def encode_joined(
-    joined: joining.Joined, joints: JointLog, readings: ReadingLog, *, keep: bool
+    joined: joining.Joined, joints: Series, readings: Series, *, keep: bool
 ) -> bytes:
     """A measurement file of two logs.
 
@@ -231,34 +231,71 @@ def encode_joined(
         keep: Whether every reading is a row, as of images, or the mean of a standstill
             with its standard deviation.
     """
-    rows = [*joined.standstills]
-    if keep := keep or IMAGE in readings.texts:
+    rows, log, oriented = [*joined.standstills], readings.log, readings.oriented
+    if keep or IMAGE in readings.texts:
         rows = [replace(one, readings=k) for one in rows for k in one.readings[:, None]]
         rows.sort(key=lambda one: int(one.readings[0]))
-    q = np.array([one.q for one in rows]) / joints.factors
-    table: dict[str, Sequence[object] | NDArray[np.float64]]
-    table = dict(zip(joints.headers, q.T, strict=True))
-    log, oriented = readings.log, QUATERNION[0] in readings.columns
+    table: dict[str, Any] = {}
+    q = np.array([one.q for one in rows])
+    for (name, unit), column in zip(joints.units.items(), q.T, strict=True):
+        table[header(name, unit)] = column / _kind(unit).units.get(unit or "", 1.0)
     values = joining.means(rows, log.values, oriented)
-    table |= zip(readings.columns, values.T, strict=True)
-    texts = dict(readings.texts)
-    if averaged := any(len(one.readings) > 1 for one in rows):
-        texts = {name: cells for name, cells in texts.items() if not _is_sigma(name)}
+    table |= zip(readings.units, values.T, strict=True)
     sigma = joining.mean_sigmas(rows, log.values, oriented)
     if sigma.size and (sigma > LEAST).all():
-        turned = ROTATION_VECTOR if oriented else ()
-        names = [*(n for n in readings.columns if n not in QUATERNION), *turned]
+        names = [name for name in readings.units if name not in QUATERNION]
+        names += ROTATION_VECTOR if oriented else ()
         table |= zip((f"sigma_{name}" for name in names), sigma.T, strict=True)
-    for name, cells in texts.items():
-        table[name] = [cells[one.readings[0]] for one in rows]
-    if POSE not in readings.texts:
+    averaged = any(len(one.readings) > 1 for one in rows)
+    for name, cells in readings.texts.items():
+        if not (averaged and _is_sigma(name)):
+            table[name] = [cells[one.readings[0]] for one in rows]
+    if joined.clock:
         time = np.array([log.time[one.readings].mean() for one in rows])
-        table["time"] = time - (joined.clock.ahead if joined.clock else 0.0)
-    count, way = joined.stands, "time" if joined.clock else "name"
-    comment = f"joined by {way}: {count} standstills, {joined.used} readings"
-    if averaged:
-        comment += ", each sigma that of a mean"
+        table["time"] = time - joined.clock.ahead
+    way = "time" if joined.clock else "name"
+    comment = f"joined by {way}: {joined.stands} standstills, {joined.used} readings"
+    comment += ", each sigma that of a mean" * averaged
     return encode_table(table, [comment])
+
+
+def join_logs(
+    joints: Series, readings: Series, settle: float, tolerance: float, notice: Notice
+) -> tuple[Series, joining.Joined]:
+    """The readings, by the unit of the joints' times, and what joins them.
+
+    Args:
+        joints: The log of the joints.
+        readings: The log of the readings.
+        settle: Time that joints stand before readings count [s].
+        tolerance: Longest time without a sample of the joints [s].
+        notice: Called with sentences about the logs and what was left out.
+
+    Raises:
+        InputError: If nothing does.
+    """
+    q, values = joints.log, readings.log
+    if POSE in joints.texts:
+        names = joints.texts[POSE], readings.texts[POSE]
+        found = joining.join_by_name(q, values, *names)
+        if found.alone:
+            told = enumerated(found.alone)
+            notice(f"in one of both files only, and left out: {told}")
+        return readings, found
+    if joints.loose and readings.loose:
+        q, values, steps = joining.in_one_unit(q, values)
+        if steps:
+            longer, unit = "joints" if steps > 0 else "readings", [*TIME.units]
+            read = f"the times of the {longer} are read as {unit[abs(steps)]}"
+            notice(f"{read}: so both last as long")
+    found = joining.join(q, values, settle, tolerance)
+    if not found.standstills:
+        raise InputError("no reading falls into a standstill of the joints")
+    images = readings.texts.get(IMAGE, ())
+    used = {images[k] for one in found.standstills for k in one.readings if images}
+    if lost := [name for name in dict.fromkeys(images) if name not in used]:
+        notice(f"the joints do not stand at the time of {enumerated(lost)}: left out")
+    return replace(readings, log=values), found
 
 
 def with_images(table: Table) -> Table:
@@ -296,14 +333,11 @@ def _is_sigma(name: str) -> bool:
 
 def _is_position(one: Foreign) -> bool:
     """Whether a column of a log may be one of joint positions: no counter, no stamp."""
-    numbers = one.column.numbers[np.isfinite(one.column.numbers)]
-    if not one.column.numeric or OTHER.search(one.words) or STAMPS.search(one.words):
-        return False
     unit = one.column.unit or "rad"
-    if unit not in ANGLE.units and unit not in LENGTH.units:
-        return False
-    steps = np.unique(np.diff(numbers))
-    return not (len(steps) == 1 and steps[0] > 0.0 and len(numbers) > COUNTED)
+    known = unit in ANGLE.units or unit in LENGTH.units
+    steps = np.unique(np.diff(one.numbers))
+    counter = len(steps) == 1 and steps[0] > 0.0 and len(one.numbers) > COUNTED
+    return one.numeric and known and not (counter or STAMPS.search(one.words))
 
 
 def _time_column(table: Table) -> str:
@@ -322,15 +356,13 @@ def _stamp(table: Table) -> str:
         return name
     raise table.error(
         "there is no column 'time', and no column of names that both logs share",
-        allowed=f"one of {', '.join(TIMES)}, 'columns: {{time: NAME}}' in the setup, "
-        "or the names of points in both",
+        allowed="one of time, timestamp, stamp, zeit, t, "
+        "'columns: {time: NAME}' in the setup, or the names of points in both",
     )
 
 
-def _times(
-    table: Table, name: str, kind: NDArray[np.int64] | None = None
-) -> tuple[Floats, Sequence[str], bool]:
-    """Times [s], or the numbers of rows that have a name, and their names.
+def _times(table: Table, name: str, kind: NDArray[np.int64]) -> tuple[Floats, bool]:
+    """Times [s], of dates since 1970, or the numbers of rows that have a name.
 
     Args:
         table: The log.
@@ -338,12 +370,11 @@ def _times(
         kind: What each row is of, shape (N,); the time of each of these goes on.
 
     Returns:
-        The times, of dates since 1970; the names; and whether nothing tells the unit
-        of the times.
+        The times, shape (N,), and whether nothing tells their unit.
     """
     column = table.columns[name]
     if name == POSE:
-        return np.arange(float(len(table.lines))), table.texts([POSE])[POSE], False
+        return np.arange(float(len(table.lines))), False
     loose = column.unit is None and bool((column.numbers < SECONDS).all())
     if not np.isfinite(column.numbers).any():
         time = _dates(table, name)
@@ -359,15 +390,18 @@ def _times(
             raise table.cell_error("the time does not go on here", name, row)
     if len(time) < 3:
         raise InputError("is too short to be joined by time", file=table.file)
-    return time, (), loose
+    return time, loose
 
 
 def _dates(table: Table, name: str) -> Floats:
     """Times of dates, or of clocks with or without a column of dates, (N,) [s]."""
     from dateutil.parser import parse  # type: ignore[import-untyped]
 
+    days = [other for other in table.columns if other.lower() in ("date", "datum")]
+    columns = [table.texts([each])[each] for each in (*days[:1], name)]
     stamps, first = [], datetime(1970, 1, 1)
-    for row, text in enumerate(_with_days(table, name)):
+    for row, cells in enumerate(zip(*columns, strict=True)):
+        text = " ".join(cells).replace(",", ".")
         try:
             try:
                 stamp = datetime.fromisoformat(text)
@@ -382,13 +416,6 @@ def _dates(table: Table, name: str) -> Floats:
     time: Floats = np.array(stamps)
     # A clock without a date begins anew at midnight.
     return np.asarray(time + DAY * np.cumsum(np.diff(time, prepend=time[0]) < -DAY / 2))
-
-
-def _with_days(table: Table, name: str) -> list[str]:
-    """Texts of times, behind those of a column of dates."""
-    days = [other for other in table.columns if other.lower() in ("date", "datum")]
-    columns = [table.texts([each])[each] for each in (*days[:1], name)]
-    return [" ".join(row).replace(",", ".") for row in zip(*columns, strict=True)]
 
 
 def _kind(unit: str | None) -> Kind:

@@ -9,22 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+import calib_pin.io.joint_columns as joint_columns
+import calib_pin.io.measured_columns as measured_columns
 from calib_pin.control.joints import Joints
 from calib_pin.errors import OutputError
-from calib_pin.io.joint_columns import (
-    kind_of,
-    own_columns,
-    read_positions,
-    shown_columns,
-    spare_columns,
-)
-from calib_pin.io.logs import TIME, TIMES
-from calib_pin.io.measured_columns import (
-    ORIENTED,
-    POSITION,
-    check_spread,
-    read_values,
-)
+from calib_pin.io.logs import TIME
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.chain import Chain
@@ -103,10 +92,10 @@ def read_target_file(
         ([0.9, 0.0, 0.25], False)
     """
     table = read_table(path, columns=columns)
-    table, own = own_columns(table, chain, joints)
-    oriented = any(name in table for name in ORIENTED)
-    has_targets = oriented or any(name in table for name in POSITION)
-    has_joints = any(name in table for name in own.names)
+    table, own = joint_columns.own_columns(table, chain, joints)
+    oriented = bool(measured_columns.ORIENTED & table.columns.keys())
+    has_targets = oriented or bool({*measured_columns.POSITION} & table.columns.keys())
+    has_joints = bool({*own.names} & table.columns.keys())
     if not has_targets and not has_joints:
         raise table.error(
             "neither targets nor joint positions; targets need x, y, z and may have an "
@@ -114,15 +103,17 @@ def read_target_file(
         )
     q = None
     if has_joints:
-        q = Joints.of(chain).continued(read_positions(table, chain, own))
+        q = joint_columns.read_positions(table, chain, own)
+        q = Joints.of(chain).continued(q)
     if not has_targets:
         return Targets(table, own, q, None, False)
-    spare = [c for c in spare_columns(table, chain, joints) if c not in own.names]
+    spare = joint_columns.spare_columns(table, chain, joints)
+    spare = [name for name in spare if name not in own.names]
     model = (Pose if oriented else Position).declaration.name
-    used_columns, values = read_values(table, model, spare)
+    used, values = measured_columns.read_values(table, model, spare)
     center = np.zeros(3) if base is None else base
-    check_spread(table, chain, values[:, :3], center)
-    ignored = table.ignored([name for name in spare if name not in used_columns])
+    measured_columns.check_spread(table, chain, values[:, :3], center)
+    ignored = table.ignored([name for name in spare if name not in used])
     if ignored and notice is not None:
         notice(ignored)
     T = np.tile(np.eye(4), (len(values), 1, 1))
@@ -138,14 +129,14 @@ def read_times(targets: Targets) -> Floats | None:
     Raises:
         InputError: If a time is none, or not after the one before.
     """
-    if TIMES[0] not in targets.table:
+    if "time" not in targets.table:
         return None
-    time = targets.table.numbers(TIMES[0], TIME)
+    time = targets.table.numbers("time", TIME)
     (back,) = np.nonzero(np.diff(time) <= 0.0)
     if len(back):
         row = int(back[0]) + 1
         raise targets.table.cell_error(
-            "the time does not go on", TIMES[0], row, f"more than {time[row - 1]:.6g} s"
+            "the time does not go on", "time", row, f"more than {time[row - 1]:.6g} s"
         )
     return time
 
@@ -190,32 +181,22 @@ def encode_commands(
     """
     via = rows < 0
     latest = np.maximum.accumulate(np.where(via, 0, np.arange(len(rows))))
-    found = command_columns(targets, q, rows[latest], degrees)
-    if targets.T is None:
-        all_columns = targets.table.columns
-        others = targets.table.cells(
-            [name for name in all_columns if name not in found]
-        )
-        columns = dict(
-            found[name] if name in found else (column.header, others[name])
-            for name, column in all_columns.items()
-        )
-    else:
-        if ROW in found:
+    columns = command_columns(targets, q, rows[latest], degrees)
+    if targets.T is not None:
+        if ROW in targets.columns.names:
             raise OutputError(
                 f"a joint column is called '{ROW}', which is the line of a target"
             )
-        lines = np.where(via, "", targets.lines[rows].astype(str))
-        columns = {**dict(found.values()), ROW: lines.tolist()}
+        columns[ROW] = np.where(via, "", targets.lines[rows].astype(str)).tolist()
     if times is not None:
-        columns[TIMES[0]] = times.tolist()
+        columns["time"] = times.tolist()
     return encode_table(columns, comments)
 
 
 def command_columns(
     targets: Targets, q: Floats, rows: NDArray[np.int64], degrees: bool = False
-) -> dict[str, tuple[str, Sequence[object]]]:
-    """Header and cells of the joint columns, by name.
+) -> dict[str, Sequence[object]]:
+    """Cells by header of the joint columns, and of all columns of a motion.
 
     Args:
         targets: The requested targets or motion.
@@ -227,30 +208,28 @@ def command_columns(
         InputError: If the joint map cannot be undone.
         OutputError: If a name would not read back.
     """
-    own = targets.columns
+    own, columns = targets.columns, targets.table.columns
     if targets.q is None:
-        shown = shown_columns(q, own, degrees)
-        headers = zip(own.names, shown.items(), strict=True)
-        return {name: (header, column.tolist()) for name, (header, column) in headers}
+        shown = joint_columns.shown_columns(q, own, degrees)
+        return {header: column.tolist() for header, column in shown.items()}
     # The change is added to the value in the file, so that a column coupled with a
     # joint outside the chain (an external axis) keeps the contribution of that joint.
-    changes = own.values(q) - own.values(targets.q[rows])
-    moved = dict(zip(own.names, changes.T, strict=True))
+    changes = (own.values(q) - own.values(targets.q[rows])).T
+    own_joints = zip(own.names, own.joints, changes, strict=True)
+    # Others are only coupled, and stay.
+    moved = {name: change if joint else None for name, joint, change in own_joints}
     for k, (joint, (name, given)) in enumerate(own.maps.items()):
-        if joint not in own.joints and name in targets.table:  # It mimics another.
+        if joint not in own.joints and name in columns:  # It mimics another.
             change = q[:, k] - targets.q[rows, k]
             moved[name] = change / (given.sign * given.gear)
-    result: dict[str, tuple[str, Sequence[object]]] = {}
-    coupled = {
-        name for name, joint in zip(own.names, own.joints, strict=True) if not joint
-    }
-    for name, change in moved.items():
-        column = targets.table.columns[name]
-        if name in coupled:
-            texts = targets.table.cells([name])[name]
-            result[name] = column.header, [texts[row] for row in rows]
-            continue
-        kind = kind_of(own, name)
-        change = change / kind.units[column.unit or kind.si]
-        result[name] = column.header, (column.numbers[rows] + change).tolist()
+    result = dict[str, Sequence[object]]()
+    for name in columns if targets.T is None else moved:
+        column, change = columns[name], moved.get(name)
+        if change is None:
+            texts = column.texts()
+            result[column.header] = [texts[row] for row in rows]
+        else:
+            kind = joint_columns.kind_of(own, name)
+            change = change / kind.units[column.unit or kind.si]
+            result[column.header] = (column.numbers[rows] + change).tolist()
     return result

@@ -145,6 +145,23 @@ READ: Mapping[str, Callable[[Job], str | bytes]] = {
     "sorted by name": lambda job: text(
         {named("position_{}"): job.q[:, np.argsort(JOINTS)], XYZ: job.points}
     ),
+    "letters, among speeds and commands": lambda job: text(
+        {named("qd{}"): 0.1 * job.q[::-1], "S L U R B T": np.degrees(job.q)}
+        | {"X_meas Y_meas Z_meas": 1e3 * job.points}
+        | {"X_cmd Y_cmd Z_cmd": 1e3 * job.points + 20.0 * job.q[:, :3]}
+    ),
+    "a unit for each column": lambda job: text(
+        {OWN: job.q * [*[1.0] * 5, 180.0 / np.pi], XYZ: job.points}
+    ),
+    "scatter in the unit of numbers": lambda job: text(
+        {OWN: job.q, XYZ: 1e3 * job.points}
+        | {"sigma_x sigma_y sigma_z": np.full((40, 3), 1e3 * NOISE)}
+    ),
+    "another language": lambda job: text(
+        {" ".join(f"Achse_{k}[Grad]" for k in range(6)): np.degrees(job.q)}
+        | {"Ist_X(mm) Ist_Y(mm) Ist_Z(mm)": 1e3 * job.points}
+        | {"Punkt": np.arange(40.0)}
+    ),
 }
 
 
@@ -161,7 +178,7 @@ def written(content: str | bytes) -> None:
     Path("rows.csv").write_bytes(data)
 
 
-SELDOM = {"units behind elements", "one quaternion for all", "empty", "star"}
+SELDOM = {"units behind elements", "one quaternion for all", "empty", "star", "nan"}
 """Those that others tell as well."""
 
 

@@ -13,13 +13,13 @@ import pytest
 import calib_pin
 from calib_pin.cli import init as module
 from calib_pin.cli import main
+from calib_pin.errors import OptionError
 from calib_pin.io.setup import read_setup
 from calib_pin.kinematics.spatial import Floats
-from tests.cli.files import document, numbers, write
+from tests.cli.files import document, numbers, table, write
 
 JOINTS = [f"joint_{k}" for k in range(1, 7)]
-DEGREES = np.array([180.0 / np.pi] * 6 + [1.0] * 3)
-MILLIMETERS = np.array([1.0] * 6 + [1e3] * 3)
+UNITS = np.array([180.0 / np.pi] * 6 + [1e3] * 3)
 INIT = "init space6 foreign.csv -o setup.yaml"
 
 
@@ -99,64 +99,32 @@ def test_real_measurements(name, data_folder):
     assert after < most and after < before
 
 
+GAUGE = (
+    "{tip: tool, model: sphere-contact, gauge: 5.0e-4, noise: {contact: 2.0e-5},\n"
+    "frames: {tool: {xyz: [0.05, 0.08, 0.12]}},\n"
+    "spheres: {a: {xyz: [0.6, 0.3, 0.4], radius: 0.15}}}\n"
+)
+
+
 @pytest.mark.parametrize(
     ("header", "factor", "line"),
     [
-        ("Messuhr (mm)", -1e3, "  dial: 'Messuhr (mm) [mm]'"),
-        (
-            "Gauge Reading",
-            -1e3,
-            "  dial: 'Gauge Reading [mm]'  # (unit by its numbers)",
-        ),
-        ("Abweichung [um]", 1e6, "  deviation: Abweichung"),
+        ("Messuhr (mm)", -1e3, "dial: 'Messuhr (mm) [mm]'"),
+        ("Gauge Reading", -1e3, "dial: 'Gauge Reading [mm]'  # (unit by its numbers)"),
+        ("Abweichung [um]", 1e6, "deviation: Abweichung"),
     ],
 )
 def test_readings_of_a_gauge(run, fails, header, factor, line):
     """The draft says which sign they have; without it they are not ignored."""
-    Path("gauge.yaml").write_text(
-        "{tip: tool, model: sphere-contact, gauge: 5.0e-4, noise: {contact: 2.0e-5},\n"
-        "frames: {tool: {xyz: [0.05, 0.08, 0.12]}},\n"
-        "spheres: {a: {xyz: [0.6, 0.3, 0.4], radius: 0.15}}}\n"
-    )
+    Path("gauge.yaml").write_text(GAUGE)
     assert run("simulate space6 --setup gauge.yaml --count 40 -o a.csv").status == 0
-    lines = Path("a.csv").read_text().splitlines()[2:]
-    rows = np.array([[*map(float, line.split(",")[:7])] for line in lines])
+    rows = np.array([row[:7] for row in table("a.csv")[1]], float)
     foreign([*JOINTS, header], rows * [*[1.0] * 6, factor])
     draft = run("init space6 foreign.csv --model sphere-contact -o setup.yaml")
     assert line in draft.out and "pushed in is positive" in draft.out
     assert run("evaluate space6 foreign.csv --setup setup.yaml").err == ""
-    name = line.split(":")[0].strip()
-    fails("calibrate space6 foreign.csv --tip tool --model sphere-contact", name)
-
-
-def test_semicolons_decimal_commas_and_names_of_another_language(measured):
-    names = ["Punkt", *(f"Achse {k} [Grad]" for k in range(1, 7))]
-    names += [f"Istposition {axis} (mm)" for axis in "XYZ"]
-    rows = enumerate((measured * DEGREES * MILLIMETERS).tolist())
-    lines = [[f"P{k}", *(f"{v:.6f}".replace(".", ",") for v in row)] for k, row in rows]
-    text = "\n".join(";".join(cells) for cells in [names, *lines])
-    Path("foreign.csv").write_text(text)
-    before, after = held_out(calibrated("space6", "foreign.csv"))
-    assert after < 0.3e-3 < 1e-3 < before
-    columns = read_setup("setup.yaml").columns
-    assert columns["joint_1"] == "Achse 1 [deg]"
-    assert columns["x"] == "Istposition X (mm) [mm]"
-    # A number of its own for every measurement names nothing that they share.
-    assert "target" not in columns
-
-
-def test_small_motions_in_degrees(measured):
-    """Numbers that might be radians as well are told apart by the robot."""
-    chain = calib_pin.load_chain("space6")
-    q = measured[np.abs(measured[:, :6]).max(axis=1) < 3.0, :6] / 40.0
-    points = chain.poses(q)[:, :3, 3]
-    points = points + np.random.default_rng(3).normal(0.0, 1e-5, points.shape)
-    rows = np.hstack([q, points]) * DEGREES * MILLIMETERS
-    assert np.abs(rows[:, :6]).max() < 2.0 * np.pi
-    foreign([*JOINTS, "tcp_x", "tcp_y", "tcp_z"], rows)
-    assert main(INIT.split()) == 0
-    columns = read_setup("setup.yaml").columns
-    assert columns["joint_1"] == "joint_1 [deg]" and columns["x"] == "tcp_x [mm]"
+    words = "calibrate space6 foreign.csv --tip tool --model sphere-contact"
+    fails(words, line.split(":")[0])
 
 
 @pytest.mark.slow
@@ -226,11 +194,18 @@ def test_sockets():
     assert after < 1e-3 < before
 
 
-LIMB = """<link name="{side}_{k}"/>
-<joint name="{side}_joint_{k}" type="revolute"><origin xyz="{xyz}"/>
-<parent link="{parent}"/><child link="{side}_{k}"/><axis xyz="{axis}"/>
+LIMB = """<link name="{name}"/>
+<joint name="{name}_joint" type="revolute"><origin xyz="{xyz}"/>
+<parent link="{parent}"/><child link="{name}"/><axis xyz="{axis}"/>
 <limit lower="-2" upper="2" effort="1" velocity="1"/></joint>
 """
+
+
+def points_of(chain: calib_pin.Chain, q: Floats, tool: Any = (0, 0, 0)) -> Floats:
+    """Measured points of a tool, shape (N, 3) [m]."""
+    T, rng = chain.poses(q), np.random.default_rng(1)
+    found = T[:, :3, :3] @ np.array(tool, float) + T[:, :3, 3]
+    return np.asarray(found + rng.normal(0.0, 1e-5, found.shape))
 
 
 def twins(mirror: float) -> None:
@@ -240,23 +215,21 @@ def twins(mirror: float) -> None:
         mirror: -1 for a right arm that is the mirror image of the left one, 1 for the
             same arm once more.
     """
-    parts = []
+    text = '<robot name="twins"><link name="base"/>'
     for side, sign, shift in (("left", 1.0, 0.4), ("right", mirror, -0.4)):
         places = [f"0.1 {shift} 0.3", f"0 {0.1 * sign} 0.2"]
         places += [f"0.4 {0.05 * sign} 0", f"0.3 {0.1 * sign} 0.05"]
         parent = "base"
         for k, xyz in enumerate(places):
             axis = ("0 0 1", "1 0 0", "0 1 0", "0 0 1")[k]
-            parts.append(LIMB.format(side=side, k=k, xyz=xyz, parent=parent, axis=axis))
-            parent = f"{side}_{k}"
-    text = f'<robot name="twins"><link name="base"/>{"".join(parts)}</robot>'
-    Path("twins.urdf").write_text(text)
+            name = f"{side}_{k}"
+            text += LIMB.format(name=name, xyz=xyz, parent=parent, axis=axis)
+            parent = name
+    Path("twins.urdf").write_text(f"{text}</robot>")
     chain = calib_pin.load_chain("twins.urdf", tip="left_3")
     q = np.random.default_rng(0).uniform(-1.5, 1.5, (40, 4))
-    names = [f"{side}_joint_{k}" for side in ("left", "right") for k in range(4)]
-    points = chain.poses(q)[:, :3, 3]
-    points = points + np.random.default_rng(1).normal(0.0, 1e-5, points.shape)
-    foreign([*names, *"xyz"], np.hstack([q, q, points]))
+    names = [f"{side}_{k}_joint" for side in ("left", "right") for k in range(4)]
+    foreign([*names, *"xyz"], np.hstack([q, q, points_of(chain, q)]))
 
 
 def test_the_arm_that_fits_is_the_one_that_was_measured(run, fails, monkeypatch):
@@ -272,81 +245,25 @@ def test_the_arm_that_fits_is_the_one_that_was_measured(run, fails, monkeypatch)
     assert result.status == 0 and "\ntip: right_3\n" in result.out
 
 
-HEADERS = {
-    "numbers": ([f"J{k} (deg)" for k in range(1, 7)], "measurement_x", "mm"),
-    "kuka": ([f"A{k}" for k in range(1, 7)], "X", "mm"),
-    "from zero": ([f"q{k}" for k in range(6)], "px", "m"),
-    "motoman": ([*"SLURBT"], "X_meas", "mm"),
-    "words": (
-        ["base", "shoulder", "elbow", "wrist1", "wrist2", "wrist3"],
-        "x Ist",
-        "mm",
-    ),
-}
-"""Headers of joints, that of x, and the unit of lengths; angles are in degrees."""
+OWN = ",".join(JOINTS)
 
 
-@pytest.mark.parametrize("name", HEADERS)
-def test_headers_of_other_software(name, measured):
-    joints, x, unit = HEADERS[name]
-    at = x.lower().rindex("x")
-    letters = "xyz" if x[at] == "x" else "XYZ"
-    axes = [x[:at] + letter + x[at + 1 :] for letter in letters]
-    rows = measured * DEGREES * (MILLIMETERS if unit == "mm" else 1.0)
-    # What was commanded is not what was measured, a speed is no position.
-    speeds, goals = 0.1 * rows[::-1, :6], rows[:, 6:] + 20.0 * rows[:, :3]
-    names = [*(f"qd{k}" for k in range(1, 7)), *joints, *axes]
-    foreign([*names, "X_cmd", "Y_cmd", "Z_cmd"], np.hstack([speeds, rows, goals]))
+def test_small_motions_in_degrees(measured):
+    """Numbers that might be radians as well are told apart by the robot."""
+    q = measured[np.abs(measured[:, :6]).max(axis=1) < 3.0, :6] / 40.0
+    rows = np.hstack([q, points_of(calib_pin.load_chain("space6"), q)]) * UNITS
+    foreign([*JOINTS, "tcp_x", "tcp_y", "tcp_z"], rows)
     assert main(INIT.split()) == 0
     columns = read_setup("setup.yaml").columns
-    for joint, header in zip(JOINTS, joints, strict=True):
-        assert columns.get(joint, joint).startswith(header.split(" (")[0])
-        assert columns[joint].endswith("[deg]")
-    for axis, header in zip("xyz", axes, strict=True):
-        assert columns.get(axis, axis).startswith(header)
-        assert columns.get(axis, "").endswith("[mm]") == (unit == "mm")
-
-
-def test_measured_joints_and_not_commanded_ones(measured):
-    names = [f"q{k}_{what}" for what in ("cmd", "actual") for k in range(1, 7)]
-    foreign([*names, *"xyz"], np.hstack([measured[:, :6], measured]))
-    assert main(INIT.split()) == 0
-    assert read_setup("setup.yaml").columns["joint_3"] == "q3_actual"
-
-
-def test_joints_in_another_order(measured, run):
-    """Numbers say nothing where the columns are those of a file sorted otherwise."""
-    order = [0, 4, 2, 3, 1, 5, 6, 7, 8]
-    foreign([*(f"q{k}" for k in range(6)), *"xyz"], measured[:, order])
-    assert run(INIT).status == 0
-    columns = read_setup("setup.yaml").columns
-    assert (columns["joint_2"], columns["joint_5"]) == ("q4", "q1")
-    assert (
-        "by the order alone, other than on the robot" in Path("setup.yaml").read_text()
-    )
-
-
-def test_the_scatter_of_numbers_is_in_their_unit(measured):
-    rows = np.hstack([measured * MILLIMETERS, np.full((len(measured), 3), 0.1)])
-    foreign([*JOINTS, *"xyz", "sigma_x", "sigma_y", "sigma_z"], rows)
-    assert main(INIT.split()) == 0
-    assert read_setup("setup.yaml").columns["sigma_y"] == "sigma_y [mm]"
-
-
-def test_units_are_those_of_each_column(measured):
-    rows = measured.copy()
-    rows[:, 5] = np.degrees(rows[:, 5])
-    foreign([*JOINTS, *"xyz"], rows)
-    assert main(INIT.split()) == 0
-    assert read_setup("setup.yaml").columns == {"joint_6": "joint_6 [deg]"}
+    assert columns["joint_1"] == "joint_1 [deg]" and columns["x"] == "tcp_x [mm]"
 
 
 def test_a_gripper_in_percent(run):
     """It stands still, and names of its columns have words around those of joints."""
     chain = calib_pin.load_chain("example:so101", tip="gripper_frame_link")
     q = chain.random_configurations(40, np.random.default_rng(0))
-    rows = np.hstack([q + 0.001, q, np.full((40, 1), 37.5), chain.poses(q)[:, :3, 3]])
-    rows[:, -3:] += np.random.default_rng(1).normal(0.0, 1e-3, (40, 3))
+    percent = np.full((40, 1), 37.5)
+    rows = np.hstack([q + 0.001, q, percent, points_of(chain, q)])
     names = [f"goal/{joint}/angle" for joint in chain.joints]
     names += [f"state/{joint}/angle" for joint in [*chain.joints, "gripper"]]
     foreign([*names, *"xyz"], rows)
@@ -356,24 +273,16 @@ def test_a_gripper_in_percent(run):
     assert setup.columns["elbow_flex"] == "state/elbow_flex/angle"
 
 
-POSITIONER = """<robot name="table">
-<link name="base"/><link name="tilt"/><link name="top"/>
-<joint name="a" type="revolute"><parent link="base"/><child link="tilt"/>
-<axis xyz="1 0 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-<joint name="b" type="revolute"><parent link="tilt"/><child link="top"/>
-<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
-</robot>"""
-
-
 def test_axes_that_meet_tell_no_unit_of_lengths(fails):
     """A positioner of meters fits as well in millimeters, which nothing refuses."""
-    Path("table.urdf").write_text(POSITIONER)
+    text = LIMB.format(name="tilt", xyz="0 0 0", parent="base", axis="1 0 0")
+    text += LIMB.format(name="top", xyz="0 0 0", parent="tilt", axis="0 0 1")
+    text = f'<robot name="table"><link name="base"/>{text}</robot>'
+    Path("table.urdf").write_text(text)
     chain = calib_pin.load_chain("table.urdf")
     q = chain.random_configurations(40, np.random.default_rng(0))
-    T = chain.poses(q)
-    points = T[:, :3, :3] @ [0.4, 0.1, 0.2]
-    points += np.random.default_rng(1).normal(0.0, 1e-4, (40, 3))
-    foreign(["a", "b", *"xyz"], np.hstack([q, points]))
+    points = points_of(chain, q, (0.4, 0.1, 0.2))
+    foreign([*chain.joints, *"xyz"], np.hstack([q, points]))
     fails("init table.urdf foreign.csv -o setup.yaml", "units")
 
 
@@ -389,34 +298,31 @@ def test_what_fits_no_robot_is_said(measured, run, fails):
 
 
 @pytest.mark.parametrize(
-    ("words", "named"),
+    ("words", "text", "named"),
     [
-        ("--board charuco:7x5:0.03:0.022", "--board"),
-        ("--distance 5mm", "--distance"),
-        ("--tip nolink", "'nolink'"),
-        ("--base nolink", "'nolink'"),
-        ("--model camera", "u, v"),
-        ("-o foreign.csv", "foreign.csv: is an input"),
+        ("--board charuco:7x5:0.03:0.022", None, "--board"),
+        ("--distance 5mm", None, "--distance"),
+        ("--tip nolink", None, "'nolink'"),
+        ("--base nolink", None, "'nolink'"),
+        ("--model camera", None, "u, v"),
+        ("-o foreign.csv", None, "foreign.csv: is an input"),
+        ("", "", "foreign.csv"),
+        ("", "a,b\n1,2\n", "columns"),
+        ("", "\x00\x01\x02", "foreign.csv"),
+        ("", f"{OWN}\n", "foreign.csv"),
+        ("", f"{OWN},x,y,z\n{'0,' * 8}0\n", "1 measurement"),
+        (
+            "",
+            f"{OWN.replace('_3', 'c')},x,y,z\n{'0,' * 8}0\n",
+            "for joint_3 of the chain",
+        ),
     ],
 )
-def test_options_that_do_not_fit(words, named, measured, fails):
+def test_options_and_files_that_do_not_fit(words, text, named, measured, fails):
     foreign([*JOINTS, *"xyz"], measured)
+    if text is not None:
+        Path("foreign.csv").write_text(text)
     fails(f"init space6 foreign.csv {words}", named)
-
-
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        ("", "foreign.csv"),
-        ("a,b\n1,2\n", "columns"),
-        ("\x00\x01\x02", "foreign.csv"),
-        (f"{','.join(JOINTS)}\n", "foreign.csv"),
-        (f"{','.join(JOINTS)},x,y,z\n{'0,' * 8}0\n", "1 measurement"),
-    ],
-)
-def test_files_that_are_none(text, named, fails):
-    Path("foreign.csv").write_text(text)
-    fails(INIT, named)
 
 
 def test_an_existing_file_is_kept(measured, run, fails):
@@ -431,5 +337,5 @@ def test_lengths():
     for text, value in (("50 mm", 0.05), ("0.05", 0.05), ("2[in]", 0.0508)):
         assert module._length(text) == pytest.approx(value, rel=1e-9)
     for text in ("fifty", "-5 mm", "5 furlongs", "mm"):
-        with pytest.raises(module.OptionError):
+        with pytest.raises(OptionError):
             module._length(text)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -30,34 +30,43 @@ def comma(value: float) -> str:
     return f"{value:.5f}".replace(".", ",")
 
 
+def lines(file: str, header: str, rows: Iterable[Sequence[object]]) -> None:
+    """Write a file of cells between commas."""
+    text = [header, *(",".join(map(str, row)) for row in rows)]
+    Path(file).write_text("\n".join(text))
+
+
 def written(made: Recording) -> None:
     """The logs of a robot (degrees) and of a tracker (its own names and marks)."""
-    names = [f"{joint} [deg]" for joint in CHAIN.joints]
-    lines = [",".join(["timestamp", *names])]
-    for t, q in zip(made.joints.time, np.rad2deg(made.joints.values), strict=True):
-        lines.append(",".join([f"{t:.4f}", *(f"{angle:.6f}" for angle in q)]))
-    Path("joints.csv").write_text("\n".join(lines))
-    lines = ["# tracker", "Punkt;Zeit;X (mm);Y (mm);Z (mm);Temp"]
+    header = ",".join(["timestamp", *(f"{joint} [deg]" for joint in CHAIN.joints)])
+    rows = np.column_stack([made.joints.time, np.rad2deg(made.joints.values)])
+    lines("joints.csv", header, np.char.mod("%.6f", rows))
+    text = ["# tracker", "Punkt;Zeit;X (mm);Y (mm);Z (mm);Temp"]
     for t, p in zip(made.readings.time, 1e3 * made.readings.values, strict=True):
-        lines.append(";".join(["SMR1", comma(t), *map(comma, p), "21,5"]))
-    Path("tracker.txt").write_bytes("\r\n".join(lines).encode("utf-8-sig"))
+        text.append(";".join(["SMR1", comma(t), *map(comma, p), "21,5"]))
+    Path("tracker.txt").write_bytes("\r\n".join(text).encode("utf-8-sig"))
     Path("setup.yaml").write_text(SETUP)
 
 
 def changed(change: Callable[[str], str]) -> None:
     """Write the times of the joints' log otherwise."""
-    header, *lines = Path("joints.csv").read_text().splitlines()
-    cut = [line.partition(",") for line in lines]
-    rows = [f"{change(time)},{rest}" for time, _, rest in cut]
-    Path("joints.csv").write_text("\n".join([header, *rows]))
+    header, *rows = Path("joints.csv").read_text().splitlines()
+    cut = [line.partition(",") for line in rows]
+    lines("joints.csv", header, [[change(time), rest] for time, _, rest in cut])
 
 
-def joined(within: float, **options: Any) -> Measurements:
+def joined(within: float = 3.0, **options: Any) -> Measurements:
     """What was joined, which are the points of the robot to some of their noise."""
     data = read_measurements("m.csv", CHAIN, **options).only
-    expected = CHAIN.poses(data.q)[:, :3, 3] + [0.3, -1.0, 2.0]
-    assert np.abs(data.values - expected).max() < within * NOISE
+    assert np.abs(data.values[:, :3] - points_at(data)).max() < within * NOISE
     return data
+
+
+def points_at(data: Measurements, balls: Any = (0.0, 0.0, 0.0)) -> np.ndarray:
+    """Where points of the tip link are at some measurements, shape (N, 3)."""
+    T = CHAIN.poses(data.q)
+    seen = T[:, :3, :3] @ np.broadcast_to(balls, (len(T), 3))[:, :, None]
+    return np.asarray(seen[:, :, 0] + T[:, :3, 3] + [0.3, -1.0, 2.0])
 
 
 def of_means(data: Measurements, rows: int, noise: Any) -> None:
@@ -71,7 +80,9 @@ def of_means(data: Measurements, rows: int, noise: Any) -> None:
 
 def poses_of(logs: Recording, time: np.ndarray) -> np.ndarray:
     q = [np.interp(time, logs.joints.time, c) for c in logs.joints.values.T]
-    return CHAIN.poses(np.column_stack(q))
+    T = CHAIN.poses(np.column_stack(q))
+    T[:, :3, 3] += [0.3, -1.0, 2.0]
+    return T
 
 
 JOIN = "join joints.csv tracker.txt --setup setup.yaml -o m.csv"
@@ -88,44 +99,66 @@ def logs(tmp_path, monkeypatch) -> Recording:
 @pytest.mark.parametrize("turn", [360, 4096])
 def test_two_logs_become_measurements(logs, run, turn):
     if turn != 360:  # A servo counts them.
-        header, *lines = Path("joints.csv").read_text().splitlines()
-        rows = np.array([[*map(float, line.split(","))] for line in lines])
+        header, *text = Path("joints.csv").read_text().splitlines()
+        rows = np.array([[*map(float, line.split(","))] for line in text])
         rows[:, 1:] = 100.0 + rows[:, 1:] * turn / 360.0
-        with Path("joints.csv").open("w") as file:
-            print(header.replace("[deg]", f"[steps/{turn}@100]"), file=file)
-            np.savetxt(file, rows, "%.6f", delimiter=",")
+        header = header.replace("[deg]", f"[steps/{turn}@100]")
+        lines("joints.csv", header, np.char.mod("%.6f", rows))
     result = run(JOIN)
-    assert result.status == 0
-    assert result.err == ""
+    assert result.status == 0 and result.err == ""
     assert result.out.startswith("12 standstills")
     assert f"{logs.ahead:+.3f}" in result.out
-    data = joined(3.0)
-    assert data.target.distinct == ("SMR1",)
-    assert len(data.q) == 12 and data.sigma is not None
+    data = joined()
+    assert data.target.distinct == ("SMR1",) and len(data.q) == 12
     of_means(data, 12, NOISE)
+    # By an older join, with the sigma of a reading: of 50 in each standstill.
+    _, *text = Path("m.csv").read_text().splitlines()
+    head = "# joined by time: 12 standstills, 600 readings"
+    Path("m.csv").write_text("\n".join([head, *text]))
+    assert np.allclose(joined().sigma * np.sqrt(50), data.sigma, rtol=1e-12)
 
 
-def test_every_reading_can_be_kept(logs, run):
-    """Dates are times as well."""
-    first = np.datetime64("2026-03-01T23:59:30")
-    changed(lambda t: f"{first + np.timedelta64(round(1e6 * float(t)), 'us')}")
-    assert run(f"{JOIN} --keep").status == 0
+FIRST = datetime(2026, 3, 12, 23, 59, 30)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda t: f"{1e3 * t:.1f}", "the times of the joints are read as ms"),
+        (lambda t: f"{FIRST + timedelta(seconds=t)}", ""),
+        (lambda t: f"{FIRST + timedelta(seconds=t):%d.%m.%Y %H:%M:%S.%f}", ""),
+        # A clock without a date begins anew at midnight.
+        (lambda t: f"{FIRST + timedelta(seconds=t):%H:%M:%S.%f}", ""),
+    ],
+)
+def test_times_as_people_write_them(logs, run, change, words):
+    changed(lambda time: change(float(time)))
+    result = run(f"{JOIN} --keep")
+    assert result.status == 0 and result.out.startswith("12 standstills")
+    assert words in result.err and bool(words) == bool(result.err)
     assert len(joined(6.0).q) > 100
 
 
 def test_poses_keep_their_scatter(logs, run):
+    """What does not scatter has no sigma; half turns have a mean, whatever sign."""
     time = np.linspace(0.0, logs.joints.time[-1], 900)
     T, rng = poses_of(logs, time), np.random.default_rng(0)
-    lines = ["time [ms],x,y,z,rx,ry,rz"]
     R = T[:, :3, :3] @ so3_exp(rng.normal(0.0, 1e-4, (len(T), 3)))
     p = T[:, :3, 3] + rng.normal(0.0, NOISE, (len(T), 3))
-    for t, a, b in zip(time, p, so3_log(R), strict=True):
-        lines.append(",".join(map(str, [1e3 * t, *a, *b])))
-    Path("poses.csv").write_text("\n".join(lines))
+    rows = np.column_stack([1e3 * time, p, so3_log(R)])
+    lines("poses.csv", "time [ms],x,y,z,rx,ry,rz", rows)
     assert run("join joints.csv poses.csv -o m.csv").status == 0
-    data = read_measurements("m.csv", CHAIN).only
-    assert data.model == "pose" and data.sigma is not None
+    data = joined()
+    assert data.model == "pose"
     of_means(data, 12, 3 * [NOISE] + 3 * [1e-4])
+    for size, scatters in ((0.0, False), (1e-6, True)):
+        signs = size * (-1.0) ** np.arange(len(p))
+        rows = np.column_stack([time, p, *np.full((3, len(p)), 3**-0.5), signs])
+        lines("poses.csv", "time,x,y,z,qx,qy,qz,qw", rows)
+        assert run("join joints.csv poses.csv -o m.csv --force").status == 0
+        found = joined()
+        assert (found.sigma is not None) == scatters
+        assert np.allclose(np.abs(found.values[:, 3:6]), 3**-0.5, rtol=0, atol=1e-5)
 
 
 BALLS = {"A": np.zeros(3), "B": np.array([0.1, 0.0, 0.02])}
@@ -135,21 +168,18 @@ BALLS = {"A": np.zeros(3), "B": np.array([0.1, 0.0, 0.02])}
 def test_points_that_are_read_by_turns_stay_apart(logs, run):
     """Also where a point is lost in some rows, and others share a time."""
     time = np.arange(0.0, logs.joints.time[-1], 0.05)
-    T, rng = poses_of(logs, time), np.random.default_rng(1)
-    lines = ["stamp,Marker,tracker_x,tracker_y,tracker_z"]
+    T, rng, rows = poses_of(logs, time), np.random.default_rng(1), list[Any]()
     for k, (t, pose) in enumerate(zip(time, T, strict=True)):
-        for name, ball in BALLS.items() if k % 3 else [("A", BALLS["A"])]:
-            p = pose[:3, :3] @ ball + pose[:3, 3] + rng.normal(0.0, NOISE, 3)
-            cells = ["MISSING"] * 3 if name == "B" and k % 5 == 0 else map(str, p)
-            lines.append(",".join([f"{t:.3f}", name, *cells]))
-    Path("tracker.csv").write_text("\n".join(lines))
+        for name in BALLS if k % 3 else "A":
+            p = pose[:3, :3] @ BALLS[name] + pose[:3, 3] + rng.normal(0.0, NOISE, 3)
+            lost = name == "B" and k % 5 == 0
+            rows.append([t, name, *(["MISSING"] * 3 if lost else p)])
+    lines("tracker.csv", "stamp,Marker,tracker_x,tracker_y,tracker_z", rows)
     result = run("join joints.csv tracker.csv -o m.csv")
     assert result.status == 0 and "have no reading" in result.err
     data = read_measurements("m.csv", CHAIN).only
     assert {*data.target} == {*BALLS} and len(data.q) == 24
-    T = CHAIN.poses(data.q)
-    balls = np.array([BALLS[name] for name in data.target])
-    expected = (T[:, :3, :3] @ balls[:, :, None])[:, :, 0] + T[:, :3, 3]
+    expected = points_at(data, [BALLS[name] for name in data.target])
     assert np.abs(data.values - expected).max() < 3.0 * NOISE
     of_means(data, 24, NOISE)
 
@@ -159,100 +189,66 @@ def test_points_with_names_need_no_time(tmp_path, monkeypatch, run):
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(3)
     q = CHAIN.random_configurations(8, rng)
-    joints = [",".join(["name", *CHAIN.joints])]
-    joints += [",".join([f"P{k}", *map(repr, row.tolist())]) for k, row in enumerate(q)]
+    rows = [[f"P{k}", *row] for k, row in enumerate(q)]
+    lines("joints.csv", ",".join(["name", *CHAIN.joints]), rows)
     points = ["Punkt-Nr;Kugel;X [mm];Y [mm];Z [mm];RMS"]
     T = CHAIN.poses(q)
     for k in rng.permutation(7):
         for name, ball in BALLS.items():
-            p = 1e3 * (T[k, :3, :3] @ ball + T[k, :3, 3])
+            p = 1e3 * (T[k, :3, :3] @ ball + T[k, :3, 3] + [0.3, -1.0, 2.0])
             points.append(";".join([f"p{k}", name, *map(comma, p), "0,01"]))
-    points.append("P99;A;1;2;3;0,01")
-    Path("joints.csv").write_text("\n".join(joints))
-    Path("points.txt").write_text("\n".join(points))
+    text = "\n".join([*points, "P99;A;1;2;3;0,01"])
+    Path("points.txt").write_text(text)
     result = run("join joints.csv points.txt -o m.csv")
     assert result.status == 0
     assert "in one of both files only, and left out: p7, p99" in result.err
     data = read_measurements("m.csv", CHAIN).only
     assert len(data.q) == 14
-    at = [np.flatnonzero((q == row).all(axis=1))[0] for row in data.q]
-    balls = np.array([BALLS[name] for name in data.target])
-    expected = (T[at, :3, :3] @ balls[:, :, None])[:, :, 0] + T[at, :3, 3]
+    expected = points_at(data, [BALLS[name] for name in data.target])
     assert np.allclose(data.values, expected, atol=1e-7)
-    Path("points.txt").write_text("\n".join(points).replace("p", "q"))
+    Path("points.txt").write_text(text.replace("p", "q"))
     wrong = run("join joints.csv points.txt -o n.csv")
     assert wrong.status == 1 and "no column of names" in wrong.err
     assert not Path("n.csv").exists()
-
-
-def test_times_of_one_log_may_be_milliseconds(logs, run):
-    changed(lambda time: f"{1e3 * float(time):.1f}")
-    result = run(JOIN)
-    assert "the times of the joints are read as ms" in result.err
-    assert result.out.startswith("12 standstills")
-    text = Path("joints.csv").read_text()
-    Path("joints.csv").write_text(text.replace("p", "p [s]", 1))
-    assert run(f"{JOIN} --force").status == 1
-
-
-@pytest.mark.parametrize("way", ["%d.%m.%Y %H:%M:%S.%f", "%H:%M:%S.%f"])
-def test_dates_as_people_write_them(logs, run, way):
-    """A clock without a date begins anew at midnight."""
-    first = datetime(2026, 3, 12, 23, 59, 30)
-    changed(lambda time: (first + timedelta(seconds=float(time))).strftime(way))
-    result = run(JOIN)
-    assert result.status == 0 and result.out.startswith("12 standstills")
-    lines = Path("m.csv").read_text().replace("SMR1", "").splitlines()
-    assert len(lines) == 14
 
 
 def test_columns_of_one_point_stay_together(logs, run):
     """Of two points the one is taken that no controller computes, whole."""
     time = np.arange(0.0, logs.joints.time[-1], 0.05)
     p = poses_of(logs, time)[:, :3, 3]
-    cells = np.column_stack([time, p[:, :2] + 1.0, p - 9.0, p[:, 2] + 1.0])
-    lines = [",".join(f"{number:.6f}" for number in row) for row in cells]
-    header = "time,pos_x,pos_y,tcp_x,tcp_y,tcp_z,pos_z"
-    Path("two.csv").write_text("\n".join([header, *lines]))
+    rows = np.column_stack([time, p[:, :2], p - 9.0, p[:, 2]])
+    lines("two.csv", "time,pos_x,pos_y,tcp_x,tcp_y,tcp_z,pos_z", rows)
     assert run("join joints.csv two.csv -o m.csv").status == 0
-    data = read_measurements("m.csv", CHAIN).only
-    expected = CHAIN.poses(data.q)[:, :3, 3] + 1.0
-    assert np.abs(data.values - expected).max() < 1e-5
+    joined(0.5)
 
 
 def test_words_of_a_logger_and_signs_of_lost_readings(logs, run):
     """-9999 in some rows is told and left out; a voltage is no joint."""
-    header, *lines = Path("joints.csv").read_text().splitlines()
-    names = [f"rec.{name}" for name in header.split(",")]
-    rows = [[*line.split(","), "24.1"] for line in lines]
+    header, *text = Path("joints.csv").read_text().splitlines()
+    rows = [[*line.split(","), "24.1"] for line in text]
     for k in (30, 200, 201):
         rows[k][3] = "-9999"
-    text = "\n".join(",".join(row) for row in [[*names, "Battery [V]"], *rows])
-    Path("joints.csv").write_text(text)
+    names = [*(f"rec.{name}" for name in header.split(",")), "Battery [V]"]
+    lines("joints.csv", ",".join(names), rows)
     result = run(JOIN)
     assert result.status == 0 and "-9999 in 3 rows" in result.err
     assert result.out.startswith("12 standstills")
-    columns = {joint: f"rec.{joint} [deg]" for joint in CHAIN.joints}
-    joined(3.0, columns=columns)
+    joined(columns={joint: f"rec.{joint} [deg]" for joint in CHAIN.joints})
 
 
 def test_a_log_of_the_robot_as_it_is(logs, run):
     """Counters, stamps of nanoseconds, speeds and gaps are no joints and hide none."""
-    names = CHAIN.joints
+    names, rows = CHAIN.joints, list[Any]()
     speeds = [f"{name}.velocity" for name in names]
-    lines = [",".join(["", "seq", "timestamp", *names, *speeds])]
-    q, epoch = logs.joints.values, 1_700_000_000
-    for k, (t, row) in enumerate(zip(logs.joints.time, q, strict=True)):
-        cells = [repr(float(angle)) for angle in row]
+    for k, (t, q) in enumerate(zip(logs.joints.time, logs.joints.values, strict=True)):
+        cells = [*q]
         cells[k % 6] = "" if k % 50 == 0 else cells[k % 6]
-        stamp = epoch * 10**9 + round(1e9 * float(t))
-        lines.append(",".join([str(k), str(7 + k), str(stamp), *cells, *("0.0",) * 6]))
-    Path("joints.csv").write_text("\n".join(lines))
+        stamp = 1_700_000_000 * 10**9 + round(1e9 * float(t))
+        rows.append([k, 7 + k, stamp, *cells, *[0.0] * 6])
+    lines("joints.csv", ",".join(["", "seq", "timestamp", *names, *speeds]), rows)
     result = run(JOIN)
     assert result.status == 0 and "joints.csv" in result.err
-    data = joined(3.0)
-    assert table("m.csv")[0][:7] == [*names, "x"]
-    assert len(data.q) == 12
+    assert len(joined().q) == 12 and table("m.csv")[0][:7] == [*names, "x"]
     # Columns that the setup names are the joints, whatever else there is.
     some = "".join(f"  {name}: {name}\n" for name in names[:3])
     Path("setup.yaml").write_text(SETUP.replace("  time: Zeit\n", "") + some)
@@ -267,12 +263,10 @@ def test_images_get_the_joints_of_their_standstill(tmp_path, monkeypatch, run):
     written(made)
     times = made.readings.time
     names = [f"img_{k}.png" for k in range(len(times))]
-    rows = [f"{names[k]},{times[k]:.4f}" for k in np.argsort(names)]
-    text = "\n".join(["Filename,time", *rows, "late.png,0.01"])
-    Path("images.csv").write_text(text)
-    corners = [f"{row},{c},{c + 0.25},7,0.0{c + 2}" for row in rows for c in range(2)]
-    text = "\n".join(["image,time,target,u,v,sigma_u", *corners])
-    Path("pixels.csv").write_text(text)
+    rows = [[names[k], f"{times[k]:.4f}"] for k in np.argsort(names)]
+    lines("images.csv", "Filename,time", [*rows, ["late.png", 0.01]])
+    corners = [[*row, c, c + 0.25, 7, f"0.0{c + 2}"] for row in rows for c in range(2)]
+    lines("pixels.csv", "image,time,target,u,v,sigma_u", corners)
     result = run("join joints.csv images.csv -o n.csv")
     assert result.status == 0 and "late.png" in result.err
     kept = {name for name in names if name not in result.err}
@@ -292,47 +286,15 @@ def test_images_get_the_joints_of_their_standstill(tmp_path, monkeypatch, run):
         assert [cells[8] + cells[10] for cells in both] == ["00.02", "10.03"]
 
 
-def test_means_that_were_joined_with_the_sigma_of_a_reading(logs, run):
-    """By an older join: of 50 readings in each of 12 standstills."""
-    assert run(JOIN).status == 0
-    data, (_, *lines) = joined(3.0), Path("m.csv").read_text().splitlines()
-    head = "# joined by time: 12 standstills, 600 readings"
-    Path("m.csv").write_text("\n".join([head, *lines]))
-    older = joined(3.0)
-    assert np.allclose(older.sigma * np.sqrt(50), data.sigma, rtol=1e-12)
-
-
-def test_readings_that_do_not_scatter_have_no_sigma(logs, run):
-    lines = ["time,x,y,z,qx,qy,qz,qw"]
-    for t, p in zip(logs.readings.time, logs.readings.values, strict=True):
-        lines.append(",".join(map(str, [t, *p, 0.5, 0.5, 0.5, 0.5])))
-    Path("poses.csv").write_text("\n".join(lines))
-    assert run("join joints.csv poses.csv -o m.csv").status == 0
-    assert read_measurements("m.csv", CHAIN).only.sigma is None
-
-
-def test_half_turns_have_a_mean(logs, run):
-    """Which of both signs a quaternion has is chance there."""
-    lines = ["time,x,y,z,qx,qy,qz,qw"]
-    pairs = zip(logs.readings.time, logs.readings.values, strict=True)
-    for k, (t, p) in enumerate(pairs):
-        lines.append(",".join(map(str, [t, *p, 0.6, 0.8, 0.0, 1e-6 * (-1) ** k])))
-    Path("poses.csv").write_text("\n".join(lines))
-    assert run("join joints.csv poses.csv -o m.csv").status == 0
-    turned = read_measurements("m.csv", CHAIN).only.values[:, 3:]
-    expected = np.tile([0.6, 0.8], (len(turned), 1))
-    np.testing.assert_allclose(np.abs(turned[:, :2]), expected, rtol=0, atol=1e-5)
-
-
 @pytest.mark.parametrize(
     ("file", "change", "named"),
     [
         ("tracker.txt", lambda t: t.replace("Zeit", "Uhr"), "'time'"),
         ("tracker.txt", lambda t: t.replace(" (mm)", ""), "tracker.txt"),
+        ("tracker.txt", lambda t: t.replace("SMR1;", "SMR1;a", 1), "tracker.txt:3"),
         ("joints.csv", lambda t: "\n".join(t.splitlines()[:2]), "joints.csv"),
         ("joints.csv", lambda t: "timestamp\n1\n2\n3\n4", "joints.csv"),
         ("joints.csv", lambda t: t + "\n0.5" + ",1" * 6, "time"),
-        ("tracker.txt", lambda t: t.replace("SMR1;", "SMR1;a", 1), "tracker.txt:3"),
     ],
 )
 def test_logs_that_cannot_be_joined(logs, fails, file, change, named):
@@ -344,7 +306,6 @@ def test_logs_that_cannot_be_joined(logs, fails, file, change, named):
 def test_logs_of_no_common_time(logs, fails):
     text = Path("tracker.txt").read_text("utf-8-sig").splitlines()
     Path("tracker.txt").write_text("\n".join([*text[:2], *text[2::40]]))
-    header, *lines = Path("joints.csv").read_text().splitlines()
-    later = [f"9{line}" for line in lines[1200:]]
-    Path("joints.csv").write_text("\n".join([header, *later]))
+    header, *rows = Path("joints.csv").read_text().splitlines()
+    lines("joints.csv", header, [[f"9{line}"] for line in rows[1200:]])
     fails(JOIN, "common time")

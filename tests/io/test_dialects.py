@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from benchmarks.layouts import WRITERS, Job, job
+from calib_pin import plugins
 from calib_pin.errors import InputError
-from calib_pin.io.columns import ANGLE, LENGTH
-from calib_pin.io.dialects import DIALECTS
+from calib_pin.io.columns import ANGLE, LENGTH, Column
+from calib_pin.io.dialects import DIALECTS, Dialect, Reading
 from calib_pin.io.foreign_headers import foreign, measured, understood
 from calib_pin.io.logs import TIME
 from calib_pin.io.measured_columns import read_quaternions
 from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.spatial import from_quaternion, so3_exp, to_quaternion
-from calib_pin.plugins import extensions
 
 
 @pytest.fixture
@@ -33,41 +33,11 @@ def table(tmp_path: Path):
     return table
 
 
-def test_a_topic_of_ros_1(table):
-    found = table(
-        "%time,field.header.seq,field.header.stamp,field.name0,field.name1,"
-        "field.position0,field.position1,field.velocity0,field.velocity1\n"
-        "1700000000100000000,4,1700000000000000000,elbow,shoulder,0.5,-1.5,0,0\n"
-        "1700000000200000000,5,1700000000100000000,elbow,shoulder,0.6,-1.6,0,0\n"
-    )
-    assert found.columns["elbow"].numbers.tolist() == [0.5, 0.6]
-    assert found.columns["shoulder"].numbers.tolist() == [-1.5, -1.6]
-    # When it was measured, not when it came.
-    assert np.allclose(found.numbers("time", TIME), [1.7e9, 1.7e9 + 0.1])
-    assert "ROS 1" in found.remarks[0]
-
-
-def test_a_log_of_ndi(table):
-    R = so3_exp(np.random.default_rng(0).normal(size=(3, 3)))
-    matrix = [f"R{row}{column}" for row in range(3) for column in range(3)]
-    lines = [",".join(["Tool ID", "Timestamp", "Frame #", "Tx", "Ty", "Tz", *matrix])]
-    for k, turned in enumerate(R):
-        cells = [f"{value:.4f}" for value in turned.ravel()]
-        lines.append(",".join([str(k % 2), f"{k}.5", "9", "100", "-20", "3", *cells]))
-    lines.append(",".join(["1", "7.5", "9", *["MISSING"] * 12]))
-    found = table("\n".join(lines))
-    assert found.columns["x"].missing().tolist() == [False] * 3 + [True]
-    assert found.columns["qx"].missing().tolist() == [False] * 3 + [True]
-    seen = found.rows(np.arange(3), found.columns)
-    assert seen.numbers("x", LENGTH).tolist() == [0.1] * 3
-    assert list(seen.texts(["tool"])["tool"]) == ["0", "1", "0"]
-    turned = read_quaternions(seen, "quaternion")
-    assert np.allclose(turned, to_quaternion(R), rtol=0, atol=1e-4)
-
-
 def test_whole_seconds_and_the_rest(table):
-    found = table("header.secs,header.nsecs,x\n5,500000000,1\n6,0,2\n")
+    """Beside an index: dialects follow one another."""
+    found = table(",header.secs,header.nsecs,x\n0,5,500000000,1\n1,6,0,2\n")
     assert found.numbers("time", TIME).tolist() == [5.5, 6.0]
+    assert "column 1" not in found and len(found.remarks[0].split("; ")) == 2
     assert "times" in table("sec,usec,x\n1,2,3\n").remarks[0]
     assert not table("time,sec,usec,x\n0,1,2,3\n").remarks
 
@@ -158,22 +128,13 @@ def test_readings_are_those_written(written, layout):
         assert np.allclose(ahead, ahead[0], rtol=0, atol=2e-6)
         assert list(dict.fromkeys(kept.columns)).count(kind) == 1
         assert len({*kept.texts([kind])[kind]}) == len(points)
-    # Each row knows its line, and shows its number.
-    lines = (written(layout) / file).read_text().splitlines()
-    row = int(np.flatnonzero(seen)[-1])
-    size = {"motive_euler": 1e2, "motive_bodies": 1.0}.get(layout, 1e3)
-    assert f"{size * place[row, 0]:.6f}" in lines[found.lines[row] - 1]
-    scale = {"m": 1.0, "mm": 1e-3}[str(found.columns["x"].unit)]
-    shown = float(found.columns["x"].text(row)) * scale
-    assert np.isclose(shown, place[row, 0], atol=1e-6)
 
 
 @pytest.mark.parametrize("layout", ["motive", "vicon", "ndi_tools"])
 @pytest.mark.parametrize(
     "how",
     [
-        lambda text: "# by hand\n" + text,
-        lambda text: "\ufeff\n\n" + text.replace("\n", ",\n"),
+        lambda text: "\ufeff# by hand\n\n" + text.replace("\n", ",\n"),
         lambda text: re.sub(r"(?<=\d)\.(?=\d)", ",", text.replace(",", ";")),
         lambda text: text.replace(",", "\t").replace("\n", "\r\n"),
         lambda text: "# " * (text[0] in "FT") + text,
@@ -190,65 +151,53 @@ def test_headings_however_they_were_saved(written, layout, how):
         assert np.array_equal(*same, equal_nan=True)
 
 
-@pytest.mark.parametrize(
-    "layout", ["rostopic", "rtde", "franka", "lerobot", "lerobot_normalized"]
-)
+JOINTS = ("rostopic", "rtde", "franka", "lerobot", "lerobot_normalized")
+WHOLE = ("plotjuggler", "pandas")
+"""Layouts of joints, and those of joints and positions."""
+
+
+@pytest.mark.parametrize("layout", [*JOINTS, *WHOLE])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_joints_are_those_written(written, layout, seed):
-    folder, job = written(layout, seed), job_of(layout)
-    found = read_table(folder / "joints.csv")
+    job, whole = job_of(layout), layout in WHOLE
+    file = written(layout, seed) / ("measurements.csv" if whole else "joints.csv")
+    found, at = understood(read_table(file)), job.measured if whole else slice(None)
     named = [name for name in job.joints if name in found]
     names = named or [f"q_{k}" for k in range(len(job.joints))]
     q = np.stack([found.numbers(name, ANGLE) for name in names], axis=1)
-    assert np.allclose(q, job.q, rtol=0, atol=1e-6)
-    time = found.numbers("time", TIME)
-    assert np.allclose(time, job.time, rtol=0, atol=1e-6)
+    assert np.allclose(q, job.q[at], rtol=0, atol=1e-6)
     # The controller's pose and what was commanded are nobody's.
-    assert {*measured(foreign(found.columns))} <= {"time"}
-    assert not any("command" in name or "target" in name for name in found.columns)
-
-
-@pytest.mark.parametrize("layout", ["plotjuggler", "pandas"])
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_joints_and_positions_are_those_written(written, layout, seed):
-    found = understood(read_table(written(layout, seed) / "measurements.csv"))
-    job = job_of(layout)
-    named = [name for name in job.joints if name in found]
-    names = named or [f"q_{k}" for k in range(len(job.joints))]
-    q = np.stack([found.numbers(name, ANGLE) for name in names], axis=1)
-    xyz = np.stack([found.numbers(axis, LENGTH) for axis in "xyz"], axis=1)
-    assert np.allclose(q, job.q[job.measured], rtol=0, atol=1e-6)
-    assert np.allclose(xyz, job.point("Ball")[job.measured], rtol=0, atol=1e-6)
-    assert "column 1" not in found
+    assert not any(
+        word in name for name in found.columns for word in ("comm", "target", "column")
+    )
+    assert {*measured(foreign(found.columns))} <= {"time", *"xyz" * whole}
+    if whole:
+        xyz = np.stack([found.numbers(axis, LENGTH) for axis in "xyz"], axis=1)
+        assert np.allclose(xyz, job.point("Ball")[at], rtol=0, atol=1e-6)
+    else:
+        time = found.numbers("time", TIME)
+        assert np.allclose(time, job.time, rtol=0, atol=1e-6)
 
 
 def test_each_layout_is_tested():
-    joints = {"rostopic", "rtde", "franka", "plotjuggler", "pandas"}
-    assert WRITERS.keys() == {*READINGS, *joints, "lerobot", "lerobot_normalized"}
+    assert WRITERS.keys() == {*READINGS, *JOINTS, *WHOLE}
 
 
-def test_angles_of_a_segment_are_left_out(table):
-    text = (
+def test_objects_side_by_side(table, refused):
+    """Angles of a segment are left out; a number is blamed on its line."""
+    found = table(
         "Segments\n100\n,,Arm:Tool,,,,,,Arm:Hand\n"
         "Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ,RX,RY,RZ,TX,TY,TZ\n"
         ",,deg,deg,deg,mm,mm,mm,deg,deg,deg,mm,mm,mm\n"
-        "3,0,10,20,30,1,2,3,40,50,60,4,5,6\n4,0,10,20,30,1,2,3,,,,,,\n"
+        "3,0,10,20,30,1,2,3,40,50,60,4,5,6\n4,0,10,20,30,9999999,2,3,,,,,,\n"
     )
-    found = table(text)
     assert [*found.columns] == ["time", "Frame", "Sub Frame", *"xyz", "tool"]
     assert list(found.texts(["tool"])["tool"]) == ["Arm:Tool", "Arm:Hand"] * 2
-    assert found.lines.tolist() == [6, 6, 7, 7]
-    assert found.columns["x"].missing().tolist() == [False] * 3 + [True]
-    assert (found.columns["x"].text(2), found.columns["x"].text(3)) == ("1", "")
-
-
-def test_a_number_of_several_objects_is_blamed_on_its_line(table, refused):
-    found = table(
-        "Trajectories\n100\n,,A,,,B\nFrame,Sub Frame,X,Y,Z,X,Y,Z\n"
-        ",,mm,mm,mm,mm,mm,mm\n1,0,1,2,3,4,5,6\n2,0,1,2,3,9999999,5,6\n"
-    )
+    x = found.columns["x"]
+    assert x.missing().tolist() == [False] * 3 + [True] and x.text(3) == ""
+    seen = found.rows(np.arange(3), found.columns)
     with refused(InputError, "wrong unit", line=7, column="x", value="9999999"):
-        found.check("x", found.numbers("x", LENGTH), LENGTH)
+        found.check("x", seen.numbers("x", LENGTH), LENGTH)
 
 
 @pytest.mark.parametrize(
@@ -311,48 +260,29 @@ def test_names_and_index_of_a_data_frame(table):
     assert not table(",a\n5,1\n7,1\n").remarks
 
 
-def test_a_joint_of_two_topics_is_that_of_the_first(table):
-    found = table(
-        "__time,/joint_states/elbow/position,/other/joint_states/elbow/position\n"
-        "0.5,1.5,2.5\n"
-    )
-    assert found.columns["elbow"].numbers.tolist() == [1.5]
-    assert "/other/joint_states/elbow/position" in found
-
-
-def test_the_pose_of_a_controller_is_left_out_whatever_stands_beside(table):
+def test_of_two_topics_and_poses_of_controllers(table):
+    """The first has its joints' names; what is left out is there if it is named."""
+    second = "/other/joint_states/elbow/position"
+    found = table(f"__time,/joint_states/elbow/position,{second}\n0.5,1.5,2.5\n")
+    assert found.columns["elbow"].numbers.tolist() == [1.5] and second in found
     names = [f"state.O_T_EE[{k}]" for k in range(16)]
     head = ",".join(["time", *(f"state.q[{k}]" for k in range(7)), *names, "x [mm]"])
-    found = table(head + "\n" + ",".join(["0.5"] * 25))
-    assert list(found.columns) == ["time", *(f"q_{k}" for k in range(7)), "x"]
-    # It is there for whoever names it.
-    found = table(head + "\n" + ",".join(["0.5"] * 25), {"y": "state.O_T_EE[13] [m]"})
+    text = head + "\n" + ",".join(["0.5"] * 25)
+    assert [*table(text).columns] == ["time", *(f"q_{k}" for k in range(7)), "x"]
+    found = table(text, {"y": "state.O_T_EE[13] [m]"})
     assert found.numbers("y", LENGTH).tolist() == [0.5]
 
 
-@pytest.fixture
-def outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The dialect of another package, as pip leaves it."""
-    info = tmp_path / "site" / "shouting-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Name: shouting\nVersion: 1.0\n")
-    entry = "[calib_pin.dialects]\nshouting = shouting:Shouting\n"
-    (info / "entry_points.txt").write_text(entry)
-    (tmp_path / "site" / "shouting.py").write_text(
-        "from calib_pin.io.dialects import Dialect, Reading\n\n\n"
-        "class Shouting(Dialect):\n"
-        "    def read(self, columns, file):\n"
-        "        if not all(name.isupper() for name in columns):\n"
-        "            return None\n"
-        "        return Reading({k.lower(): c for k, c in columns.items()}, 'loud')\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path / "site")
-    extensions.cache_clear()
-    yield
-    extensions.cache_clear()
+def test_a_dialect_of_another_package(table, monkeypatch):
+    class Shouting(Dialect):
+        """A file of capitals."""
 
+        def read(self, columns: Mapping[str, Column], file: Path) -> Reading | None:
+            low = {name.lower(): column for name, column in columns.items()}
+            return Reading(low, "loud") if all(map(str.isupper, columns)) else None
 
-def test_a_dialect_of_another_package(table, outside):
+    added = {"calib_pin.dialects": {"shouting": Shouting}}
+    monkeypatch.setattr(plugins, "_registered", added)
     found = table("X,Y\n1,2\n")
     assert list(found.columns) == ["x", "y"] and found.remarks == ("read as loud",)
     assert list(table("X,y\n1,2\n").columns) == ["X", "y"]

@@ -24,6 +24,9 @@ from calib_pin.plugins import Members
 
 __all__ = ["DIALECTS", "Dialect", "Heading", "Reading", "side_by_side"]
 
+HEADINGS = (Motive, Vicon, Ndi, Points)
+NAMES = (Rostopic, PlotJuggler, Rtde, Franka, LeRobot, Pandas, Matrices, Stamps, Joined)
+
 
 def _fault(name: str, dialect: object) -> str:
     """Why an object of another package cannot be a member; empty where it can."""
@@ -33,21 +36,7 @@ def _fault(name: str, dialect: object) -> str:
 
 DIALECTS: Mapping[str, type[Dialect]] = Members(
     "calib_pin.dialects",
-    {
-        "motive": Motive,
-        "vicon": Vicon,
-        "ndi": Ndi,
-        "points": Points,
-        "rostopic": Rostopic,
-        "plotjuggler": PlotJuggler,
-        "rtde": Rtde,
-        "franka": Franka,
-        "lerobot": LeRobot,
-        "pandas": Pandas,
-        "matrices": Matrices,
-        "stamps": Stamps,
-        "joined": Joined,
-    },
+    {kind.__name__.lower(): kind for kind in (*HEADINGS, *NAMES)},
     _fault,
 )
 """Tried in this order: those that come with calib-pin, then others."""
@@ -64,6 +53,10 @@ def heading(lines: Lines) -> Heading | None:
 
 
 def reading(columns: Mapping[str, Column], file: Path) -> Reading | None:
-    """The columns of a file in one of the dialects; None for any other file."""
-    ways = (kind().read(columns, file) for kind in DIALECTS.values())
-    return next(filter(None, ways), None)
+    """The columns of a file in its dialects, one after the other; None if in none."""
+    remarks = list[str]()
+    for kind in DIALECTS.values():
+        if found := kind().read(columns, file):
+            columns = found.columns
+            remarks.append(found.remark)
+    return Reading(columns, "; ".join(remarks)) if remarks else None

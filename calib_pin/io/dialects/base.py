@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.io.columns import Column, Floats
-from calib_pin.kinematics.spatial import nearest_rotation, to_quaternion
 from calib_pin.measurement_models.declaration import QUATERNION
+
+Columns = Mapping[str, Column]
+"""Columns of a file by name."""
 
 Lines = Sequence[tuple[int, str]]
 """Lines of a file with their numbers, counted from 1."""
@@ -54,12 +56,29 @@ class Reading:
         remark: What was recognized.
     """
 
-    columns: Mapping[str, Column]
+    columns: Columns
     remark: str
 
 
 class Dialect:
-    """A foreign layout."""
+    """A foreign layout: which columns it has, and what they become.
+
+    One that is more than other names has methods of its own.
+
+    Attributes:
+        signs: Patterns; for each of them a file of this layout has a column.
+        ours: Patterns of columns, our names for them, and the units of those that
+            state none. Of several columns the first pattern decides, then the order.
+        other: Columns that are neither joints nor measured, as a pattern.
+        lost: Numbers from here on say that there is no reading.
+        remark: What was recognized.
+    """
+
+    signs: ClassVar[Sequence[str]] = ()
+    ours: ClassVar[Sequence[tuple[str, str, str | None]]] = ()
+    other: ClassVar[str] = ""
+    lost: ClassVar[float] = np.inf
+    remark: ClassVar[str] = ""
 
     def heading(self, lines: Lines) -> Heading | None:
         """The header of a file; None where it is one line of names, or another layout.
@@ -69,46 +88,34 @@ class Dialect:
         """
         return None
 
-    def read(self, columns: Mapping[str, Column], file: Path) -> Reading | None:
+    def read(self, columns: Columns, file: Path) -> Reading | None:
         """The columns of a file as ours; None for a file of another layout.
 
         Args:
             columns: Columns by name, those first renamed that the setup file names.
             file: The file, for others beside it.
         """
-        return None
+        there = [any(re.fullmatch(sign, n) for n in columns) for sign in self.signs]
+        fits = there and all(there)
+        return Reading(self.converted(columns), self.remark) if fits else None
 
-
-class Renaming(Dialect):
-    """A layout of which some columns have other names with us, and others go.
-
-    Attributes:
-        sign: Columns of which one must be there, as a pattern.
-        ours: Patterns of columns, our names for them, and their units.
-        other: Columns that are neither joints nor measured, as a pattern.
-        remark: What was recognized.
-    """
-
-    sign: ClassVar[str]
-    ours: ClassVar[Sequence[tuple[str, str, str | None]]]
-    other: ClassVar[str]
-    remark: ClassVar[str]
-
-    def read(self, columns: Mapping[str, Column], file: Path) -> Reading | None:
-        """The columns of a file as ours; None for a file of another layout."""
-        if not any(re.fullmatch(self.sign, name) for name in columns):
-            return None
-        read = dict[str, Column]()
-        for theirs, column in columns.items():
-            name, unit = theirs, None
-            for way, ours, stated in self.ours:
-                if found := re.fullmatch(way, theirs):
-                    name, unit = found.expand(ours), stated
-            # A joint of the same name in a second topic keeps theirs.
-            name, unit = (theirs, None) if name in read else (name, unit)
-            if name != theirs or not re.fullmatch(self.other, theirs):
-                read[name] = named(column, name, unit)
-        return Reading(read, self.remark)
+    def converted(self, columns: Columns) -> dict[str, Column]:
+        """The columns as ours."""
+        names, taken = dict[str, tuple[str, str | None]](), set[str]()
+        for pattern, ours, unit in self.ours:
+            for theirs in (theirs for theirs in columns if theirs not in names):
+                found = re.fullmatch(pattern, theirs)
+                # A joint of the same name in a second topic keeps theirs.
+                if found and (name := found.expand(ours)) not in taken:
+                    names[theirs] = name, unit
+                    taken.add(name)
+        return {
+            name: named(column, name, unit, self.lost)
+            for theirs, column in columns.items()
+            for name, unit in [names.get(theirs, (theirs, None))]
+            if theirs in names
+            or not (name in taken or re.fullmatch(self.other, theirs))
+        }
 
 
 def cells_of(line: str, separator: str) -> list[str]:
@@ -147,20 +154,22 @@ def header(name: str, unit: str | None) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def named(column: Column, name: str, unit: str | None = None) -> Column:
-    """A column with another name, and a unit where it states none."""
-    unit = column.unit or unit
+def named(
+    column: Column, name: str, unit: str | None = None, lost: float = np.inf
+) -> Column:
+    """A column with another name, and a unit where it states none.
+
+    Numbers as large as `lost` say that there is no reading.
+    """
+    unit, far = column.unit or unit, np.abs(column.numbers) >= lost
+    if far.any():
+        return computed(name, np.where(far, np.nan, column.numbers), unit)
     return replace(column, header=header(name, unit), unit=unit)
 
 
 def computed(name: str, numbers: Floats, unit: str | None = None) -> Column:
     """A column of numbers that the file does not hold; one that is nan is blank."""
-    return named(Column(name, unit, numbers), name)
-
-
-def from_rows(R: Floats) -> Floats:
-    """Quaternions of rotation matrices, row by row, shape (M, 9) -> (M, 4)."""
-    return to_quaternion(nearest_rotation(R.reshape(-1, 3, 3)))
+    return Column(header(name, unit), unit, numbers)
 
 
 def oriented(numbers: Floats, read: Callable[[Floats], Floats]) -> dict[str, Column]:

@@ -8,13 +8,13 @@ matrix by columns, which the controller computes from the joints.
 
 from __future__ import annotations
 
-from calib_pin.io.dialects.base import Renaming
+from calib_pin.io.dialects.base import Dialect
 
 
-class Franka(Renaming):
+class Franka(Dialect):
     """A log of the states and the commands of a robot."""
 
-    sign = r"state\.q\[0\]"
+    signs = (r"state\.q\[0\]",)
     ours = ((r"state\.q\[(\d)\]", r"q_\1", "rad"), ("time", "time", "ms"))
     other = r"(?:state|cmd)\..*|success_rate"
     remark = (

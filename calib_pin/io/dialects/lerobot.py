@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ import numpy as np
 
 import calib_pin.io.dialects.base as base
 from calib_pin.errors import InputError
-from calib_pin.io.columns import Column, counted
+from calib_pin.io.columns import counted
 from calib_pin.io.files import TEXT, read_bytes
 
 MOTOR = re.compile(
@@ -42,27 +42,26 @@ BESIDE = "put the calibration file of the robot (JSON) beside it"
 class LeRobot(base.Dialect):
     """The states of a robot, and maybe its commands."""
 
-    def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:
+    ours = (("timestamp", "time", None),)
+    other = r"action.*"
+
+    def read(self, columns: base.Columns, file: Path) -> base.Reading | None:
         """The joints in degrees, or as the calibration file beside has them."""
-        read, joints = dict[str, Column](), dict[str, Column]()
-        for name, column in columns.items():
-            if found := MOTOR.fullmatch(name):
-                joints[found[1] or found[2]] = column
-            elif not name.startswith("action"):
-                read["time" if name == "timestamp" else name] = column
+        motors = {n: m[1] or m[2] for n in columns if (m := MOTOR.fullmatch(n))}
+        joints = {joint: columns[name] for name, joint in motors.items()}
         if len(joints) < 2:
             return None
         # A number that stands for no reading tells nothing of the unit.
         numbers = {
-            name: np.where(column.numbers == column.sentinel, np.nan, column.numbers)
-            for name, column in joints.items()
+            joint: np.where(column.numbers == column.sentinel, np.nan, column.numbers)
+            for joint, column in joints.items()
         }
-        largest = max(np.abs(np.nan_to_num(n)).max() for n in numbers.values())
+        every = np.concatenate([*numbers.values()])
+        largest = float(np.abs(np.nan_to_num(every)).max())
         unit, remark = ("deg", "degrees") if largest > RADIANS else (None, "rad")
-        if steps := counted(np.concatenate([*numbers.values()])):
+        if steps := counted(every):
             unit, remark = steps, "steps of its motors"
-        ranges = _ranges(file, joints) if unit and largest <= 100.0 else None
-        if ranges:
+        if unit and largest <= 100.0 and (ranges := _ranges(file, joints)):
             name, half = ranges
             remark = f"parts of the ranges in {name}; are they degrees, move it away"
             joints = {n: base.computed(n, numbers[n] * half[n]) for n in joints}
@@ -72,6 +71,7 @@ class LeRobot(base.Dialect):
             raise InputError(reason, file=file)
         elif unit and largest < 100.0:
             remark += f"; are they in -100 to 100 of a range, {BESIDE}"
+        read = self.converted({n: c for n, c in columns.items() if n not in motors})
         read |= {n: base.named(column, n, unit) for n, column in joints.items()}
         return base.Reading(read, f"joints of LeRobot in {remark}")
 

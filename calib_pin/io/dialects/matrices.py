@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 import calib_pin.io.dialects.base as base
-from calib_pin.io.columns import Column, Floats
+from calib_pin.io.columns import Floats
+from calib_pin.kinematics.spatial import nearest_rotation, to_quaternion
 
 ELEMENT = re.compile(r"(.*?)[ _\[(]*([0-4])[ _,]*([0-4])[\])]*")
 
@@ -25,43 +25,33 @@ ROUNDED = 1e-2
 class Matrices(base.Dialect):
     """Matrices whose elements are columns."""
 
-    def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:
-        """The columns of a file as ours; None for a file of another layout."""
+    def read(self, columns: base.Columns, file: Path) -> base.Reading | None:
+        """The columns with quaternions in the place of a matrix."""
         found = defaultdict[str, dict[tuple[int, int], str]](dict)
         for name in columns:
             if match := ELEMENT.fullmatch(name):
                 found[match[1]][int(match[2]), int(match[3])] = name
         for elements in found.values():
-            first = min(i for i, _ in elements)
-            names = [
-                elements.get((first + i, first + j), "")
-                for i in range(3)
-                for j in range(4)
-            ]
-            turned = [name for k, name in enumerate(names) if k % 4 < 3]
-            if all(turned) and _orthonormal(columns, turned):
-                return _read(columns, turned, names[3::4])
+            ends = range(first := min(elements)[0], first + 3)
+            turned = [elements.get((i, j), "") for i in ends for j in ends]
+            R = np.array([columns[name].numbers for name in turned if name]).T
+            if not all(turned) or not _orthonormal(R):
+                continue
+            read = {name: c for name, c in columns.items() if name not in turned}
+            read |= base.oriented(R, _quaternions)
+            for axis, i in zip("xyz", ends, strict=True):
+                if (moved := elements.get((i, first + 3))) and axis not in columns:
+                    read[axis] = base.named(read.pop(moved), axis)
+            return base.Reading(read, f"matrices of '{turned[0]}' to '{turned[-1]}'")
         return None
 
 
-def _numbers(columns: Mapping[str, Column], names: list[str]) -> Floats:
-    return np.column_stack([columns[name].numbers for name in names])
+def _quaternions(R: Floats) -> Floats:
+    return to_quaternion(nearest_rotation(R.reshape(-1, 3, 3)))
 
 
-def _orthonormal(columns: Mapping[str, Column], names: list[str]) -> bool:
-    R = _numbers(columns, names).reshape(-1, 3, 3)
-    R = R[np.isfinite(R).all(axis=(1, 2))]
-    errors = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3))
-    return bool(len(R)) and bool(np.quantile(errors.max(axis=(1, 2)), 0.9) < ROUNDED)
-
-
-def _read(
-    columns: Mapping[str, Column], turned: list[str], moved: list[str]
-) -> base.Reading:
-    """The columns, with a quaternion in the place of the matrix."""
-    read = {name: c for name, c in columns.items() if name not in turned}
-    read |= base.oriented(_numbers(columns, turned), base.from_rows)
-    for axis, name in zip("xyz", moved, strict=True):
-        if name and axis not in columns:
-            read[axis] = base.named(read.pop(name), axis)
-    return base.Reading(read, f"matrices of '{turned[0]}' to '{turned[-1]}'")
+def _orthonormal(R: Floats) -> bool:
+    """Whether most of the matrices are orthonormal, row by row, shape (N, 9)."""
+    R = R[np.isfinite(R).all(axis=1)].reshape(-1, 3, 3)
+    errors = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
+    return bool(len(R)) and bool(np.quantile(errors, 0.9) < ROUNDED)

@@ -21,8 +21,6 @@ from calib_pin.io.columns import Column
 KINDS = ("Rigid Body", "Rigid Body Bone", "Bone", "Marker", "Rigid Body Marker")
 """Types of columns, of which the first that is there is read."""
 
-AXES = ("X", "Y", "Z", "W")
-
 UNITS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "in"}
 
 
@@ -41,20 +39,20 @@ class Motive(base.Dialect):
         settings = dict(pairwise(rows[0]))
         unit = UNITS.get(settings.get("Length Units", ""))
         order = settings.get("Rotation Type", "Quaternion").lower()
-        above = (rows[1], rows[2], rows[at - 1], rows[at])
-        columns = [*zip_longest(*above, fillvalue="")][: len(rows[at])]
+        turned = "q{}" if order == "quaternion" else "turn {} [deg]"
+        above = zip_longest(rows[1], rows[2], rows[at - 1], rows[at], fillvalue="")
+        columns = [*above][: len(rows[at])]
         labels = {name for of, name, *_ in columns if of == kind}
-        labeled = {name for name in labels if not name.startswith("Unlabeled")}
+        labels = {n for n in labels if not n.startswith("Unlabeled")} or labels
         names, objects = list[str](), ["", "", *(name for _, name, *_ in columns[2:])]
         for k, (of, name, group, axis) in enumerate(columns):
             if k < 2 or not of:
                 names.append("time [s]" if axis.startswith("Time (") else axis)
-            elif name not in (labeled or labels) or of != kind or axis not in AXES:
+            elif name not in labels or of != kind or axis not in ("X", "Y", "Z", "W"):
                 names.append("")
             elif group == "Position":
                 names.append(base.header(axis.lower(), unit))
             else:
-                turned = "q{}" if order == "quaternion" else "turn {} [deg]"
                 names.append(turned.format(axis.lower()))
         remark = f"an export of OptiTrack Motive (lengths in {unit or 'no unit'})"
         read = partial(_converted, order)

@@ -9,13 +9,13 @@ where a series has no number at this time. A series of a joint state is called
 
 from __future__ import annotations
 
-from calib_pin.io.dialects.base import Renaming
+from calib_pin.io.dialects.base import Dialect
 
 
-class PlotJuggler(Renaming):
+class PlotJuggler(Dialect):
     """An export of series."""
 
-    sign = "__time"
+    signs = ("__time",)
     ours = (
         ("__time", "time", "s"),
         (r".*joint_states?/positions?[\[./](\d+)\]?", r"q_\1", None),

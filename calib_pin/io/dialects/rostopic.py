@@ -6,30 +6,22 @@ rostopic, "echo -p": `%time` is when a message came, all stamps are nanoseconds.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
-
-import calib_pin.io.dialects.base as base
 from calib_pin.io.columns import Column
+from calib_pin.io.dialects.base import Columns, Dialect
 
-STAMP = "field.header.stamp"
 
-
-class Rostopic(base.Dialect):
+class Rostopic(Dialect):
     """Messages of ROS 1 as `rostopic echo -p` writes them."""
 
-    def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:
-        """The columns of a file as ours; None for a file of another layout."""
-        if not any(name.startswith("field.") for name in columns):
-            return None
-        read = dict[str, Column]()
-        for name, column in columns.items():
-            number = name.removeprefix("field.position")
-            joint = columns.get(f"field.name{number}")
-            if number != name and joint is not None and len(joint.words) == 1:
-                name = joint.words[0].strip()
-            read[name] = base.named(column, name)
-        time = next((name for name in (STAMP, "time") if name in read), "")
-        if time:
-            read["time"] = base.named(read.pop(time), "time", "ns")
-        return base.Reading(read, "a topic of ROS 1 (rostopic echo -p)")
+    signs = (r"field\..*",)
+    ours = ((r"field\.header\.stamp", "time", "ns"), ("time", "time", "ns"))
+    remark = "a topic of ROS 1 (rostopic echo -p)"
+
+    def converted(self, columns: Columns) -> dict[str, Column]:
+        """The columns as ours, positions under the names of their joints."""
+        joints = {
+            name.replace("name", "position"): column.words[0].strip()
+            for name, column in columns.items()
+            if name.startswith("field.name") and len(column.words) == 1
+        }
+        return super().converted({joints.get(n, n): c for n, c in columns.items()})

@@ -9,13 +9,13 @@ commanded.
 
 from __future__ import annotations
 
-from calib_pin.io.dialects.base import Renaming
+from calib_pin.io.dialects.base import Dialect
 
 
-class Rtde(Renaming):
+class Rtde(Dialect):
     """A recording of a controller."""
 
-    sign = "actual_q_0"
+    signs = ("actual_q_0",)
     ours = ((r"actual_(q_\d)", r"\1", "rad"), ("timestamp", "time", "s"))
     other = (
         r"(?:actual|target|joint|tool|tcp|elbow|output|input)_\w+_\d+"

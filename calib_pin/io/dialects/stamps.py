@@ -7,32 +7,27 @@ are exported field by field, `sec` and `usec` of `timeval` (VRPN).
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
 
-import calib_pin.io.dialects.base as base
-from calib_pin.io.columns import Column
+from calib_pin.io.dialects.base import Columns, Dialect, Reading, computed
 
-PARTS = {"nsec": 1e-9, "nsecs": 1e-9, "nanosec": 1e-9, "usec": 1e-6, "usecs": 1e-6}
-"""Last words of columns of the rest, and their unit [s]."""
+REST = re.compile(r"(.*[\W_])?(n|nano|u)secs?")
+"""Columns of the rest, in nanoseconds or microseconds."""
 
 TIME = re.compile(r"(.*[\W_])?(time|timestamp)([\W_].*)?", re.IGNORECASE)
 
 
-class Stamps(base.Dialect):
+class Stamps(Dialect):
     """Times in two columns."""
 
-    def read(self, columns: Mapping[str, Column], file: Path) -> base.Reading | None:
+    def read(self, columns: Columns, file: Path) -> Reading | None:
         """The columns of a file as ours; None for a file of another layout."""
         if any(map(TIME.fullmatch, columns)):
             return None
-        for rest, column in columns.items():
-            word = re.split(r"[\W_]", rest)[-1]
-            stem = rest.removesuffix(word)
-            wholes = [n for n in (f"{stem}sec", f"{stem}secs") if n in columns]
-            if word in PARTS and wholes:
-                seconds = columns[wholes[0]].numbers + PARTS[word] * column.numbers
-                time = base.computed("time", seconds, "s")
-                remark = f"times of '{wholes[0]}' and '{rest}'"
-                return base.Reading({**columns, "time": time}, remark)
+        for rest in filter(None, map(REST.fullmatch, columns)):
+            stem, unit = rest[1] or "", 1e-6 if rest[2] == "u" else 1e-9
+            for whole in {f"{stem}sec", f"{stem}secs"} & columns.keys():
+                seconds = columns[whole].numbers + unit * columns[rest[0]].numbers
+                ours = {**columns, "time": computed("time", seconds, "s")}
+                return Reading(ours, f"times of '{whole}' and '{rest[0]}'")
         return None

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from calib_pin.errors import InputError, OptionError, enumerated
-from calib_pin.io.logs import JointLog, ReadingLog
+from calib_pin.io.logs import Series
 from calib_pin.measurement_models.declaration import QUATERNION
 from calib_pin.observations.joining import Joined, Log, Standstill, continuous
 
@@ -53,7 +53,7 @@ def is_bag(path: str | Path) -> bool:
         return False
 
 
-def read_joint_bag(path: str | Path, topic: str | None = None) -> JointLog:
+def read_joint_bag(path: str | Path, topic: str | None = None) -> Series:
     """The joint states of a bag.
 
     Args:
@@ -74,10 +74,10 @@ def read_joint_bag(path: str | Path, topic: str | None = None) -> JointLog:
         raise InputError("holds no joint states", file=path)
     whole = [(time, [*q.values()]) for time, q in samples if len(q) == len(heard)]
     log = _ordered(path, *zip(*whole, strict=True))
-    return JointLog(log, tuple(heard), np.ones(len(heard)))
+    return Series(log, dict.fromkeys(heard))
 
 
-def read_reading_bag(path: str | Path, topic: str | None = None) -> ReadingLog:
+def read_reading_bag(path: str | Path, topic: str | None = None) -> Series:
     """The points or poses of a bag.
 
     Args:
@@ -99,8 +99,8 @@ def read_reading_bag(path: str | Path, topic: str | None = None) -> ReadingLog:
         raise InputError("its topic holds messages of several kinds", file=path)
     log = _ordered(path, times, rows)
     if kinds == {POINT}:
-        return ReadingLog(log, POSITION, {})
-    return ReadingLog(continuous(log), POSITION + QUATERNION, {})
+        return Series(log, dict.fromkeys(POSITION))
+    return Series(continuous(log), dict.fromkeys(POSITION + QUATERNION))
 
 
 def holds_calibration_data(path: str | Path) -> bool:
@@ -113,7 +113,7 @@ def read_calibration_data(
     path: str | Path,
     topic: str | None = None,
     notice: Callable[[str], None] | None = None,
-) -> tuple[JointLog, ReadingLog, Joined]:
+) -> tuple[Series, Series, Joined]:
     """The samples of a bag of calibration data, joined as they are.
 
     A feature is the point `<sensor>-<number>`, and of a single one nothing is said. A
@@ -167,8 +167,8 @@ def read_calibration_data(
     texts = {key: cells for key, cells in columns.items() if len({*cells}) > 1}
     log = Log(stamps[which], np.array([xyz for _, _, xyz in rows]))
     return (
-        JointLog(Log(stamps, q), tuple(names), np.ones(len(names))),
-        ReadingLog(log, POSITION, texts),
+        Series(Log(stamps, q), dict.fromkeys(names)),
+        Series(log, dict.fromkeys(POSITION), texts),
         Joined(None, tuple(stands), 0, 0, 0),
     )
 

@@ -230,7 +230,7 @@ def test_motors_without_room_are_refused(offsets, tmp_path, refused, more):
     k = int(np.argmax(steps))
     assert steps[k] >= 1
     template.write_text(motors(**{f"m{k}": more}))
-    with refused(OptionError, file=str(template)):
+    with refused(InputError, file=str(template)):
         FORMATS["lerobot"].encode(of, template)
 
 

@@ -1,7 +1,7 @@
 """Which statement of a board agrees with its tags, or the lines of its grid, in images.
 
-Nothing here needs a camera. What lies beside each other in an image is compared, so
-that a lens does not matter.
+Nothing here needs a camera: tags of an image lie as a plane is seen, and lines go on or
+end.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,21 +20,26 @@ from calib_pin.setup import BoardSetup
 from calib_pin.setup.references import BOARDS
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Tags = Mapping[int, Floats]
 """Corners of tags by number, clockwise from the upper left one, shape (4, 2) [px]."""
 
-CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]], np.float32)
+CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 """Corners of a tag in its edges, from its center."""
 
-BESIDE = 1.5
-"""Distance from a tag, in that of the nearest one, up to which others lie beside it."""
-
 PLACE = 0.3
-"""Distance from a place of the grid within which a tag lies there, in its pitch."""
+"""Distance from a place of the grid within which a corner lies there, in its pitch."""
 
-SURPLUS = 0.02
-"""Part of the pairs by which another grid has to explain more than the stated one."""
+MOST = 0.8
+"""Part of the corners that lie where the right board has them, whatever the lens."""
+
+SAMPLE = 4
+"""Images that boards are compared with, those with the most tags."""
+
+WIDEST = 40
+"""Most columns of these."""
+
+BESIDE = 1.5
+"""Distance of neighbors, at most [pitch]."""
 
 PRINT = 2e-4, 5e-3
 """Error of an edge that printers make: in m, and as part of the pitch."""
@@ -128,6 +134,27 @@ def tags_of(board: BoardSetup) -> range:
     return range(board.first, board.first + count)
 
 
+def dictionary_of(board: BoardSetup) -> str:
+    """The dictionary of a board with markers, or that of most boards."""
+    usual = "DICT_APRILTAG_36h11" if board.type == "apriltag" else "DICT_4X4_50"
+    return board.dictionary or usual
+
+
+def drawn_board(board: BoardSetup) -> Any:
+    """A board with tags as OpenCV has it."""
+    from cv2 import aruco
+
+    size, ids = (board.columns, board.rows), np.array(tags_of(board), np.int32)
+    known = aruco.getPredefinedDictionary(getattr(aruco, dictionary_of(board)))
+    if board.type != "charuco":
+        return aruco.GridBoard(
+            size, board.square, board.gap or board.square, known, ids
+        )
+    drawn = aruco.CharucoBoard(size, board.square, board.marker, known, ids)
+    drawn.setLegacyPattern(board.legacy)
+    return drawn
+
+
 def restated_tags(board: BoardSetup, images: Sequence[Tags]) -> BoardSetup | None:
     """The board with tags that images show.
 
@@ -139,147 +166,88 @@ def restated_tags(board: BoardSetup, images: Sequence[Tags]) -> BoardSetup | Non
         The stated board, if nothing speaks against it; None where no two of its tags,
         nor its only one, are seen.
     """
-    pairs, own = _pairs(images, board), tags_of(board)
-    if len(own) == 1:
-        seen = list(set().union(*images))
-        if own[0] in seen:
-            return board
-        return replace(board, first=seen[0]) if len(seen) == 1 else None
-    some = np.isin(pairs.ids, own).any(axis=1)
-    near = _Pairs(*(part[some | ~some.any()] for part in vars(pairs).values()))
-    if not len(near.ids):
-        return None
-
-    def rank(grid: BoardSetup) -> tuple[int, float]:
-        """Number of pairs that lie as they do on a board, and minus its rows."""
-        rows = np.nanmax(_cells(grid, near.ids)[..., 1], initial=0.0)
-        return int(near.on(grid).sum()), -float(rows)
-
-    fit, count = _with_rows(board, board, pairs), len(near.ids)
-    longer, hits = fit.rows > board.rows, rank(board)[0]
-    if hits < count or longer:
-        rival = max(_others(board, near), key=rank)
-        more = rank(rival)[0] - hits
-        if more > max(SURPLUS * count, 1.0) or (more >= 0 and longer):
-            fit = _with_rows(board, rival, pairs)
-    return _with_edge(fit, near)
+    images = sorted(images, key=len)[-SAMPLE:]
+    seen = sorted(set().union(*images))
+    if len(own := tags_of(board)) == 1:
+        if own[0] in seen or len(seen) != 1:
+            return board if own[0] in seen else None
+        return replace(board, first=seen[0])
+    if len(seen) > 1 and (hits := _hits(board, images)) < MOST:
+        rivals = {rival: _hits(rival, images) for rival in _others(board, seen)}
+        best = max(rivals, key=lambda r: (rivals[r], -r.columns * r.rows))
+        board = best if rivals[best] > max(hits, MOST) else board
+    return _with_edge(board, images)
 
 
-@dataclass(frozen=True)
-class _Pairs:
-    """Tags that lie beside each other.
+def _others(board: BoardSetup, seen: Sequence[int]) -> Iterator[BoardSetup]:
+    """Boards that the tags which are seen may be of."""
+    per = 2 if board.type == "charuco" else 1
+    firsts = {board.first, 0, seen[0]}
+    for columns, first, turned in product(range(per, WIDEST), firsts, range(per)):
+        rows = max(per * (seen[-1] - first) // columns + 1, per)
+        other = replace(board, columns=columns, rows=rows, first=first)
+        yield replace(other, legacy=board.legacy != bool(turned))
 
-    Attributes:
-        ids: Their numbers, shape (N, 2).
-        step: Columns and rows from the first to the second, shape (N, 2).
-        edge: Edge of a tag in the pitch of the grid, shape (N,).
-        size: Edge of the first, shape (N,) [px].
+
+def _hits(board: BoardSetup, images: Sequence[Tags]) -> float:
+    """Part of the tags that lie where a board has them."""
+    edge, hits = _edge(board), 0
+    for centers, corners in _flat(board, images):
+        far = np.abs(corners - centers[:, None] - edge * CORNERS).max(axis=(1, 2))
+        hits += int(np.sum(far < PLACE))
+    return hits / max(sum(map(len, images)), 1)
+
+
+def _edge(board: BoardSetup) -> float:
+    """Edge of a tag as it is stated, in the pitch of the grid."""
+    if board.type == "charuco":
+        return (board.marker or 0.0) / board.square
+    return board.square / (board.square + (board.gap or 0.0))
+
+
+def _flat(board: BoardSetup, images: Sequence[Tags]) -> Iterator[tuple[Floats, Floats]]:
+    """Tags of a board in images: centers as it is stated, corners as they are seen.
+
+    Yields:
+        Shapes (n, 2) and (n, 4, 2), both in the plane of the board [pitch].
     """
-
-    ids: Ints
-    step: Ints
-    edge: Floats
-    size: Floats
-
-    def on(self, board: BoardSetup) -> NDArray[np.bool_]:
-        """Which of them lie as they do on a board, shape (N,)."""
-        step = np.diff(_cells(board, self.ids), axis=1)[:, 0]
-        return np.asarray((step == self.step).all(axis=1))
-
-
-def _pairs(images: Sequence[Tags], board: BoardSetup) -> _Pairs:
-    """Pairs of tags that lie beside each other in an image, both ways."""
     import cv2
 
-    found = [(np.zeros((0, 2), int), np.zeros((0, 2)), np.zeros(0), np.zeros(0))]
-    for tags in (tags for tags in images if len(tags) > 1):
-        corners = np.array(list(tags.values()), np.float32)
-        H = np.array([cv2.getPerspectiveTransform(four, CORNERS) for four in corners])
-        h = (H[:, None] @ np.linalg.inv(H)[:, :, 2:])[..., 0]
-        # From center to center, in edges of the first; behind the horizon is nothing.
-        seen = h[..., :2] / np.where(h[..., 2:] > 0.0, h[..., 2:], 1e-9)
-        far = np.linalg.norm(seen, axis=2)
-        np.fill_diagonal(far, np.inf)
-        near = far < BESIDE * far.min(axis=1, keepdims=True)
-        i, j = np.nonzero(near & near.T)
-        size = np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1)[i]
-        ids = np.array(list(tags))[np.column_stack([i, j])]
-        # Perspective cancels in the mean of both views.
-        found.append((ids, seen[i, j], np.sqrt(far[i, j] * far[j, i]), size))
-    ids, offset, apart, size = map(np.concatenate, zip(*found, strict=True))
-    # The nearest tags of a charuco board are diagonal neighbors.
-    pitch = np.median(apart[apart < 1.2 * apart.min()]) if len(ids) else 1.0
-    pitch /= np.sqrt(2.0) if board.type == "charuco" else 1.0
-    step = np.round(offset / pitch)
-    good = (np.abs(offset / pitch - step) < PLACE).all(axis=1) & step.any(axis=1)
-    edge = np.hypot(*step.T) / apart
-    return _Pairs(ids[good], step[good].astype(int), edge[good], size[good])
+    drawn, pitch = drawn_board(board), board.square + (board.gap or 0.0)
+    ids, places = drawn.getIds().ravel(), np.array(drawn.getObjPoints())
+    sites = dict(zip(ids.tolist(), places[..., :2].mean(axis=1) / pitch, strict=True))
+    for tags in images:
+        own = [k for k in tags if k in sites]
+        if len(own) > 1:
+            centers, pixels = np.array([sites[k] for k in own]), [tags[k] for k in own]
+            corners = centers[:, None] + _edge(board) * CORNERS
+            seen = np.concatenate(pixels)
+            H, _ = cv2.findHomography(seen, corners.reshape(-1, 2))
+            yield centers, cv2.perspectiveTransform(seen[None], H).reshape(-1, 4, 2)
 
 
-def _cells(board: BoardSetup, ids: Ints) -> Floats:
-    """Column and row of tags of a board that goes on downwards, shape (..., 2).
-
-    They are NaN below its first.
-    """
-    index, columns = ids - board.first, board.columns
-    count = int(index.max(initial=0)) + 1
-    y, x = np.mgrid[: 2 * count // columns + 3, :columns]
-    first = 1 - _shift(board)
-    on = (x + y) % 2 == first if board.type == "charuco" else x >= 0
-    places = np.argwhere(on)[:, ::-1].astype(float)
-    return np.where((index >= 0)[..., None], places[np.maximum(index, 0)], np.nan)
-
-
-def _shift(board: BoardSetup) -> int:
-    """1 where the first square of a charuco board has a tag."""
-    return int(board.legacy and board.rows % 2 == 0)
-
-
-def _others(board: BoardSetup, pairs: _Pairs) -> Iterator[BoardSetup]:
-    """Boards that tags may lie on, the likely ones first."""
-    low, apart = int(pairs.ids.min()), np.abs(np.diff(pairs.ids, axis=1)).ravel()
-    # Below each other, or in a charuco board two rows below.
-    below = apart[pairs.step[:, 0] == 0]
-    sizes = [board.columns, board.rows, *np.unique(below), int(np.ptp(pairs.ids)) + 1]
-    charuco = board.type == "charuco"
-    for columns in dict.fromkeys(int(size) for size in sizes if size > charuco):
-        back = range(low, max(low - columns, -1), -1)
-        for first, turned in product(dict.fromkeys((board.first, 0, *back)), (0, 1)):
-            # Only with an even number of rows the first square may have a tag.
-            legacy = charuco and _shift(board) != turned
-            rows = board.rows + legacy * (board.rows % 2)
-            about = {"columns": columns, "rows": rows, "first": first}
-            yield replace(board, **about, legacy=legacy)
-
-
-def _with_rows(board: BoardSetup, grid: BoardSetup, pairs: _Pairs) -> BoardSetup:
-    """A board, numbered as another, with as many rows as its tags need."""
-    joined = pairs.ids[pairs.on(grid)]
-    own = np.intersect1d(joined, tags_of(board))
-    own, count = own if len(own) else np.unique(joined), 0
-    while len(own) > count:
-        # Tags beside those of the board are of the board.
-        count = len(own)
-        own = np.union1d(own, joined[np.isin(joined, own).any(axis=1)])
-    needed = int(_cells(grid, own)[:, 1].max(initial=0.0)) + 1
-    rows = max(needed, board.rows if grid.columns == board.columns else 0)
-    rows += _shift(grid) * (rows % 2)
-    legacy = bool(_shift(grid)) or (board.legacy and rows % 2 == 1)
-    return replace(grid, rows=rows, legacy=legacy)
-
-
-def _with_edge(board: BoardSetup, pairs: _Pairs) -> BoardSetup:
-    """The board with the size of markers, or gap, of which an edge is a part."""
-    on, charuco, square = pairs.on(board), board.type == "charuco", board.square
-    if not on.any():
-        return board
-    edge, pixels = np.median(pairs.edge[on]), np.median(pairs.size[on])
-    size = (board.marker if charuco else board.gap) or 0.0
-    pitch = square if charuco else square + size
-    blurred = SHIFT / pixels if pixels < FINE else 0.0
-    stated = (size if charuco else square) / pitch
-    if abs(edge - stated) <= PRINT[0] / pitch + PRINT[1] + blurred:
+def _with_edge(board: BoardSetup, images: Sequence[Tags]) -> BoardSetup | None:
+    """The board with the size of markers, or gap, that images show; None for none."""
+    found = list[float]()
+    for centers, corners in _flat(board, images):
+        size = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(
+            axis=1
+        )
+        stated, seen = (
+            np.linalg.norm(at[:, None] - at, axis=2)
+            for at in (centers, corners.mean(axis=1))
+        )
+        # The scale of a lens is that of neighbors.
+        i, j = np.nonzero((stated > 0.0) & (stated < BESIDE))
+        found += (np.sqrt(size[i] * size[j]) * stated[i, j] / seen[i, j]).tolist()
+    if not found:
+        return None
+    charuco, square, edge = board.type == "charuco", board.square, np.median(found)
+    edges = [np.linalg.norm(t[0] - t[1]) for tags in images for t in tags.values()]
+    blurred = SHIFT / np.median(edges) if np.median(edges) < FINE else 0.0
+    pitch = square + (board.gap or 0.0)
+    if abs(edge - _edge(board)) <= PRINT[0] / pitch + PRINT[1] + blurred:
         return board
     exact = float(square * (edge if charuco else 1.0 / edge - 1.0))
-    found = round(exact, 4) or exact
-    return replace(board, marker=found) if charuco else replace(board, gap=found)
+    size = round(exact, 4) or exact
+    return replace(board, marker=size) if charuco else replace(board, gap=size)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -22,6 +23,8 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError, OptionError
 from calib_pin.io.board_fit import (
     Lines,
+    dictionary_of,
+    drawn_board,
     lines_of,
     restated_lines,
     restated_tags,
@@ -59,6 +62,13 @@ FORM = (
     "TYPE:COLUMNSxROWS:SQUARE[:MARKER or GAP][:DICTIONARY][:first=N][:legacy], such as "
     "charuco:7x5:0.03:0.022:DICT_4X4_50"
 )
+
+WORD = re.compile(
+    r"(?P<type>[^:]*):(?P<columns>[^:x]*)x(?P<rows>[^:]*):(?P<square>[^:]*)"
+    r"(:(?P<size>[\d.][^:]*))?(:(?P<dictionary>DICT_[^:]*))?(:first=(?P<first>[^:]*))?"
+    r"(:(?P<legacy>legacy))?"
+)
+"""The same, in the same order."""
 
 WINDOWS = (2, 7)
 """Least and largest half width of the window in which a corner is refined [px]."""
@@ -167,20 +177,14 @@ def board_of(word: str) -> BoardSetup:
 
     from calib_pin.io.setup import context
 
-    kind, grid, square, *rest = f"{word}::".split(":")
-    columns, _, rows = grid.partition("x")
-    stated: dict[str, object] = {"type": kind, "columns": columns, "rows": rows}
-    stated["square"] = square
-    for part in filter(None, rest):
-        name = "marker" if kind == "charuco" else "gap"
-        if part.startswith(("DICT_", "first=", "legacy")):
-            name = part.partition("=")[0] if part[0] != "D" else "dictionary"
-        value = True if part == "legacy" else part.removeprefix("first=")
-        if name in stated:
-            raise OptionError(f"--board states its {name} twice", value=word)
-        stated[name] = value
+    if (match := WORD.fullmatch(word)) is None:
+        raise OptionError("--board is no board", value=word, allowed=FORM)
+    stated = {key: text for key, text in match.groupdict().items() if text}
+    if size := stated.pop("size", ""):
+        stated["marker" if stated.get("type") == "charuco" else "gap"] = size
+    about = stated | ({"legacy": True} if "legacy" in stated else {})
     try:
-        return TypeAdapter(BoardSetup).validate_python(stated, context=context())
+        return TypeAdapter(BoardSetup).validate_python(about, context=context())
     except ValidationError as error:
         _, ours, reason = error.errors()[0]["msg"].partition("Value error, ")
         allowed = reason if ours else FORM
@@ -199,12 +203,6 @@ def word_of(board: BoardSetup) -> str:
     parts += [board.dictionary] if board.dictionary else []
     parts += [f"first={board.first}"] if board.first else []
     return ":".join([*parts, "legacy"] if board.legacy else parts)
-
-
-def dictionary_of(board: BoardSetup) -> str:
-    """The dictionary of a board with markers, or that of most boards."""
-    usual = "DICT_APRILTAG_36h11" if board.type == "apriltag" else "DICT_4X4_50"
-    return board.dictionary or usual
 
 
 def ambiguous(board: BoardSetup) -> bool:
@@ -288,7 +286,7 @@ class Detector:
         if board.type in GRIDS:
             raise OptionError("--draw draws boards with markers only", value=board.type)
         size = np.round(self.extent * (pixels / board.square)).astype(int).tolist()
-        return np.asarray(self._board.generateImage(size), np.uint8)
+        return np.asarray(self._drawn.generateImage(size), np.uint8)
 
     @property
     def extent(self) -> Floats:
@@ -299,26 +297,20 @@ class Detector:
 
     def _tags_search(self) -> Any:
         """The search for tags by OpenCV's own board."""
-        board, aruco = self.board, self._cv2.aruco
-        name, size = dictionary_of(board), (board.columns, board.rows)
-        dictionary = aruco.getPredefinedDictionary(getattr(aruco, name))
-        ids, known = np.array(tags_of(board), np.int32), len(dictionary.bytesList)
+        board, aruco, last = self.board, self._cv2.aruco, tags_of(self.board)[-1]
+        name, settings = dictionary_of(board), aruco.DetectorParameters()
+        known = aruco.getPredefinedDictionary(getattr(aruco, name))
         if board.type == "charuco" and board.marker is None:
             raise OptionError("a charuco board is found by the edge of its 'marker'")
-        if ids[-1] >= known:
-            reason, allowed = f"the board has tags up to {ids[-1]}", "one with as many"
-            raise OptionError(reason, value=name, allowed=allowed)
-        self._cells, settings = dictionary.markerSize + 2, aruco.DetectorParameters()
+        if last >= (count := len(known.bytesList)):
+            reason, allowed = f"the board has tags up to {last}", f"more than {count}"
+            raise OptionError(reason, value=name, allowed=f"a dictionary of {allowed}")
+        self._cells, self._drawn = known.markerSize + 2, drawn_board(board)
         if board.type == "charuco":
-            lengths = (board.square, board.marker)
-            self._board = aruco.CharucoBoard(size, *lengths, dictionary, ids)
-            self._board.setLegacyPattern(board.legacy)
-            search = aruco.CharucoDetector(self._board, detectorParams=settings)
+            search = aruco.CharucoDetector(self._drawn, detectorParams=settings)
             return search.detectBoard
         settings.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-        lengths = (board.square, board.gap or board.square)
-        self._board = aruco.GridBoard(size, *lengths, dictionary, ids)
-        return aruco.ArucoDetector(dictionary, settings).detectMarkers
+        return aruco.ArucoDetector(known, settings).detectMarkers
 
     def _tags(self, image: Gray, levels: Floats) -> Found:
         charuco = self.board.type == "charuco"
@@ -540,16 +532,14 @@ def start_camera(
     focal = (ASSUMED * largest, ASSUMED * largest)
     assumed = CameraSetup(mount, focal, center, size=size, estimate=True)
     usable = {n: found for n, found in images.items() if len(found.names) >= CORNERS}
-    sites = [
-        np.array([board.points[n] for n in one.names], np.float32)
-        for one in usable.values()
-    ]
-    pixels = [one.pixels.astype(np.float32) for one in usable.values()]
+    sites, pixels = [], []
+    for one in usable.values():
+        sites.append(np.array([board.points[n] for n in one.names], np.float32))
+        pixels.append(one.pixels.astype(np.float32))
     # The sixth power of the radius is left to the calibration.
-    K, flags = None, cv2.CALIB_FIX_K3
+    K, flags = np.diag([*focal, 1.0]), cv2.CALIB_FIX_K3
+    K[:2, 2] = center
     if len(usable) < VIEWS:
-        K = np.diag([*focal, 1.0])
-        K[:2, 2] = center
         flags += cv2.CALIB_USE_INTRINSIC_GUESS + cv2.CALIB_FIX_ASPECT_RATIO
         flags += cv2.CALIB_FIX_PRINCIPAL_POINT + cv2.CALIB_ZERO_TANGENT_DIST
         flags += cv2.CALIB_FIX_K2

@@ -11,17 +11,9 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 import pinocchio as pin
 
+import calib_pin.io.exchange.base as base
 import calib_pin.io.urdf_tree as urdf_tree
-from calib_pin.io.exchange.base import (
-    CAMERA_LINK,
-    RIGID,
-    ROBOTS,
-    Encoded,
-    Exported,
-    Format,
-    origin_of,
-    words,
-)
+from calib_pin.io.exchange.base import Encoded, Exported, Format
 from calib_pin.io.exchange.places import camera_links
 from calib_pin.io.urdf_tree import Document, parse_document
 
@@ -36,7 +28,7 @@ LEAST = {"mass": repr(MASS), "pos": "0 0 0", "fullinertia": "1e-06 1e-06 1e-06 0
 """Its inertia [kg, m, kg m^2]."""
 
 
-@partial(Format, "mjcf", ".xml", (*RIGID, *ROBOTS), "")
+@partial(Format, "mjcf", ".xml", (*base.RIGID, *base.ROBOTS), "")
 def mjcf(exported: Exported, _: Path | None) -> Encoded:
     """MuJoCo's description of the robot.
 
@@ -68,7 +60,7 @@ def mjcf(exported: Exported, _: Path | None) -> Encoded:
     if robot.mimics:
         equality = SubElement(root, "equality")
     for name, mimic in robot.mimics.items():
-        numbers = words([mimic.offset, mimic.factor, 0.0, 0.0, 0.0])
+        numbers = base.words([mimic.offset, mimic.factor, 0.0, 0.0, 0.0])
         ends = {"joint1": name, "joint2": mimic.leader}
         SubElement(equality, "joint", ends, polycoef=numbers)
     indent(root)
@@ -83,16 +75,20 @@ def _place(
     name, kind = joint.attributes["name"], joint.attributes["type"]
     pose, limit = document.origin(joint), joint.child("limit")
     x, y, z, w = pin.Quaternion(pose.rotation).coeffs()
-    body.set("pos", words(pose.translation))
-    body.set("quat", words([w, x, y, z]))
+    body.set("pos", base.words(pose.translation))
+    body.set("quat", base.words([w, x, y, z]))
     if kind == "fixed":
         return {}
     if kind not in KINDS:
         raise exported.error(f"joint '{name}' is {kind}, which is not exported")
-    moves = {"name": name, "type": KINDS[kind], "axis": words(document.axis(joint))}
+    moves = {
+        "name": name,
+        "type": KINDS[kind],
+        "axis": base.words(document.axis(joint)),
+    }
     if kind != "continuous" and limit is not None:
         ends = [float(limit.attributes.get(end, 0.0)) for end in ("lower", "upper")]
-        moves |= {"range": words(ends)} if ends[0] < ends[1] else {}
+        moves |= {"range": base.words(ends)} if ends[0] < ends[1] else {}
     return moves
 
 
@@ -110,12 +106,12 @@ def _inertia(document: Document, link: urdf_tree.Element) -> dict[str, str]:
             pose = document.origin(stated)
             full = pose.rotation @ full @ pose.rotation.T
             six = full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-            place = {"mass": repr(size), "pos": words(pose.translation)}
-            return place | {"fullinertia": words(six)}
+            place = {"mass": repr(size), "pos": base.words(pose.translation)}
+            return place | {"fullinertia": base.words(six)}
     return {}
 
 
-@partial(Format, "urdf", ".urdf", (*RIGID, *ROBOTS, CAMERA_LINK), "")
+@partial(Format, "urdf", ".urdf", (*base.RIGID, *base.ROBOTS, base.CAMERA_LINK), "")
 def urdf(exported: Exported, _: Path | None) -> Encoded:
     """The corrected URDF, with its camera."""
     robot, (links, remarks) = exported.robot, camera_links(exported)
@@ -125,7 +121,7 @@ def urdf(exported: Exported, _: Path | None) -> Encoded:
     return Encoded(document.mark + data.decode().encode(document.codec), remarks)
 
 
-@partial(Format, "xacro", ".xacro", (*RIGID, *ROBOTS, CAMERA_LINK), "")
+@partial(Format, "xacro", ".xacro", (*base.RIGID, *base.ROBOTS, base.CAMERA_LINK), "")
 def xacro(exported: Exported, _: Path | None) -> Encoded:
     """Joint origins as properties, and the camera's links, to be included.
 
@@ -143,9 +139,9 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
             own += "_"
         if own != name:
             renamed.append(f"{own}_xyz, {own}_rpy are those of '{name}'")
-        numbers = origin_of(document.origin(joint))
-        properties[f"{own}_xyz"] = words(numbers[:3])
-        properties[f"{own}_rpy"] = words(numbers[3:])
+        numbers = base.origin_of(document.origin(joint))
+        properties[f"{own}_xyz"] = base.words(numbers[:3])
+        properties[f"{own}_rpy"] = base.words(numbers[3:])
     about = escape(exported.robot.name).replace("--", "- -")
     lines = [
         '<?xml version="1.0"?>',

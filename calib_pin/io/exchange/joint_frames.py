@@ -25,19 +25,9 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
+import calib_pin.io.exchange.base as base
 from calib_pin.errors import OutputError
-from calib_pin.io.exchange.base import (
-    ORIGIN,
-    PRISMATIC,
-    RIGID,
-    Encoded,
-    Exported,
-    Format,
-    origin_of,
-    placed,
-    require,
-    rms,
-)
+from calib_pin.io.exchange.base import Encoded, Exported, Format
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.yaml_tree import Tree, read_tree
 from calib_pin.kinematics.chain import Chain
@@ -58,7 +48,7 @@ ALIKE = 0.05
 """Largest difference of the nominal robot and the user's own file, rms [m]: factories
 correct by millimeters."""
 
-BASES = (pin.SE3.Identity(), placed([0.0, 0.0, 0.0, 0.0, 0.0, np.pi]))
+BASES = (pin.SE3.Identity(), base.placed([0.0, 0.0, 0.0, 0.0, 0.0, np.pi]))
 """Where the first origin may be in the base link."""
 
 PARALLEL = np.deg2rad(1.0)
@@ -150,13 +140,13 @@ def _require_same(exported: Exported, origins: Sequence[pin.SE3]) -> None:
         raise OutputError(reason)
 
 
-@partial(Format, "ur-kinematics", ".yaml", RIGID, "required")
+@partial(Format, "ur-kinematics", ".yaml", base.RIGID, "required")
 def ur(exported: Exported, template: Path | None) -> Encoded:
     """Calibration file of Universal Robots' description and driver."""
     return _vendor(exported, template, UR_LINKS)
 
 
-@partial(Format, "xarm-kinematics", ".yaml", RIGID, "required")
+@partial(Format, "xarm-kinematics", ".yaml", base.RIGID, "required")
 def xarm(exported: Exported, template: Path | None) -> Encoded:
     """Kinematics file of UFACTORY's xArm description."""
     names = (f"joint{k + 1}" for k in range(len(exported.nominal.joints)))
@@ -177,24 +167,26 @@ def _vendor(exported: Exported, template: Path | None, names: Sequence[str]) -> 
         said = f"has {count} joints, this format is for robots with {len(names)}"
         raise exported.error(f"the chain {said} revolute ones")
     own = [_origin(tree, name) for name in names]
-    base = _base(exported, own, template)
+    root = _base(exported, own, template)
     # The last frame is that of the flange.
-    near = [*accumulate([base, *own[:-1]], mul), tip]
+    near = [*accumulate([root, *own[:-1]], mul), tip]
     frames = [
         along(*axis, frame)
         for axis, frame in zip(axis_frames(chain), near[1:], strict=True)
     ]
     flange = frames[-1].actInv(tip)
-    origins = [before.actInv(frame) for before, frame in pairwise([base, *frames])]
-    _require_same(exported, [base * origins[0], *origins[1:], flange])
+    origins = [before.actInv(frame) for before, frame in pairwise([root, *frames])]
+    _require_same(exported, [root * origins[0], *origins[1:], flange])
     for name, origin in zip(names, origins, strict=True):
-        tree.data[ROOT][name] = dict(zip(ORIGIN, origin_of(origin), strict=True))
+        tree.data[ROOT][name] = dict(
+            zip(base.ORIGIN, base.origin_of(origin), strict=True)
+        )
     remarks = []
     twist = pin.log6(flange).vector
     moved, turned = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
     if max(moved, turned) >= EXACT:
         unit, factor = DISPLAY["m"]
-        six = zip(ORIGIN, origin_of(flange), strict=True)
+        six = zip(base.ORIGIN, base.origin_of(flange), strict=True)
         remarks.append(
             f"the flange is off by {factor * moved:.3g} {unit} and {1e3 * turned:.3g} "
             "mrad from where this format has it; put that into the tool of the "
@@ -209,12 +201,12 @@ def _vendor(exported: Exported, template: Path | None, names: Sequence[str]) -> 
 def _origin(tree: Tree, name: str) -> pin.SE3:
     """The origin of an entry of the user's own file."""
     try:
-        numbers = [float(tree.data[ROOT][name][key]) for key in ORIGIN]
+        numbers = [float(tree.data[ROOT][name][key]) for key in base.ORIGIN]
         if np.isfinite(numbers).all():
-            return placed(numbers)
+            return base.placed(numbers)
     except (LookupError, TypeError, ValueError):
         pass
-    allowed = f"'{ROOT}: {name}:' with the numbers {', '.join(ORIGIN)}"
+    allowed = f"'{ROOT}: {name}:' with the numbers {', '.join(base.ORIGIN)}"
     reason = "is no kinematics file of such a robot"
     raise tree.error(reason, (ROOT, name), allowed=allowed)
 
@@ -226,19 +218,19 @@ def _base(exported: Exported, own: Sequence[pin.SE3], template: Path) -> pin.SE3
     """
     q, nominal, sizes = exported.configurations, exported.nominal, []
     points = nominal.poses(q)[:, :3, 3]
-    for base in BASES:
-        T = _poses([base * own[0], *own[1:], pin.SE3.Identity()], nominal, q)
+    for root in BASES:
+        T = _poses([root * own[0], *own[1:], pin.SE3.Identity()], nominal, q)
         away = np.einsum("nji,nj->ni", T[:, :3, :3], points - T[:, :3, 3])
-        sizes.append(rms(away - away.mean(axis=0)))
+        sizes.append(base.rms(away - away.mean(axis=0)))
     unit, factor = DISPLAY["m"]
     far = f"{factor * min(sizes):.3g} {unit} away from that of the nominal robot"
     allowed = f"the file of '{nominal.robot.name}', from {nominal.base} on"
     reason = f"is of another robot: its flange is {far}"
-    require(min(sizes) < ALIKE, reason, template, None, allowed)
+    base.require(min(sizes) < ALIKE, reason, template, None, allowed)
     return BASES[int(np.argmin(sizes))]
 
 
-@partial(Format, "dh", ".csv", (*RIGID, PRISMATIC), "")
+@partial(Format, "dh", ".csv", (*base.RIGID, base.PRISMATIC), "")
 def dh(exported: Exported, _: Path | None) -> Encoded:
     """Denavit-Hartenberg tables, standard and modified.
 
@@ -246,14 +238,14 @@ def dh(exported: Exported, _: Path | None) -> Encoded:
     """
     chain = exported.chain
     first, *others = axis_frames(chain)
-    frame = base = along(*first, pin.SE3.Identity())
+    frame = root = along(*first, pin.SE3.Identity())
     steps = list[list[float]]()
     for after in others:
         steps.append(_step(frame, *after))
         frame = frame * _standard(steps[-1])
     # Everything behind the last joint is in the tip frame.
     tip = frame.actInv(_tip(chain))
-    _require_same(exported, [base, *map(_standard, steps), tip])
+    _require_same(exported, [root, *map(_standard, steps), tip])
     # Before the first axis, and behind the last, nothing moves or turns.
     zero = [0.0] * len(NUMBERS)
     steps = [zero, *steps, zero]
@@ -263,13 +255,13 @@ def dh(exported: Exported, _: Path | None) -> Encoded:
     }
     kinds = ["revolute" if turns else "prismatic" for turns in chain.revolute]
     rows: list[list[object]] = []
-    no_step, no_frame = [""] * len(NUMBERS), [""] * len(ORIGIN)
+    no_step, no_frame = [""] * len(NUMBERS), [""] * len(base.ORIGIN)
     for convention, numbers in tables.items():
-        rows.append([convention, "base", "frame", *no_step, *origin_of(base)])
+        rows.append([convention, "base", "frame", *no_step, *base.origin_of(root)])
         for joint, kind, row in zip(chain.joints, kinds, numbers, strict=True):
             rows.append([convention, joint, kind, *row, *no_frame])
-        rows.append([convention, "tip", "frame", *no_step, *origin_of(tip)])
-    headers = ("convention", "joint", "type", *NUMBERS, *ORIGIN)
+        rows.append([convention, "tip", "frame", *no_step, *base.origin_of(tip)])
+    headers = ("convention", "joint", "type", *NUMBERS, *base.ORIGIN)
     table = dict(zip(headers, zip(*rows, strict=True), strict=True))
     return Encoded(encode_table(table, [DH_USE]))
 

@@ -18,20 +18,10 @@ from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostr
 
 import numpy as np
 
+import calib_pin.io.exchange.base as base
 from calib_pin.errors import enumerated
 from calib_pin.io.dialects.lerobot import STEPS, read_motors
-from calib_pin.io.exchange.base import (
-    GAINS,
-    MIMIC,
-    OFFSETS,
-    ROBOTS,
-    SEVERAL,
-    SIGNS,
-    Encoded,
-    Exported,
-    Format,
-    require,
-)
+from calib_pin.io.exchange.base import Encoded, Exported, Format
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.urdf_tree import parse_document
@@ -57,7 +47,7 @@ def _estimates(exported: Exported) -> tuple[dict[str, FoundOffset], tuple[str, .
     return found, (about + enumerated(unknown),) if unknown else ()
 
 
-@partial(Format, "joint-offsets", ".csv", (OFFSETS, SIGNS, *ROBOTS), "")
+@partial(Format, "joint-offsets", ".csv", (base.OFFSETS, base.SIGNS, *base.ROBOTS), "")
 def offsets_table(exported: Exported, _: Path | None) -> Encoded:
     """Offsets of the joints, to be typed into a controller."""
     model = exported.result.model
@@ -93,7 +83,9 @@ FULL_TURN = "wrist_roll"
 """Motor that LeRobot gives the whole range of its encoder (`full_turn_motor`)."""
 
 
-@partial(Format, "lerobot", ".json", (OFFSETS, MIMIC, SEVERAL), "required")
+@partial(
+    Format, "lerobot", ".json", (base.OFFSETS, base.MIMIC, base.SEVERAL), "required"
+)
 def lerobot(exported: Exported, template: Path | None) -> Encoded:
     """LeRobot's homing offsets and ranges.
 
@@ -114,7 +106,7 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
         name = next((name for name in names if name in motors), "")
         allowed = f"one of {', '.join(motors)}, mapped by 'joints' in the setup"
         reason = f"has no motor for joint '{joint}'"
-        require(name != "", reason, template, None, allowed)
+        base.require(name != "", reason, template, None, allowed)
         steps = round(offsets[k] * STEPS / (2.0 * np.pi))
         offsets[k] = steps * 2.0 * np.pi / STEPS
         moved.append(f"{name} {-steps:+d}")
@@ -147,10 +139,10 @@ def _check(motors: Mapping[str, Mapping[str, Any]], template: Path) -> None:
     for name, motor in motors.items():
         low, high, own = motor["range_min"], motor["range_max"], motor.get("id")
         reason = f"the encoder of '{name}' has no such range"
-        require(0 <= low < high <= STEPS, reason, template, [low, high], ranges)
+        base.require(0 <= low < high <= STEPS, reason, template, [low, high], ranges)
         other = name if own is None else ids.setdefault(own, name)
         reason = f"motors '{other}' and '{name}' have one id"
-        require(other == name, reason, template, own, "one for each")
+        base.require(other == name, reason, template, own, "one for each")
 
 
 def _move(motor: dict[str, Any], name: str, steps: int, template: Path) -> None:
@@ -163,13 +155,13 @@ def _move(motor: dict[str, Any], name: str, steps: int, template: Path) -> None:
     value, allowed = motor["homing_offset"], f"{-FARTHEST} to {FARTHEST}"
     reason = f"the homing offset of '{name}' has no room for {steps} steps; home this "
     reason += "motor nearer the middle of its range first"
-    require(abs(value) <= FARTHEST, reason, template, value, allowed)
+    base.require(abs(value) <= FARTHEST, reason, template, value, allowed)
     if motor["range_max"] - motor["range_min"] < STEPS:
         motor["range_min"] += abs(steps)
         motor["range_max"] -= abs(steps)
     value, allowed = motor["range_max"] - motor["range_min"], "more than 0"
     reason = f"the range of '{name}' is smaller than its offset of {steps} steps"
-    require(value > 0, reason, template, value, allowed)
+    base.require(value > 0, reason, template, value, allowed)
 
 
 PLUGIN = "transmission_interface/SimpleTransmission"
@@ -180,7 +172,9 @@ TAGS = {"mechanical_reduction": 1.0, "offset": 0.0}
 NUMBERS = "one <mechanical_reduction>, not 0, and one <offset>"
 
 
-@partial(Format, "ros2-control", ".xml", (OFFSETS, GAINS, *ROBOTS), "optional")
+@partial(
+    Format, "ros2-control", ".xml", (base.OFFSETS, base.GAINS, *base.ROBOTS), "optional"
+)
 def ros2_control(exported: Exported, template: Path | None) -> Encoded:
     """Transmissions: mechanical reduction and offset.
 
@@ -198,50 +192,52 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
     if template is not None:
         source = parse_document(read_bytes(template, TEXT), str(template)).plain
         root = fromstring(source)
+    stated = {e.get("name") for t in root.iter("transmission") for e in t.iter("joint")}
+    for joint in (joint for joint in joints if joint not in stated):
+        added = SubElement(root, "transmission", name=f"{joint}_transmission")
+        SubElement(added, "actuator", name=f"{joint}_actuator")
+        SubElement(added, "joint", name=joint)
     own = _own(root, joints, template)
     for joint, gain, offset in zip(joints, found.gains, found.offsets, strict=True):
-        stated, reduction, at_zero = own.get(joint) or (_added(root, joint), 1.0, 0.0)
+        element, reduction, at_zero = own[joint]
         # The joint is at (1 + gain) of what was read, plus the offset.
         new = reduction / (1.0 + gain), (1.0 + gain) * at_zero + offset
         for tag, value in zip(TAGS, new, strict=True):
-            SubElement(stated, tag).text = repr(float(value))
+            SubElement(element, tag).text = repr(float(value))
     indent(root)
     return Encoded(tostring(root) + b"\n", _estimates(exported)[1], found.poses)
-
-
-def _added(root: Element, joint: str) -> Element:
-    """The joint of a new transmission."""
-    added = SubElement(root, "transmission", name=f"{joint}_transmission")
-    SubElement(added, "plugin").text = PLUGIN
-    SubElement(added, "actuator", name=f"{joint}_actuator", role="actuator1")
-    return SubElement(added, "joint", name=joint, role="joint1")
 
 
 def _own(
     root: Element, joints: Sequence[str], template: Path | None
 ) -> dict[str, tuple[Element, float, float]]:
-    """The joints of transmissions by name, without their reduction and offset, these.
+    """The joints of simple transmissions by name, and reduction and offset of these.
+
+    The numbers are taken out; plugin and roles are spelled as ros2_control has them.
 
     Raises:
         InputError: If a transmission is none of one joint, or one that is not simple.
     """
     found = dict[str, tuple[Element, float, float]]()
     for element in root.iter("transmission"):
-        inner = [*element.iter("joint")]
+        inner, actuators = ([*element.iter(tag)] for tag in ("joint", "actuator"))
         moved = [joint.get("name", "") for joint in inner]
         if moved and not {*moved} & {*joints}:
             continue
         owner = f"transmission '{element.get('name', '')}'"
-        kinds = [e.text or "" for tag in ("plugin", "type") for e in element.iter(tag)]
-        for kind in map(str.strip, kinds):
+        for stated in [e for e in element if e.tag in ("plugin", "type")]:
+            kind, reason = (stated.text or "").strip(), f"{owner} is of another kind"
             simple = kind.rpartition("/")[2] == PLUGIN.rpartition("/")[2]
-            reason = f"{owner} is of another kind"
-            require(simple, reason, template, kind, PLUGIN)
-        actuators = [e.get("name", "") for e in element.iter("actuator")]
-        one = len(moved) == len(actuators) == 1 and moved[0] not in found
+            base.require(simple, reason, template, kind, PLUGIN)
+            element.remove(stated)
+        names = ", ".join([*moved, *(e.get("name", "") for e in actuators)])
+        one = len(inner) == len(actuators) == 1 and moved[0] not in found
         reason = f"{owner} is not that of one joint with one actuator"
-        require(one, reason, template, ", ".join([*moved, *actuators]), PLUGIN)
+        base.require(one, reason, template, names, PLUGIN)
         found[moved[0]] = (inner[0], *_numbers(element, owner, template))
+        SubElement(element, "plugin").text = PLUGIN
+        inner[0].attrib.setdefault("role", "joint1")
+        actuators[0].attrib.setdefault("role", "actuator1")
     return found
 
 
@@ -263,7 +259,7 @@ def _numbers(
             usable = np.isfinite(value) and (value != 0.0 or tag == "offset")
             usable &= tag in TAGS and stated.setdefault(tag, value) == value
             reason = f"{owner} has a <{element.tag}> that cannot be used"
-            require(bool(usable), reason, template, element.text, NUMBERS)
+            base.require(bool(usable), reason, template, element.text, NUMBERS)
             parent.remove(element)
     reduction, offset = (TAGS | stated).values()
     return reduction, offset

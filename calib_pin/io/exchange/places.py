@@ -12,19 +12,9 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
+import calib_pin.io.exchange.base as base
 from calib_pin.errors import enumerated
-from calib_pin.io.exchange.base import (
-    CAMERA,
-    CAMERA_LINK,
-    FRAMES,
-    ROBOTS,
-    Encoded,
-    Exported,
-    Format,
-    origin_of,
-    placed,
-    words,
-)
+from calib_pin.io.exchange.base import Encoded, Exported, Format
 from calib_pin.io.urdf_tree import parse_document
 from calib_pin.measurement_models.pinhole import Camera
 from calib_pin.validation.result import REMEDY, frames_of
@@ -90,13 +80,13 @@ def places(exported: Exported) -> list[Place]:
     taken = set(result.model.chains.robot.links)
     for part in result.model.parts.values():
         chain, (station, tool) = part.error.chain, (f for f, _ in frames_of(part))
-        base, tip = part.error.base.inverse(), result.model.of(part.key).tool
+        start, tip = part.error.base.inverse(), result.model.of(part.key).tool
         cameras = {
             "tool" if reference.mount == "hand" else "station": reference
             for reference in part.measurement.references
             if isinstance(reference, Camera)
         }
-        for frame, link, pose in ((station, chain.base, base), (tool, chain.tip, tip)):
+        for frame, link, pose in ((station, chain.base, start), (tool, chain.tip, tip)):
             if (key := (*frame, link)) in found:
                 continue
             names = NAMES.get(frame.name, (f"{frame.name}_{frame.kind}",))
@@ -142,7 +132,7 @@ def camera_links(exported: Exported) -> tuple[str, tuple[str, ...]]:
         stem = place.child.removesuffix("_optical_frame")
         names = (_free_name([f"{stem}_{end}"], taken) for end in ENDS)
         link, joint, frame, optical = names
-        forward = origin_of(place.pose * placed(OPTICAL).inverse())
+        forward = base.origin_of(place.pose * base.placed(OPTICAL).inverse())
         text += _fixed(joint, place.parent, link, forward)
         text += _fixed(optical, link, frame, OPTICAL)
     return text, _remarks(exported, found)
@@ -154,12 +144,12 @@ def _fixed(joint: str, parent: str, child: str, origin: Sequence[float]) -> str:
   <joint name={quoteattr(joint)} type="fixed">
     <parent link={quoteattr(parent)}/>
     <child link={quoteattr(child)}/>
-    <origin xyz="{words(origin[:3])}" rpy="{words(origin[3:])}"/>
+    <origin xyz="{base.words(origin[:3])}" rpy="{base.words(origin[3:])}"/>
   </joint>
 """
 
 
-@partial(Format, "tf", ".yaml", (FRAMES, CAMERA_LINK, *ROBOTS), "")
+@partial(Format, "tf", ".yaml", (base.FRAMES, base.CAMERA_LINK, *base.ROBOTS), "")
 def tf(exported: Exported, _: Path | None) -> Encoded:
     """Static transforms of base, tools, stations, camera.
 
@@ -192,7 +182,7 @@ def tf(exported: Exported, _: Path | None) -> Encoded:
     return Encoded("\n".join(lines).encode(), remarks)
 
 
-@partial(Format, "camera-info", ".yaml", (CAMERA, *ROBOTS), "")
+@partial(Format, "camera-info", ".yaml", (base.CAMERA, *base.ROBOTS), "")
 def camera_info(exported: Exported, _: Path | None) -> Encoded:
     """The camera, as ROS loads it.
 

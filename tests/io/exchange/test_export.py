@@ -15,7 +15,7 @@ import yaml
 
 import calib_pin
 from calib_pin.calibration import calibrate
-from calib_pin.errors import InputError, OptionError
+from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.exchange import FORMATS, Exported
 from calib_pin.io.urdf_tree import parse_robot
@@ -146,34 +146,6 @@ def offsets() -> Exported:
 
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
-
-
-def test_a_motor_takes_its_offset(offsets, tmp_path):
-    keys = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
-    rows = {f"m{k}": (k, 0, 100 * k, 700 + k, 3500 - 3 * k) for k in range(5)}
-    rows["gripper"] = (6, 0, 5, 0, 9)
-    own = {name: dict(zip(keys, row, strict=True)) for name, row in rows.items()}
-    template = tmp_path / "so101.json"
-    template.write_text(json.dumps(own))
-    encoded = FORMATS["lerobot"].encode(offsets, template)
-    new = json.loads(encoded.data)
-    assert new["gripper"] == own["gripper"]
-
-    def zero(motor: dict[str, int]) -> float:
-        """What the encoder reads where the motor is shown in its middle."""
-        return (motor["range_min"] + motor["range_max"]) / 2 + motor["homing_offset"]
-
-    turned = [zero(new[f"m{k}"]) - zero(own[f"m{k}"]) for k in range(5)]
-    moved = offsets.configurations + np.deg2rad(np.array(turned) * 360 / 4095)
-    found = offsets.joint_errors(offsets.result.model.setup.joints)
-    truth = offsets.configurations - found.offsets
-    assert np.abs(moved - truth).max() < np.deg2rad(360 / 4095) / 2 + 1e-9
-    for k in range(5):
-        # Nothing that was out of reach is in reach.
-        a, b = own[f"m{k}"], new[f"m{k}"]
-        moved = b["homing_offset"] - a["homing_offset"]
-        assert b["range_min"] + moved >= a["range_min"]
-        assert b["range_max"] + moved <= a["range_max"]
 
 
 def test_reversed_joints_are_told_by_every_export(offsets, tmp_path):

@@ -239,10 +239,10 @@ def calibrated(case: Case) -> Exported:
         geometric, np.array([values[name] for name in geometric.parameters.names])
     )
     if case.learned:
-        ((key, part),) = model.parts.items()
-        learned = Learned(np.zeros(len(part.error.screws)))
-        part = replace(part, error=replace(part.error, learned=learned))
-        model = replace(model, parts={key: part})
+        ((key, term),) = model.terms.items()
+        learned = Learned(np.zeros(len(term.error.screws)))
+        term = replace(term, error=replace(term.error, learned=learned))
+        model = replace(model, terms={key: term})
     names = model.given.names
     covariance = NamedArray.of(1e-8 * np.eye(len(theta)), names, names)
     about = {"parameters": (), "robot_errors": (), "covariance": covariance}

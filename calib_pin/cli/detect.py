@@ -166,10 +166,8 @@ def detect(
     found = {path.name: one for path, one in zip(images, every, strict=True)}
     start = boards.start_camera(mount, detector, size, found)
     image_of = [k for k, one in enumerate(every) for _ in one.names]
-    pixels, sigma = (
-        np.concatenate([getattr(one, part) for one in every])
-        for part in ("pixels", "sigma")
-    )
+    pixels = np.concatenate([one.pixels for one in every])
+    sigma = np.concatenate([one.sigma for one in every])
     columns: dict[str, Any] = {"image": [images[k].name for k in image_of]}
     columns |= {name: [cells[k] for k in image_of] for name, cells in rows.items()}
     columns["target"] = [name for one in every for name in one.names]
@@ -177,8 +175,7 @@ def detect(
         columns |= {name: pixels[:, k].round(4), f"sigma_{name}": sigma[:, k].round(4)}
     comment = f"found by: {told_command(context)}"
     contents = {output: encode_table(columns, [comment])}
-    drafted = Setup(model="camera", board=wanted, camera=start.camera)
-    document = setup_document(drafted)
+    document = setup_document(Setup(model="camera", board=wanted, camera=start.camera))
     if setup_output is not None:
         remark = f"# {ASSUMED}\n" if start.assumed else ""
         text = yaml_text({key: document[key] for key in ("model", "board", "camera")})
@@ -200,15 +197,14 @@ def detect(
     elif not quiet:
         ends = start.camera.focal, start.camera.center
         focal, center = (f"({a:.1f}, {b:.1f})" for a, b in ends)
-        checked = "not checked: too few corners"
-        if start.rms is not None:
-            checked = f"rms {start.rms:.3f} px"
+        rms = "not checked: too few corners"
+        rms = rms if start.rms is None else f"rms {start.rms:.3f} px"
         say(
             f"{shown} of {len(images)} images show the board, {size[0]} x {size[1]} px"
             f"\n{len(pixels)} of {shown * len(detector.points)} corners in them, sigma "
             f"{median:.3f} px (median)\nstart of the camera: "
             f"{'assumed ' if start.assumed else ''}focal {focal}, center {center} px\n"
-            f"  ({checked})\n"
+            f"  ({rms})\n"
         )
         say_written([f"wrote {path}" for path in contents])
     return 0
@@ -241,25 +237,21 @@ def _configurations(
     if file is None:
         return images, {}
     table = read_table(file)
-    for name in OURS:
-        if name in table:
-            raise table.error("is a column that detect writes itself", name)
+    if clash := [name for name in OURS if name in table]:
+        raise table.error("is a column that detect writes itself", clash[0])
     if times is not None:
         table = _at_times(table, read_table(times), images, tell)
         stood = table.texts(["image"])["image"].distinct
         images = [path for path in images if path.name in stood]
-    order = list(range(len(table.lines)))
-    if "image" in table:
-        order = _rows(table, images)
-    elif len(order) != len(images):
-        raise InputError(
-            f"has {len(order)} rows for {len(images)} images; a column 'image' or, for "
-            "a log, --times tells which belong together",
-            file=file,
-        )
-    else:
+    count = len(table.lines)
+    if "image" not in table and count == len(images):
         ends = (f"{images[k].name} with line {table.lines[k]}" for k in (0, -1))
         tell(f"images and rows of {file} are paired in order: {' to '.join(ends)}")
+    elif "image" not in table:
+        reason = f"has {count} rows for {len(images)} images; a column 'image' or, for "
+        reason += "a log, --times tells which belong together"
+        raise InputError(reason, file=file)
+    order = _rows(table, images) if "image" in table else range(count)
     cells = table.cells([name for name in table.columns if name != "image"])
     headers = {name: table.columns[name].header for name in cells}
     return images, {headers[n]: [c[row] for row in order] for n, c in cells.items()}

@@ -7,7 +7,7 @@ where it takes one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -342,6 +342,6 @@ def placed(origin: Sequence[float]) -> pin.SE3:
     return pin.SE3(pin.rpy.rpyToMatrix(numbers[3:]), numbers[:3])
 
 
-def words(numbers: Sequence[float] | Floats) -> str:
-    """Numbers in an attribute of XML, with all their digits."""
+def words(numbers: Iterable[float]) -> str:
+    """Numbers with all their digits."""
     return " ".join(repr(float(number)) for number in numbers)

@@ -220,14 +220,10 @@ def camera_info(exported: Exported, _: Path | None) -> Encoded:
         document[key] = {"rows": rows, "cols": cols, "data": matrix.ravel().tolist()}
     cameras, comments = [place for place in places(exported) if place.camera], []
     for place in cameras:
-        x, turn = (
-            " ".join(f"{number:.9g}" for number in part.values())
-            for part in place.numbers
-        )
+        x, turn = (base.words(part.values()) for part in place.numbers)
         about = f" in {place.parent}: xyz {x}, quaternion x y z w {turn}"
-        comments.append(
-            f"# optical frame{about if place.written else f': {place.remark}'}"
-        )
+        about = about if place.written else f": {place.remark}"
+        comments.append(f"# optical frame{about}")
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
     data = "\n".join([*comments, text]).encode()
     return Encoded(data, _remarks(exported, cameras))

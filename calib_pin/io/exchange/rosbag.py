@@ -47,10 +47,7 @@ TYPES = {
 def is_bag(path: str | Path) -> bool:
     """Whether a path is that of a bag: by its suffix, or a folder with metadata."""
     path = Path(path)
-    try:
-        return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
-    except (OSError, ValueError):
-        return False
+    return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
 
 
 def read_joint_bag(path: str | Path, topic: str | None = None) -> JointLog:
@@ -119,7 +116,7 @@ def read_calibration_data(
     """
     samples = list[tuple[float, list[float]]]()
     rows = list[tuple[int, str, tuple[float, ...]]]()
-    names: list[str] = []
+    names, seen = list[str](), dict[str, list[tuple[float, ...]]]()
     for time, message in _messages(path, topic, (DATA,)):
         state = message.joint_states
         stated = dict(zip(state.name, state.position, strict=False))
@@ -128,12 +125,10 @@ def read_calibration_data(
             raise InputError("its samples are of different joints", file=path)
         for sensor in message.observations:
             for k, p in enumerate(feature.point for feature in sensor.features):
-                point = f"{sensor.sensor_name}-{k}"
-                rows.append((len(samples), point, (p.x, p.y, p.z)))
+                point, xyz = f"{sensor.sensor_name}-{k}", (p.x, p.y, p.z)
+                rows.append((len(samples), point, xyz))
+                seen.setdefault(point, []).append(xyz)
         samples.append((time, [stated[name] for name in names]))
-    seen = dict[str, list[tuple[float, ...]]]()
-    for _, point, xyz in rows:
-        seen.setdefault(point, []).append(xyz)
     still = {p: s[0] for p, s in seen.items() if len(s) > 2 and len({*s}) == 1}
     rows = sorted(row for row in rows if row[1] not in still)
     if not (names and rows):

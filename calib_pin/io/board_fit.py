@@ -27,10 +27,10 @@ CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 """Corners of a tag in its edges, from its center."""
 
 PLACE = 0.3
-"""Distance from a place of the grid within which a corner lies there, in its pitch."""
+"""Distance from a place of the grid within which a tag lies there, in its pitch."""
 
 MOST = 0.8
-"""Part of the corners that lie where the right board has them, whatever the lens."""
+"""Part of the tags that lie where the right board has them, whatever the lens."""
 
 SAMPLE = 4
 """Images that boards are compared with, those with the most tags."""
@@ -172,11 +172,15 @@ def restated_tags(board: BoardSetup, images: Sequence[Tags]) -> BoardSetup | Non
         if own[0] in seen or len(seen) != 1:
             return board if own[0] in seen else None
         return replace(board, first=seen[0])
-    if len(seen) > 1 and (hits := _hits(board, images)) < MOST:
-        rivals = {rival: _hits(rival, images) for rival in _others(board, seen)}
+    (right, of_board), most = _hits(board, images), MOST * sum(map(len, images))
+    if len(seen) > 1 and right < most:
+        rivals = {other: _hits(other, images)[0] for other in _others(board, seen)}
         best = max(rivals, key=lambda r: (rivals[r], -r.columns * r.rows))
-        board = best if rivals[best] > max(hits, MOST) else board
-    return _with_edge(board, images)
+        # Where its own lie right, other tags are of another board or of a larger one.
+        least = max(right, most if right >= MOST * of_board else 0.0)
+        board = best if rivals[best] > least else board
+    right, of_board = _hits(board, images)
+    return _with_edge(board, images) if right >= MOST * of_board else None
 
 
 def _others(board: BoardSetup, seen: Sequence[int]) -> Iterator[BoardSetup]:
@@ -189,13 +193,13 @@ def _others(board: BoardSetup, seen: Sequence[int]) -> Iterator[BoardSetup]:
         yield replace(other, legacy=board.legacy != bool(turned))
 
 
-def _hits(board: BoardSetup, images: Sequence[Tags]) -> float:
-    """Part of the tags that lie where a board has them."""
-    edge, hits = _edge(board), 0
+def _hits(board: BoardSetup, images: Sequence[Tags]) -> tuple[int, int]:
+    """Number of tags that lie where a board has them, and of all that it has."""
+    right, count = 0, 0
     for centers, corners in _flat(board, images):
-        far = np.abs(corners - centers[:, None] - edge * CORNERS).max(axis=(1, 2))
-        hits += int(np.sum(far < PLACE))
-    return hits / max(sum(map(len, images)), 1)
+        far = np.abs(corners.mean(axis=1) - centers).max(axis=1)
+        right, count = right + int(np.sum(far < PLACE)), count + len(far)
+    return right, count
 
 
 def _edge(board: BoardSetup) -> float:

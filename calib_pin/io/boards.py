@@ -455,13 +455,14 @@ def require_stated(
         return fit is not None
     some = [read_image(path) for path in paths[:: len(paths) // SAMPLE + 1]]
     for other in [fit] if fit and board.type not in GRIDS else _near(board, some):
-        found = [Detector(other).find(image) for image in some]
-        if restated(other, found) == other != board and any(f.names for f in found):
-            reason = f"the images do not show {word_of(board)}"
-            if other == replace(board, legacy=True):
-                reason = "its markers are found, its corners are not: a board of "
-                reason += "OpenCV before 4.6? add ':legacy'"
-            raise InputError(f"{reason}; this fits: --board {word_of(other)}")
+        with suppress(OptionError):  # The dictionary may have fewer tags.
+            found = [Detector(other).find(image) for image in some]
+            if restated(other, found) == other and any(one.names for one in found):
+                reason = f"the images do not show {word_of(board)}"
+                if other == replace(board, legacy=True):
+                    reason = "its markers are found, its corners are not: a board of "
+                    reason += "OpenCV before 4.6? add ':legacy'"
+                raise InputError(f"{reason}; this fits: --board {word_of(other)}")
     raise InputError(
         f"no image shows the board as stated ({board.type}, {board.columns} x "
         f"{board.rows}); are its type, numbers and dictionary right?"
@@ -476,7 +477,7 @@ def _near(board: BoardSetup, images: Sequence[Gray]) -> list[BoardSetup]:
         # Images without a part of one are slow to search.
         seen = [cv2.findChessboardCornersSB(i, (3, 3), flags=flags)[0] for i in images]
         least = 4 if any(seen) else max(board.columns, board.rows) + 2
-    sizes = [(board.columns + i, board.rows + j) for i in NEAR for j in NEAR]
+    sizes = [(board.columns + i, board.rows + j) for i in NEAR for j in NEAR][1:]
     sizes = [*sizes, (board.rows, board.columns)] if board.type in GRIDS else []
     return [replace(board, columns=c, rows=r) for c, r in sizes if min(c, r) >= least]
 

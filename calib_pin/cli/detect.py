@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,29 +23,25 @@ from calib_pin.cli.printing import (
 from calib_pin.errors import InputError, OptionError, enumerated, require_known
 
 if TYPE_CHECKING:
-    from calib_pin.io.boards import Found
+    from calib_pin.io.boards import Found, Start
     from calib_pin.io.logs import Notice
     from calib_pin.io.table import Table
-    from calib_pin.setup import BoardSetup
 
-OURS = ("image", "u", "v", "target", "sigma_u", "sigma_v")
-"""Columns of the measurement file, beside those of the joints."""
+OURS = ("u", "v", "target", "sigma_u", "sigma_v")
+"""Columns of the measurement file, beside `image` and those of the joints."""
 
 BLURRED = 3.0
 """Standard deviation of an image's corners, in that of all images, above which it is
 named as blurred."""
 
-NOISE, MOST = 30.0, (1.0, 3.0)
-"""Rms of corners about a camera that is an error: in standard deviations of a corner,
-as paper bends and lenses are no polynomials, but between these [px]."""
-
-SAMPLE = 4
-"""Images of which a better statement of the board is taken."""
-
 MOUNTS = ("hand", "world")
 
 SHEET = 200
 """Pixels of a square or tag on a sheet."""
+
+ASSUMED = "the focal lengths are assumed: the images do not determine them"
+
+_option = partial(options.option, "Images")
 
 
 def detect(
@@ -61,8 +57,7 @@ def detect(
     ] = None,
     board: Annotated[
         str | None,
-        options.option(
-            "Images",
+        _option(
             "--board SPEC",
             "The board, lengths in m: charuco:7x5:SQUARE:MARKER:DICT_4X4_50 (':legacy' "
             "at the end for boards of OpenCV before 4.6), chessboard:9x6:SQUARE, "
@@ -72,13 +67,11 @@ def detect(
         ),
     ] = None,
     setup: Annotated[
-        Path | None,
-        options.option("Images", "--setup FILE", "Setup file with the 'board'."),
+        Path | None, _option("--setup FILE", "Setup file with the 'board'.")
     ] = None,
     joints: Annotated[
         Path | None,
-        options.option(
-            "Images",
+        _option(
             "--joints CSV",
             "Configurations: those of a column 'image' (file name); a log with times, "
             "see --times; or in the order of the images, img_2 before img_10. All its "
@@ -88,8 +81,7 @@ def detect(
     ] = None,
     times: Annotated[
         Path | None,
-        options.option(
-            "Images",
+        _option(
             "--times CSV",
             "When the images were taken, columns 'image' and 'time': each gets the "
             "joints of its standstill in the log of --joints.",
@@ -97,8 +89,7 @@ def detect(
     ] = None,
     mount: Annotated[
         str,
-        options.option(
-            "Images",
+        _option(
             "--mount WHERE",
             "Where the camera is: hand (default) or world (board on the robot).",
         ),
@@ -131,35 +122,24 @@ def detect(
     """
     import numpy as np
 
-    from calib_pin.io.boards import (
-        Detector,
-        ambiguous,
-        board_of,
-        checked,
-        encode_png,
-        fitting,
-        read_image,
-        restated,
-        start_camera,
-    )
+    import calib_pin.io.boards as boards
     from calib_pin.io.files import write_files
     from calib_pin.io.measurements import encode_table
     from calib_pin.io.setup import setup_document, yaml_text
     from calib_pin.setup import Setup
 
     require_known("mount", mount, MOUNTS)
-    stated = open_setup(setup)
-    if board is not None and stated.board is not None:
-        raise OptionError("give either --board or 'board' in the setup file")
-    wanted = stated.board if board is None else board_of(board)
+    if board is not None and setup is not None:
+        raise OptionError("give --board or --setup, not both")
+    wanted = open_setup(setup).board if board is None else boards.board_of(board)
     if wanted is None:
         raise OptionError("give --board, or a setup file with 'board' (--setup)")
-    detector = Detector(wanted)
+    detector = boards.Detector(wanted)
     if draw is not None:
         if images or output or joints or setup_output:
             raise OptionError("--draw takes --board or --setup, and nothing else")
         check_outputs([draw], [setup], force)
-        picture = encode_png(detector.drawn(SHEET), SHEET / wanted.square)
+        picture = boards.encode_png(detector.drawn(SHEET), SHEET / wanted.square)
         with write_files({draw: picture}, force=force):
             pass
         if not quiet:
@@ -173,170 +153,75 @@ def detect(
     check_outputs((output, setup_output), (*images, setup, joints, times), force)
     if times is not None and joints is None:
         raise OptionError("--times needs --joints: a log of the joints, with times")
-    images = sorted(images, key=_natural)
-    tell_user = (lambda remark: None) if quiet else notice
-    images, rows = _configurations(joints, times, images, tell_user)
-    every: list[Found] = []
-    size, first = (0, 0), images[0]
+    tell: Notice = (lambda remark: None) if quiet else notice
+    # img_2 before img_10.
+    images = sorted(
+        images, key=lambda path: [int(w or 0) for w in re.split(r"\D+", str(path))]
+    )
+    images, rows = _configurations(joints, times, images, tell)
     with progress_bar(quiet=quiet) as bar:
-        tell = stage(bar, "images")
-        for k, path in enumerate(images):
-            image = read_image(path)
-            height, width = image.shape
-            if k == 0:
-                size = (width, height)
-            if (width, height) != size:
-                raise InputError(
-                    f"is not of the size of {first}: one camera has one",
-                    file=path,
-                    value=f"{width} x {height}",
-                    allowed=f"{size[0]} x {size[1]}",
-                )
-            every.append(detector.find(image))
-            if tell is not None:
-                tell((k + 1) / len(images))
-    seen = [(k, found) for k, found in enumerate(every) if found.names]
-    told = checked(wanted, every)
-    better = restated(wanted, every)
-    if better != wanted or not (seen and told):
-        fit, markers = fitting(
-            wanted, [read_image(path) for path in images[:: len(images) // SAMPLE + 1]]
-        )
-        if not seen or not wanted == better == fit:
-            raise _misstated(wanted, fit, markers, stated.board is not None)
-    image_of = [k for k, found in seen for _ in found.names]
-    pixels = np.concatenate([found.pixels for _, found in seen])
-    sigma = np.concatenate([found.sigma for _, found in seen])
+        size, every = boards.find_board(detector, images, stage(bar, "images"))
+    if not boards.require_stated(wanted, every, images):
+        tell("no image shows enough of the board to check how it is stated")
+    found = {path.name: one for path, one in zip(images, every, strict=True)}
+    start = boards.start_camera(mount, detector, size, found)
+    image_of = [k for k, one in enumerate(every) for _ in one.names]
+    pixels = np.concatenate([one.pixels for one in every])
+    sigma = np.concatenate([one.sigma for one in every])
     columns: dict[str, Any] = {"image": [images[k].name for k in image_of]}
     columns |= {name: [cells[k] for k in image_of] for name, cells in rows.items()}
-    columns |= {"target": [name for _, found in seen for name in found.names]}
+    columns["target"] = [name for one in every for name in one.names]
     for k, name in enumerate("uv"):
         columns |= {name: pixels[:, k].round(4), f"sigma_{name}": sigma[:, k].round(4)}
     comment = f"found by: {told_command(context)}"
-    start = start_camera(
-        "world" if mount == "world" else "hand",
-        detector,
-        size,
-        [found for _, found in seen],
-    )
-    camera, rms = start.camera, _require_camera(start.rms, images, seen)
-    assumed = "the focal lengths are assumed: the images do not determine them"
     contents = {output: encode_table(columns, [comment])}
-    document = setup_document(Setup(model="camera", board=wanted, camera=camera))
-    lines = {key: document[key] for key in ("model", "board", "camera")}
+    document = setup_document(Setup(model="camera", board=wanted, camera=start.camera))
     if setup_output is not None:
-        remark = f"# {assumed}\n" if start.assumed else ""
-        contents[setup_output] = f"# {comment}\n{remark}{yaml_text(lines)}\n".encode()
-    if not quiet:
-        _remarks(images, seen)
-        if not told:
-            notice("no image shows enough of the board to check how it is stated")
-        if start.assumed:
-            notice(assumed)
-        if ambiguous(wanted):
-            notice(
-                "the board looks the same when it is turned: corner 0 is the one "
-                "nearest to the upper left of each image, so the camera must not roll"
-            )
+        remark = f"# {ASSUMED}\n" if start.assumed else ""
+        text = yaml_text({key: document[key] for key in ("model", "board", "camera")})
+        contents[setup_output] = f"# {comment}\n{remark}{text}\n".encode()
+    _remarks(found, start, tell)
+    if boards.ambiguous(wanted):
+        tell(
+            "the board looks the same when it is turned: corner 0 is the one nearest "
+            "to the upper left of each image, so the camera must not roll"
+        )
     with write_files(contents, force=force):
         pass
+    shown, median = sum(bool(one.names) for one in every), float(np.median(sigma))
     if json:
-        document = {
-            "images": len(images),
-            "shown": len(seen),
-            "corners": len(pixels),
-            "sigma": float(np.median(sigma)),
-            "camera": lines["camera"],
-            "assumed": start.assumed,
-            "rms": rms,
-        }
-        say_json(document, contents)
+        about: dict[str, Any] = {"images": len(images), "shown": shown}
+        about |= {"corners": len(pixels), "sigma": median, "camera": document["camera"]}
+        about |= {"assumed": start.assumed, "rms": start.rms}
+        say_json(about, contents)
     elif not quiet:
-        focal, center = (
-            f"({a:.1f}, {b:.1f})" for a, b in (camera.focal, camera.center)
-        )
-        rest = "not checked: too few corners" if rms is None else f"rms {rms:.3f} px"
-        word = "assumed focal" if start.assumed else "focal"
+        ends = start.camera.focal, start.camera.center
+        focal, center = (f"({a:.1f}, {b:.1f})" for a, b in ends)
+        rms = "not checked: too few corners"
+        rms = rms if start.rms is None else f"rms {start.rms:.3f} px"
         say(
-            f"{len(seen)} of {len(images)} images show the board, {size[0]} x "
-            f"{size[1]} px\n"
-            f"{len(pixels)} of {len(seen) * len(detector.points)} corners in them, "
-            f"sigma {np.median(sigma):.3f} px (median)\n"
-            f"start of the camera: {word} {focal}, center {center} px\n"
-            f"  ({rest})\n"
+            f"{shown} of {len(images)} images show the board, {size[0]} x {size[1]} px"
+            f"\n{len(pixels)} of {shown * len(detector.points)} corners in them, sigma "
+            f"{median:.3f} px (median)\nstart of the camera: "
+            f"{'assumed ' if start.assumed else ''}focal {focal}, center {center} px\n"
+            f"  ({rms})\n"
         )
         say_written([f"wrote {path}" for path in contents])
     return 0
 
 
-def _misstated(
-    board: BoardSetup, fit: BoardSetup | None, markers: str, in_setup: bool
-) -> InputError:
-    """That images do not show a board, and which one they do.
-
-    Args:
-        board: The board as stated.
-        fit: The board that they show, None if none is found.
-        markers: Markers that they show.
-        in_setup: Whether the board was stated in a setup file.
-    """
-    from calib_pin.io.boards import word_of
-    from calib_pin.io.setup import yaml_text
-
-    if fit is None or fit == board:
-        seen = f"; seen: {markers}" if markers else ""
-        return InputError(
-            f"no image shows the board as stated ({board.type}, {board.columns} x "
-            f"{board.rows}); are its type, numbers and dictionary right?{seen}"
-        )
-    line = f"--board {word_of(fit)}"
-    if in_setup:
-        line = yaml_text({"board": {k: v for k, v in vars(fit).items() if v}})
-    reason = f"the images do not show {word_of(board)}"
-    size = "marker" if board.type == "charuco" else "gap"
-    if fit == replace(board, **{size: getattr(fit, size)}):
-        reason = (
-            f"the {size} is not {getattr(board, size):g} m beside {board.square:g} m"
-        )
-    if fit == replace(board, legacy=True):
-        reason = (
-            "its markers are found, its corners are not: a board of OpenCV before 4.6? "
-            "add ':legacy'"
-        )
-    return InputError(f"{reason}; this fits: {line}")
-
-
-def _require_camera(
-    rms: Any, images: list[Path], seen: list[tuple[int, Found]]
-) -> float | None:
-    """Rms of the corners of all images about their camera [px]; None where unknown.
-
-    Raises:
-        InputError: If they are not those of one flat board before a camera.
-    """
+def _remarks(found: dict[str, Found], start: Start, tell: Notice) -> None:
+    """Name the images without a board, and the blurred ones."""
     import numpy as np
 
-    known = [k for k, value in enumerate(rms) if np.isfinite(value)]
-    if not known:
-        return None
-    counts = [len(seen[k][1].names) for k in known]
-    total = float(np.sqrt(np.average(rms[known] ** 2, weights=counts)))
-    sigma = float(np.median(np.concatenate([found.sigma for _, found in seen])))
-    most = float(np.clip(NOISE * sigma, *MOST))
-    worst = known[int(np.argmax(rms[known]))]
-    if total > most or rms[worst] > MOST[1]:
-        raise InputError(
-            f"corners do not fit the board: rms {total:.3g} px with a noise of "
-            f"{sigma:.2g} px, {rms[worst]:.3g} px in {images[seen[worst][0]].name}; is "
-            "the board flat, and as stated?"
-        )
-    return total
-
-
-def _natural(path: Path) -> list[str | int]:
-    """A key by which img_2 stands before img_10."""
-    parts = re.split(r"(\d+)", str(path))
-    return [int(part) if k % 2 else part for k, part in enumerate(parts)]
+    if without := [name for name, one in found.items() if not one.names]:
+        tell(f"no board in {len(without)} images: {enumerated(without)}")
+    medians = {name: np.median(one.sigma) for name, one in found.items() if one.names}
+    most = BLURRED * np.median([*medians.values()])
+    if blurred := [name for name, median in medians.items() if median > most]:
+        tell(f"blurred or noisy: {enumerated(blurred)}")
+    if start.assumed:
+        tell(ASSUMED)
 
 
 def _configurations(
@@ -352,25 +237,21 @@ def _configurations(
     if file is None:
         return images, {}
     table = read_table(file)
-    for name in OURS[1:]:
-        if name in table:
-            raise table.error("is a column that detect writes itself", name)
+    if clash := [name for name in OURS if name in table]:
+        raise table.error("is a column that detect writes itself", clash[0])
     if times is not None:
         table = _at_times(table, read_table(times), images, tell)
         stood = table.texts(["image"])["image"].distinct
         images = [path for path in images if path.name in stood]
-    order = list(range(len(table.lines)))
-    if "image" in table:
-        order = _rows(table, images)
-    elif len(order) != len(images):
-        raise InputError(
-            f"has {len(order)} rows for {len(images)} images; a column 'image' or, for "
-            "a log, --times tells which belong together",
-            file=file,
-        )
-    else:
+    count = len(table.lines)
+    if "image" not in table and count == len(images):
         ends = (f"{images[k].name} with line {table.lines[k]}" for k in (0, -1))
         tell(f"images and rows of {file} are paired in order: {' to '.join(ends)}")
+    elif "image" not in table:
+        reason = f"has {count} rows for {len(images)} images; a column 'image' or, for "
+        reason += "a log, --times tells which belong together"
+        raise InputError(reason, file=file)
+    order = _rows(table, images) if "image" in table else range(count)
     cells = table.cells([name for name in table.columns if name != "image"])
     headers = {name: table.columns[name].header for name in cells}
     return images, {headers[n]: [c[row] for row in order] for n, c in cells.items()}
@@ -384,14 +265,14 @@ def _rows(table: Table, images: list[Path]) -> list[int]:
     """
     if "image" not in table:
         raise table.error("there is no column 'image'")
-    stated = [Path(cell).name for cell in table.texts(["image"])["image"]]
-    for row, name in enumerate(stated):
-        if name in stated[:row]:
+    rows = dict[str, int]()
+    for row, cell in enumerate(table.texts(["image"])["image"]):
+        if rows.setdefault(Path(cell).name, row) != row:
             raise table.cell_error("this image has a row already", "image", row)
     for path in images:
-        if path.name not in stated:
+        if path.name not in rows:
             raise InputError(f"has no row for the image {path.name}", file=table.file)
-    return [stated.index(path.name) for path in images]
+    return [rows[path.name] for path in images]
 
 
 def _at_times(joints: Table, taken: Table, images: list[Path], tell: Notice) -> Table:
@@ -407,26 +288,8 @@ def _at_times(joints: Table, taken: Table, images: list[Path], tell: Notice) -> 
     from calib_pin.io.table import read_table
 
     taken = logs.with_images(taken)
+    taken = taken.rows(np.array(_rows(taken, images)), taken.columns)
     positions = logs.read_joint_log(joints, {}, tell)
-    readings = logs.read_reading_log(
-        taken.rows(np.array(_rows(taken, images)), taken.columns), tell
-    )
+    readings = logs.read_reading_log(taken, tell)
     readings, found = logs.join_logs(positions, readings, STAND, STAND, tell)
     return read_table(logs.encode_joined(found, positions, readings, keep=True))
-
-
-def _remarks(images: list[Path], seen: list[tuple[int, Found]]) -> None:
-    """Name the images without a board, and the blurred ones."""
-    import numpy as np
-
-    shown = {k for k, _ in seen}
-    without = [path.name for k, path in enumerate(images) if k not in shown]
-    if without:
-        notice(f"no board in {len(without)} images: {enumerated(without)}")
-    medians = np.array([np.median(found.sigma) for _, found in seen])
-    blurred = medians > BLURRED * np.median(medians)
-    if blurred.any():
-        names = [
-            images[k].name for (k, _), bad in zip(seen, blurred, strict=True) if bad
-        ]
-        notice(f"blurred or noisy: {enumerated(names)}")

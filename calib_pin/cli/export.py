@@ -49,8 +49,7 @@ def export(
 ) -> int:
     """Write what other software loads: vendors' kinematics, offsets, cameras, frames.
 
-    What is written is read again and compared with the corrected robot. Exit status 1:
-    the calibration must not be trusted, or has nothing of this kind.
+    Exit status 1: the calibration must not be trusted, or has nothing of this kind.
     """
     from calib_pin.io.exchange import FORMATS, Exported
     from calib_pin.io.files import write_files

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +23,20 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError, OptionError
 from calib_pin.io.board_fit import (
     Lines,
-    compared,
+    dictionary_of,
+    drawn_board,
     lines_of,
     restated_lines,
     restated_tags,
     tags_of,
 )
 from calib_pin.io.files import read_bytes
-from calib_pin.observations.corners import corner_sigmas, marker_corners, noise_of
+from calib_pin.observations.corners import (
+    corner_sigmas,
+    marker_corners,
+    noise_of,
+    sampled,
+)
 from calib_pin.setup import BoardSetup, CameraSetup
 from calib_pin.setup.references import DICTIONARIES, TAGS
 
@@ -46,9 +53,57 @@ FORMATS = (
 """First bytes of PNG, JPEG, BMP, TIFF, and portable gray and color maps."""
 
 Gray = NDArray[np.uint8]
+Floats = NDArray[np.float64]
 
 GRIDS = ("chessboard", "circles")
 """Types of boards without markers."""
+
+FORM = (
+    "TYPE:COLUMNSxROWS:SQUARE[:MARKER or GAP][:DICTIONARY][:first=N][:legacy], such as "
+    "charuco:7x5:0.03:0.022:DICT_4X4_50"
+)
+
+WORD = re.compile(
+    r"(?P<type>[^:]*):(?P<columns>[^:x]*)x(?P<rows>[^:]*):(?P<square>[^:]*)"
+    r"(:(?P<size>[\d.][^:]*))?(:(?P<dictionary>DICT_[^:]*))?(:first=(?P<first>[^:]*))?"
+    r"(:(?P<legacy>legacy))?"
+)
+"""The same, in the same order."""
+
+WINDOWS = (2, 7)
+"""Least and largest half width of the window in which a corner is refined [px]."""
+
+STEPS = 60, 1e-4
+"""Most steps of a refinement, and the one after which it ends [px]."""
+
+OFF_CENTER = 0.08
+"""Standard deviation of the center of a circle [px]: perspective draws the middle of an
+ellipse off it, by 0.065 px in rendered images, whatever their noise."""
+
+SAMPLE = 4
+"""Images of which a better statement of the board is taken."""
+
+NEAR = (0, 1, -1)
+"""By how many columns and rows a grid may be stated wrong."""
+
+MARKED = 2
+"""Images in which markers of other dictionaries are looked for."""
+
+VIEWS = 3
+"""Images from which intrinsics are estimated."""
+
+CORNERS = 8
+"""Corners that each of them has at least."""
+
+ASSUMED = 1.2
+"""Focal length that is assumed without them, in widths or heights of the image."""
+
+UNKNOWN = 0.1
+"""Standard deviation of a focal length, as part of it, that images do not determine."""
+
+NOISE, MOST = 30.0, (1.0, 3.0)
+"""Rms of corners about a camera that is an error: in standard deviations of a corner,
+as paper bends and lenses are no polynomials, but between these [px]."""
 
 
 def vision() -> Any:
@@ -112,43 +167,48 @@ def encode_png(image: Gray, density: float) -> bytes:
     return data.getvalue()
 
 
-Floats = NDArray[np.float64]
+def board_of(word: str) -> BoardSetup:
+    """The board that a word such as `charuco:7x5:0.03:0.022` states.
 
-FORM = (
-    "TYPE:COLUMNSxROWS:SQUARE[:MARKER or GAP][:DICTIONARY][:first=N][:legacy], such as "
-    "charuco:7x5:0.03:0.022:DICT_4X4_50"
-)
+    Raises:
+        OptionError: If it states none.
+    """
+    from pydantic import TypeAdapter, ValidationError
 
-WINDOWS = (2, 7)
-"""Least and largest half width of the window in which a corner is refined [px]."""
+    from calib_pin.io.setup import context
 
-STEPS = 60, 1e-4
-"""Most steps of a refinement, and the one after which it ends [px]."""
+    if (match := WORD.fullmatch(word)) is None:
+        raise OptionError("--board is no board", value=word, allowed=FORM)
+    stated = {key: text for key, text in match.groupdict().items() if text}
+    if size := stated.pop("size", ""):
+        stated["marker" if stated.get("type") == "charuco" else "gap"] = size
+    about = stated | ({"legacy": True} if "legacy" in stated else {})
+    try:
+        return TypeAdapter(BoardSetup).validate_python(about, context=context())
+    except ValidationError as error:
+        _, ours, reason = error.errors()[0]["msg"].partition("Value error, ")
+        allowed = reason if ours else FORM
+        raise OptionError("--board is no board", value=word, allowed=allowed) from None
 
-OFF_CENTER = 0.08
-"""Standard deviation of the center of a circle [px]: perspective draws the middle of an
-ellipse off it, by 0.065 px in rendered images, whatever their noise."""
 
-TRIES = 4
-"""Times that a board is restated until images agree with it."""
+def word_of(board: BoardSetup) -> str:
+    """The word that states a board.
 
-NEAR = (0, 1, -1)
-"""By how many columns and rows a grid may be stated wrong."""
+    Examples:
+        >>> word_of(board_of("marker:2x3:0.03:0.009:first=4"))
+        'marker:2x3:0.03:0.009:first=4'
+    """
+    parts = [board.type, f"{board.columns}x{board.rows}", f"{board.square:.9g}"]
+    parts += [f"{size:.9g}" for size in (board.marker, board.gap) if size]
+    parts += [board.dictionary] if board.dictionary else []
+    parts += [f"first={board.first}"] if board.first else []
+    return ":".join([*parts, "legacy"] if board.legacy else parts)
 
-MARKED = 2
-"""Images in which markers of other dictionaries are looked for."""
 
-VIEWS = 3
-"""Images from which intrinsics are estimated."""
-
-CORNERS = 8
-"""Corners that each of them has at least."""
-
-ASSUMED = 1.2
-"""Focal length that is assumed without them, in widths or heights of the image."""
-
-UNKNOWN = 0.1
-"""Standard deviation of a focal length, as part of it, that images do not determine."""
+def ambiguous(board: BoardSetup) -> bool:
+    """Whether a board looks the same from two sides."""
+    even = (board.columns + board.rows) % 2 == 0
+    return board.type == "circles" or (board.type == "chessboard" and even)
 
 
 @dataclass(frozen=True)
@@ -169,54 +229,6 @@ class Found:
     sigma: Floats = field(default_factory=lambda: np.empty((0, 2)))
     tags: Mapping[int, tuple[Floats, Floats]] = field(default_factory=dict)
     lines: Lines | None = None
-
-
-Seen = tuple[tuple[str, ...], Floats, Found]
-"""Names and rough pixels of corners (N, 2), and what else was found."""
-
-
-def board_of(word: str) -> BoardSetup:
-    """The board that a word such as `charuco:7x5:0.03:0.022` states.
-
-    Raises:
-        OptionError: If it states none.
-    """
-    from pydantic import TypeAdapter, ValidationError
-
-    from calib_pin.io.setup import context
-
-    kind, grid, square, *rest = f"{word}::".split(":")
-    columns, _, rows = grid.partition("x")
-    stated: dict[str, object] = {"type": kind, "columns": columns, "rows": rows}
-    stated["square"] = square
-    for part in filter(None, rest):
-        name = "marker" if kind == "charuco" else "gap"
-        if part.startswith(("DICT_", "first=", "legacy")):
-            name = part.partition("=")[0] if part[0] != "D" else "dictionary"
-        value = True if part == "legacy" else part.removeprefix("first=")
-        if name in stated:
-            raise OptionError(f"--board states its {name} twice", value=word)
-        stated[name] = value
-    try:
-        return TypeAdapter(BoardSetup).validate_python(stated, context=context())
-    except ValidationError as error:
-        _, ours, reason = error.errors()[0]["msg"].partition("Value error, ")
-        allowed = reason if ours else FORM
-        raise OptionError("--board is no board", value=word, allowed=allowed) from None
-
-
-def word_of(board: BoardSetup) -> str:
-    """The word that states a board.
-
-    Examples:
-        >>> word_of(board_of("marker:2x3:0.03:0.009:first=4"))
-        'marker:2x3:0.03:0.009:first=4'
-    """
-    parts = [board.type, f"{board.columns}x{board.rows}", f"{board.square:.9g}"]
-    parts += [f"{size:.9g}" for size in (board.marker, board.gap) if size]
-    parts += [board.dictionary] if board.dictionary else []
-    parts += [f"first={board.first}"] if board.first else []
-    return ":".join([*parts, "legacy"] if board.legacy else parts)
 
 
 class Detector:
@@ -242,30 +254,26 @@ class Detector:
 
     def find(self, image: Gray) -> Found:
         """The board in an image; without names where it is not there."""
-        kind, levels = self.board.type, image.astype(float)
-        search = self._grid if kind in GRIDS else self._tags
-        names, pixels, found = search(image, levels)
-        if not names:
+        levels = image.astype(float)
+        search = self._grid if self.board.type in GRIDS else self._tags
+        found = search(image, levels)
+        if not found.names or self.board.type == "circles":
             return found
-        if kind == "circles":
-            sigma = np.full(pixels.shape, OFF_CENTER)
-            return replace(found, names=names, pixels=pixels, sigma=sigma)
-        half = self._half(names, pixels)
-        if kind in TAGS:
-            met = [found.tags[int(name[:-2])] for name in names[::4]]
+        half, rough = self._half(found), found.pixels
+        if self.board.type in TAGS:
+            met = [found.tags[int(name[:-2])] for name in found.names[::4]]
             fine, sigma = (np.concatenate(part) for part in zip(*met, strict=True))
         else:
-            cv2 = self._cv2
-            rough = np.ascontiguousarray(pixels, np.float32).reshape(-1, 1, 2)
+            cv2, start = self._cv2, np.array(rough[:, None], np.float32, order="C")
             criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, *STEPS)
-            fine = cv2.cornerSubPix(image, rough, (half, half), (-1, -1), criteria)
+            fine = cv2.cornerSubPix(image, start, (half, half), (-1, -1), criteria)
             fine = np.asarray(fine, float).reshape(-1, 2)
             sigma = corner_sigmas(levels, fine, half, noise_of(levels))
         # A corner that ran away was none; one at the edge of the image has no window.
         edge = np.array(image.shape[::-1]) - 1.0 - half
-        kept = np.hypot(*(fine - pixels).T) < half
+        kept = np.hypot(*(fine - rough).T) < half
         kept &= ((fine >= half) & (fine <= edge)).all(axis=1)
-        names = tuple(n for n, keep in zip(names, kept, strict=True) if keep)
+        names = tuple(np.array(found.names)[kept].tolist())
         return replace(found, names=names, pixels=fine[kept], sigma=sigma[kept])
 
     def drawn(self, pixels: int) -> Gray:
@@ -277,9 +285,8 @@ class Detector:
         board = self.board
         if board.type in GRIDS:
             raise OptionError("--draw draws boards with markers only", value=board.type)
-        size = self.extent * (pixels / board.square)
-        width, height = np.round(size).astype(int).tolist()
-        return np.asarray(self._board.generateImage((width, height)), np.uint8)
+        size = np.round(self.extent * (pixels / board.square)).astype(int).tolist()
+        return np.asarray(self._drawn.generateImage(size), np.uint8)
 
     @property
     def extent(self) -> Floats:
@@ -289,34 +296,25 @@ class Detector:
         return np.asarray(counts * (self.board.square + gap) - gap)
 
     def _tags_search(self) -> Any:
-        """The detector of tags; the board as it is drawn is kept."""
-        board, aruco = self.board, self._cv2.aruco
-        name, size = dictionary_of(board), (board.columns, board.rows)
-        dictionary = aruco.getPredefinedDictionary(getattr(aruco, name))
-        charuco, known = board.type == "charuco", len(dictionary.bytesList)
-        if charuco and board.marker is None:
+        """The search for tags by OpenCV's own board."""
+        board, aruco, last = self.board, self._cv2.aruco, tags_of(self.board)[-1]
+        name, settings = dictionary_of(board), aruco.DetectorParameters()
+        known = aruco.getPredefinedDictionary(getattr(aruco, name))
+        if board.type == "charuco" and board.marker is None:
             raise OptionError("a charuco board is found by the edge of its 'marker'")
-        last = tags_of(board)[-1]
-        if last >= known:
-            reason, allowed = f"the board has tags up to {last}", f"more than {known}"
+        if last >= (count := len(known.bytesList)):
+            reason, allowed = f"the board has tags up to {last}", f"more than {count}"
             raise OptionError(reason, value=name, allowed=f"a dictionary of {allowed}")
-        ids = np.array(tags_of(board), np.int32)
-        self._cells = dictionary.markerSize + 2
-        settings = aruco.DetectorParameters()
-        if charuco:
-            lengths = (board.square, board.marker)
-            self._board = aruco.CharucoBoard(size, *lengths, dictionary, ids)
-            self._board.setLegacyPattern(board.legacy)
-            return aruco.CharucoDetector(self._board, detectorParams=settings)
+        self._cells, self._drawn = known.markerSize + 2, drawn_board(board)
+        if board.type == "charuco":
+            search = aruco.CharucoDetector(self._drawn, detectorParams=settings)
+            return search.detectBoard
         settings.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-        lengths = (board.square, board.gap or board.square)
-        self._board = aruco.GridBoard(size, *lengths, dictionary, ids)
-        return aruco.ArucoDetector(dictionary, settings)
+        return aruco.ArucoDetector(known, settings).detectMarkers
 
-    def _tags(self, image: Gray, levels: Floats) -> Seen:
+    def _tags(self, image: Gray, levels: Floats) -> Found:
         charuco = self.board.type == "charuco"
-        search = self._search.detectBoard if charuco else self._search.detectMarkers
-        *corners, around, ids = search(image)[: 4 if charuco else 2]
+        *corners, around, ids = self._search(image)[: 4 if charuco else 2]
         every = np.ravel([] if ids is None else ids).tolist()
         # A tag that is there twice tells nothing.
         rough = {
@@ -326,18 +324,17 @@ class Detector:
         }
         cells = self._cells
         met = {k: marker_corners(levels, four, cells) for k, four in rough.items()}
-        found = Found(tags=met)
         if charuco:
             # OpenCV numbers them as the model does, row by row from 0.
             names = [str(k) for k in np.ravel([] if corners[1] is None else corners[1])]
-            pixels = np.array(corners[0] if names else [], float)
+            pixels = corners[0] if names else ()
         else:
             own = [k for k in rough if k in tags_of(self.board)]
             names = [f"{k}/{n}" for k in own for n in range(4)]
-            pixels = np.array([rough[k] for k in own])
-        return tuple(names), pixels.reshape(-1, 2), found
+            pixels = [rough[k] for k in own]
+        return Found(tuple(names), np.array(pixels, float).reshape(-1, 2), tags=met)
 
-    def _grid(self, image: Gray, levels: Floats) -> Seen:
+    def _grid(self, image: Gray, levels: Floats) -> Found:
         cv2, board = self._cv2, self.board
         chess = board.type == "chessboard"
         size = (board.columns - chess, board.rows - chess)
@@ -347,28 +344,31 @@ class Detector:
         else:
             seen, points = cv2.findCirclesGrid(image, size)
         if not seen:
-            return (), np.empty((0, 2)), Found()
-        given = np.asarray(points, float).reshape(size[1], size[0], 2)
-        lines = lines_of(levels, given, not chess)
+            return Found()
+        grid = np.asarray(points, float).reshape(size[1], size[0], 2)
+        lines = lines_of(levels, grid, not chess)
         if not lines.whole:
-            return (), np.empty((0, 2)), Found(lines=lines)
-        ways = [np.rot90(grid, k) for grid in (given, given[::-1]) for k in range(4)]
-        ways = [w for w in ways if w.shape == given.shape and _turn(w) > 0.0]
-        ways = [w for w in ways if chess and _first_is_dark(image, w)] or ways
+            return Found(lines=lines)
+        if np.linalg.det([grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]]) < 0.0:
+            grid = grid[:, ::-1]  # As it is seen from the front.
+        ways = [np.rot90(grid, k) for k in range(4)]
+        ways = [way for way in ways if way.shape == grid.shape]
+        ways = [w for w in ways if chess and _first_is_dark(levels, w)] or ways
         chosen = min(ways, key=lambda way: float(way[0, 0].sum()))
-        along = chosen[0, -1] - chosen[0, 0]
-        if len(ways) > 1 and along[0] < abs(along[1]):
+        across = chosen[0, -1] - chosen[0, 0]
+        if len(ways) > 1 and across[0] < abs(across[1]):
             # A right angle further, it is clear which corner is the upper left one.
             lines = replace(lines, columns=lines.rows, rows=lines.columns)
-            return (), np.empty((0, 2)), Found(lines=lines)
+            return Found(lines=lines)
         pixels = chosen.reshape(-1, 2)
-        return tuple(map(str, range(len(pixels)))), pixels, Found(lines=lines)
+        names, sigma = tuple(map(str, range(len(pixels)))), np.full((1, 2), OFF_CENTER)
+        return Found(names, pixels, sigma.repeat(len(pixels), axis=0), lines=lines)
 
-    def _half(self, names: tuple[str, ...], pixels: Floats) -> int:
+    def _half(self, found: Found) -> int:
         """Half width of the window of a corner, in which there is no other edge."""
-        sites = np.array([self.points[name][:2] for name in names])
+        sites = np.array([self.points[name][:2] for name in found.names])
         apart = np.linalg.norm(sites[:, None] - sites, axis=2)
-        seen = np.linalg.norm(pixels[:, None] - pixels, axis=2)
+        seen = np.linalg.norm(found.pixels[:, None] - found.pixels, axis=2)
         near = (apart > 0.0) & (apart < 1.5 * self.board.square)
         scale = float((seen[near] / apart[near]).min()) if near.any() else 0.0
         free = 0.4 * self.board.square
@@ -380,88 +380,119 @@ class Detector:
         return int(np.clip(scale * free, *WINDOWS))
 
 
-def restated(board: BoardSetup, images: Sequence[Found]) -> BoardSetup:
-    """The board as images show it; the stated one, if nothing speaks against it."""
-    if board.type in GRIDS:
-        return restated_lines(board, [i.lines for i in images if i.lines])
-    return restated_tags(board, _corners(images))
+def _first_is_dark(levels: Floats, grid: Floats) -> bool:
+    """Whether the square outside the first corner is darker than its neighbors."""
+    x, y = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
+    at = grid[0, 0] + 0.5 * np.array([-x - y, x - y, x + y, y - x])
+    a, b, c, d = sampled(levels, *at.T)
+    return bool(a + c < b + d)
 
 
-def checked(board: BoardSetup, images: Sequence[Found]) -> bool:
-    """Whether images show enough of a board to tell whether it is stated well."""
-    if board.type in GRIDS:
-        return any(image.lines and image.lines.sure for image in images)
-    return compared(board, _corners(images))
+def find_board(
+    detector: Detector, paths: Sequence[Path], tell: Callable[[float], None] | None
+) -> tuple[tuple[int, int], list[Found]]:
+    """Width and height of the images of one camera [px], and the board in each.
+
+    Args:
+        detector: The board.
+        paths: The images.
+        tell: Told the part that is done, 0 to 1.
+
+    Raises:
+        InputError: If one cannot be read, or is of another size.
+    """
+    size, found = (0, 0), list[Found]()
+    for k, path in enumerate(paths):
+        image = read_image(path)
+        height, width = image.shape
+        size = size if k else (width, height)
+        if (width, height) != size:
+            raise InputError(
+                f"is not of the size of {paths[0]}: one camera has one",
+                file=path,
+                value=f"{width} x {height}",
+                allowed=f"{size[0]} x {size[1]}",
+            )
+        found.append(detector.find(image))
+        if tell is not None:
+            tell((k + 1) / len(paths))
+    return size, found
 
 
-def fitting(board: BoardSetup, images: Sequence[Gray]) -> tuple[BoardSetup | None, str]:
-    """A board like the stated one that images show, and the markers in them.
+def restated(board: BoardSetup, images: Sequence[Found]) -> BoardSetup | None:
+    """The board as images show it.
 
     Returns:
-        The board, None where none is found; markers in words, empty where they were
-        not asked for, or there are none.
+        The stated one, if nothing speaks against it; None where images do not show
+        enough to tell.
     """
-    seen, tried = "", [board]
-    if board.type in GRIDS and any(_has_grid(board, image) for image in images):
-        sizes = [(board.columns + i, board.rows + j) for i in NEAR for j in NEAR]
-        tried = [replace(board, columns=c, rows=r) for c, r in sizes if min(c, r) > 1]
-    if not checked(board, [Detector(board).find(image) for image in images]):
-        name, ids = _markers(board, images[:MARKED])
-        if ids:
-            seen = f"{len(ids)} markers of {name}, {min(ids)} to {max(ids)}"
-        if name != dictionary_of(board) and board.type not in GRIDS:
-            tried = [replace(board, dictionary=name)]
-    stated = board
-    for better in tried:
-        with suppress(OptionError):
-            for _ in range(TRIES):
-                board, detector = better, Detector(better)
-                found = [detector.find(image) for image in images]
-                better = restated(board, found)
-                fits = better == board and any(image.names for image in found)
-                # A part of a board says nothing of its size.
-                if fits and (board == stated or checked(board, found)):
-                    return board, seen
-    return None, seen
+    if board.type not in GRIDS:
+        tags = [{k: four for k, (four, _) in image.tags.items()} for image in images]
+        return restated_tags(board, tags)
+    lines = [image.lines for image in images if image.lines]
+    fit = restated_lines(board, lines)
+    return fit if fit != board or any(one.sure for one in lines) else None
 
 
-def _corners(images: Sequence[Found]) -> list[dict[int, Floats]]:
-    return [{k: four for k, (four, _) in image.tags.items()} for image in images]
+def require_stated(
+    board: BoardSetup, images: Sequence[Found], paths: Sequence[Path]
+) -> bool:
+    """Refuse a board that images do not show, and say which one they do.
+
+    Args:
+        board: The board as stated.
+        images: What was found in the images.
+        paths: The images.
+
+    Returns:
+        Whether images show enough to tell.
+
+    Raises:
+        InputError: If they show another, or none.
+    """
+    fit, seen = restated(board, images), any(image.names for image in images)
+    if seen and fit in (None, board):
+        return fit is not None
+    some = [read_image(path) for path in paths[:: len(paths) // SAMPLE + 1]]
+    for other in [fit] if fit and board.type not in GRIDS else _near(board, some):
+        with suppress(OptionError):  # The dictionary may have fewer tags.
+            found = [Detector(other).find(image) for image in some]
+            if restated(other, found) == other and any(one.names for one in found):
+                reason = f"the images do not show {word_of(board)}"
+                if other == replace(board, legacy=True):
+                    reason = "its markers are found, its corners are not: a board of "
+                    reason += "OpenCV before 4.6? add ':legacy'"
+                raise InputError(f"{reason}; this fits: --board {word_of(other)}")
+    raise InputError(
+        f"no image shows the board as stated ({board.type}, {board.columns} x "
+        f"{board.rows}); are its type, numbers and dictionary right?"
+        f"{_markers(board, some[:MARKED])}"
+    )
 
 
-def _has_grid(board: BoardSetup, image: Gray) -> bool:
-    """Whether an image shows a part of a grid: others are slow to search."""
-    cv2 = vision()
-    if board.type == "circles":
-        return True
-    flags = cv2.CALIB_CB_LARGER
-    return bool(cv2.findChessboardCornersSB(image, (3, 3), flags=flags)[0])
+def _near(board: BoardSetup, images: Sequence[Gray]) -> list[BoardSetup]:
+    """Boards of squares or circles with a few more or fewer, where a part is seen."""
+    cv2, flags, least = vision(), vision().CALIB_CB_LARGER, 2
+    if board.type == "chessboard":
+        # Images without a part of one are slow to search.
+        seen = [cv2.findChessboardCornersSB(i, (3, 3), flags=flags)[0] for i in images]
+        least = 4 if any(seen) else max(board.columns, board.rows) + 2
+    sizes = [(board.columns + i, board.rows + j) for i in NEAR for j in NEAR][1:]
+    sizes = [*sizes, (board.rows, board.columns)] if board.type in GRIDS else []
+    return [replace(board, columns=c, rows=r) for c, r in sizes if min(c, r) >= least]
 
 
-def _markers(board: BoardSetup, images: Sequence[Gray]) -> tuple[str, set[int]]:
-    """The dictionary with most markers in images, and their numbers."""
-    aruco = vision().aruco
-    seen: dict[str, set[int]] = {}
+def _markers(board: BoardSetup, images: Sequence[Gray]) -> str:
+    """The markers of one dictionary, that with most of them, in images."""
+    aruco, seen = vision().aruco, list[tuple[int, str]]()
     for name in (dictionary_of(board), *DICTIONARIES):
-        search = aruco.ArucoDetector(
-            aruco.getPredefinedDictionary(getattr(aruco, name))
-        )
+        dictionary = aruco.getPredefinedDictionary(getattr(aruco, name))
+        search = aruco.ArucoDetector(dictionary)
         met = [search.detectMarkers(image)[1] for image in images]
-        seen[name] = {int(k) for ids in met if ids is not None for k in np.ravel(ids)}
-    return max(seen.items(), key=lambda item: len(item[1]))
-
-
-def dictionary_of(board: BoardSetup) -> str:
-    """The dictionary of a board with markers, or that of most boards."""
-    usual = "DICT_APRILTAG_36h11" if board.type == "apriltag" else "DICT_4X4_50"
-    return board.dictionary or usual
-
-
-def ambiguous(board: BoardSetup) -> bool:
-    """Whether a board looks the same from two sides."""
-    if board.type == "circles":
-        return True
-    return board.type == "chessboard" and (board.columns + board.rows) % 2 == 0
+        if ids := {int(k) for found in met if found is not None for k in found.ravel()}:
+            said = f"; seen: {len(ids)} markers of {name}, {min(ids)} to {max(ids)}"
+            seen.append((len(ids), said))
+    return max(seen, default=(0, ""), key=lambda found: found[0])[1]
 
 
 @dataclass(frozen=True)
@@ -471,20 +502,20 @@ class Start:
     Attributes:
         camera: Its intrinsics.
         assumed: Whether images do not determine its focal lengths.
-        rms: Rms of the corners of each image about the camera that fits them [px], NaN
-            where there are too few.
+        rms: Rms of the corners about the camera that fits them [px]; None where there
+            are too few.
     """
 
     camera: CameraSetup
     assumed: bool
-    rms: Floats
+    rms: float | None
 
 
 def start_camera(
-    mount: Literal["hand", "world"],
+    mount: Any,
     board: Detector,
     size: tuple[int, int],
-    images: list[Found],
+    images: Mapping[str, Found],
 ) -> Start:
     """Intrinsics to start from.
 
@@ -492,23 +523,24 @@ def start_camera(
         mount: `hand` or `world`.
         board: The board.
         size: Width and height of the images [px].
-        images: The corners in each.
+        images: The corners in each, by its name.
+
+    Raises:
+        InputError: If they are not those of one flat board before a camera.
     """
     cv2, largest = vision(), max(size)
     center = ((size[0] - 1) / 2.0, (size[1] - 1) / 2.0)
     focal = (ASSUMED * largest, ASSUMED * largest)
-    rms = np.full(len(images), np.nan)
     assumed = CameraSetup(mount, focal, center, size=size, estimate=True)
-    usable = [k for k, image in enumerate(images) if len(image.names) >= CORNERS]
-    sites = [
-        np.array([board.points[n] for n in images[k].names], np.float32) for k in usable
-    ]
-    pixels = [images[k].pixels.astype(np.float32) for k in usable]
+    usable = {n: found for n, found in images.items() if len(found.names) >= CORNERS}
+    sites, pixels = [], []
+    for one in usable.values():
+        sites.append(np.array([board.points[n] for n in one.names], np.float32))
+        pixels.append(one.pixels.astype(np.float32))
     # The sixth power of the radius is left to the calibration.
-    K, flags = None, cv2.CALIB_FIX_K3
+    K, flags = np.diag([*focal, 1.0]), cv2.CALIB_FIX_K3
+    K[:2, 2] = center
     if len(usable) < VIEWS:
-        K = np.diag([*focal, 1.0])
-        K[:2, 2] = center
         flags += cv2.CALIB_USE_INTRINSIC_GUESS + cv2.CALIB_FIX_ASPECT_RATIO
         flags += cv2.CALIB_FIX_PRINCIPAL_POINT + cv2.CALIB_ZERO_TANGENT_DIST
         flags += cv2.CALIB_FIX_K2
@@ -517,32 +549,34 @@ def start_camera(
             sites, pixels, size, K, None, flags=flags
         )
     except cv2.error:  # None is usable, or corners are on a line.
-        return Start(assumed, True, rms)
-    rms[usable] = np.ravel(each)
+        return Start(assumed, True, None)
+    rms = _require_flat(usable, np.ravel(each))
     numbers = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *np.ravel(lens)[:5]])
     sane = (0.1 * largest < numbers[:2]) & (numbers[:2] < 100.0 * largest)
     sane &= np.ravel(spread)[:2] < UNKNOWN * numbers[:2]
     if len(usable) < VIEWS or not (np.isfinite(numbers).all() and sane.all()):
         return Start(assumed, True, rms)
     # A start needs no more digits.
-    fx, fy, cx, cy = (round(float(number), 3) for number in numbers[:4])
-    k_1, k_2, p_1, p_2, k_3 = (round(float(number), 6) for number in numbers[4:])
-    lens = (k_1, k_2, p_1, p_2, k_3)
+    fx, fy, cx, cy = numbers[:4].round(3).tolist()
+    lens = tuple(numbers[4:].round(6).tolist())
     camera = CameraSetup(mount, (fx, fy), (cx, cy), lens, size, estimate=True)
     return Start(camera, False, rms)
 
 
-def _turn(grid: Floats) -> float:
-    """Positive where rows run as they do on a board that is seen from the front."""
-    x, y = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
-    return float(x[0] * y[1] - x[1] * y[0])
+def _require_flat(images: Mapping[str, Found], rms: Floats) -> float:
+    """Rms of the corners of all images about their camera, by those of each [px].
 
-
-def _first_is_dark(image: Gray, grid: Floats) -> bool:
-    """Whether the square outside the first corner is darker than its neighbors."""
-    x, y = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
-    around = grid[0, 0] + 0.5 * np.array([-x - y, x - y, x + y, y - x])
-    edge = np.array(image.shape[::-1]) - 1
-    u, v = np.clip(np.round(around).astype(int), 0, edge).T
-    levels = image[v, u].astype(float)
-    return bool(levels[0] + levels[2] < levels[1] + levels[3])
+    Raises:
+        InputError: If they are not those of one flat board before a camera.
+    """
+    counts = [len(found.names) for found in images.values()]
+    total = float(np.sqrt(np.average(rms**2, weights=counts)))
+    sigma = float(np.median(np.concatenate([f.sigma for f in images.values()])))
+    worst, name = max(zip(rms.tolist(), images, strict=True))
+    if total > np.clip(NOISE * sigma, *MOST) or worst > MOST[1]:
+        raise InputError(
+            f"corners do not fit the board: rms {total:.3g} px with a noise of "
+            f"{sigma:.2g} px, {worst:.3g} px in {name}; is the board flat, and as "
+            "stated?"
+        )
+    return total

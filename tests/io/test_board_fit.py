@@ -77,6 +77,8 @@ def test_tags_beside_the_board_are_not_of_it():
     (other,) = seen(replace(board, columns=5, first=12), rng, 1)
     image |= {k: four + 2000.0 for k, four in other.items()}
     assert restated_tags(board, [image]) == board
+    # Of another one nothing is said; the camera does not fit it.
+    assert restated_tags(replace(board, columns=3, rows=4), [image]) is None
 
 
 @pytest.mark.parametrize("circles", [False, True])

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from calib_pin.io.exchange.base import Encoded, Exported, Format
-from calib_pin.io.exchange.descriptions import MJCF, URDF, XACRO
-from calib_pin.io.exchange.dh import DH
-from calib_pin.io.exchange.joint_offsets import JOINT_OFFSETS, LEROBOT, ROS2_CONTROL
-from calib_pin.io.exchange.places import CAMERA_INFO, TF
-from calib_pin.io.exchange.vendor_kinematics import UR, XARM
+from calib_pin.io.exchange.descriptions import mjcf, urdf, xacro
+from calib_pin.io.exchange.joint_frames import dh, ur, xarm
+from calib_pin.io.exchange.joint_offsets import lerobot, offsets_table, ros2_control
+from calib_pin.io.exchange.places import camera_info, tf
 
 __all__ = ["FORMATS", "Encoded", "Exported", "Format"]
 
-_ROBOTS = (UR, XARM, URDF, XACRO, MJCF)
-_JOINTS = (ROS2_CONTROL, LEROBOT, JOINT_OFFSETS)
+_ROBOTS = (ur, xarm, urdf, xacro, mjcf)
+_JOINTS = (ros2_control, lerobot, offsets_table)
 
-FORMATS = {form.name: form for form in (*_ROBOTS, *_JOINTS, CAMERA_INFO, DH, TF)}
+FORMATS = {form.name: form for form in (*_ROBOTS, *_JOINTS, camera_info, dh, tf)}
 """Formats that a calibration is exported to, by name."""

@@ -1,8 +1,13 @@
-"""Calibrations that are exported, and the files that other software loads."""
+"""Calibrations that are exported, and the formats that other software loads.
+
+A format declares which parts of a calibration it holds; from these come its refusals,
+its remarks and its documentation. Its writer makes the bytes, about the user's own file
+where it takes one.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import OptionError, OutputError, enumerated
+from calib_pin.errors import InputError, OptionError, enumerated
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.calibrated_model import encode_urdf
 from calib_pin.io.urdf_tree import parse_robot
@@ -31,9 +36,6 @@ from calib_pin.validation.joint_errors import (
     told_reversed,
 )
 from calib_pin.validation.result import CalibrationResult
-
-EXACT = 1e-9
-"""Largest difference of forward kinematics that is rounding [m, rad]."""
 
 ENOUGH = 1e-6
 """Distance of the tool point below which a file holds the whole calibration [m]."""
@@ -87,8 +89,11 @@ class Exported:
             OptionError: If there is not.
         """
         if self.result.verdict not in TRUSTED:
-            reason = f"must not be trusted: {self.result.reason}"
-            raise OptionError(reason, file=self.file)
+            raise self.error(f"must not be trusted: {self.result.reason}")
+
+    def error(self, reason: str, value: object = None) -> OptionError:
+        """A refusal of this calibration."""
+        return OptionError(reason, file=self.file, value=value)
 
     @cached_property
     def geometry(self) -> CalibratedModel | None:
@@ -100,17 +105,14 @@ class Exported:
         result = self.result
         if result.geometry is None and result.verdict == "good":
             reason = "" if result.urdf is None else result.urdf.reason
-            raise OptionError(
-                f"has no corrected geometry to export: {reason}", file=self.file
-            )
+            raise self.error(f"has no corrected geometry to export: {reason}")
         return result.geometry
 
     @cached_property
     def robot(self) -> Robot:
         """The robot as its corrected URDF describes it."""
-        nominal = self.result.model.chains.robot
         if self.geometry is None:
-            return nominal
+            return self.result.model.chains.robot
         path = f"{self.file} (corrected)"
         return parse_robot(encode_urdf(self.geometry, path), path)
 
@@ -141,16 +143,12 @@ class Exported:
 
     @cached_property
     def chain(self) -> Chain:
-        """Its corrected chain."""
-        return self.corrected(self.nominal)
-
-    def corrected(self, chain: Chain) -> Chain:
-        """The corrected chain of a nominal one."""
-        return Chain(self.robot, chain.base, chain.tip)
+        """The first corrected chain."""
+        return Chain(self.robot, self.nominal.base, self.nominal.tip)
 
     def corrected_poses(self, chain: Chain, q: Floats) -> Floats:
         """Tip poses of the corrected chain of a nominal one, (N, n) -> (N, 4, 4)."""
-        return self.corrected(chain).poses(q)
+        return Chain(self.robot, chain.base, chain.tip).poses(q)
 
     @cached_property
     def reverses(self) -> Mapping[str, str]:
@@ -160,33 +158,14 @@ class Exported:
 
     @cached_property
     def configurations(self) -> Floats:
-        """Its random configurations, shape (N, n)."""
+        """Random configurations of the first chain, shape (N, n)."""
         return configurations(self.nominal)
 
-    def require_same(self, read: Read, what: str, tolerance: float = EXACT) -> None:
-        """Compare what was written with the corrected chains.
-
-        Args:
-            read: What was written, as it is read again.
-            what: Its name, for messages.
-            tolerance: Largest difference [m, rad].
-
-        Raises:
-            OutputError: If they differ.
-        """
-        for chain in (one.chain for one in self.fitted):
-            q = configurations(chain)
-            difference = np.abs(read(chain, q) - self.corrected_poses(chain, q)).max()
-            if not difference < tolerance:
-                raise OutputError(
-                    f"{what} differs from the corrected robot by {difference:.2g}"
-                )
-
-    def distance(self, read: Read = Chain.poses) -> float:
+    def distance(self, read: Read) -> float:
         """How far a file is from the whole calibration.
 
         Args:
-            read: What was written, as it is read again; default the nominal robot.
+            read: The robot as the file has it.
 
         Returns:
             Distance of the tool points between calibrated base and tool, root mean
@@ -244,12 +223,12 @@ class Encoded:
     Attributes:
         data: Its bytes.
         remarks: Sentences about things that cannot be seen in it.
-        read: The robot as the file has it; the nominal one where it has none.
+        read: The robot as the file has it; None for the corrected one.
     """
 
     data: bytes
     remarks: tuple[str, ...] = ()
-    read: Read = Chain.poses
+    read: Read | None = None
 
 
 @dataclass(frozen=True)
@@ -259,20 +238,24 @@ class Format:
     Attributes:
         name: Name on the command line.
         suffix: Suffix of its files.
-        summary: Its description, for the help.
-        write: Makes the file; takes the user's own one, where there is one.
+        holds: Parts of a calibration, and properties of a robot, that it has a place
+            for.
         template: Whether it needs the user's own file (`required`), can do with it
             (`optional`), or cannot (empty).
-        holds: Parts of a calibration, and properties of a robot, that it has a place
-            for. From these come the refusals, the remarks and the documentation.
+        write: Makes the file; takes the user's own one, where there is one. The first
+            line of its docstring describes the format.
     """
 
     name: str
     suffix: str
-    summary: str
+    holds: tuple[str, ...]
+    template: str
     write: Callable[[Exported, Path | None], Encoded]
-    template: str = ""
-    holds: tuple[str, ...] = ()
+
+    @property
+    def summary(self) -> str:
+        """Its description, for the help."""
+        return (self.write.__doc__ or "").partition(".\n")[0].removesuffix(".")
 
     def encode(self, exported: Exported, template: Path | None) -> Encoded:
         """The file, with sentences about what it does not hold.
@@ -280,45 +263,32 @@ class Format:
         Raises:
             OptionError: If the robot is none that the format can hold.
             InputError: If the template is no such file.
-            OutputError: If the file does not read back.
         """
-        whole = exported
-        if SEVERAL not in self.holds:
-            exported = replace(exported, name=exported.names[0])
-        joints, moves = exported.chains.joints, OFFSETS in self.holds
-        slides = [joints[k] for k in np.flatnonzero(~exported.chains.revolute)]
-        if slides and moves and PRISMATIC not in self.holds:
-            reason = f"{self.name} is for joints that turn, '{slides[0]}' slides"
-            raise OptionError(reason, file=exported.file)
-        encoded = self.write(exported, template)
+        first, others = exported, exported.names[1:]
+        if others and SEVERAL not in self.holds:
+            first = replace(exported, name=exported.names[0])
+        if OFFSETS in self.holds and PRISMATIC not in self.holds:
+            for k in np.flatnonzero(~first.chains.revolute)[:1]:
+                slides = f"'{first.chains.joints[k]}' slides"
+                raise first.error(f"{self.name} is for joints that turn, {slides}")
+        encoded = self.write(first, template)
         remarks = [*encoded.remarks]
-        if moves:
-            remarks += self._distance(exported, encoded.read)
-        if moves and exported.framed:
-            seen = CAMERA_LINK in self.holds and exported.result.model.cameras
-            lacking = "frames but the camera's" if seen else "base and tool frames"
-            remarks.append(f"{self.name} holds no {lacking}: see 'tf'")
-        if moves and MIMIC not in self.holds and (mimics := exported.nominal.mimics):
-            said = enumerated(
-                f"{name} is {of.factor:g} {of.leader} {of.offset:+g}"
-                for name, of in mimics.items()
-            )
-            remarks.append(f"{self.name} holds no mimic joints: {said}")
-        if moves and SIGNS not in self.holds and exported.reverses:
-            said = enumerated(f"{joint} is reversed" for joint in exported.reverses)
-            remarks.append(f"{self.name} holds no {SIGNS}: {said}")
-        if others := whole.names[1:] if whole is not exported else ():
-            said = f"'{exported.name}', not {enumerated(others)} (--chain)"
+        if OFFSETS in self.holds:
+            read = encoded.read or first.corrected_poses
+            remarks += [*self._distance(first, read), *self._lacking(first)]
+        if first is not exported:
+            said = f"'{first.name}', not {enumerated(others)} (--chain)"
             remarks.append(f"{self.name} holds one chain: {said}")
         return replace(encoded, remarks=tuple(remarks))
 
     def _distance(self, exported: Exported, read: Read) -> Iterator[str]:
         """A sentence about how far a file is from the calibration, if it is."""
         remaining, (unit, factor) = exported.distance(read), DISPLAY["m"]
+        whole = exported.distance(Chain.poses)
         lacking = [p for p in exported.parts if p not in self.holds]
         about = (
-            f"{factor * remaining:.3g} of {factor * exported.distance():.3g} {unit} "
-            "of what was found are missing (tool point, rms over the workspace)"
+            f"{factor * remaining:.3g} of {factor * whole:.3g} {unit} of what was "
+            "found are missing (tool point, rms over the workspace)"
         )
         if remaining < ENOUGH:
             lacking = [p for p in lacking if p not in (GEOMETRY, OFFSETS, GAINS)]
@@ -328,20 +298,37 @@ class Format:
         elif remaining >= ENOUGH:
             yield about
 
+    def _lacking(self, exported: Exported) -> Iterator[str]:
+        """Sentences about frames, and about joints of kinds that it does not hold."""
+        if exported.framed:
+            seen = CAMERA_LINK in self.holds and exported.result.model.cameras
+            lacking = "frames but the camera's" if seen else "base and tool frames"
+            yield f"{self.name} holds no {lacking}: see 'tf'"
+        followers = [
+            f"{name} is {of.factor:g} {of.leader} {of.offset:+g}"
+            for name, of in exported.nominal.mimics.items()
+        ]
+        reversed_ = [f"{joint} is reversed" for joint in exported.reverses]
+        for held, said in ((MIMIC, followers), (SIGNS, reversed_)):
+            if said and held not in self.holds:
+                yield f"{self.name} holds no {held}: {enumerated(said)}"
+
+
+def require(
+    usable: bool, reason: str, file: Path | None, value: object, allowed: str
+) -> None:
+    """Refuse a file of the user's.
+
+    Raises:
+        InputError: If it is not usable.
+    """
+    if not usable:
+        raise InputError(reason, file=file, value=value, allowed=allowed)
+
 
 def rms(vectors: Floats) -> float:
     """Length of vectors, shape (N, 3), root mean square."""
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
-
-
-def require_read(found: object, wanted: object, what: str) -> None:
-    """Compare what a file holds as it is read again.
-
-    Raises:
-        OutputError: If it is not what was to be written.
-    """
-    if found != wanted:
-        raise OutputError(f"{what} do not read back")
 
 
 def origin_of(pose: pin.SE3) -> list[float]:
@@ -353,3 +340,8 @@ def placed(origin: Sequence[float]) -> pin.SE3:
     """The pose of the numbers of an origin, see `ORIGIN`."""
     numbers = np.array(origin, float)
     return pin.SE3(pin.rpy.rpyToMatrix(numbers[3:]), numbers[:3])
+
+
+def words(numbers: Iterable[float]) -> str:
+    """Numbers with all their digits."""
+    return " ".join(repr(float(number)) for number in numbers)

@@ -7,31 +7,21 @@ ros2_control is `joint = actuator / mechanical_reduction + offset`.
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
 import numpy as np
 
-from calib_pin.errors import InputError, OptionError, enumerated
+import calib_pin.io.exchange.base as base
+from calib_pin.errors import enumerated
 from calib_pin.io.dialects.lerobot import STEPS, read_motors
-from calib_pin.io.exchange.base import (
-    GAINS,
-    MIMIC,
-    OFFSETS,
-    ROBOTS,
-    SEVERAL,
-    SIGNS,
-    Encoded,
-    Exported,
-    Format,
-    require_read,
-)
+from calib_pin.io.exchange.base import Encoded, Exported, Format
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.urdf_tree import parse_document
@@ -49,49 +39,41 @@ USE = (
 """Sentences that say how the table is used."""
 
 
-def doubts(known: Mapping[str, FoundOffset]) -> tuple[str, ...]:
-    """A sentence about offsets that the measurements do not tell, if there are any."""
-    unknown = [
-        f"{name} ({of.status})" for name, of in known.items() if of.sigma is None
-    ]
+def _estimates(exported: Exported) -> tuple[dict[str, FoundOffset], tuple[str, ...]]:
+    """The offsets that are parameters, by column, and a sentence about unknown ones."""
+    found = {of.column: of for of in joint_offsets(exported.result)}
+    unknown = [f"{n} ({of.status})" for n, of in found.items() if of.sigma is None]
     about = "not known by themselves, only with the other values of the calibration: "
-    return (about + enumerated(unknown),) if unknown else ()
+    return found, (about + enumerated(unknown),) if unknown else ()
 
 
-def estimates(exported: Exported) -> dict[str, FoundOffset]:
-    """The estimated offsets by column, where the calibration has them as parameters."""
-    return {found.column: found for found in joint_offsets(exported.result)}
-
-
-def encode_offsets(exported: Exported, _: Path | None) -> Encoded:
-    """A table, with the sentence that says how it is used."""
+@partial(Format, "joint-offsets", ".csv", (base.OFFSETS, base.SIGNS, *base.ROBOTS), "")
+def offsets_table(exported: Exported, _: Path | None) -> Encoded:
+    """Offsets of the joints, to be typed into a controller."""
     model = exported.result.model
     found = exported.joint_errors(model.setup.joints)
-    offsets, rows, known = found.offsets.copy(), [], estimates(exported)
     stepped = encoder_steps(model.setup, model.chains.joints)
+    (known, doubts), rows, offsets = _estimates(exported), [], found.offsets.copy()
     for k, column, joint in found.drives:
-        turns, sigma, status, steps = found.columns.revolute[k], "", "", ""
+        turns, estimate = found.columns.revolute[k], known.get(column)
         si = "rad" if turns else "m"
-        unit, factor = DISPLAY[si]
-        shown, exact = f"{factor * offsets[k]:+z.6f}", repr(float(offsets[k]))
+        (unit, factor), offset = DISPLAY[si], float(offsets[k])
+        numbers = [f"{factor * offset:+z.6f}", "", repr(offset)]
         if turns and joint in stepped:
-            steps = f"{offsets[k] * stepped[joint] / (2.0 * np.pi):+z.1f}"
-        if (estimate := known.get(column)) is not None:
-            status = estimate.status
-            if estimate.sigma is not None:
-                sigma = f"{factor * estimate.sigma:.6f}"
-            else:  # A zero would pass for a result.
-                shown, steps, exact, offsets[k] = "", "", "", 0.0
+            numbers[1] = f"{offset * stepped[joint] / (2.0 * np.pi):+z.1f}"
+        sigma = ""
+        if estimate is not None and estimate.sigma is not None:
+            sigma = f"{factor * estimate.sigma:.6f}"
+        elif estimate is not None:  # A zero would pass for a result.
+            numbers, offsets[k] = ["", "", ""], 0.0
+        shown, steps, exact = numbers
+        status = "" if estimate is None else estimate.status
         sign = "-1" if joint in exported.reverses else "+1"
-        cells = [joint, column, shown, sigma, unit, steps, status, exact, si, sign]
-        rows.append(cells)
+        rows.append((joint, column, shown, sigma, unit, steps, status, exact, si, sign))
     table = dict(zip(HEADERS.split(), zip(*rows, strict=True), strict=True))
-    left = doubts(known)
-    comments = [*USE, *exported.reverses.values(), *left]
-    data = encode_table(table, comments)
-    lines = data.decode().splitlines()[len(comments) :]
-    require_read([*csv.reader(lines)], [HEADERS.split(), *rows], "the offsets")
-    return Encoded(data, left, replace(found, offsets=offsets).poses)
+    comments = [*USE, *exported.reverses.values(), *doubts]
+    read = replace(found, offsets=offsets).poses
+    return Encoded(encode_table(table, comments), doubts, read)
 
 
 FARTHEST = 2047
@@ -101,38 +83,36 @@ FULL_TURN = "wrist_roll"
 """Motor that LeRobot gives the whole range of its encoder (`full_turn_motor`)."""
 
 
-def encode_motors(exported: Exported, template: Path | None) -> Encoded:
-    """The user's own file with other homing offsets.
+@partial(
+    Format, "lerobot", ".json", (base.OFFSETS, base.MIMIC, base.SEVERAL), "required"
+)
+def lerobot(exported: Exported, template: Path | None) -> Encoded:
+    """LeRobot's homing offsets and ranges.
 
     The zero is in the middle of the range, so the range keeps its middle and shrinks:
     the joint goes nowhere it did not go before.
 
     Raises:
-        InputError: If that is no such file, or lacks a motor.
-        OptionError: If a joint does not turn, or a motor stores no such offset.
+        InputError: If that is no such file, lacks a motor, or one stores no such
+            offset.
     """
     assert template is not None
-    motors, chains = read_motors(template), exported.chains
-    _check_motors(motors, template)
+    motors = read_motors(template)
+    _check(motors, template)
     found = exported.joint_errors(exported.result.model.setup.joints)
-    offsets, steps = found.offsets.copy(), dict[str, int]()
-    seams, rounded = list[str](), 0.0
+    offsets, moved, seams = found.offsets.copy(), list[str](), list[str]()
     for k, column, joint in found.drives:
         names = (joint, column, joint.removesuffix("_joint"))
-        name = next((name for name in names if name in motors), None)
-        if name is None:
-            raise InputError(
-                f"has no motor for joint '{joint}'",
-                file=template,
-                allowed=f"one of {', '.join(motors)}, mapped by 'joints' in the setup",
-            )
-        exact = offsets[k] * STEPS / (2.0 * np.pi)
-        steps[name] = moved = round(exact)
-        rounded = max(rounded, abs(exact - moved) * 360.0 / STEPS)
-        offsets[k] = moved * 2.0 * np.pi / STEPS
-        i = chains.joints.index(joint)
-        factor = abs(found.columns.factors[i, k])
-        degrees = np.degrees(chains.upper[i] - chains.lower[i]) / factor
+        name = next((name for name in names if name in motors), "")
+        allowed = f"one of {', '.join(motors)}, mapped by 'joints' in the setup"
+        reason = f"has no motor for joint '{joint}'"
+        base.require(name != "", reason, template, None, allowed)
+        steps = round(offsets[k] * STEPS / (2.0 * np.pi))
+        offsets[k] = steps * 2.0 * np.pi / STEPS
+        moved.append(f"{name} {-steps:+d}")
+        i = exported.chains.joints.index(joint)
+        travel = exported.chains.upper[i] - exported.chains.lower[i]
+        degrees = np.degrees(travel) / abs(found.columns.factors[i, k])
         range_ = motors[name]["range_max"] - motors[name]["range_min"]
         # Nearer to a whole turn than to the travel of the joint.
         if name != FULL_TURN and range_ * 720.0 / STEPS > 360.0 + degrees:
@@ -141,55 +121,47 @@ def encode_motors(exported: Exported, template: Path | None) -> Encoded:
                 "deg: it was recorded across the seam of the encoder. Home the motor "
                 "in its middle and record it again"
             )
-        _move(motors[name], name, moved, template)
-    data = json.dumps(motors, indent=4).encode() + b"\n"
-    told = ", ".join(f"{name} {-moved:+d}" for name, moved in steps.items())
-    said = (
-        f"homing offsets changed by motor steps: {told}",
+        _move(motors[name], name, steps, template)
+    rounded = np.degrees(np.abs(offsets - found.offsets).max(initial=0.0))
+    remarks = (
+        f"homing offsets changed by motor steps: {', '.join(moved)}",
         f"whole steps leave up to {rounded:.3f} deg of a joint",
+        *seams,
+        *_estimates(exported)[1],
     )
-    read = replace(found, offsets=offsets).poses
-    return Encoded(data, (*said, *seams, *doubts(estimates(exported))), read)
+    data = json.dumps(motors, indent=4).encode() + b"\n"
+    return Encoded(data, remarks, replace(found, offsets=offsets).poses)
 
 
-def _check_motors(motors: Mapping[str, dict[str, Any]], template: Path) -> None:
-    """Refuse what no calibration of LeRobot's can have written.
-
-    Raises:
-        InputError: If a range is none of the encoder, or two motors have one id.
-    """
-    owners = dict[object, str]()
+def _check(motors: Mapping[str, Mapping[str, Any]], template: Path) -> None:
+    """Refuse what no calibration of LeRobot's can have."""
+    ranges, ids = f"range_min below range_max, from 0 to {STEPS}", dict[object, str]()
     for name, motor in motors.items():
-        ends = motor["range_min"], motor["range_max"]
-        if not 0 <= ends[0] < ends[1] <= STEPS:
-            reason, value = f"the encoder of '{name}' has no such range", [*ends]
-            allowed = f"range_min below range_max, from 0 to {STEPS}"
-            raise InputError(reason, file=template, value=value, allowed=allowed)
-        if "id" in motor and (other := owners.setdefault(motor["id"], name)) != name:
-            reason, value = f"motors '{other}' and '{name}' have one id", motor["id"]
-            raise InputError(reason, file=template, value=value, allowed="one for each")
+        low, high, own = motor["range_min"], motor["range_max"], motor.get("id")
+        reason = f"the encoder of '{name}' has no such range"
+        base.require(0 <= low < high <= STEPS, reason, template, [low, high], ranges)
+        other = name if own is None else ids.setdefault(own, name)
+        reason = f"motors '{other}' and '{name}' have one id"
+        base.require(other == name, reason, template, own, "one for each")
 
 
-def _move(motor: dict[str, Any], name: str, moved: int, template: Path) -> None:
+def _move(motor: dict[str, Any], name: str, steps: int, template: Path) -> None:
     """Change the homing offset, and the range so that it keeps its middle.
 
     Raises:
-        OptionError: If a motor stores no such offset, or nothing is left of its range.
+        InputError: If a motor stores no such offset, or nothing is left of its range.
     """
-    motor["homing_offset"] -= moved
-    if abs(motor["homing_offset"]) > FARTHEST:
-        raise OptionError(
-            f"the homing offset of '{name}' would be {motor['homing_offset']}; "
-            "home this motor nearer the middle of its range first",
-            file=template,
-            allowed=f"{-FARTHEST} to {FARTHEST}",
-        )
+    motor["homing_offset"] -= steps
+    value, allowed = motor["homing_offset"], f"{-FARTHEST} to {FARTHEST}"
+    reason = f"the homing offset of '{name}' has no room for {steps} steps; home this "
+    reason += "motor nearer the middle of its range first"
+    base.require(abs(value) <= FARTHEST, reason, template, value, allowed)
     if motor["range_max"] - motor["range_min"] < STEPS:
-        motor["range_min"] += abs(moved)
-        motor["range_max"] -= abs(moved)
-    if motor["range_min"] >= motor["range_max"]:
-        reason = f"the range of '{name}' is smaller than its offset of {moved} steps"
-        raise OptionError(reason, file=template)
+        motor["range_min"] += abs(steps)
+        motor["range_max"] -= abs(steps)
+    value, allowed = motor["range_max"] - motor["range_min"], "more than 0"
+    reason = f"the range of '{name}' is smaller than its offset of {steps} steps"
+    base.require(value > 0, reason, template, value, allowed)
 
 
 PLUGIN = "transmission_interface/SimpleTransmission"
@@ -197,118 +169,97 @@ PLUGIN = "transmission_interface/SimpleTransmission"
 TAGS = {"mechanical_reduction": 1.0, "offset": 0.0}
 """Elements of a joint, and what they are where they are missing."""
 
+NUMBERS = "one <mechanical_reduction>, not 0, and one <offset>"
 
-def encode_transmissions(exported: Exported, template: Path | None) -> Encoded:
-    """The transmissions, about those of the user's own description.
 
-    Transmissions of other joints stay as they are.
+@partial(
+    Format, "ros2-control", ".xml", (base.OFFSETS, base.GAINS, *base.ROBOTS), "optional"
+)
+def ros2_control(exported: Exported, template: Path | None) -> Encoded:
+    """Transmissions: mechanical reduction and offset.
+
+    Those of the user's own description, or simple ones. Transmissions of other joints,
+    and all else in it, stay as they are.
 
     Raises:
         InputError: If that is no XML, or has a transmission of another kind.
     """
     found = exported.joint_errors({}, gains=True)
-    joints = found.columns.joints
-    own, others = ({}, []) if template is None else _stated(template, joints)
-    root, wanted = ElementTree.Element("robot", name=exported.nominal.robot.name), []
+    joints, root = (
+        found.columns.joints,
+        Element("robot", name=exported.nominal.robot.name),
+    )
+    if template is not None:
+        source = parse_document(read_bytes(template, TEXT), str(template)).plain
+        root = fromstring(source)
+    stated = {e.get("name") for t in root.iter("transmission") for e in t.iter("joint")}
+    for joint in (joint for joint in joints if joint not in stated):
+        added = SubElement(root, "transmission", name=f"{joint}_transmission")
+        SubElement(added, "actuator", name=f"{joint}_actuator")
+        SubElement(added, "joint", name=joint)
+    own = _own(root, joints, template)
     for joint, gain, offset in zip(joints, found.gains, found.offsets, strict=True):
-        name, actuator, reduction, at_zero = own.get(
-            joint, (f"{joint}_transmission", f"{joint}_actuator", 1.0, 0.0)
-        )
+        element, reduction, at_zero = own[joint]
         # The joint is at (1 + gain) of what was read, plus the offset.
         new = reduction / (1.0 + gain), (1.0 + gain) * at_zero + offset
-        element = ElementTree.SubElement(root, "transmission", name=name)
-        ElementTree.SubElement(element, "plugin").text = PLUGIN
-        ElementTree.SubElement(element, "actuator", name=actuator, role="actuator1")
-        stated = ElementTree.SubElement(element, "joint", name=joint, role="joint1")
         for tag, value in zip(TAGS, new, strict=True):
-            ElementTree.SubElement(stated, tag).text = repr(float(value))
-        wanted.append([float(value) for value in new])
-    root.extend(others)
-    ElementTree.indent(root)
-    data = ElementTree.tostring(root) + b"\n"
-    read = [*ElementTree.fromstring(data).iter("joint")][: len(wanted)]
-    numbers = [[float(joint.findtext(tag, "nan")) for tag in TAGS] for joint in read]
-    require_read(numbers, wanted, "the transmissions")
-    return Encoded(data, doubts(estimates(exported)), found.poses)
+            SubElement(element, tag).text = repr(float(value))
+    indent(root)
+    return Encoded(tostring(root) + b"\n", _estimates(exported)[1], found.poses)
 
 
-Transmission = tuple[str, str, float, float]
-"""Name, actuator, reduction and offset."""
+def _own(
+    root: Element, joints: Sequence[str], template: Path | None
+) -> dict[str, tuple[Element, float, float]]:
+    """The joints of simple transmissions by name, and reduction and offset of these.
 
+    The numbers are taken out; plugin and roles are spelled as ros2_control has them.
 
-def _stated(
-    template: Path, joints: Sequence[str]
-) -> tuple[dict[str, Transmission], list[ElementTree.Element]]:
-    """The transmissions of some joints by joint, and those of others."""
-    source = parse_document(read_bytes(template, TEXT), str(template)).plain
-    found, others = dict[str, Transmission](), list[ElementTree.Element]()
-    for element in ElementTree.fromstring(source).iter("transmission"):
-        moved = [joint.get("name", "") for joint in element.iter("joint")]
+    Raises:
+        InputError: If a transmission is none of one joint, or one that is not simple.
+    """
+    found = dict[str, tuple[Element, float, float]]()
+    for element in root.iter("transmission"):
+        inner, actuators = ([*element.iter(tag)] for tag in ("joint", "actuator"))
+        moved = [joint.get("name", "") for joint in inner]
         if moved and not {*moved} & {*joints}:
-            others.append(element)
             continue
         owner = f"transmission '{element.get('name', '')}'"
-        kinds = [e.text or "" for tag in ("plugin", "type") for e in element.iter(tag)]
-        for kind in map(str.strip, kinds):
-            if kind.rpartition("/")[2] != PLUGIN.rpartition("/")[2]:
-                reason = f"{owner} is of another kind"
-                raise InputError(reason, file=template, value=kind, allowed=PLUGIN)
-        actuators = [e.get("name", "") for e in element.iter("actuator")]
-        if len(moved) != 1 or len(actuators) != 1 or moved[0] in found:
-            reason = f"{owner} is not that of one joint with one actuator"
-            value = ", ".join([*moved, *actuators])
-            raise InputError(reason, file=template, value=value, allowed=PLUGIN)
-        numbers = _numbers(element, owner, template)
-        found[moved[0]] = (element.get("name", ""), actuators[0], *numbers)
-    return found, others
+        for stated in [e for e in element if e.tag in ("plugin", "type")]:
+            kind, reason = (stated.text or "").strip(), f"{owner} is of another kind"
+            simple = kind.rpartition("/")[2] == PLUGIN.rpartition("/")[2]
+            base.require(simple, reason, template, kind, PLUGIN)
+            element.remove(stated)
+        names = ", ".join([*moved, *(e.get("name", "") for e in actuators)])
+        one = len(inner) == len(actuators) == 1 and moved[0] not in found
+        reason = f"{owner} is not that of one joint with one actuator"
+        base.require(one, reason, template, names, PLUGIN)
+        found[moved[0]] = (inner[0], *_numbers(element, owner, template))
+        SubElement(element, "plugin").text = PLUGIN
+        inner[0].attrib.setdefault("role", "joint1")
+        actuators[0].attrib.setdefault("role", "actuator1")
+    return found
 
 
 def _numbers(
-    transmission: ElementTree.Element, owner: str, template: Path
+    transmission: Element, owner: str, template: Path | None
 ) -> tuple[float, float]:
-    """Reduction and offset of a transmission, also as ROS 1 spells and places them.
+    """Take reduction and offset out, also as ROS 1 spells and places them.
 
     Raises:
         InputError: If one is no number, is stated twice, or is spelled otherwise.
     """
     stated = dict[str, float]()
-    for element in transmission.iterfind("*/*"):
-        tag = re.sub(r"(?=[A-Z])", "_", element.tag).lower()
-        if tag not in TAGS and not re.search("reduction|ratio", tag):
-            continue
-        value = float(np.array(as_number((element.text or "").strip()), float))
-        usable = np.isfinite(value) and (value != 0.0 or tag == "offset")
-        if tag not in TAGS or not usable or stated.setdefault(tag, value) != value:
-            raise InputError(
-                f"{owner} has a <{element.tag}> that cannot be used",
-                file=template,
-                value=element.text,
-                allowed="one <mechanical_reduction>, not 0, and one <offset>",
-            )
+    for parent in transmission:
+        for element in list(parent):
+            tag = re.sub(r"(?=[A-Z])", "_", element.tag).lower()
+            if tag not in TAGS and not re.search("reduction|ratio", tag):
+                continue
+            value = float(np.array(as_number((element.text or "").strip()), float))
+            usable = np.isfinite(value) and (value != 0.0 or tag == "offset")
+            usable &= tag in TAGS and stated.setdefault(tag, value) == value
+            reason = f"{owner} has a <{element.tag}> that cannot be used"
+            base.require(bool(usable), reason, template, element.text, NUMBERS)
+            parent.remove(element)
     reduction, offset = (TAGS | stated).values()
     return reduction, offset
-
-
-JOINT_OFFSETS = Format(
-    "joint-offsets",
-    ".csv",
-    "offsets of the joints, to be typed into a controller",
-    encode_offsets,
-    holds=(OFFSETS, SIGNS, *ROBOTS),
-)
-LEROBOT = Format(
-    "lerobot",
-    ".json",
-    "LeRobot's homing offsets and ranges",
-    encode_motors,
-    "required",
-    (OFFSETS, MIMIC, SEVERAL),
-)
-ROS2_CONTROL = Format(
-    "ros2-control",
-    ".xml",
-    "transmissions: mechanical reduction and offset",
-    encode_transmissions,
-    "optional",
-    (OFFSETS, GAINS, *ROBOTS),
-)

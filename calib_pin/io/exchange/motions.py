@@ -53,12 +53,8 @@ def moving_times(q: Floats, limits: Floats) -> Floats:
         >>> moving_times(np.array([[0.0, 0.0], [1.0, 3.0]]), np.array([1.0, 2.0]))
         array([0. , 1.5])
     """
-    return np.concatenate([[0.0], np.cumsum(_steps(q, limits))])
-
-
-def _steps(q: Floats, limits: Floats) -> Floats:
-    """Least times from command to command at these speeds, shape (N - 1,) [s]."""
-    return np.asarray(np.max(np.abs(np.diff(q, axis=0)) / limits, axis=1, initial=0.0))
+    steps = np.max(np.abs(np.diff(q, axis=0)) / limits, axis=1, initial=0.0)
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def paced(
@@ -85,7 +81,8 @@ def paced(
     way = moving_times(q, np.where(np.isinf(limits), 1.0, limits))
     times = np.interp(way, way[known], time[row[known]])
     times[known] = time[row[known]]
-    (late,) = np.nonzero(_steps(q, limits) > np.diff(times) * (1.0 + ROUNDING))
+    least = np.diff(moving_times(q, limits))
+    (late,) = np.nonzero(least > np.diff(times) * (1.0 + ROUNDING))
     ahead = [row[k + 1 :][known[k + 1 :]][0] for k in late]
     return times, np.unique(np.array(ahead, np.int64))
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain as joined
-from itertools import count
+from functools import partial
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -13,19 +12,9 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from calib_pin.errors import OptionError, enumerated
-from calib_pin.io.exchange.base import (
-    CAMERA,
-    CAMERA_LINK,
-    FRAMES,
-    ROBOTS,
-    Encoded,
-    Exported,
-    Format,
-    origin_of,
-    placed,
-    require_read,
-)
+import calib_pin.io.exchange.base as base
+from calib_pin.errors import enumerated
+from calib_pin.io.exchange.base import Encoded, Exported, Format
 from calib_pin.io.urdf_tree import parse_document
 from calib_pin.measurement_models.pinhole import Camera
 from calib_pin.validation.result import REMEDY, frames_of
@@ -74,6 +63,13 @@ class Place:
             return f"the orientation {where} was not measured, only its position"
         return f"{', '.join(self.unknown)} {where} unknown"
 
+    @property
+    def numbers(self) -> tuple[dict[str, float], dict[str, float]]:
+        """Position [m] and quaternion, each number by its name."""
+        turn = pin.Quaternion(self.pose.rotation).coeffs().tolist()
+        position = dict(zip("xyz", self.pose.translation.tolist(), strict=True))
+        return position, dict(zip("xyzw", turn, strict=True))
+
 
 def places(exported: Exported) -> list[Place]:
     """The measurement frames in the base link, and the tools in the tip link.
@@ -84,13 +80,13 @@ def places(exported: Exported) -> list[Place]:
     taken = set(result.model.chains.robot.links)
     for term in result.model.terms.values():
         chain, (station, tool) = term.error.chain, (f for f, _ in frames_of(term))
-        base, tip = term.error.base.inverse(), result.model.of(term.key).tool
+        start, tip = term.error.base.inverse(), result.model.of(term.key).tool
         cameras = {
             "tool" if reference.mount == "hand" else "station": reference
             for reference in term.measurement.references
             if isinstance(reference, Camera)
         }
-        for frame, link, pose in ((station, chain.base, base), (tool, chain.tip, tip)):
+        for frame, link, pose in ((station, chain.base, start), (tool, chain.tip, tip)):
             if (key := (*frame, link)) in found:
                 continue
             names = NAMES.get(frame.name, (f"{frame.name}_{frame.kind}",))
@@ -99,19 +95,28 @@ def places(exported: Exported) -> list[Place]:
                 names = (name, f"{name}_optical_frame")
             child, unknown = _free_name(names, taken), result.unknown_of(*frame)
             point = frame is tool and camera is None and unknown == TURNS
-            found[key] = Place(
-                link, child, pose, camera is not None, unknown, point or not unknown
-            )
+            about = camera is not None, unknown, point or not unknown
+            found[key] = Place(link, child, pose, *about)
     return list(found.values())
 
 
 def _free_name(names: Sequence[str], taken: set[str]) -> str:
     """The first name that no frame has, or the last with a number; taken from now."""
     plain = [name.replace(".", "_").replace("/", "_") for name in names]
-    more = (f"{plain[-1]}_{k}" for k in count(2))
-    name = next(name for name in joined(plain, more) if name not in taken)
+    plain += [f"{plain[-1]}_{k}" for k in range(2, len(taken) + 3)]
+    name = next(name for name in plain if name not in taken)
     taken.add(name)
     return name
+
+
+def _remarks(exported: Exported, found: Sequence[Place]) -> tuple[str, ...]:
+    """Sentences about what is not known of frames, and what to do about it."""
+    remarks = [place.remark for place in found if place.unknown]
+    if not all(place.written for place in found):
+        coupled = exported.result.coupled_frames
+        known = [f"only {sums.expression} is known" for sums in coupled]
+        remarks.append("; ".join([REMEDY, *known]))
+    return tuple(remarks)
 
 
 def camera_links(exported: Exported) -> tuple[str, tuple[str, ...]]:
@@ -127,7 +132,7 @@ def camera_links(exported: Exported) -> tuple[str, tuple[str, ...]]:
         stem = place.child.removesuffix("_optical_frame")
         names = (_free_name([f"{stem}_{end}"], taken) for end in ENDS)
         link, joint, frame, optical = names
-        forward = origin_of(place.pose * placed(OPTICAL).inverse())
+        forward = base.origin_of(place.pose * base.placed(OPTICAL).inverse())
         text += _fixed(joint, place.parent, link, forward)
         text += _fixed(optical, link, frame, OPTICAL)
     return text, _remarks(exported, found)
@@ -135,72 +140,53 @@ def camera_links(exported: Exported) -> tuple[str, tuple[str, ...]]:
 
 def _fixed(joint: str, parent: str, child: str, origin: Sequence[float]) -> str:
     """A link and the joint that holds it."""
-    xyz, rpy = (" ".join(map(repr, part)) for part in (origin[:3], origin[3:]))
     return f"""  <link name={quoteattr(child)}/>
   <joint name={quoteattr(joint)} type="fixed">
     <parent link={quoteattr(parent)}/>
     <child link={quoteattr(child)}/>
-    <origin xyz="{xyz}" rpy="{rpy}"/>
+    <origin xyz="{base.words(origin[:3])}" rpy="{base.words(origin[3:])}"/>
   </joint>
 """
 
 
-def encode_transforms(exported: Exported, _: Path | None) -> Encoded:
-    """Static transforms as ROS prints them, and the commands that publish them.
+@partial(Format, "tf", ".yaml", (base.FRAMES, base.CAMERA_LINK, *base.ROBOTS), "")
+def tf(exported: Exported, _: Path | None) -> Encoded:
+    """Static transforms of base, tools, stations, camera.
+
+    As ROS prints them, and the commands that publish them.
 
     Raises:
         OptionError: If nothing is known of any.
     """
-    found = places(exported)
-    documents, commands = [], []
-    for place in found:
-        if not place.written:
-            continue
-        position, turn = _numbers(place.pose)
+    found, documents, commands = places(exported), [], []
+    remarks = _remarks(exported, found)
+    for place in (place for place in found if place.written):
+        position, turn = place.numbers
         documents.append(
             {
                 "header": {"frame_id": place.parent},
                 "child_frame_id": place.child,
-                "transform": {
-                    "translation": position,
-                    "rotation": {key[1:]: number for key, number in turn.items()},
-                },
+                "transform": {"translation": position, "rotation": turn},
             }
         )
-        options = (f"--{key} {x!r}" for key, x in (position | turn).items())
+        options = position | {f"q{key}": number for key, number in turn.items()}
+        stated = " ".join(f"--{key} {number!r}" for key, number in options.items())
         commands.append(
-            f"# ros2 run tf2_ros static_transform_publisher {' '.join(options)} "
+            f"# ros2 run tf2_ros static_transform_publisher {stated} "
             f"--frame-id {place.parent} --child-frame-id {place.child}"
         )
-    remarks = _remarks(exported, found)
     if not documents:
-        raise OptionError("; ".join(remarks), file=exported.file)
-    document = {"transforms": documents}
-    text = yaml.safe_dump(document, sort_keys=False)
-    require_read(yaml.safe_load(text), document, "the frames")
+        raise exported.error("; ".join(remarks))
+    text = yaml.safe_dump({"transforms": documents}, sort_keys=False)
     lines = [*(f"# {remark}" for remark in remarks), *commands, text]
     return Encoded("\n".join(lines).encode(), remarks)
 
 
-def _remarks(exported: Exported, found: Sequence[Place]) -> tuple[str, ...]:
-    """Sentences about what is not known of frames, and what to do about it."""
-    remarks = [place.remark for place in found if place.unknown]
-    if not all(place.written for place in found):
-        coupled = exported.result.coupled_frames
-        known = [f"only {sums.expression} is known" for sums in coupled]
-        remarks.append("; ".join([REMEDY, *known]))
-    return tuple(remarks)
+@partial(Format, "camera-info", ".yaml", (base.CAMERA, *base.ROBOTS), "")
+def camera_info(exported: Exported, _: Path | None) -> Encoded:
+    """The camera, as ROS loads it.
 
-
-def _numbers(pose: pin.SE3) -> tuple[dict[str, float], dict[str, float]]:
-    """Position and quaternion, each number by its name."""
-    quaternion = pin.Quaternion(pose.rotation).coeffs()
-    turn = zip(("qx", "qy", "qz", "qw"), quaternion.tolist(), strict=True)
-    return dict(zip("xyz", pose.translation.tolist(), strict=True)), dict(turn)
-
-
-def encode_camera(exported: Exported, _: Path | None) -> Encoded:
-    """A camera as ROS' camera_info_manager loads it, and where it is.
+    With its place, as a comment.
 
     Raises:
         OptionError: If there is not one camera, or its intrinsics are not known.
@@ -208,63 +194,36 @@ def encode_camera(exported: Exported, _: Path | None) -> Encoded:
     found = exported.result.model.cameras
     if len(found) != 1:
         told = ", ".join(found) or "none"
-        raise OptionError("one camera can be exported", file=exported.file, value=told)
+        raise exported.error("one camera can be exported", told)
     ((name, camera),) = found.items()
     if unknown := [p for p in exported.result.unknown if p.startswith(f"{name}.")]:
-        reason = f"{enumerated(unknown)} unknown; {REMEDY}"
-        raise OptionError(reason, file=exported.file)
-    (fx, fy), (cx, cy) = camera.focal, camera.center
+        raise exported.error(f"{enumerated(unknown)} unknown; {REMEDY}")
     if camera.size is None:
-        raise OptionError(
+        raise exported.error(
             "the size of the images is unknown, and ROS refuses a wrong one; state "
             "'size: [width, height]' [px] under 'camera' in the setup file, and "
-            "calibrate again",
-            file=exported.file,
+            "calibrate again"
         )
-    width, height = (int(edge) for edge in camera.size)
-    K = [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]
-    document = {
-        "image_width": width,
-        "image_height": height,
-        "camera_name": name,
-        "camera_matrix": _matrix(K),
-        "distortion_model": "plumb_bob",
-        "distortion_coefficients": _matrix([camera.distortion]),
-        "rectification_matrix": _matrix(np.eye(3).tolist()),
-        "projection_matrix": _matrix([[*row, 0.0] for row in K]),
+    (fx, fy), (cx, cy) = camera.focal, camera.center
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    width, height = map(int, camera.size)
+    document = {"image_width": width, "image_height": height, "camera_name": name}
+    document |= {"distortion_model": "plumb_bob"}
+    matrices = {
+        "camera_matrix": K,
+        "distortion_coefficients": np.array([camera.distortion]),
+        "rectification_matrix": np.eye(3),
+        "projection_matrix": np.pad(K, ((0, 0), (0, 1))),
     }
-    comments = []
-    cameras = [place for place in places(exported) if place.camera]
+    for key, matrix in matrices.items():
+        rows, cols = matrix.shape
+        document[key] = {"rows": rows, "cols": cols, "data": matrix.ravel().tolist()}
+    cameras, comments = [place for place in places(exported) if place.camera], []
     for place in cameras:
-        x, turn = (
-            " ".join(f"{number:.9g}" for number in part.values())
-            for part in _numbers(place.pose)
-        )
+        x, turn = (base.words(part.values()) for part in place.numbers)
         about = f" in {place.parent}: xyz {x}, quaternion x y z w {turn}"
-        told = about if place.written else f": {place.remark}"
-        comments.append(f"# optical frame{told}")
-    remarks = _remarks(exported, cameras)
+        about = about if place.written else f": {place.remark}"
+        comments.append(f"# optical frame{about}")
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
-    require_read(yaml.safe_load(text), document, "the numbers of the camera")
-    return Encoded("\n".join([*comments, text]).encode(), remarks)
-
-
-def _matrix(rows: Sequence[Sequence[float]]) -> dict[str, object]:
-    data = [float(number) for row in rows for number in row]
-    return {"rows": len(rows), "cols": len(rows[0]), "data": data}
-
-
-TF = Format(
-    "tf",
-    ".yaml",
-    "static transforms of base, tools, stations, camera",
-    encode_transforms,
-    holds=(FRAMES, CAMERA_LINK, *ROBOTS),
-)
-CAMERA_INFO = Format(
-    "camera-info",
-    ".yaml",
-    "the camera, as ROS loads it",
-    encode_camera,
-    holds=(CAMERA, *ROBOTS),
-)
+    data = "\n".join([*comments, text]).encode()
+    return Encoded(data, _remarks(exported, cameras))

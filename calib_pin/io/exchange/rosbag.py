@@ -47,10 +47,7 @@ TYPES = {
 def is_bag(path: str | Path) -> bool:
     """Whether a path is that of a bag: by its suffix, or a folder with metadata."""
     path = Path(path)
-    try:
-        return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
-    except (OSError, ValueError):
-        return False
+    return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
 
 
 def read_joint_bag(path: str | Path, topic: str | None = None) -> Series:
@@ -64,17 +61,13 @@ def read_joint_bag(path: str | Path, topic: str | None = None) -> Series:
         InputError: If it cannot be read, or has not one such topic.
         OptionError: If the extra is missing.
     """
-    heard = dict[str, float]()
-    samples = list[tuple[float, dict[str, float]]]()
+    heard, samples = dict[str, float](), list[tuple[float, dict[str, float]]]()
     for time, message in _messages(path, topic, (JOINTS,)):
         # Each publisher states its own joints; others are where they were last.
         heard |= zip(message.name, message.position, strict=False)
         samples.append((time, dict(heard)))
-    if not heard:
-        raise InputError("holds no joint states", file=path)
     whole = [(time, [*q.values()]) for time, q in samples if len(q) == len(heard)]
-    log = _ordered(path, *zip(*whole, strict=True))
-    return Series(log, dict.fromkeys(heard))
+    return Series(_ordered(path, whole), dict.fromkeys(heard))
 
 
 def read_reading_bag(path: str | Path, topic: str | None = None) -> Series:
@@ -88,17 +81,9 @@ def read_reading_bag(path: str | Path, topic: str | None = None) -> Series:
         InputError: If it cannot be read, or has not one such topic.
         OptionError: If the extra is missing.
     """
-    times, rows, kinds = [], [], set()
-    for time, message in _messages(path, topic, READINGS):
-        kinds.add(message.__msgtype__)
-        times.append(time)
-        rows.append(_numbers(message))
-    if not rows:
-        raise InputError("holds no points or poses", file=path)
-    if len(kinds) > 1:
-        raise InputError("its topic holds messages of several kinds", file=path)
-    log = _ordered(path, times, rows)
-    if kinds == {POINT}:
+    found = _messages(path, topic, READINGS)
+    log = _ordered(path, [(time, _numbers(message)) for time, message in found])
+    if log.values.shape[1] == len(POSITION):
         return Series(log, dict.fromkeys(POSITION))
     return Series(continuous(log), dict.fromkeys(POSITION + QUATERNION))
 
@@ -131,24 +116,22 @@ def read_calibration_data(
     """
     samples = list[tuple[float, list[float]]]()
     rows = list[tuple[int, str, tuple[float, ...]]]()
-    names: list[str] | None = None
+    names, seen = list[str](), dict[str, list[tuple[float, ...]]]()
     for time, message in _messages(path, topic, (DATA,)):
         state = message.joint_states
         stated = dict(zip(state.name, state.position, strict=False))
         names = names or [*stated]
-        if not set(names) <= stated.keys():
+        if not {*names} <= {*stated}:
             raise InputError("its samples are of different joints", file=path)
         for sensor in message.observations:
-            for k, feature in enumerate(sensor.features):
-                p, point = feature.point, f"{sensor.sensor_name}-{k}"
-                rows.append((len(samples), point, (p.x, p.y, p.z)))
+            for k, p in enumerate(feature.point for feature in sensor.features):
+                point, xyz = f"{sensor.sensor_name}-{k}", (p.x, p.y, p.z)
+                rows.append((len(samples), point, xyz))
+                seen.setdefault(point, []).append(xyz)
         samples.append((time, [stated[name] for name in names]))
-    seen = dict[str, list[tuple[float, ...]]]()
-    for _, point, xyz in rows:
-        seen.setdefault(point, []).append(xyz)
     still = {p: s[0] for p, s in seen.items() if len(s) > 2 and len({*s}) == 1}
     rows = sorted(row for row in rows if row[1] not in still)
-    if names is None or not rows:
+    if not (names and rows):
         raise InputError("its calibration data hold no features", file=path)
     if still and notice is not None:
         known = ", ".join(f"{name}: {[*xyz]}" for name, xyz in still.items())
@@ -162,8 +145,7 @@ def read_calibration_data(
         for k in np.unique(which)
     ]
     points = [point for _, point, _ in rows]
-    stations = [point.rpartition("-")[0] for point in points]
-    columns = {"target": points, "station": stations}
+    columns = {"target": points, "station": [p.rpartition("-")[0] for p in points]}
     texts = {key: cells for key, cells in columns.items() if len({*cells}) > 1}
     log = Log(stamps[which], np.array([xyz for _, _, xyz in rows]))
     return (
@@ -200,37 +182,29 @@ def _opened(path: str | Path) -> Iterator[Any]:
 
 def _messages(
     path: str | Path, topic: str | None, kinds: Sequence[str]
-) -> Iterator[tuple[float, Any]]:
+) -> list[tuple[float, Any]]:
     """Time [s] and content of the messages of a topic, or of a child frame."""
+    found = dict[str, list[tuple[float, Any]]]()
     with _opened(path) as reader:
         chosen = [c for c in reader.connections if c.msgtype in kinds]
-        moving = [c for c in chosen if c.msgtype == TRANSFORMS]
-        topics = dict.fromkeys(c.topic for c in chosen if c not in moving)
-        topics |= dict.fromkeys(frame for frame, _, _ in _each(reader, moving))
-        words = " or ".join(sorted({kind.split("/")[-1] for kind in kinds}))
-        if topic is not None and topic not in topics:
-            reason, allowed = f"has no topic '{topic}' of {words}", ", ".join(topics)
-            raise InputError(reason, file=path, allowed=allowed or None)
-        if topic is None and len(topics) != 1:
-            told = enumerated([*topics]) if topics else "none"
-            raise InputError(
-                f"has {len(topics)} topics of {words}: {told}",
-                file=path,
-                allowed="one, named by --topic or --joint-topic",
-            )
-        for name, stamp, message in _each(reader, chosen):
-            if name == topic or topic is None:
-                yield _time(message, stamp), message
-
-
-def _each(reader: Any, connections: Sequence[Any]) -> Iterator[tuple[str, int, Any]]:
-    """Topic, time of recording and content of messages; of transforms the frame."""
-    for connection, stamp, raw in reader.messages(connections) if connections else ():
-        message = reader.deserialize(raw, connection.msgtype)
-        if connection.msgtype == TRANSFORMS:
-            yield from ((one.child_frame_id, stamp, one) for one in message.transforms)
-        else:
-            yield connection.topic, stamp, message
+        for connection, stamp, raw in reader.messages(chosen) if chosen else ():
+            message = reader.deserialize(raw, connection.msgtype)
+            named = {connection.topic: message}
+            if connection.msgtype == TRANSFORMS:
+                named = {one.child_frame_id: one for one in message.transforms}
+            for name, one in named.items():
+                rows = found.setdefault(name, [])
+                if topic in (None, name):
+                    rows.append((_time(one, stamp), one))
+    words = " or ".join(sorted({kind.split("/")[-1] for kind in kinds}))
+    if topic is not None and topic not in found:
+        reason, allowed = f"has no topic '{topic}' of {words}", ", ".join(found)
+        raise InputError(reason, file=path, allowed=allowed or None)
+    if topic is None and len(found) != 1:
+        reason = f"has {len(found)} topics of {words}: {enumerated(found) or 'none'}"
+        allowed = "one, named by --topic or --joint-topic"
+        raise InputError(reason, file=path, allowed=allowed)
+    return found[topic or next(iter(found))]
 
 
 def _time(message: Any, stamp: int) -> float:
@@ -251,13 +225,16 @@ def _numbers(message: Any) -> list[float]:
     return [p.x, p.y, p.z, r.x, r.y, r.z, r.w]
 
 
-def _ordered(
-    path: str | Path, times: Sequence[float], rows: Sequence[Sequence[float]]
-) -> Log:
-    """A log by time; what was recorded twice counts once."""
-    time, values = np.array(times), np.array(rows, float)
-    time, first = np.unique(time, return_index=True)
-    values = values[first]
-    if len(time) < 3 or not np.isfinite(values).all():
+def _ordered(path: str | Path, rows: Sequence[tuple[float, list[float]]]) -> Log:
+    """A log by time; what was recorded twice counts once.
+
+    Raises:
+        InputError: If the rows are few, are not all of one kind, or hold no numbers.
+    """
+    if len(rows) < 3 or len({len(values) for _, values in rows}) > 1:
+        raise InputError("holds too little, or several kinds of messages", file=path)
+    time, first = np.unique([time for time, _ in rows], return_index=True)
+    values = np.array([values for _, values in rows], float)[first]
+    if len(time) < 3 or not (values.size and np.isfinite(values).all()):
         raise InputError("holds too little, or numbers that are none", file=path)
     return Log(time, values)

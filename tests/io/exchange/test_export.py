@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -14,35 +15,27 @@ import xacro
 import yaml
 
 import calib_pin
-from calib_pin.calibration import calibrate
-from calib_pin.errors import InputError, OptionError
-from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.errors import InputError
 from calib_pin.io.exchange import FORMATS, Exported
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.report.text import format_report
 from calib_pin.setup import FrameSetup, JointMap, Setup
-from calib_pin.simulation import draw_errors, simulate
+from calib_pin.validation.result import CalibrationResult
 
 EXACT = 1e-9
 
 
-def calibrated(robot: str, base: str | None, tip: str, setup: Setup) -> Exported:
-    """A calibration to export."""
-    chain = calib_pin.load_chain(robot, base=base, tip=tip)
-    problem = nominal_problem(chain, "pose", setup)
-    rng = np.random.default_rng(4)
-    theta = draw_errors(problem.parameters, rng)
-    data = simulate(problem, theta, rng, count=40, noise=1e-6)
-    result = calibrate(chain, data, setup, validate=True)
+def of(result: CalibrationResult) -> Exported:
     assert result.verdict == "good", result.reason
     return Exported(result, Path("out"))
 
 
 @pytest.fixture(scope="module")
-def exported() -> Exported:
+def exported(calibrated_robot: Callable[..., CalibrationResult]) -> Exported:
     """A calibration of the placements of a UR10."""
-    return calibrated("example:ur10_robot", "base_link", "tool0", Setup())
+    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
+    return of(calibrated_robot("pose", Setup(), 40, robot=chain, noise=1e-6))
 
 
 # The structure of the vendor's description, as far as the kinematics goes.
@@ -128,52 +121,20 @@ def test_templates_of_others_are_refused(exported, tmp_path, refused):
             FORMATS["ur-kinematics"].encode(exported, template)
 
 
-OFFSETS = Setup(
-    parameters=("joint-offset",),
-    base_frame=FrameSetup(estimate=False),
-    tool_frame=FrameSetup(estimate=False),
-)
-
-
-@pytest.fixture(scope="module")
-def offsets() -> Exported:
-    """The SO-101 with joint offsets alone, its columns counted the other way."""
-    setup = replace(
-        OFFSETS,
-        joints={f"m{k}": JointMap(n, sign=-1) for k, n in enumerate(JOINTS)},
-    )
-    return calibrated("example:so101", None, "gripper_frame_link", setup)
-
-
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 
 
-def test_a_motor_takes_its_offset(offsets, tmp_path):
-    keys = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
-    rows = {f"m{k}": (k, 0, 100 * k, 700 + k, 3500 - 3 * k) for k in range(5)}
-    rows["gripper"] = (6, 0, 5, 0, 9)
-    own = {name: dict(zip(keys, row, strict=True)) for name, row in rows.items()}
-    template = tmp_path / "so101.json"
-    template.write_text(json.dumps(own))
-    encoded = FORMATS["lerobot"].encode(offsets, template)
-    new = json.loads(encoded.data)
-    assert new["gripper"] == own["gripper"]
-
-    def zero(motor: dict[str, int]) -> float:
-        """What the encoder reads where the motor is shown in its middle."""
-        return (motor["range_min"] + motor["range_max"]) / 2 + motor["homing_offset"]
-
-    turned = [zero(new[f"m{k}"]) - zero(own[f"m{k}"]) for k in range(5)]
-    moved = offsets.configurations + np.deg2rad(np.array(turned) * 360 / 4095)
-    found = offsets.joint_errors(offsets.result.model.setup.joints)
-    truth = offsets.configurations - found.offsets
-    assert np.abs(moved - truth).max() < np.deg2rad(360 / 4095) / 2 + 1e-9
-    for k in range(5):
-        # Nothing that was out of reach is in reach.
-        a, b = own[f"m{k}"], new[f"m{k}"]
-        moved = b["homing_offset"] - a["homing_offset"]
-        assert b["range_min"] + moved >= a["range_min"]
-        assert b["range_max"] + moved <= a["range_max"]
+@pytest.fixture(scope="module")
+def offsets(calibrated_robot: Callable[..., CalibrationResult]) -> Exported:
+    """The SO-101 with joint offsets alone, its columns counted the other way."""
+    setup = Setup(
+        parameters=("joint-offset",),
+        base_frame=FrameSetup(estimate=False),
+        tool_frame=FrameSetup(estimate=False),
+        joints={f"m{k}": JointMap(n, sign=-1) for k, n in enumerate(JOINTS)},
+    )
+    chain = calib_pin.load_chain("example:so101", tip="gripper_frame_link")
+    return of(calibrated_robot("pose", setup, 40, robot=chain, noise=1e-6))
 
 
 def test_reversed_joints_are_told_by_every_export(offsets, tmp_path):
@@ -203,35 +164,26 @@ def motors(**changes: dict[str, int]) -> str:
     return json.dumps({name: of | changes.get(name, {}) for name, of in found.items()})
 
 
-def test_other_motors_are_refused(offsets, tmp_path, refused):
-    template = tmp_path / "so101.json"
-    for content in (
+@pytest.mark.parametrize(
+    "content",
+    [
         motors(m1={"range_max": 4096}),
         motors(m1={"range_min": -1}),
         motors(m2={"range_min": 3400, "range_max": 700}),
         motors(m2={"range_min": 3400}),
         motors(m4={"id": 0}),
-        "{",
-        "[]",
-        '{"m0": {"homing_offset": 1}}',
+        *("{", "[]", '{"m0": {"homing_offset": 1}}'),
         '{"x": {"homing_offset": 1, "range_min": 0, "range_max": 9}}',
-    ):
-        template.write_text(content)
-        with refused(InputError, file=str(template)):
-            FORMATS["lerobot"].encode(offsets, template)
-
-
-@pytest.mark.parametrize("more", [{"homing_offset": 2047}, {"range_max": 701}])
-def test_motors_without_room_are_refused(offsets, tmp_path, refused, more):
-    template, of = tmp_path / "so101.json", offsets
-    found = of.joint_errors(of.result.model.setup.joints)
-    # One that is moved by several steps, to where the homing offset grows.
-    steps = np.round(-found.offsets * 4095 / (2 * np.pi))
-    k = int(np.argmax(steps))
-    assert steps[k] >= 1
-    template.write_text(motors(**{f"m{k}": more}))
-    with refused(OptionError, file=str(template)):
-        FORMATS["lerobot"].encode(of, template)
+        motors(**{f"m{k}": {"homing_offset": 2047} for k in range(5)}),
+        motors(**{f"m{k}": {"range_max": 701} for k in range(5)}),
+    ],
+)
+def test_other_motors_are_refused(offsets, tmp_path, refused, content):
+    """And those without room for the steps by which theirs change."""
+    template = tmp_path / "so101.json"
+    template.write_text(content)
+    with refused(InputError, file=str(template)):
+        FORMATS["lerobot"].encode(offsets, template)
 
 
 @pytest.mark.parametrize("name", ["m1", "wrist_roll"])

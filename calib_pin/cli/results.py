@@ -242,16 +242,16 @@ def draw_calibration(
 
 def draw_plan(plan: Plan, bar: Bar | None) -> list[Drawn]:
     """The figures of a plan."""
-    from calib_pin.report.figures import NAMES, plan_figures
+    from calib_pin.report.figures import NAMES, drawn
 
-    return _told(plan_figures(plan), len(NAMES["plan"]), bar)
+    return _told(drawn("plan", plan), len(NAMES["plan"]), bar)
 
 
 def draw_comparison(found: Comparison) -> list[Drawn]:
     """The figures of a comparison."""
-    from calib_pin.report.figures import comparison_figures
+    from calib_pin.report.figures import drawn
 
-    return list(comparison_figures(found.drift))
+    return list(drawn("comparison", found.drift))
 
 
 def _told(drawn: Iterator[Drawn], count: int, bar: Bar | None) -> list[Drawn]:

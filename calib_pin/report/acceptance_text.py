@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from math import isfinite
+from math import isfinite, nan
 
-from calib_pin.report.blocks import Block, Cell, Column, Line, Table, Tone, columns
-from calib_pin.report.tables import amount, known, quantity
+from calib_pin.report.blocks import Block, Cell, Line, Tone, table
+from calib_pin.report.tables import UNIT, amount, quantity, unit_of
 from calib_pin.setup import LimitSetup
-from calib_pin.units import DISPLAY
 from calib_pin.validation.acceptance import (
     Acceptance,
     Interval,
@@ -27,6 +26,8 @@ REMEDY = "Base and tool must be of a calibration, of the setup, or of other pose
 
 SHOWN = 12
 """Pairs of poses whose distance is shown: those that err most."""
+
+MM = unit_of("m")[0]
 
 
 def acceptance_report(
@@ -49,7 +50,18 @@ def acceptance_report(
     yield from doubt_lines(last)
     yield Line(about)
     if path:
-        yield Table("Path", ROBOTS, [*_paths(found)])
+        rows = [
+            (
+                name,
+                str(len(test.poses)),
+                *cells_of(worst(measured(test)["AP"][0]), "m"),
+                *cells_of(worst(measured(test)["RP"][0]), "m"),
+                MM,
+            )
+            for name, test in found.items()
+        ]
+        titles = ("", "points", "AT", "95 %", "RT", "95 %", UNIT)
+        yield table("Path", titles, rows)
         yield Line(
             "AT and RT: AP and RP of the worst point; the 95 % intervals are those of "
             "this point alone.",
@@ -57,8 +69,21 @@ def acceptance_report(
         )
         return
     for name, test in found.items():
-        title = f"Poses, {name}" if len(found) > 1 else "Poses"
-        yield Table(title, POSES, [*_poses(test)])
+        yield table(
+            f"Poses, {name}" if len(found) > 1 else "Poses",
+            ("pose", "visits", "AP", "95 %", "RP", "95 %", "vAP", UNIT),
+            [
+                (
+                    f"P{pose.pose}",
+                    str(pose.visits),
+                    *cells_of(pose.accuracy, "m"),
+                    *cells_of(pose.repeatability, "m"),
+                    quantity(nan if pose.directions is None else pose.directions, "m"),
+                    MM,
+                )
+                for pose in test.poses
+            ],
+        )
     yield Line(
         "AP: distance of the mean of the visits from the commanded position; RP: mean "
         "distance from that mean and three standard deviations; vAP: distance between "
@@ -66,12 +91,43 @@ def acceptance_report(
         "visits.",
         "note",
     )
-    if last.poses[0].angles:
-        yield Table("Orientations", ANGLES, [*_angles(last)])
-    if last.distances:
-        yield Table("Distances between poses", DISTANCES, [*_distances(last)])
-    if last.drift is not None and not last.untestable:
-        accuracy, repeatability = (amount(size, "m") for size in last.drift)
+    yield from _further(last)
+
+
+def _further(test: Acceptance) -> Iterator[Block]:
+    """Orientations, distances and drift, as far as they were tested."""
+    if test.poses[0].angles:
+        rows = [
+            (
+                f"P{pose.pose}" if axis == "x" else "",
+                axis,
+                *cells_of(mean, "rad"),
+                *cells_of(sigma, "rad"),
+                unit_of("rad")[0],
+            )
+            for pose in test.poses
+            for axis, mean, sigma in zip(
+                "xyz", pose.angles, pose.angle_repeatability, strict=True
+            )
+        ]
+        titles = ("pose", "about", "mean", "95 %", "3 sigma", "95 %", UNIT)
+        yield table("Orientations", titles, rows)
+    if test.distances:
+        pairs = sorted(test.distances, key=lambda d: -abs(d.accuracy.value))
+        pairs_told = [
+            (
+                "-".join(f"P{pose}" for pose in pair.poses),
+                quantity(pair.commanded, "m"),
+                *cells_of(pair.accuracy, "m"),
+                *cells_of(pair.repeatability, "m"),
+                MM,
+            )
+            for pair in pairs[:SHOWN]
+        ]
+        titles = ("poses|word", "distance", "AD", "95 %", "RD", "95 %", UNIT)
+        yield table("Distances between poses", titles, pairs_told)
+    if test.drift is not None and not test.untestable:
+        accuracy, repeatability = (amount(size, "m") for size in test.drift)
         yield Line(
             "From the first to the last third of the visits AP changes by at most "
             f"{accuracy}, RP by {repeatability}."
@@ -84,8 +140,12 @@ def limit_lines(
     """Whether each limit is met, by how much, in a sentence each."""
     for name, status, interval, allowed, unit in judged(test, limit):
         tone, name = TONES[status], PATH.get(name, name) if path else name
-        shown = f"{status.upper()}: {name} {_shown(interval, unit)}, the limit is "
-        yield Line(f"{shown}{amount(allowed, unit)}.", tone)
+        said = f"{amount(interval.value, unit)} ({ends(interval, unit)})"
+        if not isfinite(interval.high):
+            least = f", at least {amount(interval.low, unit)}" * (interval.low > 0.0)
+            said = f"is not testable{least}"
+        limited = f"the limit is {amount(allowed, unit)}"
+        yield Line(f"{status.upper()}: {name} {said}, {limited}.", tone)
 
 
 def doubt_lines(test: Acceptance) -> Iterator[Line]:
@@ -96,74 +156,9 @@ def doubt_lines(test: Acceptance) -> Iterator[Line]:
         yield Line(f"No PASS: {doubt.rstrip('.')}.", "bad")
 
 
-POSES = columns("pose", ("visits", "AP", "95 %", "RP", "95 %", "vAP", "unit"))
-ROBOTS = columns("", ("points", "AT", "95 %", "RT", "95 %", "unit"))
-ANGLES = columns("pose", ("about", "mean", "95 %", "3 sigma", "95 %", "unit"))
-DISTANCES = (
-    Column("poses", "word"),
-    *columns("poses", ("distance", "AD", "95 %", "RD", "95 %", "unit"))[1:],
-)
-
-
-def _poses(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
-    for pose in test.poses:
-        varies = pose.directions
-        yield (
-            Cell(f"P{pose.pose}"),
-            Cell(str(pose.visits)),
-            *cells_of(pose.accuracy, "m"),
-            *cells_of(pose.repeatability, "m"),
-            Cell("-") if varies is None else quantity(varies, "m"),
-            Cell(DISPLAY["m"][0]),
-        )
-
-
-def _paths(found: Mapping[str, Acceptance]) -> Iterator[tuple[Cell, ...]]:
-    for name, test in found.items():
-        yield (
-            Cell(name),
-            Cell(str(len(test.poses))),
-            *cells_of(worst(measured(test)["AP"][0]), "m"),
-            *cells_of(worst(measured(test)["RP"][0]), "m"),
-            Cell(DISPLAY["m"][0]),
-        )
-
-
-def _angles(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
-    for pose in test.poses:
-        rows = zip("xyz", pose.angles, pose.angle_repeatability, strict=True)
-        for axis, mean, sigma in rows:
-            yield (
-                Cell(f"P{pose.pose}" if axis == "x" else ""),
-                Cell(axis),
-                *cells_of(mean, "rad"),
-                *cells_of(sigma, "rad"),
-                Cell(DISPLAY["rad"][0]),
-            )
-
-
-def _distances(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
-    worst = sorted(test.distances, key=lambda d: -abs(d.accuracy.value))
-    for pair in worst[:SHOWN]:
-        yield (
-            Cell("-".join(f"P{pose}" for pose in pair.poses)),
-            quantity(pair.commanded, "m"),
-            *cells_of(pair.accuracy, "m"),
-            *cells_of(pair.repeatability, "m"),
-            Cell(DISPLAY["m"][0]),
-        )
-
-
-def cells_of(interval: Interval, unit: str) -> tuple[Cell, Cell]:
+def cells_of(interval: Interval, unit: str) -> tuple[Cell, str]:
     """A value, a dash where there is none, and its interval."""
-    return known(interval.value, unit), Cell(ends(interval, unit))
-
-
-def _shown(interval: Interval, unit: str) -> str:
-    if not isfinite(interval.high):
-        least = f", at least {amount(interval.low, unit)}" * (interval.low > 0.0)
-        return f"is not testable{least}"
-    return f"{amount(interval.value, unit)} ({ends(interval, unit)})"
+    return quantity(interval.value, unit), ends(interval, unit)
 
 
 def ends(interval: Interval, unit: str) -> str:

@@ -1,26 +1,27 @@
-"""The verdict and the accuracy of a calibration, and what the numbers refer to."""
+"""The accuracy of a calibration, and what the numbers refer to."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.estimation.system import System
 from calib_pin.kinematics.joint_columns import drives_of
 from calib_pin.parameterizations import outside_urdf
-from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
+from calib_pin.report.blocks import Block, Facts, Line, table
 from calib_pin.report.tables import (
     SIZES,
     accuracy_table,
     amount,
+    counted,
     distance_table,
-    ladder_table,
+    ladder,
     sizes,
 )
-from calib_pin.report.trust import advised, below, findings
+from calib_pin.report.trust import below, findings, judged
+from calib_pin.setup import ReportSetup
 from calib_pin.validation.result import CalibrationResult, Evaluation
 
 TITLES = {"network": "network", "gaussian-process": "Gaussian process"}
@@ -43,49 +44,21 @@ LISTED_OWNERS = 3
 """Members of one kind, such as sockets, up to which each is named."""
 
 
-def opening(
-    result: CalibrationResult,
-) -> tuple[Sequence[Block], Line, Sequence[Block]]:
-    """The verdict, and the findings before and behind it.
-
-    A reason not to trust the result comes before anything else, else what ails it.
-    """
-    urgent = [f for f in result.findings if f.severity != "info"]
-    others = [f for f in result.findings if f.severity == "info"]
-    if result.verdict not in TRUSTED:
-        others, urgent = [*urgent, *others], []
-    before, behind = ([*findings(f, result.reason)] for f in (urgent, others))
-    return before, verdict(result), behind
-
-
-def verdict(result: CalibrationResult) -> Line:
-    """The verdict and its reason; a finding among the reasons with its suggestion."""
-    reason = result.reason
-    for finding in result.findings:
-        if advised(finding) not in reason:
-            reason = reason.replace(finding.message, advised(finding))
-    return judged(below(reason, result.findings), result.verdict)
-
-
-def judged(reason: str, status: str = "untrusted") -> Line:
-    """A verdict as the line that comes first."""
-    name = status.replace("-", " ").upper()
-    said = f"{name}: {reason.rstrip('.')}."
-    return Line(said, "good" if status in TRUSTED else "bad")
-
-
 def subject(result: CalibrationResult) -> Line:
     """The robot, its chain, and how it was measured."""
-    count = len(result.fitted)
-    measured = f"{count} measurement{'s' if count != 1 else ''}"
-    search = ""
-    if result.solver.history:
-        solver = result.solver
+    solver, search = result.solver, ""
+    if solver.history:
         search = f"; {solver.name}, {solver.evaluations} evaluations"
         search += f" ({solver.evaluator})"
-    system = result.model
+    told = [
+        f"{len(names)} {kind}s"
+        for kind, names in scopes(result.model).items()
+        if len(names) > 1
+    ]
+    places = f" ({', '.join(told)})" if told else ""
+    measured = counted(len(result.fitted), "measurement")
     return Line(
-        f"{chain_words(system)}; {model_words(system)}{_places(system)}, {measured} "
+        f"{chain_words(result.model)}; {model_words(result.model)}{places}, {measured} "
         f"fitted{search}",
         "note",
     )
@@ -94,7 +67,6 @@ def subject(result: CalibrationResult) -> Line:
 def taken(result: CalibrationResult) -> Facts:
     """The measurements: of which robot, how, how many, and who took them."""
     system, stated, held_out = result.model, result.model.setup.report, result.held_out
-    scopes = [part.scope for part in system.parts.values()]
     measured = f"{len(result.fitted)} measurements"
     if aside := int((result.fitted.rows.weight == 0.0).sum()):
         measured += f", {aside} of them set aside"
@@ -102,7 +74,6 @@ def taken(result: CalibrationResult) -> Facts:
     if held_out is not None:
         which = HELD_OUT.get(result.validation.method, FOLDS)
         checked = f"{len(held_out)} measurements: {which}"
-    degrees = stated.temperature
     entries = [
         ("robot", chain_words(system)),
         ("serial number", stated.serial_number),
@@ -111,18 +82,22 @@ def taken(result: CalibrationResult) -> Facts:
         ("fitted", measured),
         ("held out", checked),
         *(
-            (f"{kind}s", ", ".join(names))
-            for kind in ("station", "tool")
-            if len(names := sorted({getattr(scope, kind) or "-" for scope in scopes}))
-            > 1
+            (f"{kind}s", ", ".join(name or "-" for name in names))
+            for kind, names in scopes(system).items()
+            if len(names) > 1
         ),
         ("files", ", ".join(result.files)),
         ("operator", stated.operator),
         ("customer", stated.customer),
         ("date", stated.date or ""),
-        ("temperature", "" if degrees is None else f"{degrees:g} °C"),
+        ("temperature", degrees(stated)),
     ]
     return Facts("Measurements", [entry for entry in entries if entry[1]])
+
+
+def degrees(stated: ReportSetup) -> str:
+    """The temperature of a report; empty if it is not stated."""
+    return "" if stated.temperature is None else f"{stated.temperature:g} °C"
 
 
 def chain_words(system: System) -> str:
@@ -136,15 +111,13 @@ def chain_words(system: System) -> str:
     return f"{joints} {' and '.join(ends)}"
 
 
-def _places(system: System) -> str:
-    """Numbers of stations and tools, where there are several."""
-    scopes = [part.scope for part in system.parts.values()]
-    counts = {
-        "stations": len({scope.station for scope in scopes}),
-        "tools": len({scope.tool for scope in scopes}),
+def scopes(system: System) -> dict[str, list[str]]:
+    """Names of stations and tools, sorted."""
+    found = [part.scope for part in system.parts.values()]
+    return {
+        "station": sorted({scope.station for scope in found}),
+        "tool": sorted({scope.tool for scope in found}),
     }
-    told = [f"{count} {kind}" for kind, count in counts.items() if count > 1]
-    return f" ({', '.join(told)})" if told else ""
 
 
 def model_words(system: System) -> str:
@@ -160,7 +133,7 @@ def accuracy(result: CalibrationResult, *, details: bool = True) -> Iterator[Blo
         details: Also the accuracy on fitted measurements, where others were held out.
     """
     if result.model_selection is not None:
-        yield ladder_table(result.model_selection)
+        yield from ladder(result.model_selection)
     yield accuracy_table(result.errors, details=details)
     said = []
     if result.validation.method != "none":
@@ -199,11 +172,10 @@ def _registered(result: CalibrationResult) -> Iterator[str]:
         if len(result.validation.located) > 2 * LISTED_OWNERS:
             names = f"{len(result.validation.located)} of them"
         yield f"Estimated from the validation measurements: {names}."
-    if result.validation.skipped:
-        reasons = " and ".join(dict.fromkeys(result.validation.skipped))
-        count = len(result.validation.skipped)
-        folds = "fold was" if count == 1 else "folds were"
-        yield f"{count} {folds} skipped, because in the fit to the others: {reasons}."
+    if skipped := result.validation.skipped:
+        folds = "fold was" if len(skipped) == 1 else "folds were"
+        reasons = " and ".join(dict.fromkeys(skipped))
+        yield f"{len(skipped)} {folds} skipped: in the fit to the others, {reasons}."
 
 
 def moves(result: CalibrationResult) -> Iterator[Block]:
@@ -219,10 +191,10 @@ def moves(result: CalibrationResult) -> Iterator[Block]:
     turns = {
         j: float(np.linalg.norm(pin.log3(M.rotation))) for j, M in corrections.items()
     }
-    parts = []
-    for of_joints, unit in ((shifts, "m"), (turns, "rad")):
-        joint = max(of_joints, key=of_joints.__getitem__)
-        parts.append(f"{amount(of_joints[joint], unit)} ({joint})")
+    parts = [
+        f"{amount(max(sizes.values()), unit)} ({max(sizes, key=sizes.__getitem__)})"
+        for sizes, unit in ((shifts, "m"), (turns, "rad"))
+    ]
     yield Line(f"Largest correction of a joint origin: {', '.join(parts)}.", "note")
 
 
@@ -264,17 +236,14 @@ def evaluated(evaluation: Evaluation) -> Iterator[Block]:
     yield from findings(evaluation.findings, evaluation.reason)
     counts = evaluation.counts or (evaluation.rows,) * len(evaluation.errors)
     rows = [
-        (Cell(name), Cell(str(count), count), *sizes(accuracy, unit))
+        (name, count, *sizes(accuracy, unit))
         for (name, unit, accuracy), count in zip(evaluation.errors, counts, strict=True)
     ]
-    of = columns("", ("measurements", *SIZES), {"measurements": "number"})
-    yield Table("Accuracy", of, rows)
-    how = (
-        "Unknown frames and instrument parameters were registered on these "
-        "measurements."
-        if evaluation.registered
-        else "Nothing was fitted to these measurements."
-    )
+    yield table("Accuracy", ("", "measurements", *SIZES), rows)
+    how = "Nothing was fitted to these measurements."
+    if evaluation.registered:
+        how = "Unknown frames and instrument parameters were registered on these "
+        how += "measurements."
     if evaluation.located:
         how = (
             "New to the calibration, estimated from these measurements: "

@@ -12,9 +12,8 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.ways import Passage
-from calib_pin.report.blocks import Block, Cell, Line, Names, Table, columns
-from calib_pin.report.tables import amount, quantity
-from calib_pin.units import DISPLAY
+from calib_pin.report.blocks import Block, Cell, Line, Names, Table, table
+from calib_pin.report.tables import UNIT, amount, measures
 
 SHOWN = 12
 """Lines that are named; the rest is counted."""
@@ -142,13 +141,10 @@ def _errors(found: Compensation) -> Table:
     for name, unit, before, after in stages[: 2 if found.oriented else 1]:
         for robot, sizes in (("nominal", before), ("compensated", after)):
             sizes = sizes[found.reached & np.isfinite(sizes)]
-            rows.append((Cell(name), Cell(robot), *_sizes(sizes, unit)))
+            rows.append((name, robot, *_sizes(sizes, unit)))
             name = ""
-    return Table(
-        "Distance from the targets, by the calibrated model",
-        columns("", ("commands", "mean", "max", "unit"), {"commands": "word"}),
-        rows,
-    )
+    title = "Distance from the targets, by the calibrated model"
+    return table(title, ("", "commands|word", "mean", "max", UNIT), rows)
 
 
 def _corrections(found: Compensation, chain: Chain) -> Iterator[Table]:
@@ -157,19 +153,17 @@ def _corrections(found: Compensation, chain: Chain) -> Iterator[Table]:
     if not len(sizes):
         return
     rows = [
-        (Cell(name), *_sizes(column, "rad" if revolute else "m"))
+        (name, *_sizes(column, "rad" if revolute else "m"))
         for name, revolute, column in zip(
             drives.joints, drives.revolute, sizes.T, strict=True
         )
     ]
-    yield Table("Joint corrections", columns("", ("mean", "max", "unit")), rows)
+    yield table("Joint corrections", ("", "mean", "max", UNIT), rows)
 
 
 def _sizes(sizes: Floats, unit: str) -> tuple[Cell, ...]:
-    if not len(sizes):
-        return Cell("-"), Cell("-"), Cell(DISPLAY[unit][0])
-    mean, largest = float(sizes.mean()), float(sizes.max())
-    return quantity(mean, unit), quantity(largest, unit), Cell(DISPLAY[unit][0])
+    known = (float(sizes.mean()), float(sizes.max())) if len(sizes) else (np.nan,) * 2
+    return measures(unit, *known)
 
 
 def _unreached(found: Compensation, file: str, lines: Sequence[int]) -> Iterator[Names]:

@@ -13,18 +13,17 @@ from calib_pin.kinematics.robot import Robot
 from calib_pin.report.acceptance_text import (
     PATH,
     TONES,
-    cells_of,
     doubt_lines,
     ends,
     limit_lines,
 )
-from calib_pin.report.accuracy import verdict
-from calib_pin.report.blocks import Cell, Line, Table, Tone, columns
+from calib_pin.report.accuracy import degrees
+from calib_pin.report.blocks import Line, Table, Tone, table
 from calib_pin.report.figures import Drawn
-from calib_pin.report.tables import amount, quantity
+from calib_pin.report.tables import UNIT, amount, quantity, unit_of
 from calib_pin.report.tiles import Tile, tiles
+from calib_pin.report.trust import verdict
 from calib_pin.setup import LimitSetup, ReportSetup
-from calib_pin.units import DISPLAY
 from calib_pin.validation.acceptance import Acceptance, judged, measured, worst
 from calib_pin.validation.result import CalibrationResult
 
@@ -181,10 +180,9 @@ def _facts(
     renamed: Mapping[str, str] | None = None,
 ) -> list[tuple[str, str]]:
     """The facts; quantities of the limits of a test may have other names."""
-    degrees = entries.temperature
     conditions = [
         ("instrument", entries.instrument),
-        ("temperature", "" if degrees is None else f"{degrees:g} °C"),
+        ("temperature", degrees(entries)),
     ]
     if renamed is not None:  # The standard asks for them.
         conditions += [("load", entries.load), ("speed", entries.speed)]
@@ -223,22 +221,18 @@ def _tested(found: Mapping[str, Acceptance], limit: LimitSetup, path: bool) -> T
     rows = []
     for key, (intervals, unit) in measured(last).items():
         own = worst(intervals)
-        cells = [Cell(QUANTITIES[PATH.get(key, key) if path else key])]
-        worsts = (worst(measured(t)[key][0]) for t in found.values())
-        cells += [cells_of(interval, unit)[0] for interval in worsts]
+        worsts = (worst(measured(t)[key][0]).value for t in found.values())
         status, allowed = results.get(key, ("", None))
-        cells += [
-            Cell(ends(own, unit)),
-            Cell("-") if allowed is None else quantity(allowed, unit),
-            Cell(DISPLAY[unit][0]),
-            Cell(status.upper()),
-        ]
-        rows.append(cells)
-    titles = (
-        *(ROBOTS.get(name, "found") for name in found),
-        "95 %",
-        "limit",
-        "unit",
-        "status",
-    )
-    return Table("Results", columns("", titles), rows)
+        rows.append(
+            (
+                QUANTITIES[PATH.get(key, key) if path else key],
+                *(quantity(value, unit) for value in worsts),
+                ends(own, unit),
+                "-" if allowed is None else quantity(allowed, unit),
+                unit_of(unit)[0],
+                status.upper(),
+            )
+        )
+    robots = (ROBOTS.get(name, "found") for name in found)
+    titles = ("", *robots, "95 %", "limit", UNIT, "status|word")
+    return table("Results", titles, rows)

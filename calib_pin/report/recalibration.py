@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calib_pin.report.blocks import Block, Cell, Facts, Table, columns
-from calib_pin.report.tables import SIZES, amount, known, number, sizes
-from calib_pin.validation.result import CalibrationResult, RecalibrationStep
+from calib_pin.report.blocks import Block, Cell, Facts, table
+from calib_pin.report.tables import SIZES, amount, number, sizes
+from calib_pin.validation.result import CalibrationResult
 
 STEPS = 12
 """Calibrations of the history that are listed, the last ones."""
@@ -23,13 +23,10 @@ def recalibrated(result: CalibrationResult, *, details: bool = True) -> Iterator
     if found is None:
         return
     day = f" of {found.last.created[:10]}" if found.last.created else ""
-    yield Table(
+    yield table(
         f"New measurements by the older calibration{day}, before they were fitted",
-        columns("", SIZES),
-        [
-            (Cell(name), *sizes(accuracy, unit, known))
-            for name, unit, accuracy in found.errors
-        ],
+        ("", *SIZES),
+        [(name, *sizes(accuracy, unit)) for name, unit, accuracy in found.errors],
     )
     if not details:
         return
@@ -40,26 +37,22 @@ def recalibrated(result: CalibrationResult, *, details: bool = True) -> Iterator
             for drift in found.last.drifts
         ],
     )
-    steps = found.steps[-STEPS:]
-    first = len(found.steps) - len(steps) + 1
-    yield Table(
+    first = max(len(found.steps) - STEPS, 0)
+    yield table(
         "Calibrations since the first one",
-        columns(
-            "",
-            ("began with that of", "measurements", "chi-square", "dof", "changed"),
-            {"began with that of": "word", "changed": "remark"},
+        (
+            *("", "began with that of|word", "measurements"),
+            *("chi-square", "dof", "changed|remark"),
         ),
-        [_row(number_, step) for number_, step in enumerate(steps, first)],
-    )
-
-
-def _row(position: int, step: RecalibrationStep) -> tuple[Cell, ...]:
-    jumps = ", ".join(jump.name or "the whole robot" for jump in step.jumps)
-    return (
-        Cell(str(position), position),
-        Cell(step.created[:10] or step.start or "-"),
-        Cell(str(step.measurements), step.measurements),
-        Cell(number(step.chi2), step.chi2),
-        Cell(str(step.dof), step.dof),
-        Cell(jumps or "-"),
+        [
+            (
+                place,
+                step.created[:10] or step.start or "-",
+                step.measurements,
+                Cell(number(step.chi2), step.chi2),
+                step.dof,
+                ", ".join(jump.name or "the whole robot" for jump in step.jumps) or "-",
+            )
+            for place, step in enumerate(found.steps[first:], first + 1)
+        ],
     )

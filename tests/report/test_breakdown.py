@@ -84,7 +84,6 @@ def test_one_of_each_is_not_told():
         tools=TOOLS[:1],
         chains=(ChainSummary("", "base_link", "flange", ("a",), 30, ()),),
         blocks=BLOCKS[:1],
-        coupled_frames=(CoupledFrames(("base", "tool"), "", "together"),),
     )
     assert list(parts(found)) == list(told(found)) == []
 

@@ -16,11 +16,11 @@ from calib_pin.io.json_text import encode
 from calib_pin.io.results import calibration_document
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.figures import NAMES, Drawn, calibration_figures
-from calib_pin.report.html import FIRST, LISTED, SECTIONS, html_report
+from calib_pin.report.html import FRONT, html_report
 from calib_pin.report.robot_errors import error_table
-from calib_pin.report.tables import accuracy_table, parameter_overview
+from calib_pin.report.tables import ESTIMATE, accuracy_table, parameter_overview
 from calib_pin.report.terminal import plain_text
-from calib_pin.report.text import report
+from calib_pin.report.text import LISTED, report, sections
 from calib_pin.validation.result import CalibrationResult, Provenance
 from tests.report.results import changed, solve
 
@@ -92,18 +92,19 @@ def seen(page: tuple[bytes, dict[str, Any]]) -> Page:
 # --- content -----------------------------------------------------------------------
 
 
-FIRST_SCREEN = ("verdict", *(f"figure-{name}" for name in FIRST))
+FIRST_SCREEN = ("verdict", *(f"figure-{name}" for name in FRONT))
 """Ids before the sections."""
 
 
-def test_sections_in_order_and_every_figure_has_one(seen):
+def test_sections_in_order_and_every_figure_has_one(calibrated, seen):
     found = [
         attributes["id"]
         for tag, attributes in seen.tags
         if tag == "section" or attributes.get("id") in FIRST_SCREEN
     ]
-    assert found == [*FIRST_SCREEN, *SECTIONS]
-    placed = [*FIRST, *(name for _, names in SECTIONS.values() for name in names)]
+    parts = list(sections(calibrated))
+    assert found == [*FIRST_SCREEN, *(part.key for part in parts), "provenance"]
+    placed = [*FRONT, *(name for part in parts for name in part.figures)]
     assert sorted(placed) == sorted(NAMES["calibration"])
 
 
@@ -133,7 +134,7 @@ def test_numbers_are_those_of_the_terminal_and_of_the_file(calibrated, page, see
             assert {error["value"], error["sigma"]} <= values
     shown = plain_text(report(calibrated, details=True))
     known = [e for e in calibrated.robot_errors if e.status == "identifiable"]
-    named = error_table(known, "", ("value", "std. dev.", "unit"))
+    named = error_table(known, "", ESTIMATE)
     for table in (accuracy_table(calibrated.errors), named):
         for cell in (cell for row in table.rows for cell in row):
             assert cell.text in seen.text
@@ -161,8 +162,8 @@ def test_outliers_by_row_and_the_same_bytes_again(calibrated):
     many = changed(calibrated, outliers=rows)
     content, _ = page_of(many)
     text = Page(content).text
-    assert f"rows.csv:{LISTED - 1}" in text and f"rows.csv:{LISTED}" not in text
-    assert f"{len(rows) - LISTED} more" in text
+    assert f"rows.csv:{LISTED[1] - 1}" in text and f"rows.csv:{LISTED[1]}" not in text
+    assert f"{len(rows) - LISTED[1]} more" in text
     assert page_of(many)[0] == content
 
 

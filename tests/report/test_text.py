@@ -160,7 +160,7 @@ def test_planes_are_fitted_in_either_case():
         (99.9996e-3, "100.00"),
         (123.45, "1.2e+05"),
         (float("inf"), "inf"),
-        (float("nan"), "unknown"),
+        (float("nan"), "-"),
     ],
 )
 def test_numbers(result, value, shown):

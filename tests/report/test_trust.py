@@ -76,10 +76,10 @@ def words(result: CalibrationResult, **changes: Any) -> str:
     return " ".join(full_report(changed(result, **changes)).split())
 
 
-def test_urgent_findings_come_first(result):
+def test_the_verdict_comes_first_then_findings(result):
     (found,) = result.findings
     said = f"Warning: {found.message}; {found.remedy}."
-    assert words(result).startswith(f"{said} GOOD: ")
+    assert words(result).startswith(f"GOOD: . {said} space7: ")
     unused = words(result, verdict="no-gain", reason="0.1 mm", findings=())
     assert unused.startswith("NO GAIN: 0.1 mm. ")
     bad = words(result, verdict="untrusted", reason="it did not converge.")
@@ -89,6 +89,22 @@ def test_urgent_findings_come_first(result):
     # The reason says it once, and with what to do about it.
     text = words(result, verdict="untrusted", reason=found.message, outliers=())
     assert text.startswith(f"UNTRUSTED: {said[9:]}") and "Warning" not in text
+    assert text.endswith(f"Next: {found.remedy}.")
+
+
+def test_three_findings_and_how_many_more(result):
+    """Without details; of what is not to be trusted the last line says what to do."""
+    (found,) = result.findings
+    many = tuple(replace(found, message=f"fault {k}") for k in range(5))
+    text = format_report(changed(result, findings=many))
+    assert [f"fault {k}" in text for k in range(5)] == 3 * [True] + 2 * [False]
+    assert "2 more findings: see the page, or --details." in text
+    assert "Next: " not in text and "more finding" not in full_report(result)
+    lines = replace(found, setup={"tip": "tool0"})
+    for some, said in (((), "calib-pin plan"), ((lines,), "the lines above")):
+        bad = changed(result, findings=some, verdict="untrusted", reason="it is")
+        *_, last = format_report(bad).split("Next: ")
+        assert said in " ".join(last.split())
 
 
 def test_errors_come_first_with_lines_to_copy(result):

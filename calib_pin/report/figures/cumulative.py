@@ -6,21 +6,17 @@ import math
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import (
-    AFTER,
-    BEFORE,
     MUTED,
-    WIDTH,
+    STAGES,
     Drawn,
     key,
     marks,
     panels,
 )
-from calib_pin.report.figures.labels import unit_of
-from calib_pin.report.tables import significant
+from calib_pin.report.tables import significant, unit_of
 from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.result import CalibrationResult
 
@@ -32,11 +28,6 @@ STEPS = 300
 
 COLUMNS = 2
 """Panels side by side at most."""
-
-HEAD, PANEL, FOOT = 0.68, 2.2, 0.55
-"""Heights of key and title, of a panel, and of the labels below it [inch]."""
-
-STAGES = {"before (nominal robot)": BEFORE, "after (calibrated)": AFTER}
 
 
 def cumulative_errors(result: CalibrationResult) -> Drawn | None:
@@ -52,30 +43,24 @@ def cumulative_errors(result: CalibrationResult) -> Drawn | None:
     if not found:
         return None
     lines, columns = math.ceil(len(found) / COLUMNS), min(len(found), COLUMNS)
-    block = PANEL + FOOT + 0.4
-    figure = Figure(figsize=(WIDTH, HEAD + block * lines - 0.35))
-    places = [
-        axes
-        for line in range(lines)
-        for axes in panels(figure, columns, HEAD + line * block, PANEL, right=0.25)
-    ]
-    for axes in places[len(found) :]:
+    figure, places = panels(lines, columns, 2.2, right=0.35, top=0.68, apart=0.95)
+    for axes in places.flat[len(found) :]:
         axes.remove()
     said = []
-    for axes, (name, unit, sizes) in zip(places, found, strict=False):
+    for axes, (name, unit, sizes) in zip(places.flat, found, strict=False):
         below = " → ".join(significant(Accuracy.of(size).p95) for size in sizes)
         axes.set_title(f"95 % below {below} {unit}")
         axes.set_xlabel(f"{name} error [{unit}]")
         _curves(axes, sizes)
         said.append(f"{name} {below} {unit}")
-    for axes in places[::columns]:
+    for axes in places[:, 0]:
         axes.set_ylabel("share of measurements [%]")
-    key(figure, {name: {"color": c} for name, c in STAGES.items()}, 0.7)
+    key(figure, {name: {"color": c} for name, c in STAGES.items()})
     which = "fitted" if result.held_out is None else "held-out"
     return Drawn(
         "cumulative-errors",
         "Share of measurements below an error",
-        f"Each curve tells which part of the {len(rows)} {which} measurements has an "
+        f"Each curve shows which part of the {len(rows)} {which} measurements has an "
         "error of at most the size on the axis: the further to the left, the more "
         f"accurate. 95 % lie below the dots: {', '.join(said)}.",
         figure,

@@ -35,12 +35,12 @@ def images(svg: str) -> list[np.ndarray]:
 def yellow(image: np.ndarray) -> int:
     """Pixels in the color of large errors."""
     red, green, blue, opacity = np.moveaxis(image.astype(int), 2, 0)
-    return int(((red - blue > 60) & (green - blue > 60) & (opacity == 255)).sum())
+    return int(((red - blue > 60) & (green - blue > 60) & (opacity > 250)).sum())
 
 
 def test_errors_are_colored_on_one_scale(calibrated, inline):
     svg = inline["robot-errors"]
-    before, after = images(svg)
+    before, after, _ = images(svg)
     assert before.shape == after.shape
     assert yellow(before) > 100 and yellow(after) < 0.1 * yellow(before)
     # The robot and the ground are the same in both.
@@ -56,8 +56,8 @@ def test_errors_are_colored_on_one_scale(calibrated, inline):
 def test_unpredictable_errors_look_like_the_largest(draw, calibrated):
     lost = replace(with_errors(calibrated, before=np.inf), errors=())
     svg = draw(robot_errors, lost).svg()
-    before, _ = images(svg)
-    assert yellow(before) > 1000 and "inf mm" in svg
+    before, *_ = images(svg)
+    assert yellow(before) > 150 and "inf mm" in svg
     unknown = with_errors(calibrated, before=np.nan, after=np.nan)
     assert robot_errors(unknown) is None
 

@@ -234,10 +234,9 @@ def draw_calibration(
     result: CalibrationResult, bar: Bar | None, shapes: Sequence[Shape]
 ) -> list[Drawn]:
     """The figures of a calibration, of a robot with some shapes."""
-    from calib_pin.report.figures import NAMES, calibration_figures
+    from calib_pin.report.figures import NAMES, drawn
 
-    drawn = calibration_figures(result, shapes)
-    return _told(drawn, len(NAMES["calibration"]), bar)
+    return _told(drawn("calibration", result, shapes), len(NAMES["calibration"]), bar)
 
 
 def draw_plan(plan: Plan, bar: Bar | None) -> list[Drawn]:

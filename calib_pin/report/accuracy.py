@@ -1,4 +1,4 @@
-"""The accuracy of a calibration, and what the numbers refer to."""
+"""The accuracy of a calibration, and of the older one that it began with."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pinocchio as pin
 from calib_pin.estimation.system import System
 from calib_pin.kinematics.joint_columns import drives_of
 from calib_pin.parameterizations import outside_urdf
-from calib_pin.report.blocks import Block, Facts, Line, table
+from calib_pin.report.blocks import Block, Cell, Facts, Line, table
 from calib_pin.report.tables import (
     SIZES,
     accuracy_table,
@@ -18,6 +18,7 @@ from calib_pin.report.tables import (
     counted,
     distance_table,
     ladder,
+    number,
     sizes,
 )
 from calib_pin.report.trust import below, findings, judged
@@ -255,3 +256,53 @@ def evaluated(evaluation: Evaluation) -> Iterator[Block]:
             "correction was learned; it knows less there."
         )
     yield Line(how, "note")
+
+
+STEPS = 12
+"""Calibrations of the history that are listed, the last ones."""
+
+
+def recalibrated(result: CalibrationResult, *, details: bool = True) -> Iterator[Block]:
+    """The errors by the older calibration, the drift, and the history.
+
+    Args:
+        result: The calibration.
+        details: Also the drift and the history.
+    """
+    found = result.recalibration
+    if found is None:
+        return
+    day = f" of {found.last.created[:10]}" if found.last.created else ""
+    yield table(
+        f"New measurements by the older calibration{day}, before they were fitted",
+        ("", *SIZES),
+        [(name, *sizes(accuracy, unit)) for name, unit, accuracy in found.errors],
+    )
+    if not details:
+        return
+    yield Facts(
+        "Drift from one calibration to the next, standard deviation",
+        [
+            (drift.name, f"{amount(drift.size, 'm')} or {amount(drift.size, 'rad')}")
+            for drift in found.last.drifts
+        ],
+    )
+    first = max(len(found.steps) - STEPS, 0)
+    yield table(
+        "Calibrations since the first one",
+        (
+            *("", "began with that of|word", "measurements"),
+            *("chi-square", "dof", "changed|remark"),
+        ),
+        [
+            (
+                place,
+                step.created[:10] or step.start or "-",
+                step.measurements,
+                Cell(number(step.chi2), step.chi2),
+                step.dof,
+                ", ".join(jump.name or "the whole robot" for jump in step.jumps) or "-",
+            )
+            for place, step in enumerate(found.steps[first:], first + 1)
+        ],
+    )

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.report.accuracy import chain_words, model_words
 from calib_pin.report.blocks import Block, Cell, Facts, Line, table
@@ -21,7 +19,6 @@ from calib_pin.report.tables import (
     unit_of,
 )
 from calib_pin.report.trust import below, findings, judged
-from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.comparison import (
     BOUND,
     Comparison,
@@ -237,8 +234,6 @@ def _farthest(found: Comparison) -> Facts:
     for value, turns in zip(drift.q[position], chain.revolute, strict=True):
         unit, factor = unit_of("rad" if turns else "m")
         angles.append(f"{factor * value:.1f} {unit}")
-    if np.all(chain.revolute):
-        angles = [*(angle.removesuffix(" deg") for angle in angles[:-1]), angles[-1]]
     return Facts(
         f"Largest difference{_where(found)}: {amount(drift.drift[position], 'm')}",
         [
@@ -346,23 +341,15 @@ def accuracies(found: Comparison) -> Iterator[Block]:
     rows = []
     for name, unit in errors:
         shown = name
-        for which in ("fitted", "validation"):
-            part = which
+        for which, stage in (("fitted", "after"), ("validation", "validation_after")):
             for label, record in pair:
-                accuracy = _of(record, name, unit, which)
-                if accuracy is not None:
-                    rows.append((shown, part, label, *sizes(accuracy, unit)))
-                    shown = part = ""
+                for error in record.errors:
+                    size_of = getattr(error, stage)
+                    if (error.name, error.unit) == (name, unit) and size_of:
+                        rows.append((shown, which, label, *sizes(size_of, unit)))
+                        shown = which = ""
     yield table("Accuracy", ("", "measurements|word", "of|word", *SIZES), rows)
     said = ", ".join(f"{label} {record.validation.method}" for label, record in pair)
     if not found.same_rows:
         said += ". The measurements differ: the numbers are not strictly comparable"
     yield Line(f"Validation: {said}.", "note")
-
-
-def _of(record: CalibrationResult, name: str, unit: str, which: str) -> Accuracy | None:
-    """The accuracy of a quantity on fitted or validation measurements, if known."""
-    for error in record.errors:
-        if (error.name, error.unit) == (name, unit):
-            return error.after if which == "fitted" else error.validation_after
-    return None

@@ -28,7 +28,7 @@ from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggest
 from calib_pin.report.accuracy import subject
 from calib_pin.report.blocks import Block, Facts, Line, Table, table
 from calib_pin.report.cover import Cover, program
-from calib_pin.report.figures import Drawn, calibration_figures
+from calib_pin.report.figures import Drawn, drawn
 from calib_pin.report.tables import STATUS, parameter_overview
 from calib_pin.report.text import Section, sections
 from calib_pin.report.tiles import tiles
@@ -51,9 +51,9 @@ def html_report(
     The document is its `calibration.json`, which knows the files and their hashes.
     """
     verdict, *found = opening(result)
-    drawn = {figure.name: figure for figure in figures}
+    named = {figure.name: figure for figure in figures}
     # A line leads to its figure, if that is there. Lines to copy stand in the section.
-    found = [b for b in found if getattr(b, "figure", "") in ("", *drawn)]
+    found = [b for b in found if getattr(b, "figure", "") in ("", *named)]
     urgent = [b for b in found if isinstance(b, Line) and b.tone in ("bad", "strong")]
     told = []
     for section in sections(result, suggestions):
@@ -73,9 +73,9 @@ def html_report(
         verdict=verdict,
         urgent=urgent[:FIRST],
         tiles=list(tiles(result)),
-        front=[drawn[name] for name in FRONT if name in drawn],
+        front=[named[name] for name in FRONT if name in named],
         sections=told,
-        drawn=drawn,
+        drawn=named,
         parameters=parameters,
         idle=_idle(parameters),
         statuses=tuple(dict.fromkeys(STATUS[p.status] for p in result.parameters)),
@@ -103,10 +103,8 @@ def acceptance_page(cover: Cover, blocks: Sequence[Block]) -> bytes:
     """
     # It is one page: the verdict stands on it once.
     rest = [block for block in blocks if block not in cover.said]
-    made, numbers = cover.made, "acceptance.json"
-    return rendered(
-        "acceptance.html", cover=cover, blocks=rest, made=made, numbers=numbers
-    )
+    about = {"made": program(), "numbers": "acceptance.json"}
+    return rendered("acceptance.html", cover=cover, blocks=rest, **about)
 
 
 def blocks_page(
@@ -175,7 +173,7 @@ def report(
         result, document = read_written(result)
         suggested = read_suggestions(document)
     shapes = robot_shapes(result.model.chains.robot).parts
-    figures = list(calibration_figures(result, shapes))
+    figures = list(drawn("calibration", result, shapes))
     page = html_report(result, document, figures=figures, suggestions=suggested)
     write_atomically(Path(file), page, force=force)
 

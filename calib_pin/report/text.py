@@ -16,6 +16,7 @@ from calib_pin.report.accuracy import (
     beyond,
     evaluated,
     moves,
+    recalibrated,
     subject,
     taken,
 )
@@ -25,7 +26,6 @@ from calib_pin.report.comparison import comparison_report
 from calib_pin.report.identification import identified, in_full, summary
 from calib_pin.report.places import frame_blocks
 from calib_pin.report.plan_text import plan_report
-from calib_pin.report.recalibration import recalibrated
 from calib_pin.report.robot_errors import corrections, held, offsets, offsets_alone
 from calib_pin.report.tables import listed, outlier_table
 from calib_pin.report.terminal import plain_text

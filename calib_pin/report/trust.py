@@ -35,7 +35,7 @@ NEXT = {
     "untrusted": "check units, joint signs, and base and tip; then measure more or "
     "other configurations (calib-pin plan --add N)",
 }
-"""What to do next where no finding says so, by the verdict."""
+"""Next steps where no finding has one, by the verdict."""
 
 
 def opening(result: CalibrationResult, most: int | None = None) -> Iterator[Block]:
@@ -61,7 +61,7 @@ def judged(reason: str, status: str = "untrusted") -> Line:
 
 
 def next_step(result: CalibrationResult) -> Iterator[Line]:
-    """What to do about a result that is not to be trusted."""
+    """The next step with a result that must not be trusted."""
     if result.verdict in TRUSTED:
         return
     ordered = _ordered(result.findings)

@@ -145,8 +145,8 @@ def test_where_it_differs_most(moved):
     words = words_of(moved)
     x, y, z = 1e3 * drift.points[drift.farthest]
     assert f"at {x:.1f}, {y:.1f}, {z:.1f} mm in base_link" in words
-    angles = ", ".join(f"{a:.1f}" for a in np.degrees(drift.q[drift.farthest]))
-    assert f"at {angles} deg" in words
+    angles = np.degrees(drift.q[drift.farthest])
+    assert f"at {', '.join(f'{a:.1f} deg' for a in angles)}" in words
 
 
 def test_frames_that_moved(still):

@@ -15,7 +15,8 @@ from calib_pin.estimation.evidence import Outlier
 from calib_pin.io.json_text import encode
 from calib_pin.io.results import calibration_document
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
-from calib_pin.report.figures import NAMES, Drawn, calibration_figures
+from calib_pin.report.figures import NAMES, Drawn
+from calib_pin.report.figures import drawn as draw_all
 from calib_pin.report.html import FRONT, html_report
 from calib_pin.report.robot_errors import error_table
 from calib_pin.report.tables import ESTIMATE, accuracy_table, parameter_overview
@@ -202,5 +203,5 @@ def test_results_that_say_little():
 @pytest.mark.slow
 def test_many_rows_make_a_small_page(many):
     result = many(25_000)
-    page, _ = page_of(result, [*calibration_figures(result)])
+    page, _ = page_of(result, [*draw_all("calibration", result)])
     assert len(page) < 3e6

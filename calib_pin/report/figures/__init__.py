@@ -14,11 +14,10 @@ from matplotlib.figure import Figure
 
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.kinematics.shapes import Shape
-from calib_pin.report.figures.canvas import COLORS, Drawn, drawing
-from calib_pin.report.figures.cumulative import cumulative_errors
-from calib_pin.report.figures.measurement_errors import errors_per_measurement
-from calib_pin.report.figures.plans import criterion_by_count, planned_positions
-from calib_pin.report.figures.residuals_along import (
+from calib_pin.report.figures.canvas import Drawn, drawing
+from calib_pin.report.figures.errors import (
+    cumulative_errors,
+    errors_per_measurement,
     residuals_by_joint,
     residuals_over_order,
 )
@@ -30,19 +29,19 @@ from calib_pin.report.figures.robots import (
     poses_tested,
 )
 from calib_pin.report.figures.workspace import (
+    criterion_by_count,
     drift_in_workspace,
+    planned_positions,
     tip_by_count,
     tip_in_workspace,
 )
 from calib_pin.validation.result import CalibrationResult
 
 __all__ = [
-    "COLORS",
     "NAMES",
     "Drawn",
     "Foreseen",
     "Judged",
-    "calibration_figures",
     "drawn",
     "figures",
 ]
@@ -89,16 +88,8 @@ def drawn(of: str, subject: Any, shapes: Sequence[Shape] = ()) -> Iterator[Drawn
             yield figure
 
 
-def calibration_figures(
-    result: CalibrationResult, shapes: Sequence[Shape] = ()
-) -> Iterator[Drawn]:
-    """Figures of a calibration, see `drawn`."""
-    return drawn("calibration", result, shapes)
-
-
 def figures(result: CalibrationResult) -> dict[str, Figure]:
-    """The same as matplotlib figures by name, see `CalibrationResult.figures`."""
+    """Those of a calibration by name, see `CalibrationResult.figures`."""
     shapes = robot_shapes(result.model.chains.robot).parts
-    return {
-        figure.name: figure.figure for figure in calibration_figures(result, shapes)
-    }
+    found = drawn("calibration", result, shapes)
+    return {figure.name: figure.figure for figure in found}

@@ -41,9 +41,6 @@ from calib_pin.validation.result import CalibrationResult
 POINTS = 700
 """Points that are drawn at most: more hide each other and the robot."""
 
-TRIANGLES = 1_500_000
-"""Triangles of a robot that are drawn in a few seconds; few robots have as many."""
-
 HEIGHT = 4.4
 """Height of the figure [inch]."""
 
@@ -102,15 +99,12 @@ def robot_errors(
 
     Args:
         result: The result.
-        shapes: Shapes of the robot's links; simple solids where there are none, or
-            where these would take too long to draw.
+        shapes: Shapes of the robot's links; simple solids where there are none.
     """
     measured = _measured(result)
     if measured is None or not len(measured.points):
         return None
-    links = list(shapes)
-    if not 0 < sum(len(shape.surface.triangles) for shape in links) <= TRIANGLES:
-        links = stand_ins(result.model.chains.robot)
+    links = list(shapes) or stand_ins(result.model.chains.robot)
     low, high, triangles, colors = _scene(result, links, measured.points)
     unit, factor = unit_of(measured.unit)
     sizes = [factor * measured.before, factor * measured.after]
@@ -205,15 +199,12 @@ def _measured(result: CalibrationResult) -> Measured | None:
 
 def _mean(result: CalibrationResult, measured: Measured, stage: int) -> str:
     """Mean error before or after, that of the report where it has one, in words."""
-    sizes = (measured.before, measured.after)[stage]
-    mean, said = float(np.mean(sizes)), "on average"
-    for stated in result.errors:
-        if stated.name == measured.name:
-            pair = stated.before, stated.after
-            held_out = stated.validation_before, stated.validation_after
-            found = held_out[stage] or pair[stage]
-            mean = found.mean
-            said = "on average" if held_out[stage] else "where fitted"
+    mean, said = float(np.mean((measured.before, measured.after)[stage])), "on average"
+    for error in result.errors:
+        if error.name == measured.name:
+            held_out = (error.validation_before, error.validation_after)[stage]
+            mean = (held_out or (error.before, error.after)[stage]).mean
+            said = "on average" if held_out else "where fitted"
     unit, factor = unit_of(measured.unit)
     return f"{significant(factor * mean)} {unit} {said}"
 

@@ -14,12 +14,14 @@ import pytest
 import calib_pin
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
-from calib_pin.report.figures import COLORS, NAMES, Drawn, calibration_figures
+from calib_pin.report.figures import NAMES, Drawn
 from calib_pin.report.figures import drawn as draw_all
-from calib_pin.report.figures.canvas import GROUPS
-from calib_pin.report.figures.cumulative import cumulative_errors
-from calib_pin.report.figures.measurement_errors import errors_per_measurement
-from calib_pin.report.figures.residuals_along import residuals_by_joint
+from calib_pin.report.figures.canvas import COLORS, GROUPS
+from calib_pin.report.figures.errors import (
+    cumulative_errors,
+    errors_per_measurement,
+    residuals_by_joint,
+)
 from calib_pin.report.figures.robot_errors import robot_errors
 from calib_pin.validation.result import CalibrationResult
 from tests.report.results import with_errors, without
@@ -137,8 +139,8 @@ def test_any_errors_can_be_drawn_and_what_says_nothing_is_left_out(calibrated):
     count = len(calibrated.fitted)
     sizes = [1e-3, np.inf, 1e-300, np.nan, 0.0]
     before, after = (np.resize(sizes[k:] + sizes[:k], (count, 1)) for k in (0, 1))
-    drawn = calibration_figures(
-        with_errors(without(calibrated), before=before, after=after)
+    drawn = draw_all(
+        "calibration", with_errors(without(calibrated), before=before, after=after)
     )
     found = {figure.name: ElementTree.fromstring(figure.svg()) for figure in drawn}
     assert [*found] == [

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib_pin.report.figures.measurement_errors import LIMIT, errors_per_measurement
+from calib_pin.report.figures.errors import LIMIT, errors_per_measurement
 from tests.report.results import changed
 
 

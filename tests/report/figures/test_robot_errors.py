@@ -83,10 +83,10 @@ def test_meshes_are_drawn_as_small(draw, calibrated_robot):
 
 TWICE = """
 import calib_pin, hashlib
-from calib_pin.report.figures import calibration_figures
+from calib_pin.report.figures import drawn
 from tests.report.results import solve
-drawn = next(iter(calibration_figures(solve())))
-print(drawn.name, hashlib.sha256(drawn.svg().encode()).hexdigest())
+found = next(iter(drawn("calibration", solve())))
+print(found.name, hashlib.sha256(found.svg().encode()).hexdigest())
 """
 
 

@@ -19,11 +19,10 @@ from calib_pin.report.figures import (
     Drawn,
     Foreseen,
     Judged,
-    calibration_figures,
 )
 from calib_pin.report.figures import drawn as draw_all
 from calib_pin.report.figures.canvas import drawing
-from calib_pin.report.figures.plans import criterion_by_count
+from calib_pin.report.figures.workspace import criterion_by_count
 from calib_pin.setup import LimitSetup
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.tip_drift import TipDrift
@@ -131,19 +130,19 @@ OTHERS: dict[str, Callable[[CalibrationResult], CalibrationResult]] = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", OTHERS)
 def test_of_other_results(calibrated, name):
-    assert told([*calibration_figures(OTHERS[name](calibrated))]) == []
+    assert told([*draw_all("calibration", OTHERS[name](calibrated))]) == []
 
 
 @pytest.mark.slow
 def test_of_many_measurements_and_of_a_joint_with_a_long_name(many, hostile):
-    assert told([*calibration_figures(many(3000))]) == []
-    assert told([*calibration_figures(hostile)]) == []
+    assert told([*draw_all("calibration", many(3000))]) == []
+    assert told([*draw_all("calibration", hostile)]) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["hands", "lost motion", "distances", "camera"])
 def test_of_all_kinds_of_calibrations(name, calibrated_robot):
-    assert told([*calibration_figures(KINDS[name](calibrated_robot))]) == []
+    assert told([*draw_all("calibration", KINDS[name](calibrated_robot))]) == []
 
 
 def others(

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib_pin.report.figures.plans import (
+from calib_pin.report.figures.workspace import (
+    SIDES,
     criterion_by_count,
     planned_positions,
+    tip_in_workspace,
     tool_positions,
 )
-from calib_pin.report.figures.workspace import SIDES, tip_in_workspace
 
 
 def test_every_point_is_seen_from_three_sides_the_largest_in_front(calibrated, draw):

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.estimation.system import System
+from calib_pin.estimation.terms import Terms
 from calib_pin.kinematics.joint_columns import drives_of
 from calib_pin.parameterizations import outside_urdf
 from calib_pin.report.blocks import Block, Cell, Facts, Line, table
@@ -101,7 +101,7 @@ def degrees(stated: ReportSetup) -> str:
     return "" if stated.temperature is None else f"{stated.temperature:g} °C"
 
 
-def chain_words(system: System) -> str:
+def chain_words(system: Terms) -> str:
     """The robot and the ends of its chains, for the line below a verdict."""
     chains = system.chains
     moving = [name for name in chains.names if chains[name].joints]
@@ -112,18 +112,18 @@ def chain_words(system: System) -> str:
     return f"{joints} {' and '.join(ends)}"
 
 
-def scopes(system: System) -> dict[str, list[str]]:
+def scopes(system: Terms) -> dict[str, list[str]]:
     """Names of stations and tools, sorted."""
-    found = [part.scope for part in system.parts.values()]
+    found = [term.frames for term in system.terms.values()]
     return {
-        "station": sorted({scope.station for scope in found}),
-        "tool": sorted({scope.tool for scope in found}),
+        "station": sorted({frames.station for frames in found}),
+        "tool": sorted({frames.tool for frames in found}),
     }
 
 
-def model_words(system: System) -> str:
+def model_words(system: Terms) -> str:
     """The measurement models, each once."""
-    return " + ".join(dict.fromkeys(key.model for key in system.parts))
+    return " + ".join(dict.fromkeys(key.model for key in system.terms))
 
 
 def accuracy(result: CalibrationResult, *, details: bool = True) -> Iterator[Block]:

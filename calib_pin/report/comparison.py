@@ -73,8 +73,15 @@ def _verdict(found: Comparison) -> Line:
         return Line(f"{_cause(found)} {beyond}", "bad")
     within = f"{apart} rms{_where(found)} where noise explains {noise}."
     if found.changed and found.described:
-        said = f"The robot changed, but not visibly at the tool point: {_first(found)};"
-        return Line(f"{said} the tool points differ by {within}", "bad")
+        leading = found.differences[0]
+        terms = leading.terms
+        name = f"a combination with {terms[0][0]}" if terms else leading.name
+        return Line(
+            f"The robot changed, but not visibly at the tool point: {name} by "
+            f"{amount(leading.change, leading.unit)}, {leading.significance:.0f} "
+            f"standard deviations; the tool points differ by {within}",
+            "bad",
+        )
     said = "No drift beyond the noise of both: the tool points differ by"
     return Line(f"{said} {within}", "good")
 
@@ -95,18 +102,6 @@ def _cause(found: Comparison) -> str:
             "drift"
         )
     return "The robot changed: tool-point drift"
-
-
-def _first(found: Comparison) -> str:
-    """The most significant difference in words."""
-    leading = found.differences[0]
-    name = leading.name
-    if leading.terms:
-        name = f"a combination with {leading.terms[0][0]}"
-    return (
-        f"{name} by {amount(leading.change, leading.unit)}, "
-        f"{leading.significance:.0f} standard deviations"
-    )
 
 
 def _size(found: Comparison, position: float, orientation: float) -> str:

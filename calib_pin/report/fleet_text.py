@@ -154,7 +154,7 @@ def outlook_report(
         sigmas = setup.noise.items()
         parts = (f"{name} {amount(s, units.get(name, 'm'))}" for name, s in sigmas)
         noise = f"noise: {', '.join(parts)}"
-    instruments = "+".join(dict.fromkeys(key.model for key in study.truth.parts))
+    instruments = "+".join(dict.fromkeys(key.model for key in study.truth.terms))
     yield Facts(
         "Study",
         [

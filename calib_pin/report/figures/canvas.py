@@ -355,3 +355,11 @@ def thinning(shown: int, count: int) -> str:
     if shown == count:
         return ""
     return f" {shown} of {count} measurements are drawn, including the largest errors."
+
+
+def top_of(sizes: Floats) -> float:
+    """End of the color scale: few large errors must not make all others look alike."""
+    finite = sizes[np.isfinite(sizes)]
+    high = float(np.quantile(finite, 0.97)) if finite.size else 0.0
+    most = float(finite.max(initial=0.0))
+    return max(most if most < 1.3 * high else high, 1e-12)

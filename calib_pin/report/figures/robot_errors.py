@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,6 +33,7 @@ from calib_pin.report.figures.canvas import (
     Drawn,
     thinned,
     thinning,
+    top_of,
 )
 from calib_pin.report.surroundings import surroundings, touched_by
 from calib_pin.report.tables import significant, unit_of
@@ -116,7 +118,7 @@ def robot_errors(
     apart = len(np.unique(np.round(points / (LARGEST * extent)), axis=0))
     radius = extent * float(np.clip(0.17 / math.sqrt(apart), SMALLEST, LARGEST))
     corners = np.concatenate([triangles, _balls(points, radius, eye)])
-    lit, top = _lit(triangles, colors, eye, lamp), _top(np.concatenate(sizes))
+    lit, top = _lit(triangles, colors, eye, lamp), top_of(np.concatenate(sizes))
     scale = ScalarMappable(Normalize(0.0, top), SCALE)
     figure = Figure(figsize=(WIDTH, HEIGHT))
     for k, (name, color) in enumerate(STAGES.items()):
@@ -183,7 +185,8 @@ def _measured(result: CalibrationResult) -> Measured | None:
         sizes = [part.sizes(q) for q in part.quantities if q.unit == unit]
         if not sizes:
             continue
-        before, after = (_first([pair[k] for pair in sizes]) for k in (0, 1))
+        # The first size that each measurement has.
+        before, after = (reduce(_or, [pair[k] for pair in sizes]) for k in (0, 1))
         usable = np.isfinite(part.points).all(axis=1) & ~np.isnan(before)
         usable &= np.isfinite(after)
         points = _in_link(result, part, link)
@@ -209,12 +212,8 @@ def _mean(result: CalibrationResult, measured: Measured, stage: int) -> str:
     return f"{significant(factor * mean)} {unit} {said}"
 
 
-def _first(sizes: Sequence[Floats]) -> Floats:
-    """The first size that each measurement has, shape (N,); NaN where it has none."""
-    found = sizes[0]
-    for other in sizes[1:]:
-        found = np.where(np.isnan(found), other, found)
-    return found
+def _or(size: Floats, other: Floats) -> Floats:
+    return np.where(np.isnan(size), other, size)
 
 
 def _in_link(result: CalibrationResult, part: MeasurementErrors, link: str) -> Floats:
@@ -224,14 +223,6 @@ def _in_link(result: CalibrationResult, part: MeasurementErrors, link: str) -> F
         T = base_poses(chains, key.chain, link, part.rows.q[rows])
         points[rows] = np.einsum("nij,nj->ni", T[:, :3, :3], points[rows]) + T[:, :3, 3]
     return points
-
-
-def _top(sizes: Floats) -> float:
-    """End of the color scale: few large errors must not make all others look alike."""
-    finite = sizes[np.isfinite(sizes)]
-    high = float(np.quantile(finite, 0.97)) if finite.size else 0.0
-    most = float(finite.max(initial=0.0))
-    return max(most if most < 1.3 * high else high, 1e-12)
 
 
 # --- the scene ---------------------------------------------------------------------
@@ -262,7 +253,7 @@ def _scene(
     drawn = [(s, _muted(s.color or ROBOT, s.link in measured)) for s in shapes]
     touched = touched_by(rows, result.fitted.points)
     reach = float(np.ptp(frame, axis=0).max())
-    for thing in surroundings(result.model.parts, touched, reach):
+    for thing in surroundings(result.model.terms, touched, reach):
         place = T[thing.link][:3, :3] @ thing.origin + T[thing.link][:3, 3]
         # A measurement frame is a place where nothing needs to be.
         if thing.kind == "station" or np.linalg.norm(place - middle) > NEAR * radius:

@@ -22,6 +22,7 @@ from calib_pin.report.figures.canvas import (
     log_axis,
     marks,
     panels,
+    top_of,
 )
 from calib_pin.report.tables import number, unit_of
 from calib_pin.validation.assessment import chi2_interval
@@ -35,9 +36,7 @@ SIDES = ((0, 1), (0, 2), (1, 2))
 def views(points: Floats, values: Floats, label: str) -> tuple[Figure, Any]:
     """Points (N, 3) [m] of the base link from three sides, colored by values (N,)."""
     figure, (axes,) = panels(1, 3, 1.9, top=0.15, foot=1.2, gap=0.7)
-    high = float(np.quantile(values, 0.98))
-    # A few that stand out must not make all others look the same.
-    high = high if values.max() > 1.5 * high else float(values.max())
+    high = top_of(values)
     order = np.argsort(values)  # The largest come last and hide the others.
     size = float(np.clip(60.0 / np.sqrt(len(points)), 2.5, 5.0)) ** 2
     for view, (right, up) in zip(axes, SIDES, strict=True):
@@ -232,8 +231,8 @@ def tool_positions(plan: Plan) -> Floats:
     keys = [aim.key for aim in plan.aims]
     for block in dict.fromkeys(keys):
         own = np.array([other == block for other in keys], bool)
-        part = plan.problem.parts[block]
-        error = part.error
-        T = error.poses(plan.q[own][:, part.columns], np.zeros(len(error.screws)))
+        term = plan.problem.terms[block]
+        error = term.error
+        T = error.poses(plan.q[own][:, term.columns], np.zeros(len(error.screws)))
         points[own] = (error.base.inverse().homogeneous @ T)[:, :3, 3]
     return points

@@ -122,7 +122,7 @@ def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
         return None
     shape = len(quantities), len(parts)
     figure, places = panels(*shape, 1.65, top=0.65, gap=0.4, apart=0.55, sharey="row")
-    notes: dict[str, None] = {}
+    notes = [*_reading(result, quantities[0], parts)]
     for row, quantity in zip(places, quantities, strict=True):
         unit, factor = unit_of(quantity.unit)
         sizes = [size for _, part, _ in parts for size in part.sizes(quantity)]
@@ -130,7 +130,7 @@ def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
         if not log_axis(row[0], "y", *(factor * size for size in sizes)):
             row[0].set_yticks([])
         for axes, (name, part, rings) in zip(row, parts, strict=True):
-            notes[_panel(axes, name, part, quantity, rings)] = None
+            notes += _panel(axes, name, part, quantity, rings)
     for axes in places[-1]:
         axes.set_xlabel("measurement")
     entries = {BEFORE_NAME: marks(BEFORE, "o", hollow=True)}
@@ -139,7 +139,7 @@ def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
     return Drawn(
         "errors-per-measurement",
         "Errors per measurement",
-        " ".join([*_reading(result, quantities, parts), *filter(None, notes)]),
+        " ".join(dict.fromkeys(notes)),
         figure,
     )
 
@@ -150,12 +150,8 @@ def _panel(
     part: MeasurementErrors,
     quantity: Quantity,
     outliers: Sequence[int],
-) -> str:
-    """Errors before and after; what a log axis cannot show is put at its edge.
-
-    Returns:
-        A sentence where some are left out.
-    """
+) -> Iterator[str]:
+    """Draw errors; what a log axis cannot show is put at its edge, and told."""
     unit, factor = unit_of(quantity.unit)
     sizes = [factor * size for size in part.sizes(quantity)]
     chosen = thinned(len(part), LIMIT, sizes, outliers)
@@ -175,9 +171,10 @@ def _panel(
     axes.set_xlim(1 - room, len(part) + room)
     if means := _means(part, quantity):
         axes.set_title(f"{name}: mean {' → '.join(means)} {unit}")
+    if np.isinf(sizes).any():
+        yield "Points at the upper edge are measurements that cannot be predicted."
     if note := thinning(len(chosen), len(part)):
-        return f"{name.capitalize()}:{note}"
-    return ""
+        yield f"{name.capitalize()}:{note}"
 
 
 def _means(part: MeasurementErrors, quantity: Quantity) -> list[str]:
@@ -200,10 +197,10 @@ def _after(part: MeasurementErrors) -> list[tuple[str, str, np.ndarray]]:
 
 def _reading(
     result: CalibrationResult,
-    quantities: Sequence[Quantity],
+    quantity: Quantity,
     parts: Sequence[tuple[str, MeasurementErrors, object]],
 ) -> Iterator[str]:
-    (name, part, _), quantity = parts[-1], quantities[0]
+    name, part, _ = parts[-1]
     if means := _means(part, quantity):
         how = f" ({result.validation.method})" if len(parts) > 1 else ""
         yield (
@@ -214,9 +211,6 @@ def _reading(
         yield "Fitted and validation measurements should look alike."
     if result.statistics.outliers:
         yield f"Rings mark {len(result.statistics.outliers)} outliers."
-    sizes = [size for q in quantities for _, p, _ in parts for size in p.sizes(q)]
-    if any(np.isinf(size).any() for size in sizes):
-        yield "Points at the upper edge are measurements that cannot be predicted."
 
 
 FEW = 2000

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -185,8 +184,8 @@ def _measured(result: CalibrationResult) -> Measured | None:
         sizes = [part.sizes(q) for q in part.quantities if q.unit == unit]
         if not sizes:
             continue
-        # The first size that each measurement has.
-        before, after = (reduce(_or, [pair[k] for pair in sizes]) for k in (0, 1))
+        # Of several quantities a measurement may have one only.
+        before, after = np.fmax.reduce(np.asarray(sizes, float), axis=0)
         usable = np.isfinite(part.points).all(axis=1) & ~np.isnan(before)
         usable &= np.isfinite(after)
         points = _in_link(result, part, link)
@@ -210,10 +209,6 @@ def _mean(result: CalibrationResult, measured: Measured, stage: int) -> str:
             said = "on average" if held_out else "where fitted"
     unit, factor = unit_of(measured.unit)
     return f"{significant(factor * mean)} {unit} {said}"
-
-
-def _or(size: Floats, other: Floats) -> Floats:
-    return np.where(np.isnan(size), other, size)
 
 
 def _in_link(result: CalibrationResult, part: MeasurementErrors, link: str) -> Floats:

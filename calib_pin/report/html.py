@@ -16,6 +16,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.files import write_atomically
 from calib_pin.io.results import (
     calibration_document,
@@ -26,13 +27,13 @@ from calib_pin.io.results import (
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
 from calib_pin.report.accuracy import subject
-from calib_pin.report.blocks import Block, Facts, Line, Table, table
+from calib_pin.report.blocks import Block, Code, Facts, Line, Table, table
 from calib_pin.report.cover import Cover, program
 from calib_pin.report.figures import Drawn, drawn
 from calib_pin.report.tables import STATUS, parameter_overview
 from calib_pin.report.text import Section, sections
 from calib_pin.report.tiles import tiles
-from calib_pin.report.trust import FIRST, opening
+from calib_pin.report.trust import FIRST, next_step, opening
 from calib_pin.validation.result import CalibrationResult
 
 FRONT = ("robot-errors", "cumulative-errors")
@@ -54,7 +55,9 @@ def html_report(
     named = {figure.name: figure for figure in figures}
     # A line leads to its figure, if that is there. Lines to copy stand in the section.
     found = [b for b in found if getattr(b, "figure", "") in ("", *named)]
-    urgent = [b for b in found if isinstance(b, Line) and b.tone in ("bad", "strong")]
+    tones, doubtful = ("bad", "strong"), result.verdict not in TRUSTED
+    urgent = [b for b in found if isinstance(b, Line) and b.tone in tones][:FIRST]
+    codes = [b for b in found if isinstance(b, Code) and doubtful]
     told = []
     for section in sections(result, suggestions):
         blocks = list(section.blocks)
@@ -71,7 +74,7 @@ def html_report(
         title=f"Calibration of {result.model.chains.robot.name}",
         subject=subject(result).text,
         verdict=verdict,
-        urgent=urgent[:FIRST],
+        urgent=[*urgent, *codes, *next_step(result)],
         tiles=list(tiles(result)),
         front=[named[name] for name in FRONT if name in named],
         sections=told,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from calib_pin.estimation.evidence import Outlier
 from calib_pin.report.blocks import Block, Cell, Line, Names, Table, table
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
@@ -252,19 +251,18 @@ def outlier_table(result: CalibrationResult, most: int, *, errors: bool) -> Tabl
     caused = any(outlier.cause for outlier in found)
     titles = ["measurement", "normalized residual", "weight"]
     titles += ["cause|remark"] * caused
-    cells = [[*_outlier(outlier)][: 3 + caused] for outlier in found[:most]]
+    cells: list[list[Cell | str]] = []
+    for outlier in found[:most]:
+        size, weight = f"{outlier.size:.1f}", significant(outlier.weight)
+        pair = Cell(size, outlier.size), Cell(weight, outlier.weight)
+        cells.append([outlier.place, *pair, *[outlier.cause][:caused]])
     for of in rows.quantities if errors else ():
         titles += [f"{of.name}, nominal [{unit_of(of.unit)[0]}]"]
         titles += [f"calibrated [{unit_of(of.unit)[0]}]"]
         for outlier, own in zip(found, cells, strict=False):
-            pair = (float(size[outlier.row]) for size in rows.sizes(of))
-            own += measures(of.unit, *pair)[:2]
+            errors_of = (float(size[outlier.row]) for size in rows.sizes(of))
+            own += measures(of.unit, *errors_of)[:2]
     return table(f"Outliers ({len(found)} of {len(rows)})", titles, cells)
-
-
-def _outlier(row: Outlier) -> tuple[Cell | str, ...]:
-    weight = Cell(significant(row.weight), row.weight)
-    return row.place, Cell(f"{row.size:.1f}", row.size), weight, row.cause
 
 
 def listed(meaning: str, names: Sequence[str]) -> Iterator[Names]:

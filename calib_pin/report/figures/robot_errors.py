@@ -160,7 +160,7 @@ def _draw(axes: Any, corners: Floats, faces: Floats) -> None:
     axes.computed_zorder = False
     for x, axis in zip("xy ", (axes.xaxis, axes.yaxis, axes.zaxis), strict=True):
         axis.set_pane_color((0.0, 0.0, 0.0, 0.0))
-        axis.set_tick_params(labelsize=7, pad=-2.0)
+        axis.set_tick_params(labelsize=7, pad=0.0)
         axis.set_label_text(x, fontsize=8)
         axis.labelpad = -4.0
         axis.get_major_locator().set_params(nbins=4)

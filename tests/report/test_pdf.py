@@ -146,15 +146,12 @@ def test_a_picture_without_room_is_on_the_next_page():
         assert ["Look at it." in text for text in pages].index(True) == page
 
 
-def test_headings_are_on_every_page_of_a_table():
+def test_headings_are_on_every_page_of_a_table_and_no_row_is_alone():
     annex = pages_of(cover_of(), [BLOCKS[2]])[1:]
     assert len(annex) >= 3
     for k, text in enumerate(annex):
         assert text.count("std. dev.") == 1
         assert ("Long table, continued" in text) == (k > 0)
-
-
-def test_no_row_is_alone_on_a_page():
     counts = []
     for count in range(48, 55):  # Around a full page.
         rows = table("", ("", "b"), [(f"row {k}", "1") for k in range(count)])
@@ -216,11 +213,8 @@ def test_words_are_shown_and_never_run():
 def test_what_a_font_lacks_is_no_remark(capfd):
     """Nor does a name steer anything."""
     name = "机器人\x1b[2J\u202e\n\udcff"
-    blocks = [Line(name), Line(""), table("", ("a", "b"), []), Facts("", [])]
+    beyond = "Ω μ → ≤ Ж ± °"
+    blocks = [Line(name), Line(beyond), table("", ("a", "b"), []), Facts("", [])]
     annex = pages_of(cover_of(robot=name, figures=[]), blocks)[-1]
-    assert capfd.readouterr() == ("", "")
+    assert capfd.readouterr() == ("", "") and beyond in annex
     assert "\\x1b[2J\\u202e" in letters([annex]) and "\\udcff" in annex
-
-
-def test_letters_beyond_latin_are_drawn():
-    assert "Ω μ → ≤ Ж ± °" in pages_of(cover_of(), [Line("Ω μ → ≤ Ж ± °")])[-1]

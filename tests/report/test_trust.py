@@ -16,7 +16,6 @@ from calib_pin.estimation.evidence import (
     VarianceComponent,
 )
 from calib_pin.report.blocks import Line
-from calib_pin.report.tables import significant
 from calib_pin.report.text import format_report
 from calib_pin.report.trust import findings
 from calib_pin.validation.result import CalibrationResult
@@ -136,18 +135,14 @@ def test_two_accuracies(result):
     assert " ".join(cells[1][2:]) == "0.76 0.31 0.39 0.20 mm 100 % 100 %"
     assert " ".join(cells[3][3:]) == "2.5 0.31 0.39 0.20 mm > 99 % 93 %"
     assert cells[4] == ["0.18", "0.023", "0.029", "0.017", "deg"]
+    both = {"left": result.accuracy, "right": result.accuracy}
+    text = full_report(replace(result, accuracies=both))
+    assert all(f"{of}, workspace" in text for of in both)
+    assert max(map(len, text.splitlines())) <= 80
     none = words(result, measured=None, workspace=None)
     assert "Expected tool-point error" not in none
     as_it_is = words(result, verdict="no-gain")
     assert re.search(r"uncorrected: 0\.76 mm .*, 2\.5 mm over the workspace", as_it_is)
-
-
-def test_accuracies_of_chains(result):
-    both = {"left": result.accuracy, "right": result.accuracy}
-    text = full_report(replace(result, accuracies=both))
-    for chain in both:
-        assert f"{chain}, measured" in text and f"{chain}, workspace" in text
-    assert max(map(len, text.splitlines())) <= 80
 
 
 def test_noise(result):
@@ -173,14 +168,3 @@ def test_outliers(result):
     cells = [line.split() for line in lines[start + 1 : start + 5]]
     assert cells[1] == ["rows.csv:12", "180.2", "0", "target", "ball"]
     assert cells[3] == ["rows.csv:20", "5.2", "0.43"]
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        *((0.0123, "0.012"), (0.0996, "0.10"), (0.4321, "0.43"), (9.96, "10")),
-        *((123.4, "120"), (0.0, "0"), (float("inf"), "inf"), (-0.0567, "-0.057")),
-    ],
-)
-def test_significant_digits(value, text):
-    assert significant(value) == text

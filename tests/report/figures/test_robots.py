@@ -64,12 +64,8 @@ def test_an_outlook_shows_errors_and_chances():
     low, high = errors.get_ylim()
     assert low < 0.2 < high  # The limit is inside.
     np.testing.assert_allclose(chances.lines[0].get_ydata(), [50.0, 100.0])
-
-
-def test_without_a_limit_there_are_errors_only():
-    nobody = (math.nan, math.nan, math.nan)
-    outlooks = [replace(outlook(k), met=nobody) for k in (12, 30)]
-    (found,) = drawn("outlook", Foreseen(outlooks, LimitSetup()))
-    assert len(found.figure.axes) == 1
-    lost = [replace(one, failed=one.robots) for one in outlooks]
-    assert not [*drawn("outlook", Foreseen(lost, LimitSetup()))]
+    nobody = replace(foreseen.outlooks[0], met=(math.nan, math.nan, math.nan))
+    (found,) = drawn("outlook", Foreseen([nobody], LimitSetup()))
+    assert len(found.figure.axes) == 1, "without a limit there are errors only"
+    lost = replace(nobody, failed=nobody.robots)
+    assert not [*drawn("outlook", Foreseen([lost], LimitSetup()))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from calib_pin.simulation import simulate
 from calib_pin.validation.assessment import identify
 from calib_pin.validation.evaluation import evaluate
 from calib_pin.validation.result import CalibrationResult
-from tests.report.results import arm, changed, solve
+from tests.report.results import LADDER, arm, changed, solve
 
 
 @pytest.fixture(scope="module")
@@ -255,3 +256,12 @@ def test_a_search_and_what_it_reveals(result):
     assert "(1 observable" in full_report(found)
     plain = full_report(result)
     assert "evaluations" not in plain and "(1 observable" not in plain
+
+
+def test_a_reason_that_several_candidates_share_is_said_once(result):
+    lost = LADDER.candidates[2]
+    more = (*LADDER.candidates, replace(lost, name="+ ripple"))
+    found = changed(result, model_selection=replace(LADDER, candidates=more))
+    text = " ".join(format_report(found).split())
+    assert "Not tried: + compliance, + ripple: no masses." in text
+    assert text.count("no masses") == 1

@@ -271,6 +271,7 @@ class _Residuals:
         """Make an axis as high as what was not set aside."""
         axes.set_ylim(-1.02 * self.edge, 1.02 * self.edge)
         axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        axes.yaxis.set_major_formatter("{x:g}")
 
 
 def residuals_over_order(result: CalibrationResult) -> Drawn | None:

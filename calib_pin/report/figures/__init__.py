@@ -37,14 +37,7 @@ from calib_pin.report.figures.workspace import (
 )
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = [
-    "NAMES",
-    "Drawn",
-    "Foreseen",
-    "Judged",
-    "drawn",
-    "figures",
-]
+__all__ = ["NAMES", "Drawn", "Foreseen", "Judged", "drawn", "figures"]
 
 DRAWN: Mapping[str, Mapping[str, Callable[..., Drawn | None]]] = {
     "calibration": {

@@ -249,8 +249,7 @@ def marks(
 def points(axes: Axes, x: Any, y: Floats, style: Mapping[str, Any]) -> None:
     """Marks at all places that are known; thousands of them are an image."""
     known = np.isfinite(y)
-    many = bool(known.sum() > VECTORS)
-    axes.plot(x[known], y[known], **style, rasterized=many)
+    axes.plot(x[known], y[known], **style, rasterized=bool(known.sum() > VECTORS))
 
 
 def key(figure: Figure, entries: Mapping[str, Mapping[str, Any]]) -> None:

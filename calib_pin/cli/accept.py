@@ -90,7 +90,7 @@ def accept(
     from calib_pin.io.results import read_result
     from calib_pin.report.acceptance_text import acceptance_report
     from calib_pin.report.cover import acceptance_cover
-    from calib_pin.report.figures import Judged, acceptance_figures
+    from calib_pin.report.figures import Judged, drawn
     from calib_pin.report.html import acceptance_page
     from calib_pin.report.pdf import MISSING, can_write_pdf, pdf_report
     from calib_pin.setup import LimitSetup, ReportSetup
@@ -141,7 +141,7 @@ def accept(
     blocks = [*acceptance_report(found.tests, limit, found.about, path=path)]
     contents = {}
     if output is not None:
-        figure = next(acceptance_figures(Judged(found.tests, limit, path)))
+        figure = next(drawn("acceptance", Judged(found.tests, limit, path)))
         cover = acceptance_cover(
             found.tests,
             limit,

@@ -84,7 +84,7 @@ def plan_acceptance(
     from calib_pin.io.measurements import encode_table
     from calib_pin.kinematics.joint_columns import JointColumns
     from calib_pin.planning.workspace import joint_limits
-    from calib_pin.report.acceptance_plan_text import acceptance_schedule
+    from calib_pin.report.acceptance_text import acceptance_schedule
 
     if len(chains.names) > 1:
         raise OptionError(

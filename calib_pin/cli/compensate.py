@@ -173,7 +173,6 @@ def compensate(
     )
     from calib_pin.measurement_models import declared
     from calib_pin.planning.ways import Passage
-    from calib_pin.report.accuracy import judged
     from calib_pin.report.compensation_text import (
         accuracy_lines,
         compensation_report,
@@ -181,6 +180,7 @@ def compensate(
         line_list,
         ways_report,
     )
+    from calib_pin.report.trust import judged
 
     require_known("format", form, ("csv", *PROGRAMS))
     if form != "csv" and degrees:

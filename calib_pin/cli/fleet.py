@@ -138,7 +138,6 @@ def _calibrated(
     from calib_pin.io.jobs import read_jobs
     from calib_pin.io.json_text import plain
     from calib_pin.io.measurements import encode_table
-    from calib_pin.report.figures import fleet_figures
     from calib_pin.report.fleet_text import MANY, fleet_report
     from calib_pin.report.html import blocks_page
     from calib_pin.validation.fleet import by_urgency, fleet_columns
@@ -164,7 +163,7 @@ def _calibrated(
         html: blocks_page(
             "Calibrations of a fleet",
             [*fleet_report(ordered, types.populations, MANY)],
-            [*fleet_figures(ordered)],
+            [],
             csv.name,
         ),
         **types.priors(output, PRIOR),

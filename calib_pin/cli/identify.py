@@ -57,9 +57,8 @@ def identify(
     from calib_pin.io.json_text import encode
     from calib_pin.io.other_robots import other_robots
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
-    from calib_pin.report.accuracy import judged
     from calib_pin.report.identification import identified
-    from calib_pin.report.trust import below, findings
+    from calib_pin.report.trust import below, findings, judged
     from calib_pin.validation.assessment import identify as structural
     from calib_pin.validation.result import Identification
 

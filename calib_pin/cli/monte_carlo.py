@@ -46,7 +46,7 @@ def simulated(
     from calib_pin.io.setup import read_setup
     from calib_pin.io.trials import kept, read_trials
     from calib_pin.monte_carlo import outlooks, try_robot
-    from calib_pin.report.figures import Foreseen, outlook_figures
+    from calib_pin.report.figures import Foreseen, drawn
     from calib_pin.report.fleet_text import outlook_report
     from calib_pin.report.html import blocks_page
 
@@ -68,7 +68,7 @@ def simulated(
         files[1]: blocks_page(
             title,
             blocks,
-            [*outlook_figures(Foreseen(found, stated.limit))],
+            [*drawn("outlook", Foreseen(found, stated.limit))],
             files[0].name,
         ),
     }

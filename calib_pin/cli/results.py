@@ -218,21 +218,24 @@ def draw_calibration(
     return draw("calibration", bar, result, shapes)
 
 
-def draw(of: str, bar: Bar | None, *about: object) -> list[Drawn]:
+def draw(
+    of: str, bar: Bar | None, subject: object, shapes: Sequence[Shape] = ()
+) -> list[Drawn]:
     """The figures of a calibration, a plan or a comparison.
 
     Args:
         of: Which of these.
         bar: Told the progress.
-        about: What `report.figures` draws it from.
+        subject: It.
+        shapes: Shapes of the links of a calibrated robot.
     """
-    from calib_pin.report import figures
+    from calib_pin.report.figures import NAMES, drawn
 
     result: list[Drawn] = []
-    for figure in getattr(figures, f"{of}_figures")(*about):
+    for figure in drawn(of, subject, shapes):
         result.append(figure)
         if bar is not None:
-            bar("figures", len(result) / len(figures.NAMES[of]))
+            bar("figures", len(result) / len(NAMES[of]))
     return result
 
 

@@ -56,7 +56,7 @@ def _listed(json: bool) -> int:
     from calib_pin.cli.printing import say_json, show
     from calib_pin.io.urdf import bundled_robots, load_robot
     from calib_pin.kinematics.chain import Chain
-    from calib_pin.report.blocks import Cell, Table, columns
+    from calib_pin.report.blocks import table
 
     rows, found = [], []
     for name, path in bundled_robots().items():
@@ -67,13 +67,11 @@ def _listed(json: bool) -> int:
         joints = list(chain.joints)
         ends = {"base": chain.base, "tip": chain.tip}
         found.append({"name": name, **ends, "joints": joints, "files": others})
-        words = (name, " -> ".join(ends.values()), f"{len(joints)}", ", ".join(others))
-        rows.append([Cell(word) for word in words])
+        ways = " -> ".join(ends.values())
+        rows.append((name, ways, len(joints), ", ".join(others)))
     if json:
         say_json({"robots": found})
         return 0
-    titles = ("chain", "joints", "files")
-    of = columns("name", titles, {"chain": "word", "files": "remark"})
-    show([Table("", of, rows)])
+    show([table("", ("name", "chain|word", "joints", "files|remark"), rows)])
     typer.echo("calib-pin robots NAME -o DIR copies one with its example files")
     return 0

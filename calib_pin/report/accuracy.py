@@ -1,26 +1,28 @@
-"""The verdict and the accuracy of a calibration, and what the numbers refer to."""
+"""The accuracy of a calibration, and of the older one that it began with."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.estimation.terms import Terms
 from calib_pin.kinematics.joint_columns import drives_of
 from calib_pin.parameterizations import outside_urdf
-from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
+from calib_pin.report.blocks import Block, Cell, Facts, Line, table
 from calib_pin.report.tables import (
     SIZES,
     accuracy_table,
     amount,
+    counted,
     distance_table,
-    ladder_table,
+    ladder,
+    number,
     sizes,
 )
-from calib_pin.report.trust import advised, below, findings
+from calib_pin.report.trust import below, findings, judged
+from calib_pin.setup import ReportSetup
 from calib_pin.validation.result import CalibrationResult, Evaluation
 
 TITLES = {"network": "network", "gaussian-process": "Gaussian process"}
@@ -43,49 +45,21 @@ LISTED_OWNERS = 3
 """Members of one kind, such as sockets, up to which each is named."""
 
 
-def opening(
-    result: CalibrationResult,
-) -> tuple[Sequence[Block], Line, Sequence[Block]]:
-    """The verdict, and the findings before and behind it.
-
-    A reason not to trust the result comes before anything else, else what ails it.
-    """
-    urgent = [f for f in result.findings if f.severity != "info"]
-    others = [f for f in result.findings if f.severity == "info"]
-    if result.verdict not in TRUSTED:
-        others, urgent = [*urgent, *others], []
-    before, behind = ([*findings(f, result.reason)] for f in (urgent, others))
-    return before, verdict(result), behind
-
-
-def verdict(result: CalibrationResult) -> Line:
-    """The verdict and its reason; a finding among the reasons with its suggestion."""
-    reason = result.reason
-    for finding in result.findings:
-        if advised(finding) not in reason:
-            reason = reason.replace(finding.message, advised(finding))
-    return judged(below(reason, result.findings), result.verdict)
-
-
-def judged(reason: str, status: str = "untrusted") -> Line:
-    """A verdict as the line that comes first."""
-    name = status.replace("-", " ").upper()
-    said = f"{name}: {reason.rstrip('.')}."
-    return Line(said, "good" if status in TRUSTED else "bad")
-
-
 def subject(result: CalibrationResult) -> Line:
     """The robot, its chain, and how it was measured."""
-    count = len(result.fitted)
-    measured = f"{count} measurement{'s' if count != 1 else ''}"
-    search = ""
-    if result.solver.history:
-        solver = result.solver
+    solver, search = result.solver, ""
+    if solver.history:
         search = f"; {solver.name}, {solver.evaluations} evaluations"
         search += f" ({solver.evaluator})"
-    system = result.model
+    told = [
+        f"{len(names)} {kind}s"
+        for kind, names in scopes(result.model).items()
+        if len(names) > 1
+    ]
+    places = f" ({', '.join(told)})" if told else ""
+    measured = counted(len(result.fitted), "measurement")
     return Line(
-        f"{chain_words(system)}; {model_words(system)}{_places(system)}, {measured} "
+        f"{chain_words(result.model)}; {model_words(result.model)}{places}, {measured} "
         f"fitted{search}",
         "note",
     )
@@ -94,7 +68,6 @@ def subject(result: CalibrationResult) -> Line:
 def taken(result: CalibrationResult) -> Facts:
     """The measurements: of which robot, how, how many, and who took them."""
     system, stated, held_out = result.model, result.model.setup.report, result.held_out
-    of_terms = [term.frames for term in system.terms.values()]
     measured = f"{len(result.fitted)} measurements"
     if aside := int((result.fitted.rows.weight == 0.0).sum()):
         measured += f", {aside} of them set aside"
@@ -102,7 +75,6 @@ def taken(result: CalibrationResult) -> Facts:
     if held_out is not None:
         which = HELD_OUT.get(result.validation.method, FOLDS)
         checked = f"{len(held_out)} measurements: {which}"
-    degrees = stated.temperature
     entries = [
         ("robot", chain_words(system)),
         ("serial number", stated.serial_number),
@@ -111,17 +83,22 @@ def taken(result: CalibrationResult) -> Facts:
         ("fitted", measured),
         ("held out", checked),
         *(
-            (f"{kind}s", ", ".join(names))
-            for kind in ("station", "tool")
-            if len(names := sorted({getattr(own, kind) or "-" for own in of_terms})) > 1
+            (f"{kind}s", ", ".join(name or "-" for name in names))
+            for kind, names in scopes(system).items()
+            if len(names) > 1
         ),
         ("files", ", ".join(result.files)),
         ("operator", stated.operator),
         ("customer", stated.customer),
         ("date", stated.date or ""),
-        ("temperature", "" if degrees is None else f"{degrees:g} °C"),
+        ("temperature", degrees(stated)),
     ]
     return Facts("Measurements", [entry for entry in entries if entry[1]])
+
+
+def degrees(stated: ReportSetup) -> str:
+    """The temperature of a report; empty if it is not stated."""
+    return "" if stated.temperature is None else f"{stated.temperature:g} °C"
 
 
 def chain_words(system: Terms) -> str:
@@ -135,15 +112,13 @@ def chain_words(system: Terms) -> str:
     return f"{joints} {' and '.join(ends)}"
 
 
-def _places(system: Terms) -> str:
-    """Numbers of stations and tools, where there are several."""
-    of_terms = [term.frames for term in system.terms.values()]
-    counts = {
-        "stations": len({frames.station for frames in of_terms}),
-        "tools": len({frames.tool for frames in of_terms}),
+def scopes(system: Terms) -> dict[str, list[str]]:
+    """Names of stations and tools, sorted."""
+    found = [term.frames for term in system.terms.values()]
+    return {
+        "station": sorted({frames.station for frames in found}),
+        "tool": sorted({frames.tool for frames in found}),
     }
-    told = [f"{count} {kind}" for kind, count in counts.items() if count > 1]
-    return f" ({', '.join(told)})" if told else ""
 
 
 def model_words(system: Terms) -> str:
@@ -159,7 +134,7 @@ def accuracy(result: CalibrationResult, *, details: bool = True) -> Iterator[Blo
         details: Also the accuracy on fitted measurements, where others were held out.
     """
     if result.model_selection is not None:
-        yield ladder_table(result.model_selection)
+        yield from ladder(result.model_selection)
     yield accuracy_table(result.errors, details=details)
     said = []
     if result.validation.method != "none":
@@ -198,11 +173,10 @@ def _registered(result: CalibrationResult) -> Iterator[str]:
         if len(result.validation.located) > 2 * LISTED_OWNERS:
             names = f"{len(result.validation.located)} of them"
         yield f"Estimated from the validation measurements: {names}."
-    if result.validation.skipped:
-        reasons = " and ".join(dict.fromkeys(result.validation.skipped))
-        count = len(result.validation.skipped)
-        folds = "fold was" if count == 1 else "folds were"
-        yield f"{count} {folds} skipped, because in the fit to the others: {reasons}."
+    if skipped := result.validation.skipped:
+        folds = "fold was" if len(skipped) == 1 else "folds were"
+        reasons = " and ".join(dict.fromkeys(skipped))
+        yield f"{len(skipped)} {folds} skipped: in the fit to the others, {reasons}."
 
 
 def moves(result: CalibrationResult) -> Iterator[Block]:
@@ -218,10 +192,10 @@ def moves(result: CalibrationResult) -> Iterator[Block]:
     turns = {
         j: float(np.linalg.norm(pin.log3(M.rotation))) for j, M in corrections.items()
     }
-    parts = []
-    for of_joints, unit in ((shifts, "m"), (turns, "rad")):
-        joint = max(of_joints, key=of_joints.__getitem__)
-        parts.append(f"{amount(of_joints[joint], unit)} ({joint})")
+    parts = [
+        f"{amount(max(sizes.values()), unit)} ({max(sizes, key=sizes.__getitem__)})"
+        for sizes, unit in ((shifts, "m"), (turns, "rad"))
+    ]
     yield Line(f"Largest correction of a joint origin: {', '.join(parts)}.", "note")
 
 
@@ -263,17 +237,14 @@ def evaluated(evaluation: Evaluation) -> Iterator[Block]:
     yield from findings(evaluation.findings, evaluation.reason)
     counts = evaluation.counts or (evaluation.rows,) * len(evaluation.errors)
     rows = [
-        (Cell(name), Cell(str(count), count), *sizes(accuracy, unit))
+        (name, count, *sizes(accuracy, unit))
         for (name, unit, accuracy), count in zip(evaluation.errors, counts, strict=True)
     ]
-    of = columns("", ("measurements", *SIZES), {"measurements": "number"})
-    yield Table("Accuracy", of, rows)
-    how = (
-        "Unknown frames and instrument parameters were registered on these "
-        "measurements."
-        if evaluation.registered
-        else "Nothing was fitted to these measurements."
-    )
+    yield table("Accuracy", ("", "measurements", *SIZES), rows)
+    how = "Nothing was fitted to these measurements."
+    if evaluation.registered:
+        how = "Unknown frames and instrument parameters were registered on these "
+        how += "measurements."
     if evaluation.located:
         how = (
             "New to the calibration, estimated from these measurements: "
@@ -285,3 +256,53 @@ def evaluated(evaluation: Evaluation) -> Iterator[Block]:
             "correction was learned; it knows less there."
         )
     yield Line(how, "note")
+
+
+STEPS = 12
+"""Calibrations of the history that are listed, the last ones."""
+
+
+def recalibrated(result: CalibrationResult, *, details: bool = True) -> Iterator[Block]:
+    """The errors by the older calibration, the drift, and the history.
+
+    Args:
+        result: The calibration.
+        details: Also the drift and the history.
+    """
+    found = result.recalibration
+    if found is None:
+        return
+    day = f" of {found.last.created[:10]}" if found.last.created else ""
+    yield table(
+        f"New measurements by the older calibration{day}, before they were fitted",
+        ("", *SIZES),
+        [(name, *sizes(accuracy, unit)) for name, unit, accuracy in found.errors],
+    )
+    if not details:
+        return
+    yield Facts(
+        "Drift from one calibration to the next, standard deviation",
+        [
+            (drift.name, f"{amount(drift.size, 'm')} or {amount(drift.size, 'rad')}")
+            for drift in found.last.drifts
+        ],
+    )
+    first = max(len(found.steps) - STEPS, 0)
+    yield table(
+        "Calibrations since the first one",
+        (
+            *("", "began with that of|word", "measurements"),
+            *("chi-square", "dof", "changed|remark"),
+        ),
+        [
+            (
+                place,
+                step.created[:10] or step.start or "-",
+                step.measurements,
+                Cell(number(step.chi2), step.chi2),
+                step.dof,
+                ", ".join(jump.name or "the whole robot" for jump in step.jumps) or "-",
+            )
+            for place, step in enumerate(found.steps[first:], first + 1)
+        ],
+    )

@@ -6,9 +6,9 @@ number is the same wherever it is read.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 Tone = Literal["plain", "good", "bad", "strong", "note"]
 
@@ -124,19 +124,29 @@ class Table:
 Block = Line | Code | Facts | Names | Table
 
 
-def columns(
-    first: str, titles: Iterable[str], kinds: Mapping[str, Kind] | None = None
-) -> tuple[Column, ...]:
-    """A column of names before columns of numbers or words.
+def table(
+    title: str,
+    titles: Iterable[str],
+    rows: Iterable[Iterable[object]],
+    emphasized: Sequence[int] = (),
+) -> Table:
+    """A table of cells, words and counts.
 
-    Stated are the kinds that differ from numbers and from those of `WORDS`.
+    Args:
+        title: Its heading.
+        titles: Headings of the columns, each with its kind where that is not the usual
+            one: `unit|word`. Usually the first column has names, the others numbers.
+        rows: The rows.
+        emphasized: Positions of the rows that stand out.
     """
-    of = {**WORDS, **(kinds or {})}
-    numbers = (Column(title, of.get(title, "number")) for title in titles)
-    return Column(first, "name"), *numbers
+    columns: list[Column] = []
+    for head, _, kind in (name.partition("|") for name in titles):
+        usual: Kind = "number" if columns else "name"
+        columns.append(Column(head, cast("Kind", kind) or usual))
+    return Table(title, columns, [[*map(_cell, row)] for row in rows], emphasized)
 
 
-WORDS: Mapping[str, Kind] = dict.fromkeys(
-    ("unit", "measurements", "robot", "status"), "word"
-)
-"""Columns of words, by heading."""
+def _cell(content: object) -> Cell:
+    if isinstance(content, Cell):
+        return content
+    return Cell(str(content), content if isinstance(content, int) else None)

@@ -5,23 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.report.accuracy import chain_words, judged, model_words
-from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
+from calib_pin.report.accuracy import chain_words, model_words
+from calib_pin.report.blocks import Block, Cell, Facts, Line, table
 from calib_pin.report.tables import (
     SIZES,
+    UNIT,
     amount,
-    known,
+    estimate,
     listed,
-    number,
+    quantity,
     sizes,
-    uncertain,
+    unit_of,
 )
-from calib_pin.report.trust import below, findings
-from calib_pin.units import DISPLAY
-from calib_pin.validation.accuracy import Accuracy
+from calib_pin.report.trust import below, findings, judged
 from calib_pin.validation.comparison import (
     BOUND,
     Comparison,
@@ -76,8 +73,15 @@ def _verdict(found: Comparison) -> Line:
         return Line(f"{_cause(found)} {beyond}", "bad")
     within = f"{apart} rms{_where(found)} where noise explains {noise}."
     if found.changed and found.described:
-        said = f"The robot changed, but not visibly at the tool point: {_first(found)};"
-        return Line(f"{said} the tool points differ by {within}", "bad")
+        leading = found.differences[0]
+        terms = leading.terms
+        name = f"a combination with {terms[0][0]}" if terms else leading.name
+        return Line(
+            f"The robot changed, but not visibly at the tool point: {name} by "
+            f"{amount(leading.change, leading.unit)}, {leading.significance:.0f} "
+            f"standard deviations; the tool points differ by {within}",
+            "bad",
+        )
     said = "No drift beyond the noise of both: the tool points differ by"
     return Line(f"{said} {within}", "good")
 
@@ -98,19 +102,6 @@ def _cause(found: Comparison) -> str:
             "drift"
         )
     return "The robot changed: tool-point drift"
-
-
-def _first(found: Comparison) -> str:
-    """The most significant difference in words."""
-    leading = found.differences[0]
-    name = leading.name
-    if leading.terms:
-        name = f"a combination with {leading.terms[0][0]}"
-    unit, factor = DISPLAY.get(leading.unit, (leading.unit, 1.0))
-    return (
-        f"{name} by {number(factor * leading.change)} {unit}, "
-        f"{leading.significance:.0f} standard deviations"
-    )
 
 
 def _size(found: Comparison, position: float, orientation: float) -> str:
@@ -188,13 +179,10 @@ def tip_differences(found: Comparison) -> Iterator[Block]:
         ]
         of = f"{chain or 'robot'}, " if len(found.drifts) > 1 else ""
         for name, unit, accuracy, noise in stages[: 2 if found.oriented else 1]:
-            *cells, shown = sizes(accuracy, unit, known)
-            rows.append((Cell(of + name), *cells, known(noise, unit), shown))
-    yield Table(
-        "Tool-point difference over the workspace",
-        columns("", (*SIZES[:-1], "noise rms", SIZES[-1])),
-        rows,
-    )
+            *cells, shown = sizes(accuracy, unit)
+            rows.append((of + name, *cells, quantity(noise, unit), shown))
+    title = "Tool-point difference over the workspace"
+    yield table(title, ("", *SIZES[:-1], "noise rms", UNIT), rows)
     yield Line(" ".join(_how(found)), "note")
     if not found.identical:
         yield _farthest(found)
@@ -239,10 +227,8 @@ def _farthest(found: Comparison) -> Facts:
     x, y, z = (f"{1e3 * value:.1f}" for value in drift.points[position])
     angles = []
     for value, turns in zip(drift.q[position], chain.revolute, strict=True):
-        unit, factor = DISPLAY["rad" if turns else "m"]
+        unit, factor = unit_of("rad" if turns else "m")
         angles.append(f"{factor * value:.1f} {unit}")
-    if np.all(chain.revolute):
-        angles = [*(angle.removesuffix(" deg") for angle in angles[:-1]), angles[-1]]
     return Facts(
         f"Largest difference{_where(found)}: {amount(drift.drift[position], 'm')}",
         [
@@ -291,25 +277,24 @@ def parameter_changes(found: Comparison) -> Iterator[Block]:
     if not found.same_nominal:
         return
     if found.moved:
-        yield _moved(found)
+        rows = [
+            (
+                moved.name,
+                *estimate(moved.change, moved.sigma, moved.unit)[:2],
+                Cell(f"{moved.significance:.1f}", moved.significance),
+                unit_of(moved.unit)[0],
+            )
+            for moved in found.moved
+        ]
+        many = f"{BOUND:.0f} standard deviations"
+        yield table(
+            f"Parameters and combinations that differ by more than {many}",
+            ("", "B - A", "std. dev.", "ratio", UNIT),
+            rows,
+        )
     yield Line(" ".join(_counted(found)), "note")
     for label, names in zip("AB", found.alone, strict=True):
         yield from listed(f"identifiable in {label} only", names)
-
-
-def _moved(found: Comparison) -> Table:
-    rows = []
-    for moved in found.moved:
-        unit, factor = DISPLAY.get(moved.unit, (moved.unit, 1.0))
-        ratio = Cell(f"{moved.significance:.1f}", moved.significance)
-        pair = uncertain(moved.change, moved.sigma, factor)
-        rows.append((Cell(moved.name), *pair, ratio, Cell(unit)))
-    return Table(
-        f"Parameters and combinations that differ by more than {BOUND:.0f} standard "
-        "deviations",
-        columns("", ("B - A", "std. dev.", "ratio", "unit")),
-        rows,
-    )
 
 
 def _counted(found: Comparison) -> Iterator[str]:
@@ -351,26 +336,15 @@ def accuracies(found: Comparison) -> Iterator[Block]:
     rows = []
     for name, unit in errors:
         shown = name
-        for which in ("fitted", "validation"):
-            part = which
+        for which, stage in (("fitted", "after"), ("validation", "validation_after")):
             for label, record in pair:
-                accuracy = _of(record, name, unit, which)
-                if accuracy is not None:
-                    words = (Cell(shown), Cell(part), Cell(label))
-                    # Older files lack some of the sizes.
-                    rows.append((*words, *sizes(accuracy, unit, known)))
-                    shown = part = ""
-    titles = ("measurements", "of", *SIZES)
-    yield Table("Accuracy", columns("", titles, {"of": "word"}), rows)
+                for error in record.errors:
+                    size_of = getattr(error, stage)
+                    if (error.name, error.unit) == (name, unit) and size_of:
+                        rows.append((shown, which, label, *sizes(size_of, unit)))
+                        shown = which = ""
+    yield table("Accuracy", ("", "measurements|word", "of|word", *SIZES), rows)
     said = ", ".join(f"{label} {record.validation.method}" for label, record in pair)
     if not found.same_rows:
         said += ". The measurements differ: the numbers are not strictly comparable"
     yield Line(f"Validation: {said}.", "note")
-
-
-def _of(record: CalibrationResult, name: str, unit: str, which: str) -> Accuracy | None:
-    """The accuracy of a quantity on fitted or validation measurements, if known."""
-    for error in record.errors:
-        if (error.name, error.unit) == (name, unit):
-            return error.after if which == "fitted" else error.validation_after
-    return None

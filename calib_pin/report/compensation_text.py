@@ -12,9 +12,8 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.ways import Passage
-from calib_pin.report.blocks import Block, Cell, Line, Names, Table, columns
-from calib_pin.report.tables import amount, quantity
-from calib_pin.units import DISPLAY
+from calib_pin.report.blocks import Block, Line, Names, Table, Tone, table
+from calib_pin.report.tables import UNIT, amount, counted, measures
 
 SHOWN = 12
 """Lines that are named; the rest is counted."""
@@ -40,34 +39,41 @@ def compensation_report(
         "joint limits kept.",
         "strong" if reached == count else "bad",
     )
+    numbers = np.asarray(lines)
     if reached:
-        yield _errors(found)
-        yield from _corrections(found, chain)
-        numbers = np.asarray(lines)
+        yield from _tables(found, chain)
         at_limit = numbers[found.reached & found.at_limit]
-        if len(at_limit):
-            yield Line(f"A joint is at its limit in {line_list(at_limit)}.")
-        outside = numbers[found.reached & found.outside]
-        if len(outside):
-            yield Line(
-                "Outside the region in which the learned correction was trained, "
-                f"where it knows less: {line_list(outside)}.",
-                "bad",
-            )
+        yield from _at(at_limit, "A joint is at its limit in {}.", "plain")
+        yield from _at(
+            numbers[found.reached & found.outside],
+            "Outside the region in which the learned correction was trained, where it "
+            "knows less: {}.",
+        )
     if found.sides.any():
         yield Line(
             f"Lost motion is made up for as the commands follow one another: joints "
             f"turn back {found.reversals} times. Until a joint has moved once, it is "
             "taken to stand in the middle of its lost motion."
         )
-    yield from _unreached(found, file, lines)
+    entries = []
+    for row in np.flatnonzero(~found.reached):
+        remains = amount(found.position[row], "m")
+        if found.oriented:
+            remains += f" and {amount(found.orientation[row], 'rad')}"
+        entries.append(f"{file}:{lines[int(row)]}: {remains} remain")
+    if entries:
+        yield Names("Out of reach, or behind the joint limits:", entries)
     joints = len(JointColumns.of(chain).joints)
     if found.oriented and reached < count and joints < 6:
         yield Line(
             f"{joints} joints reach few poses; --position asks for positions only."
         )
     if motion and found.reached.all():
-        yield from _jumps(found, lines)
+        yield from _at(
+            numbers[found.jumps],
+            "Discontinuity in joint space, as near a singularity, between {} and the "
+            "line before: the robot would leave its path.",
+        )
 
 
 def ways_report(
@@ -75,23 +81,17 @@ def ways_report(
 ) -> Iterator[Line]:
     """Collisions at targets and between them; `shut` are lines without a way."""
     colliding = np.asarray(lines)[found.collides]
-    if len(colliding):
+    yield from _at(
+        colliding,
+        "Something touches there, and at all other solutions that were found: {}.",
+    )
+    yield from _at(shut, "No free way from the command before was found to {}.")
+    if passage.vias and not len(shut):
+        vias = counted(passage.vias, "via configuration")
+        leads = "leads" if passage.vias == 1 else "lead"
         yield Line(
-            "Something touches there, and at all other solutions that were found: "
-            f"{line_list(colliding)}.",
-            "bad",
-        )
-    if len(shut):
-        yield Line(
-            f"No free way from the command before was found to {line_list(shut)}.",
-            "bad",
-        )
-    elif passage.vias:
-        several = passage.vias > 1
-        yield Line(
-            f"Straight ways between commands collide; {passage.vias} via "
-            f"configuration{'s' * several} lead{'s' * (not several)} around what is "
-            "in the way, as the nominal robot and the clearance have it."
+            f"Straight ways between commands collide; {vias} {leads} around what is in "
+            "the way, as the nominal robot and the clearance have it."
         )
         if found.sides.any():
             yield Line(
@@ -99,18 +99,16 @@ def ways_report(
                 "configuration joints may come from the other side.",
                 "bad",
             )
-    elif not len(colliding):
+    elif not len(shut) and not len(colliding):
         yield Line("Nothing touches at the commands and on straight ways between them.")
 
 
 def hasty_lines(lines: Sequence[int]) -> Iterator[Line]:
     """Lines to which a joint would move faster than it can."""
-    if lines:
-        yield Line(
-            "By the times of the file a joint moves faster than the URDF allows to "
-            f"{line_list(lines)}.",
-            "bad",
-        )
+    yield from _at(
+        lines,
+        "By the times of the file a joint moves faster than the URDF allows to {}.",
+    )
 
 
 def accuracy_lines(errors: Mapping[str, Mapping[str, Any]]) -> Iterator[Line]:
@@ -132,64 +130,39 @@ def line_list(lines: Sequence[int] | np.ndarray) -> str:
     return f"line {shown}" if len(lines) == 1 else f"lines {shown}"
 
 
-def _errors(found: Compensation) -> Table:
-    """Errors at the nominal commands and at those that were found."""
+def _at(
+    lines: Sequence[int] | np.ndarray, said: str, tone: Tone = "bad"
+) -> Iterator[Line]:
+    """A sentence on some lines of the file, if there are any."""
+    if len(lines):
+        yield Line(said.format(line_list(lines)), tone)
+
+
+def _tables(found: Compensation, chain: Chain) -> Iterator[Table]:
+    """Errors at the nominal commands and at those that were found, and corrections."""
     stages = [
         ("position", "m", found.position_before, found.position),
         ("orientation", "rad", found.orientation_before, found.orientation),
     ]
     rows = []
     for name, unit, before, after in stages[: 2 if found.oriented else 1]:
-        for robot, sizes in (("nominal", before), ("compensated", after)):
-            sizes = sizes[found.reached & np.isfinite(sizes)]
-            rows.append((Cell(name), Cell(robot), *_sizes(sizes, unit)))
-            name = ""
-    return Table(
-        "Distance from the targets, by the calibrated model",
-        columns("", ("commands", "mean", "max", "unit"), {"commands": "word"}),
-        rows,
-    )
-
-
-def _corrections(found: Compensation, chain: Chain) -> Iterator[Table]:
+        pair = (found.reached & np.isfinite(before), found.reached & np.isfinite(after))
+        rows.append((name, "nominal", *_sizes(before[pair[0]], unit)))
+        rows.append(("", "compensated", *_sizes(after[pair[1]], unit)))
+    title = "Distance from the targets, by the calibrated model"
+    yield table(title, ("", "commands|word", "mean", "max", UNIT), rows)
     drives = JointColumns.of(chain)
     sizes = np.abs(drives.values(found.corrections + drives.offsets))
-    if not len(sizes):
-        return
     rows = [
-        (Cell(name), *_sizes(column, "rad" if revolute else "m"))
+        (name, *_sizes(column, "rad" if revolute else "m"))
         for name, revolute, column in zip(
             drives.joints, drives.revolute, sizes.T, strict=True
         )
     ]
-    yield Table("Joint corrections", columns("", ("mean", "max", "unit")), rows)
+    if len(sizes):
+        yield table("Joint corrections", ("", "mean", "max", UNIT), rows)
 
 
-def _sizes(sizes: Floats, unit: str) -> tuple[Cell, ...]:
-    if not len(sizes):
-        return Cell("-"), Cell("-"), Cell(DISPLAY[unit][0])
-    mean, largest = float(sizes.mean()), float(sizes.max())
-    return quantity(mean, unit), quantity(largest, unit), Cell(DISPLAY[unit][0])
-
-
-def _unreached(found: Compensation, file: str, lines: Sequence[int]) -> Iterator[Names]:
-    """Every target that cannot be reached, by line."""
-    (missed,) = np.nonzero(~found.reached)
-    entries = []
-    for row in missed:
-        remains = amount(found.position[row], "m")
-        if found.oriented:
-            remains += f" and {amount(found.orientation[row], 'rad')}"
-        entries.append(f"{file}:{lines[int(row)]}: {remains} remain")
-    if entries:
-        yield Names("Out of reach, or behind the joint limits:", entries)
-
-
-def _jumps(found: Compensation, lines: Sequence[int]) -> Iterator[Line]:
-    jumps = np.asarray(lines)[found.jumps]
-    if len(jumps):
-        yield Line(
-            "Discontinuity in joint space, as near a singularity, between "
-            f"{line_list(jumps)} and the line before: the robot would leave its path.",
-            "bad",
-        )
+def _sizes(sizes: Floats, unit: str) -> tuple[object, ...]:
+    known = (float(sizes.mean()), float(sizes.max())) if len(sizes) else (np.nan,) * 2
+    return measures(unit, *known)

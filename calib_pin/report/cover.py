@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -13,18 +13,17 @@ from calib_pin.kinematics.robot import Robot
 from calib_pin.report.acceptance_text import (
     PATH,
     TONES,
-    cells_of,
     doubt_lines,
     ends,
     limit_lines,
 )
-from calib_pin.report.accuracy import verdict
-from calib_pin.report.blocks import Cell, Line, Table, Tone, columns
+from calib_pin.report.accuracy import degrees
+from calib_pin.report.blocks import Line, Table, Tone, table
 from calib_pin.report.figures import Drawn
-from calib_pin.report.tables import amount, quantity
+from calib_pin.report.tables import UNIT, amount, quantity, unit_of
 from calib_pin.report.tiles import Tile, tiles
+from calib_pin.report.trust import verdict
 from calib_pin.setup import LimitSetup, ReportSetup
-from calib_pin.units import DISPLAY
 from calib_pin.validation.acceptance import Acceptance, judged, measured, worst
 from calib_pin.validation.result import CalibrationResult
 
@@ -33,15 +32,13 @@ CERTIFIED = (
     "says which poses, speeds and loads there must be."
 )
 
-NO_LIMIT = "no limit was stated"
-
 SAID: Mapping[str, str] = {
-    "pass": "All stated limits are met.",
     "fail": "A stated limit is not met.",
     "undecided": "The test does not decide on every limit: more visits do.",
+    "pass": "All stated limits are met.",
     "": "There is nothing to pass: no limit was stated.",
 }
-"""Sentences by the status of all limits together."""
+"""Sentences by the status of all limits together, the worst first."""
 
 QUANTITIES = {
     "AP": "pose accuracy AP, worst pose",
@@ -66,15 +63,15 @@ class Cover:
         title: Kind of the report.
         status: The verdict in a word or two.
         tone: Its tone.
-        said: The verdict in sentences, and what must be known beside it.
+        said: The verdict in sentences, and facts that must be known beside it.
         robot: Name of the robot.
-        facts: Names and values of what was measured, how, when and by whom; an empty
-            value is filled in by hand.
-        numbers: The key numbers, before and after.
-        remark: A sentence below everything else; empty for none.
+        facts: Names and values of measurements, conditions and people; an empty value
+            is filled in by hand.
         figures: The pictures; those for which there is no room stand behind it.
-        entries: What the user stated; it has a date.
+        entries: Entries of the user; it has a date.
+        numbers: The key numbers, before and after.
         headline: Key numbers in large letters, instead of a table.
+        remark: A sentence below everything else; empty for none.
     """
 
     title: str
@@ -83,21 +80,11 @@ class Cover:
     said: Sequence[Line]
     robot: str
     facts: Sequence[tuple[str, str]]
-    numbers: Table
-    remark: str
     figures: Sequence[Drawn]
     entries: ReportSetup
+    numbers: Table | None = None
     headline: Sequence[Tile] = ()
-
-    @property
-    def day(self) -> str:
-        """The date of the report, year-month-day."""
-        return self.entries.date or ""
-
-    @property
-    def made(self) -> str:
-        """The program that made it."""
-        return program()
+    remark: str = ""
 
 
 def program() -> str:
@@ -127,22 +114,47 @@ def acceptance_cover(
         figure: The picture.
     """
     *_, (_, last) = found.items()
-    statuses = {status for _, status, *_ in judged(last, limit)}
-    status = next((s for s in ("fail", "undecided", "pass") if s in statuses), "")
+    results = {name: (s, allowed) for name, s, _, allowed, _ in judged(last, limit)}
+    statuses = {status for status, _ in results.values()}
+    status = next((s for s in SAID if s in statuses), "")
     said, doubts = [*limit_lines(last, limit, path=path)], [*doubt_lines(last)]
     if not doubts or status == "fail":
         said.insert(0, Line(SAID[status]))
+    names = PATH if path else {}
+    rows = []
+    # The worst of each quantity by robot, with its limit.
+    for key, (intervals, unit) in measured(last).items():
+        worsts = (worst(measured(t)[key][0]).value for t in found.values())
+        own, allowed = results.get(key, ("", None))
+        rows.append(
+            (
+                QUANTITIES[names.get(key, key)],
+                *(quantity(value, unit) for value in worsts),
+                ends(worst(intervals), unit),
+                "-" if allowed is None else quantity(allowed, unit),
+                unit_of(unit)[0],
+                own.upper(),
+            )
+        )
+    robots = (ROBOTS.get(name, "found") for name in found)
+    titles = ("", *robots, "95 %", "limit", UNIT, "status|word")
+    conditions = [
+        *(("instrument", entries.instrument), ("temperature", degrees(entries))),
+        *(("load", entries.load), ("speed", entries.speed)),
+    ]
+    # The standard asks for them.
+    conditions = [(name, words or "not stated") for name, words in conditions]
     return Cover(
         title="Acceptance test",
         status=status.upper() or "NO LIMIT STATED",
         tone=TONES.get(status, "strong"),
         said=[*said, *doubts],
         robot=robot.name,
-        facts=_facts(robot, entries, limit, PATH if path else {}),
-        numbers=_tested(found, limit, path),
-        remark=f"{about} {CERTIFIED}",
+        facts=[*_facts(robot, entries, limit, names), *conditions],
         figures=[] if figure is None else [figure],
         entries=entries,
+        numbers=table("Results", titles, rows),
+        remark=f"{about} {CERTIFIED}",
     )
 
 
@@ -165,9 +177,11 @@ def calibration_cover(
         tone=line.tone,
         said=said,
         robot=robot.name,
-        facts=_facts(robot, entries, limit),
-        numbers=Table("Results", (), ()),
-        remark="",
+        facts=[
+            *_facts(robot, entries, limit, {}),
+            ("instrument", entries.instrument),
+            ("temperature", degrees(entries)),
+        ],
         figures=[figures[name] for name in PICTURES if name in figures],
         entries=entries,
         headline=[*tiles(result)],
@@ -175,70 +189,26 @@ def calibration_cover(
 
 
 def _facts(
-    robot: Robot,
-    entries: ReportSetup,
-    limit: LimitSetup,
-    renamed: Mapping[str, str] | None = None,
+    robot: Robot, entries: ReportSetup, limit: LimitSetup, names: Mapping[str, str]
 ) -> list[tuple[str, str]]:
     """The facts; quantities of the limits of a test may have other names."""
-    degrees = entries.temperature
-    conditions = [
-        ("instrument", entries.instrument),
-        ("temperature", "" if degrees is None else f"{degrees:g} °C"),
-    ]
-    if renamed is not None:  # The standard asks for them.
-        conditions += [("load", entries.load), ("speed", entries.speed)]
-        conditions = [(name, words or "not stated") for name, words in conditions]
     limits = [
-        f"{(renamed or {}).get(name, name)} {size}" for name, size in _limits(limit)
+        f"{names.get(name, name)} {amount(allowed, unit)}"
+        for name, allowed, unit in (
+            ("AP", limit.position, "m"),
+            ("RP", limit.repeatability, "m"),
+            ("AD", limit.distance, "m"),
+            ("orientation", limit.orientation, "rad"),
+        )
+        if allowed is not None
     ]
     return [
         ("robot", robot.name),
         ("serial number", entries.serial_number),
         ("file", Path(robot.file).name or robot.file),
         ("SHA-256", hashlib.sha256(robot.source).hexdigest()),
-        ("limit", ", ".join(limits) or NO_LIMIT),
+        ("limit", ", ".join(limits) or "no limit was stated"),
         ("date", entries.date or ""),
         ("customer", entries.customer),
         ("operator", entries.operator),
-        *conditions,
     ]
-
-
-def _limits(limit: LimitSetup) -> Iterator[tuple[str, str]]:
-    for name, allowed, unit in (
-        ("AP", limit.position, "m"),
-        ("RP", limit.repeatability, "m"),
-        ("AD", limit.distance, "m"),
-        ("orientation", limit.orientation, "rad"),
-    ):
-        if allowed is not None:
-            yield name, amount(allowed, unit)
-
-
-def _tested(found: Mapping[str, Acceptance], limit: LimitSetup, path: bool) -> Table:
-    """The worst of each quantity by robot, with its limit."""
-    *_, (_, last) = found.items()
-    results = {name: (s, allowed) for name, s, _, allowed, _ in judged(last, limit)}
-    rows = []
-    for key, (intervals, unit) in measured(last).items():
-        own = worst(intervals)
-        cells = [Cell(QUANTITIES[PATH.get(key, key) if path else key])]
-        worsts = (worst(measured(t)[key][0]) for t in found.values())
-        cells += [cells_of(interval, unit)[0] for interval in worsts]
-        status, allowed = results.get(key, ("", None))
-        cells += [
-            Cell(ends(own, unit)),
-            Cell("-") if allowed is None else quantity(allowed, unit),
-            Cell(DISPLAY[unit][0]),
-            Cell(status.upper()),
-        ]
-        rows.append(cells)
-    titles = (
-        *(ROBOTS.get(name, "found") for name in found),
-        "95 %",
-        "limit",
-        "unit",
-        "status",
-    )
-    return Table("Results", columns("", titles), rows)

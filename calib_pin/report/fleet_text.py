@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from calib_pin.estimation.statistics.population_prior import Population, common_errors
 from calib_pin.monte_carlo import Outlook, Study
 from calib_pin.monte_carlo.summary import LEVELS
-from calib_pin.report.blocks import (
-    Block,
-    Cell,
-    Column,
-    Facts,
-    Line,
-    Table,
-    Tone,
-    columns,
+from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, table
+from calib_pin.report.tables import (
+    ESTIMATE,
+    UNIT,
+    amount,
+    estimate,
+    measures,
+    quantity,
+    unit_of,
 )
-from calib_pin.report.tables import amount, known, quantity, uncertain
 from calib_pin.setup import LimitSetup
-from calib_pin.units import DISPLAY
 from calib_pin.validation.fleet import FAILED, ORDER, FleetRow
 
 FEW, MANY = 20, 2000
@@ -41,34 +39,52 @@ def fleet_report(
         most: Most rows that are listed.
     """
     counts = Counter(row.verdict for row in rows)
-    parts = [f"{count} {verdict}" for verdict, count in counts.most_common()]
-    urgent = sum(not row.trusted for row in rows)
-    yield Line(
-        f"{len(rows)} calibrations: {', '.join(parts)}.", "bad" if urgent else "good"
-    )
+    said = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
+    good = all(row.trusted for row in rows)
+    yield Line(f"{len(rows)} calibrations: {said}.", "good" if good else "bad")
     if drifted := sum(row.drift.beyond for row in rows):
         said = "calibration differs" if drifted == 1 else "calibrations differ"
         yield Line(
             f"{drifted} {said} from the one before by more than noise explains.", "bad"
         )
     shown = rows[:most]
+    # A reason that is the same for several robots is said once.
+    reasons: dict[tuple[str, bool], list[str]] = {}
     for row in shown:
         if not row.trusted:
-            tone: Tone = "bad" if row.verdict in ORDER[:2] else "strong"
-            yield Line(f"{row.job}: {row.reason}", tone)
+            urgent = row.verdict in ORDER[:2]
+            reasons.setdefault((row.reason, urgent), []).append(row.job)
+    for (reason, urgent), jobs in reasons.items():
+        yield Line(f"{', '.join(jobs)}: {reason}", "bad" if urgent else "strong")
     yield from _accuracy(rows)
-    yield Table("Robots, those that need attention first", LISTED, [*_listed(shown)])
+    titles = ("job", "verdict|word", "nominal", "calibrated", "expected", "drift", UNIT)
+    listed = [_listed(row) for row in shown]
+    yield table("Robots, those that need attention first", titles, listed)
     if any(row.drift.beyond for row in shown):
         yield Line(
             "!: the tool points differ from the calibration before by more than noise "
             "explains.",
             "note",
         )
-    if len(rows) > most:
-        yield Line(f"{len(rows) - most} more are in fleet.csv.", "note")
-    yield from _joints(rows, most)
+    yield from _more(rows, most, "fleet.csv")
+    apart = [row for row in rows if row.joint.significant]
+    if apart:
+        yield table(
+            "Joints that differ from those of other robots by more than chance",
+            ("job", "joint|word", "spreads"),
+            [
+                (row.job, row.joint.name, Cell(f"{spreads:+.1f}", spreads))
+                for row in apart[:most]
+                for spreads in [row.joint.spreads]
+            ],
+        )
     for population in types:
         yield from _common(population, most)
+
+
+def _more(found: Sequence[object], most: int, file: str) -> Iterator[Line]:
+    if len(found) > most:
+        yield Line(f"{len(found) - most} more are in {file}.", "note")
 
 
 def _common(population: Population, most: int) -> Iterator[Block]:
@@ -81,18 +97,12 @@ def _common(population: Population, most: int) -> Iterator[Block]:
         yield Line(f"{said}; they have no error in common that shows.")
         return
     yield Line(f"{said}.")
-    cells = []
-    for error in errors[:most]:
-        unit, factor = DISPLAY.get(error.unit, (error.unit, 1.0))
-        pair = uncertain(error.mean, error.sigma, factor)
-        cells.append((Cell(error.name), *pair, Cell(unit)))
-    yield Table(
+    yield table(
         f"Errors that robots '{name}' have in common",
-        columns("error", ("mean", "std. dev.", "unit")),
-        cells,
+        ("error", "mean", *ESTIMATE[1:]),
+        [(e.name, *estimate(e.mean, e.sigma, e.unit)) for e in errors[:most]],
     )
-    if len(errors) > most:
-        yield Line(f"{len(errors) - most} more are in fleet.json.", "note")
+    yield from _more(errors, most, "fleet.json")
 
 
 def _accuracy(rows: Sequence[FleetRow]) -> Iterator[Table]:
@@ -100,66 +110,31 @@ def _accuracy(rows: Sequence[FleetRow]) -> Iterator[Table]:
     cells = []
     for name in dict.fromkeys(row.quantity for row in rows if row.quantity):
         own = [row for row in rows if row.quantity == name and row.trusted]
-        if not own:
-            continue
-        unit = own[0].unit
-        for robot in ("nominal", "calibrated"):
+        for robot in ("nominal", "calibrated") if own else ():
             sizes = np.array([getattr(row, robot) for row in own])
             found = np.quantile(sizes, LEVELS).tolist()
-            label = Cell(name if robot == "nominal" else "")
-            numbers = (quantity(size, unit) for size in found)
-            cells.append((label, Cell(robot), *numbers, Cell(DISPLAY[unit][0])))
+            label = name if robot == "nominal" else ""
+            cells.append((label, robot, *measures(own[0].unit, *found)))
     if cells:
-        yield Table(
+        yield table(
             "Errors of trusted calibrations (rms of a robot, held-out measurements)",
-            columns("", ("robot", "5 %", "median", "95 %", "unit")),
+            ("", "robot|word", "5 %", "median", "95 %", UNIT),
             cells,
         )
 
 
-LISTED = (
-    Column("job", "name"),
-    Column("verdict", "word"),
-    *map(Column, ("nominal", "calibrated", "expected", "drift")),
-    Column("unit", "word"),
-)
-
-
-def _listed(rows: Sequence[FleetRow]) -> Iterator[tuple[Cell, ...]]:
-    """A line for each of some rows."""
-    for row in rows:
-        unit = row.unit or "m"
-        lengths = unit == "m"
-        drift = known(row.drift.size, "m") if lengths else Cell("-")
-        if row.drift.beyond:
-            drift = Cell(f"{drift.text} !", row.drift.size)
-        yield (
-            Cell(row.job),
-            Cell(row.verdict.upper() if row.verdict == FAILED else row.verdict),
-            known(row.nominal, unit),
-            known(row.calibrated, unit),
-            known(row.expected.calibrated, "m") if lengths else Cell("-"),
-            drift,
-            Cell(DISPLAY[unit][0]),
-        )
-
-
-def _joints(rows: Sequence[FleetRow], most: int) -> Iterator[Block]:
-    """Joints that stand out among those of other robots."""
-    apart = [row for row in rows if row.joint.significant]
-    if apart:
-        yield Table(
-            "Joints that differ from those of other robots by more than chance",
-            columns("job", ("joint", "spreads"), {"joint": "word"}),
-            [
-                (
-                    Cell(row.job),
-                    Cell(row.joint.name),
-                    Cell(f"{row.joint.spreads:+.1f}", row.joint.spreads),
-                )
-                for row in apart[:most]
-            ],
-        )
+def _listed(row: FleetRow) -> tuple[Cell | str, ...]:
+    """The line of a robot; what is expected is a length."""
+    unit = row.unit or "m"
+    far, size = (
+        quantity(x if unit == "m" else math.nan, "m")
+        for x in (row.expected.calibrated, row.drift.size)
+    )
+    if row.drift.beyond:
+        size = Cell(f"{size.text} !", row.drift.size)
+    verdict = row.verdict.upper() if row.verdict == FAILED else row.verdict
+    pair = measures(unit, row.nominal, row.calibrated)[:2]
+    return row.job, verdict, *pair, far, size, unit_of(unit)[0]
 
 
 def outlook_report(
@@ -172,14 +147,19 @@ def outlook_report(
         found: Its outlooks, by rising number of configurations.
         limit: What has to be reached.
     """
-    yield from _decision(found, limit)
+    yield _decision(found, limit)
+    setup, noise = study.truth.setup, "noise of 0.1 mm and 0.1 mrad"
+    if setup.noise:
+        units = {"orientation": "rad", "pixel": "px"}
+        sigmas = setup.noise.items()
+        parts = (f"{name} {amount(s, units.get(name, 'm'))}" for name, s in sigmas)
+        noise = f"noise: {', '.join(parts)}"
     instruments = "+".join(dict.fromkeys(key.model for key in study.truth.terms))
-    setup = study.truth.setup
     yield Facts(
         "Study",
         [
             ("robot", study.chains.robot.name),
-            ("measured", f"{instruments}, {_noise(setup.noise)}"),
+            ("measured", f"{instruments}, {noise}"),
             ("configurations", "random" if study.plan is None else "of the plan"),
             ("true errors", ", ".join(setup.parameters)),
             ("fitted", ", ".join(study.setup.parameters)),
@@ -187,12 +167,32 @@ def outlook_report(
             ("random seed", str(study.seed)),
         ],
     )
-    yield Table(
-        "Position error over the workspace (rms of a robot)",
-        SIZES,
-        [_sizes(one) for one in found],
+    titles = ("nominal", "5 %", "median", "95 %", "within, 95 % of workspace", UNIT)
+    rows = [
+        (
+            str(one.configurations),
+            *measures("m", one.nominal[1], *one.position, one.position_share[2]),
+        )
+        for one in found
+    ]
+    configurations = "configurations|word"
+    title = "Position error over the workspace (rms of a robot)"
+    yield table(title, (configurations, *titles), rows)
+    yield table(
+        "Trust",
+        (configurations, "covered", "95 %", "actual/expected", "limit met", "95 %"),
+        [
+            (
+                str(one.configurations),
+                *_share(one.coverage),
+                Cell(f"{one.honesty:.2f}", one.honesty)
+                if math.isfinite(one.honesty)
+                else "-",
+                *_share(one.met),
+            )
+            for one in found
+        ],
     )
-    yield Table("Trust", TRUST, [_trust(one) for one in found])
     yield Line(
         "Covered: robots within the bound that their own calibration states with 95 % "
         "confidence. Actual/expected: 1 where calibrations say how accurate they "
@@ -200,78 +200,34 @@ def outlook_report(
         "note",
     )
     if any(one.failed for one in found):
-        yield Table(
-            "Not calibrated",
-            (CONFIGURATIONS, Column("robots")),
-            [(Cell(str(one.configurations)), Cell(str(one.failed))) for one in found],
-        )
+        rows = [(str(one.configurations), str(one.failed)) for one in found]
+        yield table("Not calibrated", (configurations, "robots"), rows)
 
 
-def _decision(found: Sequence[Outlook], limit: LimitSetup) -> Iterator[Line]:
+def _decision(found: Sequence[Outlook], limit: LimitSetup) -> Line:
     """Whether and when the limit is met."""
     if not math.isfinite(found[0].met[0]):
         last = found[-1]
-        yield Line(
+        return Line(
             f"With {last.configurations} configurations 95 % of the robots are within "
             f"{amount(last.position[2], 'm')} rms over the workspace.",
             "strong",
         )
-        return
     limits = [(limit.position, "m"), (limit.orientation, "rad")]
     words = " and ".join(amount(size, unit) for size, unit in limits if size)
     enough = next((one for one in found if one.met[0] >= LEVELS[-1]), None)
     one = enough or max(found, key=lambda one: one.met[0])
     share, low, high = (f"{100.0 * part:.0f} %" for part in one.met)
-    yield Line(
+    return Line(
         f"With {one.configurations} configurations {share} of the robots ({low} to "
         f"{high}) are within {words} in 95 % of their workspace.",
         "good" if enough else "bad",
     )
 
 
-def _noise(noise: Mapping[str, float]) -> str:
-    if not noise:
-        return "noise of 0.1 mm and 0.1 mrad"
-    units = {"orientation": "rad", "pixel": "px"}
-    parts = (f"{name} {amount(s, units.get(name, 'm'))}" for name, s in noise.items())
-    return f"noise: {', '.join(parts)}"
-
-
-CONFIGURATIONS = Column("configurations", "word")
-SIZES = (
-    CONFIGURATIONS,
-    *columns(
-        "", ("nominal", "5 %", "median", "95 %", "within, 95 % of workspace", "unit")
-    )[1:],
-)
-TRUST = (
-    CONFIGURATIONS,
-    *map(Column, ("covered", "95 %", "actual/expected", "limit met", "95 %")),
-)
-
-
-def _sizes(one: Outlook) -> tuple[Cell, ...]:
-    return (
-        Cell(str(one.configurations)),
-        known(one.nominal[1], "m"),
-        *(known(size, "m") for size in one.position),
-        known(one.position_share[2], "m"),
-        Cell(DISPLAY["m"][0]),
-    )
-
-
-def _trust(one: Outlook) -> tuple[Cell, ...]:
-    return (
-        Cell(str(one.configurations)),
-        *_share(one.coverage),
-        Cell(f"{one.honesty:.2f}" if math.isfinite(one.honesty) else "-", one.honesty),
-        *_share(one.met),
-    )
-
-
-def _share(found: tuple[float, float, float]) -> tuple[Cell, Cell]:
+def _share(found: tuple[float, float, float]) -> tuple[Cell | str, str]:
     share, low, high = found
     if not math.isfinite(share):
-        return Cell("-"), Cell("-")
+        return "-", "-"
     ends = f"{100.0 * low:.0f} ... {100.0 * high:.0f} %"
-    return Cell(f"{100.0 * share:.1f} %", share), Cell(ends)
+    return Cell(f"{100.0 * share:.1f} %", share), ends

@@ -1,6 +1,6 @@
-"""`report.html`: one file that opens from disk, on a phone, in the dark, on paper.
+"""Pages: one file that opens from disk, on a phone, in the dark, on paper.
 
-It shows the blocks of the terminal's report, so that the numbers are the same, with
+They show the blocks of the terminal's report, so that the numbers are the same, with
 figures between them. Whatever comes from the user's files is escaped.
 """
 
@@ -8,10 +8,15 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.files import write_atomically
 from calib_pin.io.results import (
     calibration_document,
@@ -21,99 +26,18 @@ from calib_pin.io.results import (
 )
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
-from calib_pin.report.accuracy import (
-    KNOWN,
-    accuracy,
-    beyond,
-    moves,
-    opening,
-    subject,
-    taken,
-)
-from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
-from calib_pin.report.breakdown import frames_told, parts
+from calib_pin.report.accuracy import subject
+from calib_pin.report.blocks import Block, Code, Facts, Line, Table, table
 from calib_pin.report.cover import Cover, program
-from calib_pin.report.figures import Drawn, calibration_figures
-from calib_pin.report.identification import (
-    in_full,
-    named_errors,
-    ranks,
-    remedied,
-    unknown,
-)
-from calib_pin.report.places import frame_blocks
-from calib_pin.report.recalibration import recalibrated
-from calib_pin.report.robot_errors import offsets
-from calib_pin.report.tables import (
-    STATUS,
-    listed,
-    outlier_table,
-    parameter_overview,
-)
-from calib_pin.report.templates import rendered
+from calib_pin.report.figures import Drawn, drawn
+from calib_pin.report.tables import STATUS, parameter_overview
+from calib_pin.report.text import Section, sections
 from calib_pin.report.tiles import tiles
-from calib_pin.report.trust import (
-    correlated,
-    expected,
-    noise,
-    statistics,
-)
+from calib_pin.report.trust import FIRST, next_step, opening
 from calib_pin.validation.result import CalibrationResult
 
-LISTED = 200
-"""Outliers and correlated pairs that the page lists; the file has all of them."""
-
-FIRST = ("robot-errors", "cumulative-errors")
+FRONT = ("robot-errors", "cumulative-errors")
 """Figures of the first screen."""
-
-SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "frames": ("Tool, base, stations and cameras", ()),
-    "measured": ("Measurements", ()),
-    "findings": ("Outliers and findings", ("residuals-over-order",)),
-    "accuracy": (
-        "Accuracy",
-        (
-            "errors-per-measurement",
-            "error-vectors",
-            "errors-in-workspace",
-            "tip-accuracy-in-workspace",
-            "model-ladder",
-        ),
-    ),
-    "identifiability": (
-        "Identifiability",
-        ("singular-values", "tip-error-by-count"),
-    ),
-    "parameters": ("Parameters", ("parameter-intervals",)),
-    "residuals": ("Noise and statistics", ("residuals-by-joint",)),
-    "provenance": ("Provenance", ("convergence",)),
-}
-"""Title and figures of each section behind the first screen, by its key.
-
-First what a customer takes home, then what a statistician asks for.
-"""
-
-
-@dataclass(frozen=True)
-class _Section:
-    """A part of the page; the table of parameters can be sorted."""
-
-    key: str
-    title: str
-    blocks: Sequence[Block]
-    figures: Sequence[Drawn]
-    parameters: Table | None = None
-    statuses: Sequence[str] = ()
-
-    @property
-    def idle(self) -> Sequence[int]:
-        """Rows of parameters that say nothing: no deviation, and no or a zero value."""
-        rows = self.parameters.rows if self.parameters is not None else ()
-        return [
-            k
-            for k, (_, value, sigma, *_) in enumerate(rows)
-            if sigma.text == "-" and value.text.strip("-+0.") == ""
-        ]
 
 
 def html_report(
@@ -127,21 +51,50 @@ def html_report(
 
     The document is its `calibration.json`, which knows the files and their hashes.
     """
-    name = result.model.chains.robot.name
-    urgent, verdict, _ = opening(result)
+    verdict, *found = opening(result)
+    named = {figure.name: figure for figure in figures}
+    # A line leads to its figure, if that is there. Lines to copy stand in the section.
+    found = [b for b in found if getattr(b, "figure", "") in ("", *named)]
+    tones, doubtful = ("bad", "strong"), result.verdict not in TRUSTED
+    urgent = [b for b in found if isinstance(b, Line) and b.tone in tones][:FIRST]
+    codes = [b for b in found if isinstance(b, Code) and doubtful]
+    told = []
+    for section in sections(result, suggestions):
+        blocks = list(section.blocks)
+        if section.key == "findings":
+            blocks = [*(found or [Line("There are no findings.", "note")]), *blocks]
+            if not result.statistics.outliers:
+                blocks.append(Line("No measurement is an outlier."))
+        told.append((section, blocks))
+    about = list(provenance_blocks(document))
+    told.append((Section("provenance", "Provenance", ()), about))
+    parameters = parameter_overview(result.parameters, result.unknown)
     return rendered(
         "report.html",
-        title=f"Calibration of {name}",
+        title=f"Calibration of {result.model.chains.robot.name}",
         subject=subject(result).text,
         verdict=verdict,
-        # Lines to copy stand with the findings, as remarks do.
-        urgent=[line for line in urgent if isinstance(line, Line) and not line.figure],
+        urgent=[*urgent, *codes, *next_step(result)],
         tiles=list(tiles(result)),
-        figures=[figure for figure in figures if figure.name in FIRST],
-        sections=list(_sections(result, document, figures, suggestions)),
-        version=document["provenance"]["calib_pin"],
+        front=[named[name] for name in FRONT if name in named],
+        sections=told,
+        drawn=named,
+        parameters=parameters,
+        idle=_idle(parameters),
+        statuses=tuple(dict.fromkeys(STATUS[p.status] for p in result.parameters)),
+        made=f"calib-pin {document['provenance']['calib_pin']}",
+        numbers="calibration.json",
         run=document.get("run", ""),
     )
+
+
+def _idle(parameters: Table) -> list[int]:
+    """Rows of parameters that say nothing: no deviation, and no or a zero value."""
+    return [
+        k
+        for k, (_, value, sigma, *_) in enumerate(parameters.rows)
+        if sigma.text == "-" and value.text.strip("-+0.") == ""
+    ]
 
 
 def acceptance_page(cover: Cover, blocks: Sequence[Block]) -> bytes:
@@ -153,7 +106,8 @@ def acceptance_page(cover: Cover, blocks: Sequence[Block]) -> bytes:
     """
     # It is one page: the verdict stands on it once.
     rest = [block for block in blocks if block not in cover.said]
-    return rendered("acceptance.html", cover=cover, blocks=rest)
+    about = {"made": program(), "numbers": "acceptance.json"}
+    return rendered("acceptance.html", cover=cover, blocks=rest, **about)
 
 
 def blocks_page(
@@ -222,77 +176,9 @@ def report(
         result, document = read_written(result)
         suggested = read_suggestions(document)
     shapes = robot_shapes(result.model.chains.robot).parts
-    figures = list(calibration_figures(result, shapes))
+    figures = list(drawn("calibration", result, shapes))
     page = html_report(result, document, figures=figures, suggestions=suggested)
     write_atomically(Path(file), page, force=force)
-
-
-def _sections(
-    result: CalibrationResult,
-    document: Mapping[str, Any],
-    figures: Sequence[Drawn],
-    suggestions: Sequence[Suggestion],
-) -> Iterator[_Section]:
-    blocks: dict[str, list[Block]] = {
-        "frames": [*offsets(result, suggestions), *frame_blocks(result)]
-        or [Line(KNOWN, "note")],
-        "measured": [taken(result)],
-        "findings": list(_findings(result, figures)),
-        "accuracy": [
-            *accuracy(result),
-            *recalibrated(result),
-            *parts(result),
-            *moves(result),
-            *expected(result),
-            *beyond(result),
-        ],
-        "identifiability": list(_known(result, suggestions)),
-        "parameters": list(listed("at a bound", result.solver.at_bounds)),
-        "residuals": [*noise(result), *statistics(result)],
-        "provenance": list(provenance_blocks(document)),
-    }
-    for key, (title, names) in SECTIONS.items():
-        yield _Section(
-            key=key,
-            title=title,
-            blocks=blocks[key],
-            figures=[figure for figure in figures if figure.name in names],
-            parameters=parameter_overview(result.parameters, result.unknown)
-            if key == "parameters"
-            else None,
-            statuses=tuple(dict.fromkeys(STATUS[p.status] for p in result.parameters)),
-        )
-
-
-def _known(
-    result: CalibrationResult, suggestions: Sequence[Suggestion]
-) -> Iterator[Block]:
-    yield ranks(result, fitted=True)
-    yield from frames_told(result, details=True)
-    yield from named_errors(result, fitted=True)
-    yield from in_full(result)
-    yield from unknown(result)
-    yield from remedied(result, suggestions)
-    for remedy in suggestions:
-        yield from listed(f"identifiable if you {remedy.change}", remedy.parameters)
-    yield from correlated(result, LISTED)
-
-
-def _findings(result: CalibrationResult, figures: Sequence[Drawn]) -> Iterator[Block]:
-    """All findings, and the measurements that do not fit."""
-    before, _, behind = opening(result)
-    drawn = {"", *(figure.name for figure in figures)}
-    # A line leads to its figure, if that is there.
-    found = [b for b in (*before, *behind) if getattr(b, "figure", "") in drawn]
-    yield from found or [Line("There are no findings.", "note")]
-    if result.statistics.outliers:
-        count = len(result.statistics.outliers)
-        yield Line(f"{count} of {len(result.fitted)} measurements are outliers.")
-        yield outlier_table(result, LISTED)
-        if count > LISTED:
-            yield Line(f"{count - LISTED} more are in calibration.json.", "note")
-    else:
-        yield Line("No measurement is an outlier.")
 
 
 def provenance_blocks(document: Mapping[str, Any]) -> Iterator[Block]:
@@ -300,11 +186,8 @@ def provenance_blocks(document: Mapping[str, Any]) -> Iterator[Block]:
     about, solver = document["provenance"], document["solver"]
     robot, measured = document["robot"], document["measurements"]
     seconds = solver["seconds"]
-    used = [("robot", robot["file"], robot["sha256"])]
-    if document["setup_file"] is not None:
-        stated = document["setup_file"]
-        used.append(("setup", stated["file"], stated["sha256"]))
-    used += [("measurements", f["file"], f["sha256"]) for f in measured["files"]]
+    used = [("robot", robot), ("setup", document["setup_file"])]
+    used += [("measurements", file) for file in measured["files"]]
     versions = {k: v for k, v in about.items() if k not in ("command", "created")}
     yield Facts(
         "Provenance",
@@ -322,8 +205,35 @@ def provenance_blocks(document: Mapping[str, Any]) -> Iterator[Block]:
             ("time", "unknown" if seconds is None else f"{seconds:.2f} s"),
         ],
     )
-    yield Table(
-        "Files",
-        (Column("", "word"), Column("file", "name"), Column("SHA-256", "name")),
-        [(Cell(what), Cell(file), Cell(content)) for what, file, content in used],
+    rows = [(what, f["file"], f["sha256"]) for what, f in used if f is not None]
+    yield table("Files", ("|word", "file|name", "SHA-256|name"), rows)
+
+
+def rendered(template: str, **values: Any) -> bytes:
+    """A page as UTF-8 text, with the style sheet and the script of all pages.
+
+    Args:
+        template: Its file in the folder `page`.
+        values: What it shows; texts are escaped.
+    """
+    folder = files("calib_pin.report") / "page"
+    style, script = (
+        Markup((folder / name).read_text("utf-8"))
+        for name in ("style.css", "script.js")
     )
+    page = _pages().get_template(template).render(**values, style=style, script=script)
+    return page.encode("utf-8", "backslashreplace")
+
+
+@cache
+def _pages() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("calib_pin.report", "page"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    environment.filters["kind"] = lambda block: type(block).__name__
+    environment.filters["exact"] = repr
+    return environment

@@ -6,16 +6,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from calib_pin.planning.suggestions import LARGEST, Suggestion
-from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Names, Table
+from calib_pin.report.blocks import Block, Facts, Line, table
 from calib_pin.report.robot_errors import error_table, held
-from calib_pin.report.tables import (
-    ESTIMATE,
-    STATUS,
-    group_table,
-    listed,
-    number,
-    parameter_table,
-)
+from calib_pin.report.tables import ESTIMATE, STATUS, estimate, listed, number
 from calib_pin.validation.result import CoupledGroup, Identification
 
 REMARKS = {"weak": " (held wholly or partly at nominal)"}
@@ -38,31 +31,20 @@ def identified(
         details: Also the parameters, and all combinations of them in full.
     """
     yield ranks(found, fitted=fitted)
-    yield from named_errors(found, fitted=fitted)
-    if details or not found.robot_errors:
-        yield from _in_full(found, fitted=fitted)
-    yield from unknown(found)
-    yield from remedied(found, suggestions)
-
-
-def named_errors(found: Identification, *, fitted: bool) -> Iterator[Block]:
-    """The identifiable errors of the robot by kind, and those that are not known."""
     known = [e for e in found.robot_errors if e.status == "identifiable"]
     if known:
-        shown = ("value", "std. dev.", "unit") if fitted else ("formula",)
         title = "Identifiable errors of the robot"
-        yield error_table(known, title if fitted else f"{title} (SI units)", shown)
+        if fitted:
+            yield error_table(known, title, ESTIMATE)
+        else:
+            yield error_table(known, f"{title} (SI units)", ("formula|name",))
     yield from held(found.robot_errors)
-
-
-def in_full(found: Identification) -> Iterator[Line]:
-    """Where all combinations stand as formulae, where there are any."""
-    if found.groups:
-        yield Line(
-            "Combinations in full, by the numbers beside parameters: "
-            "identifiability.coupled in calibration.json.",
-            "note",
-        )
+    if details or not found.robot_errors:
+        yield from in_full(found, fitted=fitted)
+    for status in ("weak", "unidentifiable", "fixed"):
+        names = [p.name for p in found.parameters if p.status == status]
+        yield from listed(STATUS[status] + REMARKS.get(status, ""), names)
+    yield from _remedied(found, suggestions)
 
 
 def summary(result: Identification, suggestions: Sequence[Suggestion]) -> Line:
@@ -79,16 +61,30 @@ def summary(result: Identification, suggestions: Sequence[Suggestion]) -> Line:
     return Line(f"{said}.")
 
 
-def _in_full(found: Identification, *, fitted: bool) -> Iterator[Block]:
+def in_full(found: Identification, *, fitted: bool) -> Iterator[Block]:
     """Parameters that are known alone, and combinations as formulae."""
     identifiable = [p for p in found.parameters if p.status == "identifiable"]
     if identifiable and fitted:
-        yield parameter_table(identifiable)
+        yield table(
+            "Identifiable parameters",
+            ("", *ESTIMATE),
+            [(p.name, *estimate(p.value, p.sigma, p.unit)) for p in identifiable],
+        )
     else:
         yield from listed("identifiable", [p.name for p in identifiable])
     groups = [group for group in found.groups if not of_place(group)]
     if groups:
-        yield group_table(groups, ESTIMATE if fitted else ())
+        shown = 5 if fitted else 2
+        yield table(
+            "Identifiable linear combinations (coefficients in SI units)",
+            ("|number", f"{'combination' * fitted}|name", *ESTIMATE)[:shown],
+            [
+                (str(g.number), g.expression, *estimate(g.value, g.sigma, g.unit))[
+                    :shown
+                ]
+                for g in groups
+            ],
+        )
     if hidden := len(found.groups) - len(groups):
         yield Line(
             f"{hidden} more combinations start with the position of a socket, sphere "
@@ -106,14 +102,7 @@ def of_place(group: CoupledGroup) -> bool:
     return kind in ("socket", "sphere", "anchor")
 
 
-def unknown(found: Identification) -> Iterator[Names]:
-    """Parameters that neither have an estimate nor stand in a combination."""
-    for status in ("weak", "unidentifiable", "fixed"):
-        names = [p.name for p in found.parameters if p.status == status]
-        yield from listed(STATUS[status] + REMARKS.get(status, ""), names)
-
-
-def remedied(
+def _remedied(
     found: Identification, suggestions: Sequence[Suggestion]
 ) -> Iterator[Block]:
     """Suggested measurements, and how many robot parameters each would identify."""
@@ -123,11 +112,8 @@ def remedied(
         rows.append(("more or other configurations: calib-pin plan --add N", known))
     rows += [(remedy.change, remedy.count) for remedy in suggestions]
     if len(rows) > 1:
-        yield Table(
-            "Suggested measurements",
-            (Column("", "remark"), Column("identifiable robot parameters")),
-            [(Cell(words), Cell(str(count), count)) for words, count in rows],
-        )
+        titles = ("|remark", "identifiable robot parameters")
+        yield table("Suggested measurements", titles, rows)
     if found.identifiability.parameters > LARGEST:
         many = f"more than {LARGEST} parameters"
         yield Line(f"No measurements are suggested for {many}.", "note")
@@ -153,9 +139,7 @@ def ranks(known: Identification, *, fitted: bool) -> Facts:
         ),
     ]
     if fitted:
-        remarks = []
-        if found.weak:
-            remarks.append(f"{found.weak} directions held at nominal")
+        remarks = [f"{found.weak} directions held at nominal"][: bool(found.weak)]
         if found.revealed:
             only = "observable only at the calibrated geometry"
             remarks.append(f"{found.revealed} {only}")

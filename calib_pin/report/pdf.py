@@ -15,7 +15,7 @@ from importlib.util import find_spec
 
 from calib_pin.errors import OptionError, printable
 from calib_pin.report.blocks import Block, Cell
-from calib_pin.report.cover import Cover
+from calib_pin.report.cover import Cover, program
 from calib_pin.report.figures.canvas import AFTER, BEFORE, Drawn
 
 MISSING = "a PDF needs typst, which is missing: pip install 'calib-pin[pdf]'"
@@ -49,7 +49,7 @@ def pdf_report(cover: Cover, blocks: Iterable[Block]) -> bytes:
     require_pdf()
     import typst
 
-    day = datetime.fromisoformat(cover.day).replace(tzinfo=UTC)
+    day = datetime.fromisoformat(cover.entries.date or "").replace(tzinfo=UTC)
     # With the fonts of the machine the bytes would be others.
     data = typst.compile(
         sources(cover, blocks), ignore_system_fonts=True, timestamp=day
@@ -66,7 +66,7 @@ def sources(cover: Cover, blocks: Iterable[Block]) -> dict[str, bytes]:
     shown = {
         "cover": _plain(cover),
         "blocks": [_plain(block) for block in blocks],
-        "made": cover.made,
+        "made": program(),
         "before": BEFORE,
         "after": AFTER,
     }

@@ -10,8 +10,8 @@ import numpy as np
 
 from calib_pin.io.setup import yaml_text
 from calib_pin.measurement_models.pinhole import INTRINSICS
-from calib_pin.report.blocks import Block, Cell, Code, Column, Line, Table, columns
-from calib_pin.report.tables import decimals, significant
+from calib_pin.report.blocks import Block, Cell, Code, Line, Table, table
+from calib_pin.report.tables import UNIT, decimals, significant
 from calib_pin.setup import CameraSetup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import REMEDY, CalibrationResult, FrameSummary
@@ -62,8 +62,8 @@ def _camera(name: str, camera: CameraSetup, sigmas: Mapping[str, float]) -> Tabl
     rows = []
     for (key, unit, _), value in zip(INTRINSICS, values, strict=True):
         sigma = sigmas[f"{name}.intrinsics.{key}"]
-        rows.append((Cell(key), _within(value, sigma, 1.0), Cell(unit)))
-    return Table(f"Intrinsics of {name}", columns("", ("value", "unit")), rows)
+        rows.append((key, _within(value, sigma, 1.0), unit))
+    return table(f"Intrinsics of {name}", ("", "value", UNIT), rows)
 
 
 def _lines(
@@ -119,11 +119,9 @@ def _frames(stations: Sequence[FrameSummary], tools: Sequence[FrameSummary]) -> 
         for name, unit, values, deviations in halves:
             pairs = zip(values, deviations, strict=True)
             cells = [_within(*pair, DISPLAY[unit][1]) for pair in pairs]
-            rows.append((Cell(label), Cell(name), *cells, Cell(DISPLAY[unit][0])))
+            rows.append((label, name, *cells, DISPLAY[unit][0]))
             label = "" if _link(others) == frame.link else f"  {frame.link}"
-    titles = (Column("", "word"), *(Column(axis) for axis in "xyz"))
-    of = (Column("", "name"), *titles, Column("unit", "word"))
-    return Table("Frames of stations and tools", of, rows)
+    return table("Frames of stations and tools", ("", "|word", *"xyz", UNIT), rows)
 
 
 def _within(value: float, sigma: float, factor: float) -> Cell:

@@ -7,17 +7,10 @@ from collections.abc import Iterator
 
 from calib_pin.planning.plan import Plan, Step, sides_of
 from calib_pin.report.accuracy import chain_words, model_words
-from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
+from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, table
 from calib_pin.report.robot_errors import error_table
-from calib_pin.report.tables import (
-    STATUS,
-    amount,
-    listed,
-    number,
-    quantity,
-)
+from calib_pin.report.tables import ESTIMATE, STATUS, amount, listed, number, quantity
 from calib_pin.solvers import Status
-from calib_pin.units import DISPLAY
 
 SHOWN = 12
 """Lines of the table of accuracy against the number of configurations."""
@@ -25,85 +18,76 @@ SHOWN = 12
 
 def plan_report(plan: Plan) -> Iterator[Block]:
     """The plan, its accuracy against the number of configurations, its estimates."""
-    shown = ("std. dev.", "unit")
-    weak = [p.name for p in plan.parameters if p.status == "weak"]
-    yield from _subject(plan)
-    yield _steps(plan)
-    yield _tip(plan)
-    known = [e for e in plan.predicted.robot_errors if e.status == "identifiable"]
-    if known:
-        yield error_table(known, "Expected errors of the robot", shown)
-    yield from listed(f"{STATUS['weak']} (held at nominal)", weak)
-
-
-def _subject(plan: Plan) -> Iterator[Line]:
     more = f" in addition to {plan.measured} measurements" if plan.measured else ""
     yield Line(
         f"{chain_words(plan.problem)}; {model_words(plan.problem)}, "
         f"{len(plan.q)} configurations{more}",
         "strong",
     )
-    if plan.places:
-        shares = Counter(zip(*plan.places.values(), strict=True))
-        told = (f"{n} of {', '.join(filter(None, k))}" for k, n in shares.items())
-        yield Line(f"Configurations: {'; '.join(told)}.", "note")
-    ended = {Status.CONVERGED: "", Status.STOPPED: " (stopped: the best so far)"}
-    remark = ended.get(plan.status, f" ({plan.status.value})")
-    yield Line(
-        f"Selected by {plan.method}{remark} from {plan.candidates} candidates that "
-        f"meet the constraints, of {plan.tried} drawn.",
-        "note",
-    )
-    if plan.assumed_tool:
-        yield Line(
-            "The setup does not say where the target sits on the tool "
-            "(frames.tool.xyz); 6 cm beside the tip link is assumed.",
-            "note",
-        )
-    if sides_of(plan):
-        yield Line(
-            "Each joint shall come to a configuration from the side that its column "
-            "'<joint>.direction' states, by more than its lost motion.",
-            "note",
-        )
     if plan.unmeasurable:
         yield Line(
             f"No configuration can measure {', '.join(plan.unmeasurable)}.", "bad"
         )
+    yield from (Line(said, "note") for said in _made(plan))
+    yield _steps(plan)
+    yield _tip(plan)
+    known = [e for e in plan.predicted.robot_errors if e.status == "identifiable"]
+    if known:
+        yield error_table(known, "Expected errors of the robot", ESTIMATE[1:])
+    weak = [p.name for p in plan.parameters if p.status == "weak"]
+    yield from listed(f"{STATUS['weak']} (held at nominal)", weak)
+
+
+def _made(plan: Plan) -> Iterator[str]:
+    """How the configurations were chosen, and what they assume."""
+    if plan.places:
+        shares = Counter(zip(*plan.places.values(), strict=True))
+        told = (f"{n} of {', '.join(filter(None, k))}" for k, n in shares.items())
+        yield f"Configurations: {'; '.join(told)}."
+    ended = {Status.CONVERGED: "", Status.STOPPED: " (stopped: the best so far)"}
+    remark = ended.get(plan.status, f" ({plan.status.value})")
+    yield (
+        f"Selected by {plan.method}{remark} from {plan.candidates} candidates that "
+        f"meet the constraints, of {plan.tried} drawn."
+    )
+    if plan.assumed_tool:
+        yield (
+            "The setup does not say where the target sits on the tool "
+            "(frames.tool.xyz); 6 cm beside the tip link is assumed."
+        )
+    if sides_of(plan):
+        yield (
+            "Each joint shall come to a configuration from the side that its column "
+            "'<joint>.direction' states, by more than its lost motion."
+        )
     if plan.blocked is None:
-        moves = "Collisions are not checked."
+        yield "Collisions are not checked."
     elif plan.blocked:
         numbers = ", ".join(str(place + 1) for place in plan.blocked)
-        moves = (
+        yield (
             "No configuration collides, but the straight move to it from the one "
             f"before does for number {numbers}: take a detour there."
         )
     else:
-        moves = "No configuration and no straight move between them collides."
-    yield Line(moves, "note")
+        yield "No configuration and no straight move between them collides."
 
 
 def _steps(plan: Plan) -> Table:
     """The criterion and the tool-point uncertainty by number of configurations."""
     predicted = plan.criterion == "prediction"
-    factor = DISPLAY["m"][1] if predicted else 1.0
-    titles = ["tool-point uncertainty [mm]"]
-    if not predicted:
-        titles.insert(0, plan.criterion)
+    titles = [*[plan.criterion][: not predicted], "tool-point uncertainty [mm]"]
+
+    def criterion(value: float) -> Cell:
+        return quantity(value, "m") if predicted else Cell(number(value), value)
+
     rows = []
     for step in _chosen_steps(plan):
-        label = f"{step.count}"
-        if step.count == len(plan.q):
-            label += "  planned"
-        cells = [Cell(number(factor * step.value), step.value)]
-        if not predicted:
-            cells.append(quantity(step.position, "m"))
-        rows.append((Cell(label), *cells))
-    random = [Cell(number(factor * plan.random), plan.random)]
-    random += [Cell("")] * (len(titles) - 1)
-    rows.append((Cell(f"{len(plan.q)}  random baseline"), *random))
-    title = "Accuracy against number of configurations"
-    return Table(title, columns("", titles), rows)
+        label = f"{step.count}{'  planned' * (step.count == len(plan.q))}"
+        cells = [criterion(step.value), quantity(step.position, "m")]
+        rows.append([label, *cells[: len(titles)]])
+    random = [f"{len(plan.q)}  random baseline", criterion(plan.random), ""]
+    rows.append(random[: 1 + len(titles)])
+    return table("Accuracy against number of configurations", ("", *titles), rows)
 
 
 def _chosen_steps(plan: Plan) -> list[Step]:

@@ -6,14 +6,16 @@ from collections.abc import Iterator, Sequence
 
 from calib_pin.errors import enumerated
 from calib_pin.planning.suggestions import Suggestion
-from calib_pin.report.blocks import Block, Cell, Column, Line, Table
-from calib_pin.report.tables import uncertain
-from calib_pin.units import DISPLAY
+from calib_pin.report.blocks import Block, Cell, Line, Table, table
+from calib_pin.report.tables import ESTIMATE, counted, estimate
 from calib_pin.validation.joint_errors import FoundOffset, joint_offsets
 from calib_pin.validation.result import CalibrationResult, RobotError
 
 CLEAR = 2.0
 """Standard deviations from which a correction is told as one."""
+
+MANY = 4
+"""Joints and links from which on their errors are only counted, without details."""
 
 USE = (
     "A joint stands where it says plus the offset: add the offset to the position "
@@ -42,13 +44,9 @@ def offsets(
     known = [offset for offset in found if offset.sigma is not None]
     stepped = any(offset.steps is not None for offset in known)
     if known and result.geometry is not None:
-        titles = ["offset", "std. dev.", "unit", *["steps"][:stepped]]
-        of = (
-            Column("", "name"),
-            *(Column(t, "word" if t == "unit" else "number") for t in titles),
-            Column("the joint stands", "remark"),
-        )
-        yield Table("Joint offsets", of, [_offset(o, stepped) for o in known])
+        titles = ("offset", *ESTIMATE[1:], *["steps"][:stepped])
+        rows = [_offset(offset, stepped) for offset in known]
+        yield table("Joint offsets", ("", *titles, "the joint stands|remark"), rows)
         yield Line(USE, "note")
     for offset in found:
         if offset.sigma is None:
@@ -57,23 +55,21 @@ def offsets(
             yield Line(f"{offset.reverses}.", "strong")
 
 
-def _offset(offset: FoundOffset, stepped: bool) -> list[Cell]:
-    unit, factor = DISPLAY[offset.unit]
-    cells = [*uncertain(offset.value, offset.sigma, factor), Cell(unit)]
-    if stepped:
-        steps = "-"
-        if offset.steps is not None:
-            # Whole steps are what a motor can store.
-            steps = f"{round(offset.steps * offset.value):+d}"
-        cells.append(Cell(steps))
-    way = "further than it says" if offset.value > 0.0 else "less far than it says"
+def _offset(offset: FoundOffset, stepped: bool) -> list[Cell | str]:
+    steps, way = "-", "further than it says"
+    if offset.steps is not None:
+        # Whole steps are what a motor can store.
+        steps = f"{round(offset.steps * offset.value):+d}"
     if abs(offset.value) < CLEAR * (offset.sigma or 0.0):
         way = "where it says"
+    elif offset.value < 0.0:
+        way = "less far than it says"
     name = offset.joint
     if offset.column != name:
         name = f"{name} (column {offset.column})"
+    cells = estimate(offset.value, offset.sigma, offset.unit)
     way += ", reversed" * bool(offset.reverses)
-    return [Cell(name), *cells, Cell(way)]
+    return [name, *cells, *[steps][:stepped], way]
 
 
 def _unknown(offset: FoundOffset, suggestions: Sequence[Suggestion]) -> str:
@@ -100,21 +96,17 @@ def error_table(found: Sequence[RobotError], title: str, shown: Sequence[str]) -
     Args:
         found: The errors.
         title: Title of the table.
-        shown: Some of `value`, `std. dev.`, `unit` and `formula`.
+        shown: Some of `ESTIMATE`, or `formula|name`.
     """
     rows, before = [], ""
     for error in found:
-        unit, factor = DISPLAY.get(error.unit, (error.unit, 1.0))
-        value, sigma = uncertain(error.value, error.sigma, factor)
-        cells = {"value": value, "std. dev.": sigma, "unit": Cell(unit)}
-        cells["formula"] = Cell(error.expression)
-        kind = "" if error.kind == before else error.kind
-        before = error.kind
-        rows.append((Cell(kind), Cell(_of(error)), *(cells[key] for key in shown)))
-    kinds = {"unit": "word", "formula": "name"}
-    of = [Column("", "word"), Column("", "name")]
-    of += [Column(key, kinds.get(key, "number")) for key in shown]  # type: ignore[arg-type]
-    return Table(title, of, rows)
+        cells = dict(
+            zip(ESTIMATE, estimate(error.value, error.sigma, error.unit), strict=True)
+        )
+        cells["formula|name"] = Cell(error.expression)
+        kind, before = "" if error.kind == before else error.kind, error.kind
+        rows.append((kind, _of(error), *(cells[key] for key in shown)))
+    return table(title, ("|word", "|name", *shown), rows)
 
 
 def _of(error: RobotError) -> str:
@@ -132,15 +124,13 @@ def offsets_alone(result: CalibrationResult) -> bool:
 
 def corrections(result: CalibrationResult) -> Iterator[Block]:
     """The errors that were found, those beyond their uncertainty, and the others."""
-    if result.verdict == "no-gain":
+    if result.verdict == "no-gain" or offsets_alone(result):
         return
     known = [e for e in result.robot_errors if e.sigma is not None]
     clear = [e for e in known if abs(e.value) >= CLEAR * (e.sigma or 0.0)]
-    if clear and not offsets_alone(result):
-        shown = ("value", "std. dev.", "unit")
-        yield error_table(clear, "Errors of the robot that were found", shown)
-    if clear and len(clear) < len(known) and not offsets_alone(result):
-        count = len(known) - len(clear)
+    if clear:
+        yield error_table(clear, "Errors of the robot that were found", ESTIMATE)
+    if clear and (count := len(known) - len(clear)):
         yield Line(
             f"{count} more {'is' if count == 1 else 'are'} smaller than {CLEAR:.0f} "
             "standard deviations.",
@@ -148,26 +138,25 @@ def corrections(result: CalibrationResult) -> Iterator[Block]:
         )
 
 
-def held(found: Sequence[RobotError]) -> Iterator[Line]:
+def held(found: Sequence[RobotError], *, details: bool = True) -> Iterator[Line]:
     """Errors that stay at nominal, and those that frames take along."""
-    weak = [error for error in found if error.status == "weak"]
-    if weak:
-        yield Line(f"Held at nominal, hardly observable: {_listed(weak)}.", "note")
-    together: dict[tuple[str, ...], list[RobotError]] = {}
+    together: dict[str, list[RobotError]] = {}
     for error in found:
-        if error.status == "absorbed":
-            together.setdefault(error.within, []).append(error)
-    for within, errors in together.items():
-        frames = enumerated([_frame(name) for name in within])
-        yield Line(f"Part of {frames}: {_listed(errors)}.", "note")
-
-
-def _listed(errors: Sequence[RobotError]) -> str:
-    """Errors by joint, such as `joint offset and link offset of wrist_3_joint`."""
-    by_owner: dict[str, dict[str, None]] = {}
-    for error in errors:
-        by_owner.setdefault(_of(error), {})[error.kind] = None
-    return "; ".join(
-        f"{enumerated([*kinds]) if len(kinds) < 4 else 'the placement'} of {owner}"
-        for owner, kinds in by_owner.items()
-    )
+        if error.status == "weak":
+            together.setdefault("Held at nominal, hardly observable", []).append(error)
+        elif error.status == "absorbed":
+            frames = enumerated([_frame(name) for name in error.within])
+            together.setdefault(f"Part of {frames}", []).append(error)
+    for meaning in sorted(together, key=lambda words: not words.startswith("Held")):
+        errors = together[meaning]
+        # Errors by joint, such as `joint offset and link offset of wrist_3_joint`.
+        by_owner: dict[str, dict[str, None]] = {}
+        for error in errors:
+            by_owner.setdefault(_of(error), {})[error.kind] = None
+        said = "; ".join(
+            f"{enumerated([*kinds]) if len(kinds) < 4 else 'the placement'} of {owner}"
+            for owner, kinds in by_owner.items()
+        )
+        if len(by_owner) > MANY and not details:
+            said = f"{counted(len(errors), 'error')}, see --details"
+        yield Line(f"{meaning}: {said}.", "note")

@@ -1,31 +1,30 @@
-"""The tables of all reports: one builder for each, whoever shows them."""
+"""Numbers as people read them, and the rows and tables of all reports."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
-from calib_pin.estimation.evidence import Outlier
-from calib_pin.report.blocks import Cell, Column, Kind, Names, Table, columns
+from calib_pin.report.blocks import Block, Cell, Line, Names, Table, table
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.result import (
     CalibrationResult,
-    Candidate,
-    CoupledGroup,
     FoundDistance,
     ModelSelection,
     ParameterEstimate,
 )
 
-ESTIMATE = ("value", "std. dev.", "unit")
-"""Columns that can stand beside a parameter or a group."""
+UNIT = "unit|word"
+
+ESTIMATE = ("value", "std. dev.", UNIT)
+"""Columns of `estimate`."""
+
+SIZES = ("mean", "rms", "95 %", "max", UNIT)
+"""Columns of `sizes`."""
 
 DECIMALS = 4
 """Decimals of an estimate without a standard deviation."""
-
-SIZES = ("mean", "rms", "95 %", "max", "unit")
-"""Columns of an accuracy."""
 
 STATUS = {
     "identifiable": "identifiable",
@@ -70,27 +69,58 @@ def decimals(value: float, digits: int = 2) -> int:
     return digits - 1 - int(f"{abs(value):.{digits - 1}e}".partition("e")[2])
 
 
+def unit_of(unit: str) -> tuple[str, float]:
+    """Unit that people read, and the factor to it; an unknown one is left alone."""
+    return DISPLAY.get(unit, (unit, 1.0))
+
+
 def quantity(value: float, unit: str) -> Cell:
-    """A number in the unit in which people read it."""
-    return Cell(number(DISPLAY[unit][1] * value), value)
+    """A number in the unit in which people read it, a dash for NaN."""
+    if math.isnan(value):
+        return Cell("-")
+    return Cell(number(unit_of(unit)[1] * value), value)
 
 
 def amount(value: float, unit: str) -> str:
     """A number and the unit in which people read it, such as `0.1200 mm`."""
-    return f"{quantity(value, unit).text} {DISPLAY[unit][0]}"
+    return f"{number(unit_of(unit)[1] * value)} {unit_of(unit)[0]}"
 
 
-def sizes(
-    accuracy: Accuracy, unit: str, cell: Callable[[float, str], Cell] = quantity
-) -> tuple[Cell, ...]:
-    """The cells of `SIZES`, each by `cell`."""
-    found = (accuracy.mean, accuracy.rms, accuracy.p95, accuracy.max)
-    return (*(cell(value, unit) for value in found), Cell(DISPLAY[unit][0]))
+def measures(unit: str, *values: float) -> tuple[Cell, ...]:
+    """Cells of some numbers of one unit, and that of the unit."""
+    return (*(quantity(value, unit) for value in values), Cell(unit_of(unit)[0]))
 
 
-def known(value: float, unit: str) -> Cell:
-    """A number in the unit in which people read it, a dash for NaN."""
-    return Cell("-") if math.isnan(value) else quantity(value, unit)
+def sizes(accuracy: Accuracy, unit: str) -> tuple[Cell, ...]:
+    """The cells of `SIZES`."""
+    found = accuracy.mean, accuracy.rms, accuracy.p95, accuracy.max
+    return measures(unit, *found)
+
+
+def estimate(value: float, sigma: float | None, unit: str) -> tuple[Cell, ...]:
+    """The cells of `ESTIMATE`, both numbers to the place that is known."""
+    shown, factor = unit_of(unit)
+    deviation, places = Cell("-"), DECIMALS
+    if sigma is not None:
+        places = decimals(factor * sigma) if sigma else DECIMALS
+        deviation = Cell(significant(factor * sigma), sigma)
+    text = f"{round(factor * value, places):+.{max(places, 0)}f}"
+    # Zero has no sign.
+    return Cell(text if float(text) else text[1:], value), deviation, Cell(shown)
+
+
+def percent(part: float) -> str:
+    """Whole percents, but never all or nothing where it is not quite so."""
+    if 0.0 < part < 0.01:
+        return "< 1 %"
+    if 0.99 < part < 1.0:
+        return "> 99 %"
+    return f"{100 * part:.0f} %"
+
+
+def counted(count: int, noun: str) -> str:
+    """A number of things, such as `1 joint` and `2 joints`."""
+    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def accuracy_table(errors: Sequence[QuantityErrors], *, details: bool = True) -> Table:
@@ -109,97 +139,84 @@ def accuracy_table(errors: Sequence[QuantityErrors], *, details: bool = True) ->
         name = error.name
         for which, before, after in pairs:
             for robot, accuracy in (("nominal", before), ("calibrated", after)):
-                words = (Cell(name), Cell(which), Cell(robot))
-                rows.append((*words, *sizes(accuracy, error.unit)))
+                rows.append((name, which, robot, *sizes(accuracy, error.unit)))
                 name = which = ""
-    return Table("Accuracy", columns("", ("measurements", "robot", *SIZES)), rows)
+    return table("Accuracy", ("", "measurements|word", "robot|word", *SIZES), rows)
 
 
 def distance_table(distances: Sequence[FoundDistance]) -> Table:
     """Known distances beside those of the nominal and of the calibrated robot."""
     rows = [
         (
-            Cell(" - ".join(distance.between)),
-            Cell("fitted" if distance.fitted else "validation"),
+            " - ".join(distance.between),
+            "fitted" if distance.fitted else "validation",
             *(
                 Cell(f"{factor * value:.3f}", value)
                 for value in (distance.value, distance.nominal, distance.found)
             ),
-            Cell(unit),
+            unit,
         )
         for distance in distances
         for unit, factor in [DISPLAY[distance.unit]]
     ]
-    titles = ("measurements", "known", "nominal", "calibrated", "unit")
-    return Table("Known distances", columns("", titles), rows)
+    titles = ("", "measurements|word", "known", "nominal", "calibrated", UNIT)
+    return table("Known distances", titles, rows)
 
 
 LADDER = "Model selection: mean errors on held-out measurements"
 
+WHERE = {
+    "near": "near the fitted configurations",
+    "away": "away from the fitted configurations",
+    "both": "everywhere",
+}
+"""Meaning of each use of a model, see `ModelSelection.use`."""
 
-def ladder_table(ladder: ModelSelection) -> Table:
+
+def ladder(found: ModelSelection) -> Iterator[Block]:
     """The candidates of model selection with their errors on held-out measurements.
 
     Near the fitted configurations, and in regions of joint space that were held out
     whole.
     """
-    rungs = ladder.candidates
+    rungs = [rung for rung in found.candidates if not rung.reason]
     quantities = [
-        (name, unit) for name, unit, *_ in max((r.errors for r in rungs), key=len)
+        (e.name, e.unit) for e in max((r.errors for r in found.candidates), key=len)
     ]
     far = any(rung.away for rung in rungs)
     rows = []
-    for k, rung in enumerate(rungs):
-        away = dict.fromkeys((name for name, _ in quantities), Cell("-"))
-        near = dict(away)
-        near |= {name: quantity(mean, unit) for name, unit, mean, _ in rung.errors}
-        if rung.away is not None:
-            away |= {e.name: quantity(e.mean, e.unit) for e in rung.away.errors}
-        pairs = [(near[name], away[name]) if far else (near[name],) for name in near]
-        cells = [cell for pair in pairs for cell in pair]
-        remark = rung.reason or _remark(rung, kept=k == ladder.chosen)
-        rows.append((Cell(rung.name), *cells, Cell(remark)))
-    places = ("near", "away") if far else ("",)
+    for rung in rungs:
+        near = {e.name: quantity(e.mean, e.unit) for e in rung.errors}
+        errors = rung.away.errors if rung.away else ()
+        away = {e.name: quantity(e.mean, e.unit) for e in errors}
+        kept = rung is found.candidates[found.chosen]
+        remark = "" if rung.helps else "no significant gain"
+        rows.append(
+            (
+                rung.name,
+                *(
+                    part.get(name, "-")
+                    for name, _ in quantities
+                    for part in ((near, away) if far else (near,))
+                ),
+                "selected" if kept and rung.helps else remark,
+            )
+        )
     titles = [
         f"{name} {place} [{DISPLAY[unit][0]}]".replace("  ", " ")
         for name, unit in quantities
-        for place in places
+        for place in (("near", "away") if far else ("",))
     ]
-    return Table(
-        f"{LADDER}, near the fitted configurations and away" if far else LADDER,
-        columns("", (*titles, ""), {"": "remark"}),
-        rows,
-        emphasized=(ladder.chosen,),
-    )
-
-
-def _remark(rung: Candidate, *, kept: bool) -> str:
-    if not rung.helps:
-        return "no significant gain"
-    return "selected" if kept else ""
-
-
-def parameter_table(
-    parameters: Sequence[ParameterEstimate], shown: Sequence[str] = ESTIMATE
-) -> Table:
-    """Identifiable parameters, with some of the columns `ESTIMATE`."""
-    rows = [(Cell(p.name), *_estimate(p, shown)) for p in parameters]
-    return Table("Identifiable parameters", columns("", shown), rows)
-
-
-def group_table(
-    groups: Sequence[CoupledGroup], shown: Sequence[str] = ESTIMATE
-) -> Table:
-    """Coupled groups as formulae: only these combinations can be estimated."""
-    of = (Column("", "number"), *columns("combination" if shown else "", shown))
-    return Table(
-        "Identifiable linear combinations (coefficients in SI units)",
-        of,
-        [
-            (Cell(str(g.number)), Cell(g.expression), *_estimate(g, shown))
-            for g in groups
-        ],
-    )
+    chosen = [k for k, r in enumerate(rungs) if r is found.candidates[found.chosen]]
+    title = f"{LADDER}, near the fitted configurations and away" if far else LADDER
+    yield table(title, ("", *titles, "|remark"), rows, chosen)
+    yield Line(f"The model is for use {WHERE[found.use]}.", "note")
+    reasons: dict[str, list[str]] = {}
+    for rung in found.candidates:
+        if rung.reason:
+            reasons.setdefault(rung.reason, []).append(rung.name)
+    for reason, names in reasons.items():
+        yield Line(f"Not tried: {', '.join(names)}: {reason.rstrip('.')}.", "note")
 
 
 def parameter_overview(
@@ -212,76 +229,47 @@ def parameter_overview(
     """
     rows = []
     for p in parameters:
-        cells = list(_estimate(p, ESTIMATE))
+        value, *rest = estimate(p.value, p.sigma, p.unit)
         if p.status in ("fixed", "unidentifiable") or p.name in unknown:
-            cells[0] = Cell("-")
+            value = Cell("-")
         groups = ", ".join(map(str, p.groups))
-        rows.append((Cell(p.name), *cells, Cell(STATUS[p.status]), Cell(groups)))
-    titles = (*ESTIMATE, "status", "combinations")
-    kinds: dict[str, Kind] = {"combinations": "word"}
-    return Table("Parameters", columns("parameter", titles, kinds), rows)
+        rows.append((p.name, value, *rest, STATUS[p.status], groups))
+    titles = ("parameter", *ESTIMATE, "status|word", "combinations|word")
+    return table("Parameters", titles, rows)
 
 
-def outlier_table(result: CalibrationResult, most: int) -> Table:
-    """The worst outliers with their weights and errors."""
-    found, errors = result.statistics.outliers, result.fitted
-    kept = found[:most]
-    cells = [outlier_cells(row) for row in kept]
-    titles = ["normalized residual", "weight", "cause"]
-    for of in errors.quantities:
-        unit = DISPLAY[of.unit][0]
-        titles += [f"{of.name}, nominal [{unit}]", f"calibrated [{unit}]"]
-        for row, own in zip(kept, cells, strict=True):
-            sizes = [float(stage[row.row]) for stage in errors.sizes(of)]
-            own += [known(size, of.unit) for size in sizes]
-    return Table("Outliers", columns("measurement", titles, {"cause": "remark"}), cells)
+def outlier_table(result: CalibrationResult, most: int, *, errors: bool) -> Table:
+    """The worst outliers with their weights and causes.
 
-
-def outlier_cells(row: Outlier) -> list[Cell]:
-    """Place, normalized residual, weight and cause of an outlier."""
-    size, weight = Cell(f"{row.size:.1f}", row.size), significant(row.weight)
-    return [Cell(row.place), size, Cell(weight, row.weight), Cell(row.cause)]
-
-
-def _estimate(
-    item: ParameterEstimate | CoupledGroup, shown: Sequence[str]
-) -> Iterator[Cell]:
-    """The cells of a parameter or a group, of the columns in `shown`."""
-    unit, factor = DISPLAY.get(item.unit, (item.unit, 1.0))
-    pair = uncertain(item.value, item.sigma, factor)
-    cells = dict(zip(ESTIMATE, (*pair, Cell(unit)), strict=True))
-    return (cells[column] for column in shown)
-
-
-def uncertain(value: float, sigma: float | None, factor: float) -> tuple[Cell, Cell]:
-    """A signed value and its standard deviation, both to the place that is known.
-
-    They are in SI units, and shown times a factor.
+    Args:
+        result: The calibration.
+        most: How many are listed.
+        errors: Also their errors before and after.
     """
-    deviation, places = Cell("-"), DECIMALS
-    if sigma is not None:
-        places = decimals(factor * sigma) if sigma else DECIMALS
-        deviation = Cell(significant(factor * sigma), sigma)
-    return Cell(_signed(factor * value, places), value), deviation
-
-
-def _signed(value: float, places: int) -> str:
-    """A number with a sign, but for zero, and so many decimals."""
-    text = f"{round(value, places):+.{max(places, 0)}f}"
-    return text if float(text) else text[1:]
+    found, rows = result.statistics.outliers, result.fitted
+    caused = any(outlier.cause for outlier in found)
+    titles = ["measurement", "normalized residual", "weight"]
+    titles += ["cause|remark"] * caused
+    cells: list[list[Cell | str]] = []
+    for outlier in found[:most]:
+        size, weight = f"{outlier.size:.1f}", significant(outlier.weight)
+        pair = Cell(size, outlier.size), Cell(weight, outlier.weight)
+        cells.append([outlier.place, *pair, *[outlier.cause][:caused]])
+    for of in rows.quantities if errors else ():
+        titles += [f"{of.name}, nominal [{unit_of(of.unit)[0]}]"]
+        titles += [f"calibrated [{unit_of(of.unit)[0]}]"]
+        for outlier, own in zip(found, cells, strict=False):
+            errors_of = (float(size[outlier.row]) for size in rows.sizes(of))
+            own += measures(of.unit, *errors_of)[:2]
+    return table(f"Outliers ({len(found)} of {len(rows)})", titles, cells)
 
 
 def listed(meaning: str, names: Sequence[str]) -> Iterator[Names]:
-    """Names under a heading, if there are any."""
-    if names:
-        yield Names(f"{meaning}:", tuple(_compressed(names)))
-
-
-def _compressed(names: Sequence[str]) -> Iterator[str]:
-    """Names with the components of one owner and kind on one line."""
+    """Names under a heading, the components of one owner and kind on one line."""
     together: dict[str, list[str]] = {}
     for name in names:
         stem, component = name.rsplit(".", 1)
         together.setdefault(stem, []).append(component)
-    for stem, components in together.items():
-        yield f"{stem}.{'|'.join(components)}"
+    if together:
+        lines = (f"{stem}.{'|'.join(parts)}" for stem, parts in together.items())
+        yield Names(f"{meaning}:", tuple(lines))

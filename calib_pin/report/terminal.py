@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Iterable, Iterator, Sequence
 
-from rich import table as rich_table
+from rich.cells import cell_len
 from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
 from calib_pin.errors import printable
-from calib_pin.report.blocks import Block, Code, Line, Names, Table
+from calib_pin.report.blocks import Block, Code, Facts, Line, Names, Table, table
 
 WIDTH = 80
 """Columns of the report where it is not printed to a terminal."""
@@ -25,6 +26,12 @@ STYLES = {
 }
 
 INDENT = (0, 0, 0, 2)
+
+NARROW = 24
+"""Width of a column of names below which headings are rather broken."""
+
+WORDS, PARTS = re.compile(r"\s*\S+\s*"), re.compile(r"[^._/|-]*[._/|-]*")
+"""Words, and parts of a name between which a line may end."""
 
 
 def plain_text(blocks: Iterable[Block]) -> str:
@@ -59,42 +66,78 @@ def laid_out(blocks: Iterable[Block]) -> RenderableType:
 
 def _rendered(block: Block) -> Iterator[RenderableType]:
     if isinstance(block, Line):
-        line = _text(block.text, style=STYLES[block.tone])
+        line = Text(printable(block.text), STYLES[block.tone])
         yield Padding(line, INDENT) if block.indent else line
         return
     if block.title:
-        yield _text(block.title, style="bold")
+        yield Text(printable(block.title), "bold")
     if isinstance(block, Table):
-        yield _table(block)
+        yield from _lines(block, WIDTH)
     elif isinstance(block, Code):
         yield Padding(Text(printable(block.text), overflow="fold"), INDENT)
     elif isinstance(block, Names):
-        yield from (Padding(_text(entry), INDENT) for entry in block.entries)
-    else:
-        grid = rich_table.Table.grid(padding=(0, 2))
-        # A long path is broken; rich would cut it.
-        grid.add_column(overflow="fold")
-        grid.add_column(overflow="fold")
-        for name, words in block.entries:
-            grid.add_row(_text(f"  {name}"), _text(words))
-        yield grid
+        entries = table("", ("|remark",), [(entry,) for entry in block.entries])
+        yield from (Padding(line, INDENT) for line in _lines(entries, WIDTH - 2))
+    elif isinstance(block, Facts):
+        entries = table("", ("|word", "|remark"), block.entries)
+        yield from (Padding(line, INDENT) for line in _lines(entries, WIDTH - 2))
 
 
-def _text(words: str, style: str = "") -> Text:
-    """Text in which the names of users cannot steer the terminal."""
-    return Text(printable(words), style)
+def _lines(table: Table, room: int) -> Iterator[Text]:
+    """The rows of a table, with its headings if there are any."""
+    heads = [printable(column.title) for column in table.columns]
+    rows = [[printable(cell.text) for cell in row] for row in table.rows]
+    widths = _widths(table, heads, rows, room - 2 * (len(heads) - 1))
+    if any(heads):
+        yield from _row(table, heads, widths, "bold")
+    for k, row in enumerate(rows):
+        yield from _row(table, row, widths, "bold" if k in table.emphasized else "")
 
 
-def _table(table: Table) -> rich_table.Table:
-    result = rich_table.Table(box=None, pad_edge=False, show_header=table.headed)
-    for column in table.columns:
-        result.add_column(
-            _text(column.title),
-            justify="right" if column.kind == "number" else "left",
-            no_wrap=column.kind in ("word", "number"),
-            overflow="fold",
-        )
-    for k, row in enumerate(table.rows):
-        style = "bold" if k in table.emphasized else ""
-        result.add_row(*(_text(cell.text) for cell in row), style=style)
-    return result
+def _widths(
+    table: Table, heads: Sequence[str], rows: Sequence[Sequence[str]], room: int
+) -> list[int]:
+    """Widths of the columns: names and remarks are broken, and headings if need be."""
+    soft = [k for k, c in enumerate(table.columns) if c.kind in ("name", "remark")]
+    for least, parts in ((NARROW, lambda head: [head]), (1, str.split)):
+        widths = [
+            max(map(cell_len, (*parts(head), "", *(row[k] for row in rows))))
+            for k, head in enumerate(heads)
+        ]
+        while sum(widths) > room and any(widths[k] > least for k in soft):
+            widths[max(soft, key=widths.__getitem__)] -= 1
+        if sum(widths) <= room:
+            break
+    return widths
+
+
+def _row(
+    table: Table, cells: Sequence[str], widths: Sequence[int], style: str
+) -> Iterator[Text]:
+    """The lines of a row, whose cells may be broken."""
+    broken = [wrapped(text, width) for text, width in zip(cells, widths, strict=True)]
+    for k in range(max(map(len, broken), default=0)):
+        line = []
+        for of, width, column in zip(broken, widths, table.columns, strict=True):
+            part = of[k].rstrip() if k < len(of) else ""
+            room = " " * (width - cell_len(part))
+            line.append(room + part if column.kind == "number" else part + room)
+        yield Text("  ".join(line).rstrip(), style, no_wrap=True, overflow="ignore")
+
+
+def wrapped(text: str, width: int) -> list[str]:
+    """Lines of a text, broken between words; long ones at their joints, or anywhere.
+
+    Examples:
+        >>> wrapped("shoulder_lift_joint, elbow_joint", 16)
+        ['shoulder_lift_', 'joint, ', 'elbow_joint']
+    """
+    lines = [""]
+    for word in WORDS.findall(text):
+        whole = cell_len(word.rstrip()) <= width
+        for part in [word] if whole else PARTS.findall(word):
+            if cell_len(lines[-1] + part.rstrip()) <= width:
+                lines[-1] += part
+            else:
+                lines += [part[k : k + width] for k in range(0, len(part), width)]
+    return [line for line in lines if line.strip()] or [""]

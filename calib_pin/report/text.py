@@ -1,8 +1,9 @@
-"""The report of a calibration for a terminal."""
+"""The report of a calibration: its sections, and its short form for a terminal."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -10,28 +11,31 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.planning.plan import Plan
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.report.accuracy import (
+    KNOWN,
     accuracy,
     beyond,
     evaluated,
     moves,
-    opening,
+    recalibrated,
     subject,
+    taken,
 )
-from calib_pin.report.blocks import Block
-from calib_pin.report.breakdown import frames_told, parts
+from calib_pin.report.blocks import Block, Line
+from calib_pin.report.breakdown import parts, told
 from calib_pin.report.comparison import comparison_report
-from calib_pin.report.identification import identified, summary
+from calib_pin.report.identification import identified, in_full, summary
 from calib_pin.report.places import frame_blocks
 from calib_pin.report.plan_text import plan_report
-from calib_pin.report.recalibration import recalibrated
 from calib_pin.report.robot_errors import corrections, held, offsets, offsets_alone
-from calib_pin.report.tables import listed
+from calib_pin.report.tables import listed, outlier_table
 from calib_pin.report.terminal import plain_text
 from calib_pin.report.trust import (
+    FIRST,
     correlated,
     expected,
+    next_step,
     noise,
-    outliers,
+    opening,
     statistics,
 )
 from calib_pin.validation.comparison import Comparison
@@ -39,6 +43,9 @@ from calib_pin.validation.result import CalibrationResult, Evaluation, Identific
 
 LINES = 16
 """Lines of a report that are shown of it first."""
+
+LISTED = 5, 200
+"""Outliers and correlated pairs that a terminal and a page list."""
 
 
 @serial_blas
@@ -57,8 +64,7 @@ def format_report(result: CalibrationResult, *, details: bool = False) -> str:
         ...     calib_pin.robot_file("space7", "measurements.csv"), chain
         ... )
         >>> result = calib_pin.calibrate(chain, rows, setup)
-        >>> lines = calib_pin.format_report(result).splitlines()
-        >>> print(next(line for line in lines if line.startswith("GOOD")))
+        >>> print(calib_pin.format_report(result).splitlines()[0])
         GOOD: position error 0.0922 mm rms instead of 25.3 mm on 40 independent held-out
     """
     return plain_text(report(result, details=details))
@@ -84,46 +90,123 @@ def report(
     details: bool = False,
     formulae: bool = True,
 ) -> Iterator[Block]:
-    """Verdict, accuracy, what was set aside and found, frames, identifiability.
+    """Verdict, findings, accuracy, frames, identifiability, and what to do next.
 
     Args:
         result: The calibration.
         suggestions: Suggested measurements.
-        details: Also the statistics, and all errors of the robot.
+        details: All sections, instead of what a person sees first.
         formulae: With these also all parameters and combinations of them.
     """
-    before, said, behind = opening(result)
-    yield from (*before, said, *behind)
+    yield from opening(result, None if details else FIRST)
     yield subject(result)
-    yield from accuracy(result, details=details)
-    yield from recalibrated(result, details=details)
+    if details:
+        for section in sections(result, suggestions, LISTED[0]):
+            if section.key != "measured":
+                yield from section.blocks
+        if formulae:
+            yield from in_full(result, fitted=True)
+        yield from next_step(result)
+        return
+    yield from accuracy(result, details=False)
+    yield from recalibrated(result, details=False)
     yield from parts(result)
     alone = offsets_alone(result)
-    if details or not alone:
+    if not alone:
         yield from moves(result)
     yield from beyond(result)
-    yield from outliers(result)
-    if details:
-        yield from offsets(result, suggestions)
-        yield from expected(result)
-        yield from noise(result)
-        yield from statistics(result)
-    else:
-        yield from corrections(result)
-    yield from frame_blocks(result, lines=details)
-    if details:
-        yield from frames_told(result, details=True)
-        yield from identified(
-            result, fitted=True, suggestions=suggestions, details=formulae
-        )
-        yield from listed("at a bound", result.solver.at_bounds)
-        if formulae:
-            yield from correlated(result)
-        return
-    yield from frames_told(result)
+    yield from corrections(result)
+    yield from frame_blocks(result, lines=False)
+    yield from told(result, details=False)
     yield summary(result, () if alone else suggestions)
     if not alone:
-        yield from held(result.robot_errors)
+        yield from held(result.robot_errors, details=False)
     yield from listed("at a bound", result.solver.at_bounds)
-    # Last on the terminal: what is to be typed in.
+    # Last on the terminal: what is to be typed in, and what to do.
     yield from offsets(result, suggestions)
+    yield from next_step(result)
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a report: `key` and `title`, its blocks, and names of its figures."""
+
+    key: str
+    title: str
+    blocks: Sequence[Block]
+    figures: tuple[str, ...] = ()
+
+
+def sections(
+    result: CalibrationResult,
+    suggestions: Sequence[Suggestion] = (),
+    most: int = LISTED[1],
+) -> Iterator[Section]:
+    """All that is told of a calibration behind its verdict.
+
+    First what a customer takes home, then what a statistician asks for.
+
+    Args:
+        result: The calibration.
+        suggestions: Suggested measurements.
+        most: How many outliers are listed.
+    """
+    frames = [*offsets(result, suggestions), *frame_blocks(result)]
+    yield Section(
+        "frames",
+        "Tool, base, stations and cameras",
+        frames or [Line(KNOWN, "note")],
+    )
+    yield Section("measured", "Measurements", [taken(result)])
+    yield Section(
+        "findings",
+        "Outliers and findings",
+        [*_outliers(result, most)],
+        ("residuals-over-order",),
+    )
+    yield Section(
+        "accuracy",
+        "Accuracy",
+        [
+            *accuracy(result),
+            *recalibrated(result),
+            *parts(result),
+            *moves(result),
+            *expected(result),
+            *beyond(result),
+        ],
+        ("errors-per-measurement", "tip-accuracy-in-workspace"),
+    )
+    yield Section(
+        "identifiability",
+        "Identifiability",
+        [
+            *identified(result, fitted=True, suggestions=suggestions),
+            *told(result),
+            *(
+                names
+                for remedy in suggestions
+                for names in listed(
+                    f"identifiable if you {remedy.change}", remedy.parameters
+                )
+            ),
+            *correlated(result, most),
+        ],
+        ("tip-error-by-count",),
+    )
+    bounded = [*listed("at a bound", result.solver.at_bounds)]
+    yield Section("parameters", "Parameters", bounded)
+    yield Section(
+        "residuals",
+        "Noise and statistics",
+        [*noise(result), *statistics(result)],
+        ("residuals-by-joint",),
+    )
+
+
+def _outliers(result: CalibrationResult, most: int) -> Iterator[Block]:
+    count = len(result.statistics.outliers)
+    if count:
+        yield outlier_table(result, most, errors=most > LISTED[0])
+    if count > most:
+        yield Line(f"and {count - most} more in calibration.json", indent=True)

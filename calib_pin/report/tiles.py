@@ -8,10 +8,7 @@ from dataclasses import dataclass
 
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.report.blocks import Cell
-from calib_pin.report.tables import significant
-from calib_pin.report.trust import percent
-from calib_pin.units import DISPLAY
-from calib_pin.validation.accuracy import Accuracy
+from calib_pin.report.tables import percent, significant, unit_of
 from calib_pin.validation.result import CalibrationResult
 
 URDF, EVERYTHING = "the URDF alone", "with calib-pin compensate"
@@ -67,50 +64,46 @@ def tiles(result: CalibrationResult) -> Iterator[Tile]:
     """
     apart = result.urdf if result.verdict != "no-gain" else None
     alone = {} if apart is None else {e.name: e for e in apart.errors}
+    used = result.verdict == "good"
     for error in result.errors:
-        unit, factor = DISPLAY[error.unit]
-        held_out = error.validation_before and error.validation_after
-        before = error.validation_before if held_out else error.before
-        after = error.validation_after if held_out else error.after
-        assert before is not None and after is not None
-        used = result.verdict == "good"
-        steps = [_step("", before.mean, after.mean, factor, used=used)]
+        unit, factor = unit_of(error.unit)
+        which, before, after = "fitted", error.before, error.after
+        if error.validation_before and error.validation_after:
+            which = "held-out"
+            before, after = error.validation_before, error.validation_after
+        stages = [("", after)]
         if (urdf := alone.get(error.name)) is not None:
-            own = urdf.validation_after if held_out else urdf.after
-            sizes = [(URDF, own or urdf.after), (EVERYTHING, after)]
-            steps = [
-                _step(name, before.mean, size.mean, factor, used=used)
-                for name, size in sizes
-            ]
-        which = "held-out" if held_out else "fitted"
+            own = urdf.validation_after if which == "held-out" else None
+            stages = [(URDF, own or urdf.after), (EVERYTHING, after)]
+        p95, largest = (significant(factor * x) for x in (after.p95, after.max))
         yield Tile(
             label=f"mean {error.name} error of {which} measurements",
-            steps=tuple(steps),
+            steps=tuple(
+                _step(name, before.mean, stage.mean, error.unit, used=used)
+                for name, stage in stages
+            ),
             unit=unit,
-            remark=UNUSED.get(result.verdict) or _spread(after, factor, unit),
+            remark=UNUSED.get(result.verdict)
+            or f"95 % below {p95} {unit}, largest {largest} {unit}",
         )
     if result.verdict not in TRUSTED or result.verdict == "no-gain":
         return
-    unit, factor = DISPLAY["m"]
     for chain, tool in result.accuracies.items():
         if (found := tool.workspace) is not None:
-            several = len(result.accuracies) > 1
-            of = f" of {chain or 'the robot'}" if several else ""
+            of = f" of {chain or 'the robot'}" if len(result.accuracies) > 1 else ""
             yield Tile(
                 label=f"expected tool-point error{of} over the workspace, rms",
-                steps=(_step("", found.nominal[0], found.calibrated[0], factor),),
-                unit=unit,
+                steps=(_step("", found.nominal[0], found.calibrated[0], "m"),),
+                unit=unit_of("m")[0],
                 remark=f"better than nominal with probability {percent(found.better)}",
             )
 
 
 def _step(
-    name: str, before: float, after: float, factor: float, *, used: bool = True
+    name: str, before: float, after: float, unit: str, *, used: bool = True
 ) -> Step:
-    """Sizes in SI units, with two significant digits in that of the factor.
-
-    No change is told of a result that is not used.
-    """
+    """Sizes with two significant digits; no change is told of what is not used."""
+    factor = unit_of(unit)[1]
     first, last = (Cell(significant(factor * x), x) for x in (before, after))
     return Step(name, first, last, change(before, after) if used else "")
 
@@ -128,8 +121,3 @@ def change(before: float, after: float) -> str:
     if after > 0.0 and part < -99.0:
         return f"{max(math.ceil(10.0 * part) / 10.0, -99.9):.1f} %"
     return f"{round(part):+d} %"
-
-
-def _spread(found: Accuracy, factor: float, unit: str) -> str:
-    p95, largest = (significant(factor * size) for size in (found.p95, found.max))
-    return f"95 % below {p95} {unit}, largest {largest} {unit}"

@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import groupby
 
 from calib_pin.estimation.evidence import (
+    TRUSTED,
     ExpectedAccuracy,
     Finding,
     Severity,
-    VarianceComponent,
 )
 from calib_pin.io.setup import yaml_text
-from calib_pin.report.blocks import (
-    Block,
-    Cell,
-    Code,
-    Facts,
-    Line,
-    Names,
-    Table,
-    Tone,
-    columns,
-)
-from calib_pin.report.tables import number, outlier_cells, significant
+from calib_pin.report.blocks import Block, Cell, Code, Facts, Line, Names, Tone, table
+from calib_pin.report.tables import UNIT, counted, number, percent, significant, unit_of
 from calib_pin.setup import PopulationPrior
 from calib_pin.units import DISPLAY
 from calib_pin.validation.assessment import chi2_interval
@@ -32,26 +22,77 @@ from calib_pin.validation.findings.setup_lines import written
 from calib_pin.validation.result import CalibrationResult
 
 LISTED = 5
-"""Outliers that are listed before the rest is only counted."""
+"""Correlated pairs that are listed before the rest is only counted."""
+
+FIRST = 3
+"""Findings that stand below a verdict."""
 
 TONES: Mapping[Severity, Tone] = {"error": "bad", "warning": "strong", "info": "note"}
 """How a finding is shown, by its severity, the worst first."""
 
+NEXT = {
+    "unchecked": "measure more configurations: calib-pin plan --add N proposes them",
+    "untrusted": "check units, joint signs, and base and tip; then measure more or "
+    "other configurations (calib-pin plan --add N)",
+}
+"""Next steps where no finding has one, by the verdict."""
 
-def findings(found: Iterable[Finding], reason: str, of: str = "") -> Iterator[Block]:
+
+def opening(result: CalibrationResult, most: int | None = None) -> Iterator[Block]:
+    """The verdict, always first, and the findings; all of them without `most`."""
+    yield verdict(result)
+    yield from findings(result.findings, result.reason, most=most)
+
+
+def verdict(result: CalibrationResult) -> Line:
+    """The verdict and its reason; a finding among the reasons with its suggestion."""
+    reason = result.reason
+    for finding in result.findings:
+        if advised(finding) not in reason:
+            reason = reason.replace(finding.message, advised(finding))
+    return judged(below(reason, result.findings), result.verdict)
+
+
+def judged(reason: str, status: str = "untrusted") -> Line:
+    """A verdict as the line that comes first."""
+    name = status.replace("-", " ").upper()
+    said = f"{name}: {reason.rstrip('.')}."
+    return Line(said, "good" if status in TRUSTED else "bad")
+
+
+def next_step(result: CalibrationResult) -> Iterator[Line]:
+    """The next step with a result that must not be trusted."""
+    if result.verdict in TRUSTED:
+        return
+    ordered = _ordered(result.findings)
+    said = NEXT[result.verdict]
+    if any(finding.setup for finding in ordered):
+        said = "put the lines above into the setup file, and calibrate again"
+    elif remedies := [finding.remedy for finding in ordered if finding.remedy]:
+        said = remedies[0]
+    yield Line(f"Next: {said.rstrip('.')}.", "strong")
+
+
+def findings(
+    found: Iterable[Finding], reason: str, of: str = "", most: int | None = None
+) -> Iterator[Block]:
     """Findings, errors first, each with its remedy and its lines for the setup file.
 
     Args:
         found: The findings.
         reason: The reason of the verdict; a message that it holds is not repeated.
         of: The subject, where there are several.
+        most: How many are told; the rest is counted. None for all.
     """
-    ordered = sorted(found, key=lambda finding: [*TONES].index(finding.severity))
+    ordered = _ordered(found)
+    new = [finding for finding in ordered if finding.message not in reason]
+    later = [] if most is None else new[most:]
+    shown = [finding for finding in ordered if finding not in later]
     # Findings with the same lines follow from one explanation.
-    for setup, group in groupby(ordered, key=lambda finding: finding.setup):
+    for setup, group in groupby(shown, key=lambda finding: finding.setup):
         together = list(group)
         for finding in together:
-            if finding.message not in reason:
+            if finding in new:
                 name = f"{finding.severity.capitalize()}{of and f', {of}'}"
                 said = below(advised(finding), together)
                 yield Line(f"{name}: {said}.", TONES[finding.severity])
@@ -59,6 +100,13 @@ def findings(found: Iterable[Finding], reason: str, of: str = "") -> Iterator[Bl
             yield Code("Lines for the setup file", yaml_text(setup))
         for figure in dict.fromkeys(filter(None, (f.figure for f in together))):
             yield Line(f"Shown by the figure '{figure}'.", "note", figure=figure)
+    if later:
+        more = counted(len(later), "more finding")
+        yield Line(f"{more}: see the page, or --details.", "note")
+
+
+def _ordered(found: Iterable[Finding]) -> list[Finding]:
+    return sorted(found, key=lambda finding: [*TONES].index(finding.severity))
 
 
 def below(text: str, found: Iterable[Finding]) -> str:
@@ -98,8 +146,8 @@ def expected(result: CalibrationResult) -> Iterator[Block]:
         yield Line(said, "note")
         return
     rows = [row for where, accuracy in known for row in _accuracy(where, accuracy)]
-    titles = ("nominal", "calibrated", "95 %", "unmodeled", "unit", "better", "at")
-    yield Table("Expected tool-point error (rms)", columns("", titles), rows)
+    titles = ("nominal", "calibrated", "95 %", "unmodeled", UNIT, "better", "at")
+    yield table("Expected tool-point error (rms)", ("", *titles), rows)
     yield Line(
         "95 %: the calibrated robot stays below it in 95 of 100 cases. Unmodeled: the "
         "part that no parameter describes. Better: the probability that the calibrated "
@@ -109,26 +157,21 @@ def expected(result: CalibrationResult) -> Iterator[Block]:
     )
 
 
-def _accuracy(where: str, found: ExpectedAccuracy) -> Iterator[Sequence[Cell]]:
+def _accuracy(where: str, found: ExpectedAccuracy) -> Iterator[tuple[Cell | str, ...]]:
     shown = [Cell(percent(part), part) for part in (found.better, found.share)]
     stages = (found.nominal, found.calibrated, found.bound, found.unmodeled)
     for k, si in enumerate(("m", "rad")):
-        sizes = [stage[k] for stage in stages]
-        if not math.isfinite(sizes[0]):
-            continue
-        unit, factor = DISPLAY[si]
-        numbers = [Cell(significant(factor * size), size) for size in sizes]
-        yield Cell(where), *numbers, Cell(unit), *shown
-        where, shown = "", [Cell(""), Cell("")]
+        if math.isfinite(found.nominal[k]):
+            numbers = [_short(stage[k], si) for stage in stages]
+            yield where, *numbers, unit_of(si)[0], *shown
+            where, shown = "", [Cell("")] * 2
 
 
-def percent(part: float) -> str:
-    """Whole percents, but never all or nothing where it is not quite so."""
-    if 0.0 < part < 0.01:
-        return "< 1 %"
-    if 0.99 < part < 1.0:
-        return "> 99 %"
-    return f"{100 * part:.0f} %"
+def _short(size: float | None, unit: str) -> Cell:
+    """Two significant digits, a dash for what is not known."""
+    if size is None or math.isnan(size):
+        return Cell("-")
+    return Cell(significant(unit_of(unit)[1] * size), size)
 
 
 def noise(result: CalibrationResult) -> Iterator[Block]:
@@ -137,104 +180,58 @@ def noise(result: CalibrationResult) -> Iterator[Block]:
     if not found:
         return
     pure = any(part.pure is not None for part in found)
-    titles = ["given", "estimated", "95 % interval", *["repeats"][:pure]]
-    yield Table(
-        "Noise (1 sigma of a component)",
-        columns("", (*titles, "unmodeled", "unit")),
-        [_noise(part, pure) for part in found],
-    )
+    rows, said = [], []
     for part in found:
-        if said := _doubt(part):
-            yield Line(said, "note")
-
-
-def _noise(part: VarianceComponent, pure: bool) -> Sequence[Cell]:
-    known = math.isfinite(part.estimate)
-    given, estimate, repeats, unmodeled = (
-        Cell(_shown(size, part.unit), size)
-        for size in (
-            part.given,
-            part.estimate if known else None,
-            part.pure,
-            part.unmodeled,
+        low, high = (_short(end, part.unit).text for end in part.interval)
+        given, unmodeled = (_short(x, part.unit) for x in (part.given, part.unmodeled))
+        rows.append(
+            (
+                part.quantity,
+                Cell(
+                    f"{given.text} {'stated' if part.stated else 'assumed'}", part.given
+                ),
+                _short(part.estimate, part.unit),
+                f"{low} ... {high}" if math.isfinite(part.estimate) else "-",
+                *[_short(part.pure, part.unit)][:pure],
+                unmodeled,
+                unit_of(part.unit)[0],
+            )
         )
-    )
-    low, high = (_shown(end, part.unit) for end in part.interval)
-    by = "stated" if part.stated else "assumed"
-    return (
-        Cell(part.quantity),
-        Cell(f"{given.text} {by}", given.value),
-        estimate,
-        Cell(f"{low} ... {high}" if known else "-"),
-        *[repeats][:pure],
-        unmodeled,
-        Cell(DISPLAY[part.unit][0]),
-    )
-
-
-def _shown(size: float | None, unit: str) -> str:
-    if size is None:
-        return "-"
-    return significant(DISPLAY[unit][1] * size)
-
-
-def _doubt(part: VarianceComponent) -> str:
-    """Doubts about the given standard deviation, and their likely cause."""
-    unit = DISPLAY[part.unit][0]
-    parts = []
-    if part.unmodeled:
-        quiet = part.pure if part.pure is not None else part.given
-        sizes = [_shown(size, part.unit) for size in (quiet, part.unmodeled)]
-        parts.append(f"{sizes[0]} {unit} noise, {sizes[1]} {unit} unmodeled")
-    if part.lack_of_fit is not None and part.lack_of_fit < 0.05:
-        p = part.lack_of_fit
-        parts.append(
-            "lack of fit, configurations differ more than their repetitions (p "
-            f"{f'= {p:.3f}' if p >= 1e-3 else '< 0.001'})"
-        )
-    return f"{part.quantity}: {'; '.join(parts)}." if parts else ""
-
-
-def outliers(result: CalibrationResult) -> Iterator[Block]:
-    """Outliers with their weights, the worst of them by name."""
-    found = result.statistics.outliers
-    if not found:
-        return
-    caused = any(row.cause for row in found)
-    of = columns(
-        "", ("normalized residual", "weight", *["cause"][:caused]), {"cause": "remark"}
-    )
-    rows = [[*outlier_cells(row)][: 3 + caused] for row in found[:LISTED]]
-    yield Table(f"Outliers ({len(found)} of {len(result.fitted)})", of, rows)
-    if len(found) > LISTED:
-        yield Line(f"and {len(found) - LISTED} more in calibration.json", indent=True)
+        parts = []
+        if part.unmodeled:
+            quiet = _short(part.given if part.pure is None else part.pure, part.unit)
+            unit = unit_of(part.unit)[0]
+            parts = [f"{quiet.text} {unit} noise, {unmodeled.text} {unit} unmodeled"]
+        # Doubts about the given standard deviation, and their likely cause.
+        if part.lack_of_fit is not None and part.lack_of_fit < 0.05:
+            p = f"= {part.lack_of_fit:.3f}" if part.lack_of_fit >= 1e-3 else "< 0.001"
+            parts.append(
+                "lack of fit, configurations differ more than their repetitions (p "
+                f"{p})"
+            )
+        said += [Line(f"{part.quantity}: {'; '.join(parts)}.", "note")] if parts else []
+    titles = ["given", "estimated", "95 % interval", *["repeats"][:pure], "unmodeled"]
+    yield table("Noise (1 sigma of a component)", ("", *titles, UNIT), rows)
+    yield from said
 
 
 def statistics(result: CalibrationResult) -> Iterator[Block]:
     """Chi-square, and whether it confirms the standard deviations."""
-    learned = result.model.setup.learned is not None
-    sigmas = "stated" if result.statistics.stated_sigma else "assumed"
-    entries = [
-        (
-            "chi-square",
-            f"{number(result.statistics.chi2)} with {result.statistics.dof} dof",
-        )
-    ]
-    if result.statistics.dof > 0:
-        low, high = chi2_interval(result.statistics.dof)
+    found, setup = result.statistics, result.model.setup
+    entries = [("chi-square", f"{number(found.chi2)} with {found.dof} dof")]
+    if found.dof > 0:
+        low, high = chi2_interval(found.dof)
         where = "inside"
-        if not low <= result.statistics.chi2 <= high:
-            where = "below" if result.statistics.chi2 < low else "above"
+        if not low <= found.chi2 <= high:
+            where = "below" if found.chi2 < low else "above"
         interval = f"{number(low)} ... {number(high)}"
         entries.append(("", f"{where} its 95 % interval {interval}"))
-        entries.append(
-            ("sigma0", f"{number(result.statistics.sigma0)} times the {sigmas} sigma")
-        )
-    prior = result.model.setup.prior
-    if isinstance(prior, PopulationPrior):
-        entries.append(("prior", f"by {prior.robots} robots of this type"))
+        sigmas = "stated" if found.stated_sigma else "assumed"
+        entries.append(("sigma0", f"{number(found.sigma0)} times the {sigmas} sigma"))
+    if isinstance(setup.prior, PopulationPrior):
+        entries.append(("prior", f"by {setup.prior.robots} robots of this type"))
     title = "Statistics of the parameters, before what is learned"
-    yield Facts(title if learned else "Statistics", entries)
+    yield Facts(title if setup.learned is not None else "Statistics", entries)
 
 
 def correlated(result: CalibrationResult, most: int = LISTED) -> Iterator[Names]:

@@ -16,7 +16,7 @@ import calib_pin
 from benchmarks.timing import best, show, simulated
 from calib_pin.io.results import calibration_document
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
-from calib_pin.report.figures import calibration_figures
+from calib_pin.report.figures import drawn
 from calib_pin.report.html import html_report
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.result import CalibrationResult, Provenance
@@ -53,7 +53,7 @@ def page_of(result: CalibrationResult) -> bytes:
     return html_report(
         result,
         calibration_document(result, PROVENANCE),
-        figures=list(calibration_figures(result)),
+        figures=list(drawn("calibration", result)),
         suggestions=suggestions(chains, "pose", setup, result),
     )
 

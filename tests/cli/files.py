@@ -74,5 +74,5 @@ class Figure:
 
 def figures(result: Any, *_: object) -> list[Figure]:
     """Instead of those of a calibration; they tell results apart."""
-    names = [name for name in NAMES["calibration"] if name != "model-ladder"]
+    names = NAMES["calibration"]
     return [Figure(name, repr(result.statistics.chi2)) for name in names]

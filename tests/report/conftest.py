@@ -13,7 +13,7 @@ import pytest
 import calib_pin
 from calib_pin.estimation.evidence import Outlier
 from calib_pin.planning.plan import Plan
-from calib_pin.report.figures import calibration_figures, plan_figures
+from calib_pin.report.figures import drawn as draw_all
 from calib_pin.report.figures.canvas import Drawn, drawing
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.result import CalibrationResult
@@ -53,7 +53,7 @@ class Once(Drawn):
 @pytest.fixture(scope="session")
 def drawn(calibrated: CalibrationResult, planned: Plan) -> list[Drawn]:
     """All figures of both."""
-    found = (*calibration_figures(calibrated), *plan_figures(planned))
+    found = (*draw_all("calibration", calibrated), *draw_all("plan", planned))
     return [Once(**vars(figure)) for figure in found]
 
 

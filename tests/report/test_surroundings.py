@@ -58,13 +58,10 @@ def corners(shapes: tuple[Shape, ...]) -> np.ndarray:
     return np.concatenate([xyz @ T[:3, :3].T + T[:3, 3] for xyz, T in parts])
 
 
-def test_a_tracker_is_a_frame(around):
+def test_sites_stand_in_the_base_link(around):
     ((name, frame),) = around("position").items()
     assert (name, frame.link) == ("station base.frame", "base_link")
     np.testing.assert_allclose(frame.origin, in_base((0.0, 0.0, 0.0)), atol=1e-12)
-
-
-def test_sites_stand_in_the_base_link(around):
     xyz = (0.4, 0.3, 0.2)
     found = around("fixed-point", sockets={"a": PointSetup(xyz)})
     highest = corners(found["socket a"].shapes).max(axis=0)

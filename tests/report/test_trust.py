@@ -16,7 +16,6 @@ from calib_pin.estimation.evidence import (
     VarianceComponent,
 )
 from calib_pin.report.blocks import Line
-from calib_pin.report.tables import significant
 from calib_pin.report.text import format_report
 from calib_pin.report.trust import findings
 from calib_pin.validation.result import CalibrationResult
@@ -76,10 +75,10 @@ def words(result: CalibrationResult, **changes: Any) -> str:
     return " ".join(full_report(changed(result, **changes)).split())
 
 
-def test_urgent_findings_come_first(result):
+def test_the_verdict_comes_first_then_findings(result):
     (found,) = result.findings
     said = f"Warning: {found.message}; {found.remedy}."
-    assert words(result).startswith(f"{said} GOOD: ")
+    assert words(result).startswith(f"GOOD: . {said} space7: ")
     unused = words(result, verdict="no-gain", reason="0.1 mm", findings=())
     assert unused.startswith("NO GAIN: 0.1 mm. ")
     bad = words(result, verdict="untrusted", reason="it did not converge.")
@@ -89,6 +88,22 @@ def test_urgent_findings_come_first(result):
     # The reason says it once, and with what to do about it.
     text = words(result, verdict="untrusted", reason=found.message, outliers=())
     assert text.startswith(f"UNTRUSTED: {said[9:]}") and "Warning" not in text
+    assert text.endswith(f"Next: {found.remedy}.")
+
+
+def test_three_findings_and_how_many_more(result):
+    """Without details; of what is not to be trusted the last line says what to do."""
+    (found,) = result.findings
+    many = tuple(replace(found, message=f"fault {k}") for k in range(5))
+    text = format_report(changed(result, findings=many))
+    assert [f"fault {k}" in text for k in range(5)] == 3 * [True] + 2 * [False]
+    assert "2 more findings: see the page, or --details." in text
+    assert "Next: " not in text and "more finding" not in full_report(result)
+    lines = replace(found, setup={"tip": "tool0"})
+    for some, said in (((), "calib-pin plan"), ((lines,), "the lines above")):
+        bad = changed(result, findings=some, verdict="untrusted", reason="it is")
+        *_, last = format_report(bad).split("Next: ")
+        assert said in " ".join(last.split())
 
 
 def test_errors_come_first_with_lines_to_copy(result):
@@ -120,18 +135,14 @@ def test_two_accuracies(result):
     assert " ".join(cells[1][2:]) == "0.76 0.31 0.39 0.20 mm 100 % 100 %"
     assert " ".join(cells[3][3:]) == "2.5 0.31 0.39 0.20 mm > 99 % 93 %"
     assert cells[4] == ["0.18", "0.023", "0.029", "0.017", "deg"]
+    both = {"left": result.accuracy, "right": result.accuracy}
+    text = full_report(replace(result, accuracies=both))
+    assert all(f"{of}, workspace" in text for of in both)
+    assert max(map(len, text.splitlines())) <= 80
     none = words(result, measured=None, workspace=None)
     assert "Expected tool-point error" not in none
     as_it_is = words(result, verdict="no-gain")
     assert re.search(r"uncorrected: 0\.76 mm .*, 2\.5 mm over the workspace", as_it_is)
-
-
-def test_accuracies_of_chains(result):
-    both = {"left": result.accuracy, "right": result.accuracy}
-    text = full_report(replace(result, accuracies=both))
-    for chain in both:
-        assert f"{chain}, measured" in text and f"{chain}, workspace" in text
-    assert max(map(len, text.splitlines())) <= 80
 
 
 def test_noise(result):
@@ -157,14 +168,3 @@ def test_outliers(result):
     cells = [line.split() for line in lines[start + 1 : start + 5]]
     assert cells[1] == ["rows.csv:12", "180.2", "0", "target", "ball"]
     assert cells[3] == ["rows.csv:20", "5.2", "0.43"]
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        *((0.0123, "0.012"), (0.0996, "0.10"), (0.4321, "0.43"), (9.96, "10")),
-        *((123.4, "120"), (0.0, "0"), (float("inf"), "inf"), (-0.0567, "-0.057")),
-    ],
-)
-def test_significant_digits(value, text):
-    assert significant(value) == text

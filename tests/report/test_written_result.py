@@ -11,9 +11,9 @@ from calib_pin.cli.results import result_contents, result_files
 from calib_pin.io.measurement_errors import decode_errors, encode_errors
 from calib_pin.io.results import provenance, read_suggestions, read_written
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
-from calib_pin.report.figures import Drawn, calibration_figures
-from calib_pin.report.figures.cumulative import cumulative_errors
-from calib_pin.report.figures.measurement_errors import errors_per_measurement
+from calib_pin.report.figures import Drawn
+from calib_pin.report.figures import drawn as draw_all
+from calib_pin.report.figures.errors import cumulative_errors, errors_per_measurement
 from calib_pin.report.html import html_report
 from calib_pin.report.terminal import plain_text
 from calib_pin.report.text import report
@@ -39,7 +39,7 @@ def test_page_and_figures_from_files_are_the_same_bytes(
 
     def figures(of: CalibrationResult) -> list[Drawn]:
         if name in SLOW:
-            return [*calibration_figures(of)]
+            return [*draw_all("calibration", of)]
         return [draw(f, of) for f in (cumulative_errors, errors_per_measurement)]
 
     drawn = figures(result)

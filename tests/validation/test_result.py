@@ -26,7 +26,7 @@ def result() -> calib_pin.CalibrationResult:
 def test_figures_by_name(result) -> None:
     figures = result.figures()
     assert set(figures) < set(NAMES["calibration"])
-    assert {"errors-per-measurement", "parameter-intervals"} < set(figures)
+    assert {"errors-per-measurement", "residuals-by-joint"} < set(figures)
     assert all(isinstance(figure, Figure) for figure in figures.values())
 
 

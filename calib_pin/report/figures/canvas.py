@@ -1,117 +1,29 @@
-"""The canvas of all figures: style, colors, panels, and how they become bytes."""
+"""The canvas of all figures: style, colors, panels, axes, and how they become bytes."""
 
 from __future__ import annotations
 
+import base64
 import io
+import math
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from textwrap import fill
-from typing import Any
-from xml.etree import ElementTree
+from typing import Any, Literal
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.transforms import Affine2D, Transform
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
+from numpy.typing import NDArray
+from PIL import Image
 
-from calib_pin.report.figures.palettes import with_palette
-
-SVG = "http://www.w3.org/2000/svg"
-
-ROUNDED = re.compile(r"-?\d+\.\d{3,}")
-"""Coordinates with more than two decimals of a point."""
-
-REFERENCE = re.compile(r"url\(#")
-
-FONT = re.compile(r"(?P<before>[^;]*?)(?P<size>[\d.]+px)")
-"""The font in one word, as older versions write it: weight, size and family."""
-
-
-def inlined(svg: bytes, name: str, title: str, colors: Mapping[str, str]) -> str:
-    """The SVG that matplotlib writes, made part of an HTML page.
-
-    The page scales it and sets its font. Colors that have a name become variables of
-    the page, so that it can be light or dark.
-
-    Args:
-        svg: The file.
-        name: Prefix of its ids.
-        title: Text for screen readers.
-        colors: Names of colors by their hexadecimal code.
-    """
-    root = ElementTree.fromstring(svg)
-    for parent in [root, *root.iter(f"{{{SVG}}}defs")]:
-        for child in list(parent):
-            # A style sheet would hold for the whole page.
-            if _local(child.tag) in ("metadata", "style"):
-                parent.remove(child)
-    for element in root.iter():
-        element.tag = _local(element.tag)
-        element.attrib = dict(
-            _changed(_local(key), value, element.tag, name, colors)
-            for key, value in element.items()
-        )
-        element.tail = None
-        if element.tag != "text":
-            element.text = None
-    root.attrib = {
-        "xmlns": SVG,
-        "viewBox": root.attrib["viewBox"],
-        "role": "img",
-        "aria-label": title,
-        "style": "stroke-linejoin: round; stroke-linecap: butt",
-    }
-    heading = ElementTree.Element("title")
-    heading.text = title
-    root.insert(0, heading)
-    return ElementTree.tostring(root, encoding="unicode")
-
-
-def _local(name: str) -> str:
-    """A name without its namespace."""
-    return name.rpartition("}")[2]
-
-
-def _changed(
-    key: str, value: str, tag: str, name: str, colors: Mapping[str, str]
-) -> tuple[str, str]:
-    """An attribute as it stands in the page."""
-    if key == "id":
-        return key, f"{name}-{value}"
-    if key == "href":
-        embedded = with_palette(value.replace("\n", ""))
-        return key, f"#{name}-{value[1:]}" if value.startswith("#") else embedded
-    if key == "clip-path":
-        return key, REFERENCE.sub(f"url(#{name}-", value)
-    if key == "style":
-        return key, _style(value, colors)
-    if key in ("d", "transform", "x", "y") and tag != "image":
-        return key, ROUNDED.sub(_shorter, value).replace("\n", "")
-    return key, value
-
-
-def _style(value: str, colors: Mapping[str, str]) -> str:
-    """Declarations with the page's own font and colors."""
-    kept = []
-    for declaration in value.split("; "):
-        key, _, rest = declaration.partition(": ")
-        if key == "font-family":
-            continue
-        if key == "font" and (found := FONT.match(rest)):
-            key, rest = "font-size", found["size"]
-        for code, color in colors.items():
-            rest = rest.replace(code, f"var(--{color})")
-        kept.append(f"{key}: {rest}")
-    return "; ".join(kept)
-
-
-def _shorter(found: re.Match[str]) -> str:
-    return f"{float(found[0]):.2f}".rstrip("0").rstrip(".")
-
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Observations
 
 INK = "#1f2328"
 MUTED = "#646c75"
@@ -128,7 +40,9 @@ COLORS: Mapping[str, str] = {
     "before": BEFORE,
     "after": AFTER,
 }
-"""Colors on white by the name of the variable that stands for them in a page."""
+"""Colors on white; the style sheet of a page gives each another one in the dark."""
+
+STAGES = {"before (nominal robot)": BEFORE, "after (calibrated)": AFTER}
 
 GROUPS = (AFTER, "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
 """Colors of things side by side, of the palette of Okabe and Ito."""
@@ -136,16 +50,28 @@ GROUPS = (AFTER, "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
 OF_STATIONS = (GROUPS[0], *GROUPS[2:])
 """Colors of errors after by station; orange is that of errors before."""
 
-LINE = 100
-"""Letters in a line below a picture."""
+SCALE = "viridis"
+"""Color map of sizes."""
 
 WIDTH = 7.2
 """Width of every figure [inch]."""
 
+LINE = 100
+"""Letters in a line below a picture."""
+
+VECTORS = 200
+"""Points of one kind that are drawn as paths; more are an image."""
+
+DECADES = 18
+"""Decades below the largest value that a log axis shows at most."""
+
+LARGEST = 100
+"""Largest errors of every kind that are always drawn."""
+
 KINDS: Mapping[str, tuple[dict[str, Any], int]] = {
     "png": ({"Software": None}, 200),
     "pdf": ({"CreationDate": None}, 150),
-    "svg": ({"Date": None}, 200),
+    "svg": (dict.fromkeys(("Date", "Creator", "Format", "Type")), 200),
 }
 """Metadata and resolution of files, the latter that of what would be too many paths.
 
@@ -156,6 +82,7 @@ STYLE: dict[str, Any] = {
     "axes.axisbelow": True,
     "axes.edgecolor": MUTED,
     "axes.facecolor": "none",
+    "axes.formatter.limits": (-6, 7),
     "axes.formatter.useoffset": False,
     "axes.grid": True,
     "axes.labelcolor": INK,
@@ -185,6 +112,11 @@ STYLE: dict[str, Any] = {
     "ytick.color": MUTED,
     "ytick.labelcolor": INK,
 }
+
+NUMBERED = re.compile(r' id="[\w.]+_\d+"')
+"""Names of groups, which would be those of other figures of a page as well."""
+
+PNG = re.compile(r"(?<=data:image/png;base64,)[^\"]*")
 
 
 @contextmanager
@@ -217,29 +149,25 @@ class Drawn:
     figure: Figure
 
     def svg(self) -> str:
-        """Part of an HTML page whose style sheet has the variables `COLORS`."""
-        names = {color: name for name, color in COLORS.items()}
-        return inlined(self._saved("svg", "none"), self.name, self.title, names)
+        """Part of an HTML page, whose style sheet gives it font and colors."""
+        text = self._saved("svg", "none").decode()
+        text = PNG.sub(_with_palette, text[text.index("<svg") :])
+        return NUMBERED.sub("", text)
 
     def picture(self, kind: str) -> bytes:
         """A file of its own, one of `KINDS`, on white, with its heading and caption."""
-        with self.worded():
-            # Cut to what is there: the words stand outside of the figure.
-            return self._saved(kind, PAPER, bbox_inches="tight", pad_inches=0.12)
-
-    @contextmanager
-    def worded(self) -> Iterator[None]:
-        """The figure with its heading above and its caption below it."""
         figure, apart = self.figure, 0.12 / self.figure.get_figheight()
         with drawing():
-            title = figure.text(0.01, 1.0 + apart, self.title, va="bottom", size=11)
             below = fill(self.reading, LINE)
-            reading = figure.text(0.01, -apart, below, va="top", color=MUTED)
-        try:
-            yield
-        finally:
-            title.remove()
-            reading.remove()
+            words = [
+                figure.text(0.01, 1.0 + apart, self.title, va="bottom", size=11),
+                figure.text(0.01, -apart, below, va="top", color=MUTED),
+            ]
+            # Cut to what is there: the words stand outside of the figure.
+            found = self._saved(kind, PAPER, bbox_inches="tight", pad_inches=0.12)
+        for text in words:
+            text.remove()
+        return found
 
     def bare(self) -> bytes:
         """An SVG file without heading and caption, its letters as outlines.
@@ -260,13 +188,53 @@ class Drawn:
         return stream.getvalue()
 
 
-def panel(figure: Figure, left: float, top: float, width: float, height: float) -> Axes:
-    """Axes at a place that is measured from the upper left corner [inch]."""
-    across, down = figure.get_size_inches()
-    bottom = down - top - height
-    return figure.add_axes(
-        (left / across, bottom / down, width / across, height / down)
-    )
+def _with_palette(found: re.Match[str]) -> str:
+    """An image of few colors, which takes a third of the bytes."""
+    stream = io.BytesIO()
+    with Image.open(io.BytesIO(base64.b64decode(found[0]))) as picture:
+        few = picture.convert("RGBA").quantize(256, Image.Quantize.FASTOCTREE)
+        few.save(stream, format="png", optimize=True)
+    return base64.b64encode(stream.getvalue()).decode()
+
+
+# --- panels and axes ---------------------------------------------------------------
+
+
+def panels(
+    rows: int,
+    columns: int,
+    height: float,
+    *,
+    left: float = 0.75,
+    right: float = 0.2,
+    top: float = 0.5,
+    foot: float = 0.55,
+    gap: float = 0.75,
+    apart: float = 0.75,
+    **share: Any,
+) -> tuple[Figure, Any]:
+    """A figure with its axes, shape (rows, columns); all lengths in inches.
+
+    Args:
+        rows: Panels below each other.
+        columns: Panels side by side.
+        height: Height of a panel.
+        left: Room at the left, for the labels of the axis.
+        right: Room at the right.
+        top: Room for key and titles.
+        foot: Room for labels at the bottom.
+        gap: Distance of panels side by side.
+        apart: Distance of panels below each other.
+        **share: Whether they share axes, `sharex` and `sharey` of `Figure.subplots`.
+    """
+    whole = top + rows * height + (rows - 1) * apart + foot
+    width = (WIDTH - left - right - (columns - 1) * gap) / columns
+    figure = Figure(figsize=(WIDTH, whole))
+    places = {"wspace": gap / width, "hspace": apart / height}
+    places |= {"left": left / WIDTH, "right": 1.0 - right / WIDTH}
+    places |= {"bottom": foot / whole, "top": 1.0 - top / whole}
+    axes = figure.subplots(rows, columns, squeeze=False, gridspec_kw=places, **share)
+    return figure, axes
 
 
 def marks(
@@ -278,52 +246,119 @@ def marks(
     return {**style, "linestyle": "none"}
 
 
-def inches(figure: Figure) -> Transform:
-    """From inches, measured from the lower left corner of a figure, to its pixels.
-
-    A file is cut to what is there. Then the axes move with the figure, as this does
-    and `Figure.dpi_scale_trans` does not.
-    """
-    return Affine2D().scale(*(1.0 / figure.get_size_inches())) + figure.transFigure
+def points(axes: Axes, x: Any, y: Floats, style: Mapping[str, Any]) -> None:
+    """Marks at all places that are known; thousands of them are an image."""
+    known = np.isfinite(y)
+    axes.plot(x[known], y[known], **style, rasterized=bool(known.sum() > VECTORS))
 
 
-def note(figure: Figure, left: float, top: float, text: str, **more: Any) -> None:
-    """Text at a place that is measured from the upper left corner [inch]."""
-    place = (left, figure.get_figheight() - top)
-    figure.text(*place, text, transform=inches(figure), **more)
-
-
-def panels(
-    figure: Figure,
-    count: int,
-    top: float,
-    height: float,
-    *,
-    left: float = 0.75,
-    right: float = 0.15,
-    gap: float = 0.75,
-) -> list[Axes]:
-    """Axes of equal width side by side; all lengths in inches.
-
-    `left`, `top` and `right` are the distances from the edges of the figure.
-    """
-    width = (WIDTH - left - right - (count - 1) * gap) / count
-    return [
-        panel(figure, left + k * (width + gap), top, width, height)
-        for k in range(count)
-    ]
-
-
-def key(figure: Figure, entries: Mapping[str, Mapping[str, Any]], left: float) -> None:
-    """The legend, in one line at the upper edge, `left` inches from the left one.
-
-    The entries are properties of a `Line2D` by what it stands for.
-    """
+def key(figure: Figure, entries: Mapping[str, Mapping[str, Any]]) -> None:
+    """The legend, in one line at the upper edge; properties of a `Line2D` by name."""
     figure.legend(
         [Line2D([], [], **properties) for properties in entries.values()],
         list(entries),
         loc="upper left",
-        bbox_to_anchor=(left / WIDTH, 1.0 - 0.06 / figure.get_figheight()),
+        bbox_to_anchor=(0.04, 1.0 - 0.06 / figure.get_figheight()),
         ncols=len(entries),
-        columnspacing=1.6,
+        columnspacing=1.2,
     )
+
+
+def log_axis(axes: Axes, which: Literal["x", "y"], *values: Floats) -> bool:
+    """Make an axis logarithmic, with numbers as people write them.
+
+    Returns:
+        Whether any of the values is positive, or else there is no such axis.
+    """
+    found = np.concatenate([np.ravel(part) for part in values])
+    found = found[np.isfinite(found) & (found > 0.0)]
+    if found.size == 0:
+        return False
+    high = float(found.max())
+    low = max(float(found.min()), high * 10.0**-DECADES)
+    room = max((high / low) ** 0.06, 1.15)
+    axes.set(**{f"{which}scale": "log", f"{which}lim": (low / room, high * room)})
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    decades = math.log10(high / low * room**2)
+    axis.set_major_locator(
+        LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.5 else (1.0,), numticks=8)
+        if decades > 0.7
+        else MaxNLocator(5, steps=[1, 2, 5, 10])
+    )
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter("{x:g}")
+    return True
+
+
+# --- words and choices -------------------------------------------------------------
+
+
+def shortened(name: str, length: int = 40) -> str:
+    """A name of at most so many characters, shortened in the middle.
+
+    A character that does not print, breaks the line or turns the text direction is
+    replaced: not even all of it may stand in XML.
+
+    Examples:
+        >>> shortened("left_arm_shoulder_lift_joint.placement.rx", 20)
+        'left_arm_…acement.rx'
+    """
+    name = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name)
+    if len(name) <= length:
+        return name
+    end = length // 2
+    return f"{name[: length - end - 1]}…{name[-end:]}"
+
+
+def stations_of(rows: Observations) -> tuple[list[str], NDArray[np.intp]]:
+    """Names of the stations that colors tell apart, and that of each row, (N,).
+
+    One without a name where there is one, or more than there are colors.
+    """
+    names = [key.station for key in rows.keys]
+    distinct = list(dict.fromkeys(names))
+    if not 1 < len(distinct) <= len(OF_STATIONS):
+        return [""], np.zeros(len(rows), np.intp)
+    places = np.array([distinct.index(name) for name in names], np.intp)
+    return [name or "-" for name in distinct], places[rows.block_of]
+
+
+def thinned(
+    count: int, limit: int, sizes: Sequence[Floats], always: Sequence[int] = ()
+) -> NDArray[np.intp]:
+    """Positions of the measurements that are drawn, ascending, shape (M,).
+
+    Args:
+        count: Number N of measurements.
+        limit: Number that is drawn at most.
+        sizes: Sizes of errors, shape (N,) each, NaN where there is none; the largest
+            are drawn.
+        always: Positions that are drawn as well, the most important ones first; they
+            may take half of all.
+    """
+    if count <= limit:
+        return np.arange(count)
+    largest = min(LARGEST, max(1, limit // (4 * max(len(sizes), 1))))
+    parts = [np.asarray(always[: limit // 2], np.intp)]
+    for size in sizes:
+        filled = np.where(np.isnan(size), -np.inf, size)
+        parts.append(np.argpartition(filled, -largest)[-largest:])
+    kept = np.unique(np.concatenate(parts))
+    rest = np.setdiff1d(np.arange(count), kept)
+    evenly = np.linspace(0, len(rest) - 1, limit - len(kept)).round().astype(np.intp)
+    return np.sort(np.concatenate([kept, rest[evenly]]))
+
+
+def thinning(shown: int, count: int) -> str:
+    """A sentence where measurements are left out; empty where none is."""
+    if shown == count:
+        return ""
+    return f" {shown} of {count} measurements are drawn, including the largest errors."
+
+
+def top_of(sizes: Floats) -> float:
+    """End of the color scale: few large errors must not make all others look alike."""
+    finite = sizes[np.isfinite(sizes)]
+    high = float(np.quantile(finite, 0.97)) if finite.size else 0.0
+    most = float(finite.max(initial=0.0))
+    return max(most if most < 1.3 * high else high, 1e-12)

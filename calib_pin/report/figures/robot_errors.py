@@ -1,70 +1,78 @@
-"""The robot in three dimensions, with its errors before and after beside each other.
-
-Triangles and balls are drawn as an image, the farthest first. Text, ground and color
-scale are lines and letters like in all figures.
-"""
+"""The robot in three dimensions, with its errors before and after beside each other."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib import colormaps
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LightSource, Normalize
 from matplotlib.figure import Figure
 
-from calib_pin.kinematics.shapes import Shape
-from calib_pin.kinematics.skeleton import base_poses, drawn_link
+from calib_pin.kinematics.shapes import Color, Shape, simplified
+from calib_pin.kinematics.skeleton import (
+    Skeleton,
+    base_poses,
+    chain_links,
+    drawn_link,
+    floor_height,
+)
+from calib_pin.kinematics.skeleton import (
+    corners as corners_of,
+)
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.stand_ins import stand_ins
+from calib_pin.observations import Observations
 from calib_pin.report.figures.canvas import (
-    AFTER,
-    BEFORE,
-    GRID,
-    MUTED,
+    SCALE,
+    STAGES,
     WIDTH,
     Drawn,
-    note,
-    panel,
+    thinned,
+    thinning,
+    top_of,
 )
-from calib_pin.report.figures.labels import unit_of
-from calib_pin.report.figures.robot_scene import (
-    Scene,
-    View,
-    best_view,
-    draw,
-    scene_of,
-)
-from calib_pin.report.figures.strokes import thinned, thinning
-from calib_pin.report.figures.views import COLORS, LEVELS, color_bar
-from calib_pin.report.tables import significant
+from calib_pin.report.surroundings import surroundings, touched_by
+from calib_pin.report.tables import significant, unit_of
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
 
 POINTS = 700
 """Points that are drawn at most: more hide each other and the robot."""
 
-LEFT, GAP, TITLE, FOOT = 0.1, 0.2, 0.35, 0.62
-"""Margins, and room above and below both images [inch]."""
-
-DENSITY = 200
-"""Pixels of the image [1/inch]."""
-
-ROOM = (WIDTH - 2 * LEFT - GAP) / 2.0, 3.3
-"""Width and height of an image at most [inch]."""
-
-
-BESIDE = 17.0
-"""Distance of the names of axes from the last line of the grid [px]."""
-
-TRIANGLES = 1_500_000
-"""Triangles of a robot that are drawn in a few seconds; few robots have as many."""
+HEIGHT = 4.4
+"""Height of the figure [inch]."""
 
 SMALLEST, LARGEST = 0.006, 0.013
 """Radius of balls by the extent of the scene."""
+
+ROUND = np.exp(2j * np.pi * np.arange(11) / 10.0)
+"""Corners of a ball as it is seen."""
+
+ELEVATION, ASIDE, USUAL = 22.0, 40.0, -50.0
+"""Height of the eye; where it stands beside the points, or where these are all around
+the robot [deg]."""
+
+LAMP = 35.0, 50.0
+"""Where the light comes from: to the right of the eye, and up [deg]."""
+
+LIKELY = 12
+"""Configurations near the middle of all, of which one is drawn."""
+
+ROBOT: Color = (0.93, 0.92, 0.89)
+"""Of links whose color nobody states."""
+
+NEAR = 1.4
+"""Distance of things that are drawn, by the radius of robot and points."""
+
+FEW, DETAIL, COARSEST = 400, 200.0, 25.0
+"""Triangles up to which a surface stays as it is, cubes along the whole scene to which
+others are simplified, and longest edges along it."""
+
+XRAY = 0.35
+"""Opacity of a hidden ball."""
 
 
 class Measured(NamedTuple):
@@ -92,54 +100,73 @@ def robot_errors(
 
     Args:
         result: The result.
-        shapes: Shapes of the robot's links; simple solids where there are none, or
-            where these would take too long to draw.
+        shapes: Shapes of the robot's links; simple solids where there are none.
     """
     measured = _measured(result)
     if measured is None or not len(measured.points):
         return None
-    links = list(shapes)
-    if not 0 < sum(len(shape.surface.triangles) for shape in links) <= TRIANGLES:
-        links = stand_ins(result.model.chains.robot)
-    scene = scene_of(result, links, measured.points)
-    sizes = [measured.before, measured.after]
-    chosen = thinned(len(measured.points), POINTS, sizes)
-    points = measured.points[chosen]
-    radius = scene.extent * _size(points / scene.extent)
-    view = best_view(scene, points, radius, DENSITY * np.array(ROOM))
-    width, height = (k / DENSITY for k in view.size)
-    figure = Figure(figsize=(WIDTH, TITLE + height + FOOT))
+    links = list(shapes) or stand_ins(result.model.chains.robot)
+    low, high, triangles, colors = _scene(result, links, measured.points)
     unit, factor = unit_of(measured.unit)
-    high = _top(np.concatenate(sizes)) * factor
-    shades = colormaps[COLORS](np.linspace(0.0, 1.0, LEVELS))[:, :3]
-    *means, said = _means(result, measured)
-    stages = (("before", BEFORE, sizes[0]), ("after", AFTER, sizes[1]))
-    for k, (name, color, errors) in enumerate(stages):
-        left = LEFT + k * (ROOM[0] + GAP) + 0.5 * (ROOM[0] - width)
-        axes = panel(figure, left, TITLE, width, height)
-        _ground(axes, view, scene)
-        level = np.minimum(factor * errors[chosen] / high, 1.0) * (LEVELS - 1)
-        level = np.where(np.isfinite(level), level, LEVELS - 1).round().astype(int)
-        draw(axes, view, scene, points, radius, shades[level])
-        axes.set(xlim=(0, view.size[0]), ylim=(view.size[1], 0))
-        axes.set_axis_off()
-        label = f"{name}: {significant(factor * means[k])} {unit} {said}"
-        middle = LEFT + k * (ROOM[0] + GAP) + 0.5 * ROOM[0]
-        note(figure, middle, 0.2, label, ha="center", va="center", color=color)
-    clipped = (
-        ", more at the end" if factor * np.max(np.concatenate(sizes)) > high else ""
-    )
-    top = TITLE + height + 0.02
-    color_bar(figure, top, (0.0, high), f"{measured.name} error [{unit}]{clipped}")
+    sizes = [factor * measured.before, factor * measured.after]
+    chosen = thinned(len(measured.points), POINTS, sizes)
+    points, extent = measured.points[chosen], float((high - low).max())
+    azimuth = _azimuth(points, extent)
+    eye = LightSource(90.0 - azimuth, ELEVATION).direction
+    lamp = LightSource(90.0 - azimuth - LAMP[0], LAMP[1]).direction
+    apart = len(np.unique(np.round(points / (LARGEST * extent)), axis=0))
+    radius = extent * float(np.clip(0.17 / math.sqrt(apart), SMALLEST, LARGEST))
+    corners = np.concatenate([triangles, _balls(points, radius, eye)])
+    lit, top = _lit(triangles, colors, eye, lamp), top_of(np.concatenate(sizes))
+    scale = ScalarMappable(Normalize(0.0, top), SCALE)
+    figure = Figure(figsize=(WIDTH, HEIGHT))
+    for k, (name, color) in enumerate(STAGES.items()):
+        axes: Any = figure.add_axes((0.5 * k + 0.01, 0.23, 0.46, 0.7), projection="3d")
+        axes.view_init(ELEVATION, azimuth)
+        axes.set_box_aspect(high - low, zoom=1.08)
+        axes.set(**{f"{x}lim": ends for x, *ends in zip("xyz", low, high, strict=True)})
+        shades = scale.to_rgba(np.nan_to_num(sizes[k][chosen], posinf=1e300))
+        _draw(axes, corners, np.concatenate([lit, np.repeat(shades, 10, axis=0)]))
+        through = {"c": shades, "alpha": XRAY, "linewidths": 0.0, "depthshade": False}
+        axes.scatter(*points.T, s=7.0, zorder=3.0, **through)
+        said = f"{name.partition(' ')[0]}: {_mean(result, measured, k)}"
+        figure.text(0.25 + 0.5 * k, 0.95, said, ha="center", color=color)
+    clipped = ", more at the end" if np.concatenate(sizes).max() > top else ""
+    place = figure.add_axes((0.3, 0.11, 0.4, 0.022))
+    bar = figure.colorbar(scale, place, orientation="horizontal")
+    bar.set_label(f"{measured.name} error [{unit}]{clipped}")
     return Drawn(
         "robot-errors",
         "Errors of the robot before and after calibration",
         f"Every ball is a measured tool point; its color is the {measured.name} error "
         "there, on one scale for both. A ball behind the robot shines through. "
-        "The robot stands as in one of the measurements."
+        "The robot stands as in one of the measurements; axes in meters."
         + thinning(len(chosen), len(measured.points)),
         figure,
     )
+
+
+def _draw(axes: Any, corners: Floats, faces: Floats) -> None:
+    """Triangles (T, 3, 3) of some colors (T, 4), with axes around them."""
+    from mpl_toolkits.mplot3d.art3d import (  # type: ignore[import-untyped]
+        Poly3DCollection,
+    )
+
+    # Edges of the same color, or there were gaps between neighbors.
+    edges = np.where(faces[:, 3:] == 1.0, faces, 0.0)
+    style = {"facecolors": faces, "edgecolors": edges, "linewidths": 0.25}
+    axes.add_collection3d(Poly3DCollection(corners, **style), autolim=False)
+    axes.set_rasterization_zorder(math.inf)
+    axes.computed_zorder = False
+    for x, axis in zip("xy ", (axes.xaxis, axes.yaxis, axes.zaxis), strict=True):
+        axis.set_pane_color((0.0, 0.0, 0.0, 0.0))
+        axis.set_tick_params(labelsize=7, pad=0.0)
+        axis.set_label_text(x, fontsize=8)
+        axis.labelpad = -4.0
+        axis.get_major_locator().set_params(nbins=4)
+
+
+# --- what is measured --------------------------------------------------------------
 
 
 def _measured(result: CalibrationResult) -> Measured | None:
@@ -157,7 +184,8 @@ def _measured(result: CalibrationResult) -> Measured | None:
         sizes = [part.sizes(q) for q in part.quantities if q.unit == unit]
         if not sizes:
             continue
-        before, after = (_first([pair[k] for pair in sizes]) for k in (0, 1))
+        # Of several quantities a measurement may have one only.
+        before, after = np.fmax.reduce(np.asarray(sizes, float), axis=0)
         usable = np.isfinite(part.points).all(axis=1) & ~np.isnan(before)
         usable &= np.isfinite(after)
         points = _in_link(result, part, link)
@@ -171,35 +199,16 @@ def _measured(result: CalibrationResult) -> Measured | None:
     return Measured(points, before, after, unit, name)
 
 
-def _size(points: Floats) -> float:
-    """Radius of balls at points (N, 3), both by the extent of the scene."""
-    apart = len(np.unique(np.round(points / LARGEST), axis=0))
-    return float(np.clip(0.17 / math.sqrt(apart), SMALLEST, LARGEST))
-
-
-def _means(result: CalibrationResult, measured: Measured) -> tuple[float, float, str]:
-    """Mean errors before and after, those of the report, and what they are means of."""
-    for stated in result.errors:
-        if stated.name == measured.name and stated.validation_after is not None:
-            first = stated.validation_before or stated.before
-            return first.mean, stated.validation_after.mean, "on average"
-        if stated.name == measured.name:
-            return stated.before.mean, stated.after.mean, "where fitted"
-    before, after = (
-        float(np.mean(sizes[np.isfinite(sizes)]))
-        if np.isfinite(sizes).any()
-        else math.inf
-        for sizes in (measured.before, measured.after)
-    )
-    return before, after, "on average"
-
-
-def _first(sizes: Sequence[Floats]) -> Floats:
-    """The first size that each measurement has, shape (N,); NaN where it has none."""
-    found = sizes[0]
-    for other in sizes[1:]:
-        found = np.where(np.isnan(found), other, found)
-    return found
+def _mean(result: CalibrationResult, measured: Measured, stage: int) -> str:
+    """Mean error before or after, that of the report where it has one, in words."""
+    mean, said = float(np.mean((measured.before, measured.after)[stage])), "on average"
+    for error in result.errors:
+        if error.name == measured.name:
+            held_out = (error.validation_before, error.validation_after)[stage]
+            mean = (held_out or (error.before, error.after)[stage]).mean
+            said = "on average" if held_out else "where fitted"
+    unit, factor = unit_of(measured.unit)
+    return f"{significant(factor * mean)} {unit} {said}"
 
 
 def _in_link(result: CalibrationResult, part: MeasurementErrors, link: str) -> Floats:
@@ -211,36 +220,124 @@ def _in_link(result: CalibrationResult, part: MeasurementErrors, link: str) -> F
     return points
 
 
-def _top(sizes: Floats) -> float:
-    """End of the color scale: few large errors must not make all others look alike."""
-    finite = sizes[np.isfinite(sizes)]
-    high = float(np.quantile(finite, 0.97)) if finite.size else 0.0
-    most = float(finite.max(initial=0.0))
-    return max(most if most < 1.3 * high else high, 1e-12)
+# --- the scene ---------------------------------------------------------------------
 
 
-def _ground(axes: Axes, view: View, scene: Scene) -> None:
-    """A grid on the ground, and the axes x and y of the base link on it."""
-    step, low, high = scene.grid
-    lines = []
-    for k in (0, 1):
-        for value in np.arange(low[k], high[k] + 0.5 * step, step):
-            ends = np.full((2, 3), scene.floor)
-            ends[:, k], ends[:, 1 - k] = value, (low[1 - k], high[1 - k])
-            lines.append(view.project(ends)[0])
-    axes.add_collection(LineCollection(lines, colors=GRID, linewidths=0.6, zorder=1.0))
-    origin, _ = view.project(np.array([0.0, 0.0, scene.floor]))
-    for k, end in enumerate(scene.ends):
-        spot, _ = view.project(end)
-        axes.add_collection(
-            LineCollection([[origin, spot]], colors=MUTED, linewidths=0.9)
-        )
-        # Beside the last line of the grid, on which no letter can be read.
-        rim, _ = view.project(end + step * np.eye(3)[1 - k])
-        right, down = (rim - spot) / max(float(np.linalg.norm(rim - spot)), 1e-9)
-        beside = BESIDE * np.array([-down, right])
-        x, y = spot + math.copysign(1.0, beside @ (spot - origin)) * beside
-        name = f"{'' if end[k] > 0.0 else '-'}{'xy'[k]}"
-        axes.text(
-            x, y, name, color=MUTED, fontsize=8.0, ha="center", va="center_baseline"
-        )
+def _scene(
+    result: CalibrationResult, shapes: Sequence[Shape], points: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """The robot where it was measured, and what stands around it, on its ground.
+
+    Args:
+        result: The result.
+        shapes: Shapes of the robot's links.
+        points: Tool points in the drawn link, shape (N, 3) [m].
+
+    Returns:
+        The ends of all of it, (3,) each [m]; corners of triangles (T, 3, 3) [m], and
+        their red, green, blue and opacity from 0 to 1, (T, 4).
+    """
+    chains, rows = result.model.chains, result.fitted.rows
+    skeleton = Skeleton(chains.robot, drawn_link(chains))
+    q, measured = _typical(rows, skeleton), chain_links(chains)
+    T = dict(zip(skeleton.links, skeleton.placements(q), strict=True))
+    frame = corners_of(skeleton, shapes, q)
+    seen = np.concatenate([frame, points])
+    middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+    radius = float(np.linalg.norm(seen - middle, axis=1).max())
+    drawn = [(s, _muted(s.color or ROBOT, s.link in measured)) for s in shapes]
+    touched = touched_by(rows, result.fitted.points)
+    reach = float(np.ptp(frame, axis=0).max())
+    for thing in surroundings(result.model.terms, touched, reach):
+        place = T[thing.link][:3, :3] @ thing.origin + T[thing.link][:3, 3]
+        # A measurement frame is a place where nothing needs to be.
+        if thing.kind == "station" or np.linalg.norm(place - middle) > NEAR * radius:
+            continue
+        drawn += [(s, s.color or ROBOT) for s in thing.shapes]
+        seen = np.concatenate([seen, corners_of(skeleton, thing.shapes, q)])
+    parts = [_triangles(s, T[s.link], 2.0 * radius) for s, _ in drawn]
+    colors = [
+        np.tile([*color, s.opacity], (len(part), 1))
+        for (s, color), part in zip(drawn, parts, strict=True)
+    ]
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    low[2] = min(low[2], floor_height(skeleton, shapes))
+    return low, high, np.concatenate(parts), np.concatenate(colors)
+
+
+def _typical(rows: Observations, skeleton: Skeleton) -> Floats:
+    """Positions (K,) of the skeleton's joints in a measurement that shows the robot.
+
+    Of those nearest to the middle of all, the one that stretches it most.
+    """
+    away = np.abs(rows.q - np.median(rows.q, axis=0))
+    scale = np.maximum(away.mean(axis=0), 1e-9)
+    nearest = np.argsort((away / scale).sum(axis=1), kind="stable")
+    likely = np.tile(skeleton.neutral, (min(LIKELY, len(rows) // 4 + 1), 1))
+    for k, joint in enumerate(rows.joints):
+        if joint in skeleton.joints:
+            likely[:, skeleton.joints.index(joint)] = rows.q[nearest[: len(likely)], k]
+    sizes = [np.ptp(skeleton.placements(q)[:, :3, 3], axis=0).sum() for q in likely]
+    return np.asarray(likely[int(np.round(sizes, 9).argmax())])
+
+
+def _triangles(shape: Shape, T: Floats, extent: float) -> Floats:
+    """Corners (T, 3, 3) [m] of a shape's triangles, neither too many nor too large.
+
+    What is nearer hides what is farther, triangle by triangle: a large one is near and
+    far at once.
+    """
+    surface, pose = shape.surface, T @ shape.placement
+    if len(surface.triangles) > FEW:
+        surface = simplified(surface, extent / DETAIL)
+    found = (surface.vertices @ pose[:3, :3].T + pose[:3, 3])[surface.triangles]
+    while True:
+        edges = np.linalg.norm(found - np.roll(found, -1, axis=1), axis=2)
+        large = edges.max(axis=1) > extent / COARSEST
+        if not large.any():
+            return np.asarray(found)
+        first, which = edges[large].argmax(axis=1), np.arange(int(large.sum()))
+        a, b, c = (found[large][which, (first + k) % 3] for k in range(3))
+        middle = 0.5 * (a + b)
+        halves = [np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)]
+        found = np.concatenate([found[~large], *halves])
+
+
+def _muted(color: Color, measured: bool) -> Color:
+    """A color of a link that leaves the strong ones to the errors."""
+    gray = float(np.dot((0.3, 0.59, 0.11), color))
+    strength, white = (0.45, 0.12) if measured else (0.15, 0.62)
+    mixed = (gray + strength * (part - gray) for part in color)
+    r, g, b = (white + (1.0 - white) * part for part in mixed)
+    return r, g, b
+
+
+def _azimuth(points: Floats, extent: float) -> float:
+    """From where points (N, 3) stand before a robot at the origin [deg]."""
+    x, y, _ = points.mean(axis=0)
+    if math.hypot(x, y) < 0.1 * extent:
+        return USUAL
+    return math.degrees(math.atan2(y, x)) - ASIDE
+
+
+def _balls(points: Floats, radius: float, eye: Floats) -> Floats:
+    """Triangles (10 N, 3, 3) [m] of discs at (N, 3) that face the eye."""
+    right = np.cross([0.0, 0.0, 1.0], eye)
+    right /= np.linalg.norm(right)
+    rim = np.outer(ROUND.real, right) + np.outer(ROUND.imag, np.cross(eye, right))
+    fan = radius * np.stack([np.zeros((10, 3)), rim[:-1], rim[1:]], axis=1)
+    return ((points + radius * eye)[:, None, None] + fan).reshape(-1, 3, 3)
+
+
+def _lit(triangles: Floats, colors: Floats, eye: Floats, lamp: Floats) -> Floats:
+    """Colors (T, 4) of triangles in the light; rims are darker."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    # Some meshes are inside out: what is seen is the side that faces the eye.
+    facing = normals @ eye
+    normals = np.where(facing[:, None] < 0.0, -normals, normals)
+    bright = 0.62 + 0.43 * np.clip(normals @ lamp, 0.0, 1.0)
+    lit = colors.copy()
+    lit[:, :3] *= (bright * (0.75 + 0.25 * np.abs(facing)))[:, None]
+    return np.clip(lit, 0.0, 1.0)

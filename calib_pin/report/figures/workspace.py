@@ -1,141 +1,62 @@
-"""Errors and their prediction over the workspace, as arrows or as colors."""
+"""Predictions over the workspace, and plans: by count, and from three sides."""
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.canvas import (
     AFTER,
     BEFORE,
     INK,
     MUTED,
-    WIDTH,
+    SCALE,
+    VECTORS,
     Drawn,
-    inches,
     key,
+    log_axis,
     marks,
-    note,
     panels,
+    top_of,
 )
-from calib_pin.report.figures.labels import log_axis, log_limits, plain, unit_of
-from calib_pin.report.figures.strokes import arrows, thinned, thinning
-from calib_pin.report.figures.views import FOOT, LEFT, SCALE, SIDES, Sides, colored
-from calib_pin.report.tables import number
+from calib_pin.report.tables import number, unit_of
 from calib_pin.validation.assessment import chi2_interval
-from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.tip_drift import TipDrift
 
-ARROWS = 300
-"""Arrows of one kind: more hide each other."""
-
-POINTS = 5000
-"""Points that are drawn at most."""
-
-LENGTH = 0.3
-"""Length of a long arrow [inch]."""
-
-TITLE = 0.4
-"""Height of a title above views [inch]."""
-
-STAGES = {"before (nominal robot)": BEFORE, "after (calibrated)": AFTER}
+SIDES = ((0, 1), (0, 2), (1, 2))
+"""Axes of the base link to the right and upwards, of every view."""
 
 
-def error_vectors(result: CalibrationResult) -> Drawn | None:
-    """Errors of the fitted measurements at the tool positions, from three sides."""
-    vectors = result.fitted.displacements
-    if vectors is None:
-        return _sizes(result.fitted)
-    usable = np.isfinite(np.column_stack(vectors)).all(axis=1)
-    usable &= result.fitted.rows.weight > 0.0
-    if not usable.any():
-        return None
-    lengths = [np.linalg.norm(part[usable], axis=1) for part in vectors]
-    drawn = np.flatnonzero(usable)[thinned(int(usable.sum()), ARROWS, lengths)]
-    points = result.fitted.points[drawn]
-    views = Sides.of(points)
-    factor = magnification(np.concatenate(lengths), views.scale)
-
-    block = TITLE + views.height + FOOT
-    figure = Figure(figsize=(WIDTH, 2 * block + 0.05))
-    for k, ((title, color), part) in enumerate(
-        zip(STAGES.items(), vectors, strict=True)
-    ):
-        row = views.axes(figure, k * block + TITLE)
-        ends = points + factor * part[drawn]
-        for axes, side in zip(row, SIDES, strict=True):
-            ways = points[:, side], ends[:, side]
-            axes.add_artist(arrows(*ways, color, views.scale))
-        note(figure, LEFT, k * block + 0.25, title)
-    _scale_arrow(figure, views.scale, factor)
-    means = " and ".join(number(1e3 * size.mean()) for size in lengths)
-    return Drawn(
-        "error-vectors",
-        "Position errors in the workspace",
-        f"Arrows lead from the tool point to where the error takes it, magnified "
-        f"{factor:g} times; mean length {means} mm before and after. Arrows that "
-        "agree with their neighbors show errors of the robot; random ones are noise."
-        + thinning(len(drawn), len(lengths[0])),
-        figure,
-    )
-
-
-def magnification(lengths: Floats, scale: float) -> float:
-    """A round factor that makes most arrows short enough and the long ones seen.
-
-    The lengths (N,) are in meters, the scale is in inches per meter.
-    """
-    longest = float(np.quantile(lengths, 0.95))
-    return _round_down(LENGTH / (scale * longest)) if longest > 0.0 else 1.0
-
-
-def _round_down(value: float) -> float:
-    """The largest of 1, 2, 5, 10, ... that is not larger."""
-    power = 10.0 ** math.floor(math.log10(value))
-    return float(max(k * power for k in (1.0, 2.0, 5.0) if k * power <= value))
-
-
-def _scale_arrow(figure: Figure, scale: float, factor: float) -> None:
-    """An arrow of known length at the upper right corner."""
-    length = _round_down(0.6 / (scale * factor))
-    shown = factor * length * scale
-    start = np.array([[WIDTH - 0.2 - shown, figure.get_figheight() - 0.2]])
-    arrow = arrows(start, start + np.array([shown, 0.0]), INK, 1.0)
-    arrow.set_transform(inches(figure))
-    figure.add_artist(arrow)
-    told = f"error of {plain(1e3 * length)} mm, magnified {plain(factor)} times"
-    note(figure, WIDTH - 0.28 - shown, 0.2, told, ha="right", va="center")
-
-
-def _sizes(rows: MeasurementErrors) -> Drawn | None:
-    """Where no position is measured: points colored by the remaining error."""
-    rated = [(q, rows.sizes(q)[1]) for q in rows.quantities]
-    rated = [(q, sizes) for q, sizes in rated if not np.isnan(sizes).all()]
-    if not rated:
-        return None
-    views = Sides.of(rows.points)
-    block = views.height + FOOT + SCALE
-    figure = Figure(figsize=(WIDTH, 0.1 + block * len(rated)))
-    note = ""
-    for k, (quantity, sizes) in enumerate(rated):
-        unit, factor = unit_of(quantity.unit)
-        own = np.flatnonzero(~np.isnan(sizes))
-        drawn = own[thinned(len(own), POINTS, [sizes[own]])]
-        values, label = factor * sizes[drawn], f"{quantity.name} error [{unit}]"
-        colored(figure, 0.1 + k * block, views, rows.points[drawn], values, label)
-        note = note or thinning(len(drawn), len(own))
-    return Drawn(
-        "errors-in-workspace",
-        "Errors in the workspace",
-        "Tool positions from three sides; the color is the error that remains after "
-        f"calibration. Regions of one color hint at unmodeled errors.{note}",
-        figure,
-    )
+def views(points: Floats, values: Floats, label: str) -> tuple[Figure, Any]:
+    """Points (N, 3) [m] of the base link from three sides, colored by values (N,)."""
+    figure, (axes,) = panels(1, 3, 1.9, top=0.15, foot=1.2, gap=0.7)
+    high = top_of(values)
+    order = np.argsort(values)  # The largest come last and hide the others.
+    size = float(np.clip(60.0 / np.sqrt(len(points)), 2.5, 5.0)) ** 2
+    for view, (right, up) in zip(axes, SIDES, strict=True):
+        drawn = view.scatter(
+            *(points[order, right], points[order, up], size, values[order]),
+            cmap=SCALE,
+            vmin=float(values.min()),
+            vmax=high,
+            linewidths=0.0,
+            rasterized=len(points) > VECTORS,
+        )
+        view.set_aspect("equal", "datalim")
+        view.set_xlabel(f"{'xyz'[right]} [m]")
+        view.set_ylabel(f"{'xyz'[up]} [m]", labelpad=1.0)
+        view.locator_params(nbins=5)
+    place = (0.35, 0.5 / figure.get_figheight(), 0.5, 0.04)
+    scale = figure.colorbar(drawn, figure.add_axes(place), orientation="horizontal")
+    scale.outline.set_visible(False)
+    scale.set_label(f"{label}{', more at the end' if values.max() > high else ''}")
+    return figure, axes
 
 
 def tip_by_count(result: CalibrationResult) -> Drawn | None:
@@ -147,11 +68,9 @@ def tip_by_count(result: CalibrationResult) -> Drawn | None:
     counts, errors = tip.by_count.curve
     usable = np.isfinite(errors) & (errors > 0.0)
     counts, errors = counts[usable], factor * errors[usable]
-    limits, ends = log_limits(errors), log_limits(counts)
-    if len(counts) < 2 or limits is None or ends is None:
+    if len(counts) < 2:
         return None
-    figure = Figure(figsize=(WIDTH, 3.1))
-    (axes,) = panels(figure, 1, 0.45, 2.15, left=0.75)
+    figure, ((axes,),) = panels(1, 1, 2.15)
     falling = errors[-1] * np.sqrt(counts[-1] / counts)
     last = f"{counts[-1]:.0f} measured: {number(errors[-1])} {unit}"
     signs: dict[str, dict[str, Any]] = {
@@ -162,11 +81,11 @@ def tip_by_count(result: CalibrationResult) -> Drawn | None:
     curves = (counts, falling), (counts, errors), (counts[-1:], errors[-1:])
     for curve, style in zip(curves, signs.values(), strict=True):
         axes.plot(*curve, **style)
-    log_axis(axes, "x", ends)
-    log_axis(axes, "y", limits)
+    log_axis(axes, "x", counts)
+    log_axis(axes, "y", errors)
     axes.set_xlabel("number of measurements")
     axes.set_ylabel(f"tool-point uncertainty [{unit}]")
-    key(figure, signs, 0.75)
+    key(figure, signs)
     return Drawn(
         "tip-error-by-count",
         "Accuracy against number of measurements",
@@ -184,60 +103,136 @@ def tip_in_workspace(result: CalibrationResult) -> Drawn | None:
     tip = result.accuracy.tip
     if tip is None or len(tip.points) == 0 or not np.isfinite(tip.position).all():
         return None
-    figure, words = _over_workspace(tip.points, tip.position, "uncertainty", ", rms")
-    return Drawn(
-        "tip-accuracy-in-workspace",
-        "Tool-point accuracy over the workspace",
-        f"Predicted tool-point uncertainty (1 sigma) {words}, in the frame of the "
-        f"instrument. {_left_out(result)}",
-        figure,
-    )
-
-
-def _left_out(result: CalibrationResult) -> str:
-    """The limits of the prediction, as a sentence."""
     said = "Of unmodeled errors it has what they do to the fit, not what they add"
     if weak := result.identifiability.weak:
         said += f"; it excludes the {weak} directions held at nominal"
-    if (
-        result.statistics.stated_sigma
-        and result.statistics.chi2 > chi2_interval(result.statistics.dof)[1]
-    ):
+    found = result.statistics
+    if found.stated_sigma and found.chi2 > chi2_interval(found.dof)[1]:
         said += (
-            f"; it holds for the stated sigma, while the measurements scatter "
-            f"{number(result.statistics.sigma0)} times as much"
+            "; it holds for the stated sigma, while the measurements scatter "
+            f"{number(found.sigma0)} times as much"
         )
-    return f"{said}."
+    unit, factor = unit_of("m")
+    label = f"uncertainty [{unit}], rms"
+    figure, _ = views(tip.points, factor * tip.position, label)
+    return Drawn(
+        "tip-accuracy-in-workspace",
+        "Tool-point accuracy over the workspace",
+        f"Predicted tool-point uncertainty (1 sigma) "
+        f"{_spread(tip.points, tip.position)}, in the frame of the instrument. {said}.",
+        figure,
+    )
 
 
 def drift_in_workspace(drift: TipDrift) -> Drawn:
     """The distance of the tool points of two calibrations, from three sides."""
-    figure, words = _over_workspace(drift.points, drift.drift, "distance", "")
+    unit, factor = unit_of("m")
+    figure, _ = views(drift.points, factor * drift.drift, f"distance [{unit}]")
     return Drawn(
         "tip-drift",
         "Distance of the tool points over the workspace",
-        f"Distance of the tool points of both calibrations {words}. Displacements of "
-        "estimated frames are removed by a fit.",
+        f"Distance of the tool points of both calibrations "
+        f"{_spread(drift.points, drift.drift)}. Displacements of estimated frames are "
+        "removed by a fit.",
         figure,
     )
 
 
-def _over_workspace(
-    points: Floats, sizes: Floats, name: str, kind: str
-) -> tuple[Figure, str]:
-    """Tool points (N, 3) [m] colored by a length (N,) [m], and that in words.
-
-    The kind is that of the mean, after the unit.
-    """
+def _spread(points: Floats, sizes: Floats) -> str:
+    """Lengths (N,) [m] at tool points (N, 3) [m] in words."""
     unit, factor = unit_of("m")
-    views = Sides.of(points)
-    figure = Figure(figsize=(WIDTH, 0.1 + views.height + FOOT + SCALE))
     values = factor * sizes
-    colored(figure, 0.1, views, points, values, f"{name} [{unit}]{kind}")
     place = ", ".join(f"{value:.2f}" for value in points[int(values.argmax())])
     rms = float(np.sqrt(np.mean(values**2)))
-    return figure, (
+    return (
         f"at {len(values)} random configurations: rms {number(rms)} {unit}, from "
         f"{number(values.min())} to {number(values.max())} {unit}, the largest at "
         f"({place}) m"
     )
+
+
+SMALL = ("condition", "prediction")
+"""Criteria that are to be small."""
+
+
+def criterion_by_count(plan: Plan) -> Drawn | None:
+    """The criterion and the tool-point uncertainty by number of configurations."""
+    unit, factor = unit_of("m")
+    name, of_unit, scale = plan.criterion, "", 1.0
+    position = factor * np.array([step.position for step in plan.steps])
+    curves = [(f"tool-point uncertainty [{unit}]", position, np.nan)]
+    if plan.criterion == "prediction":
+        name, of_unit, scale = "tool-point uncertainty", f" {unit}", factor
+        curves = [(curves[0][0], position, factor * plan.random)]
+    else:
+        values = np.array([step.value for step in plan.steps])
+        curves.insert(0, (plan.criterion, values, plan.random))
+    curves = [curve for curve in curves if (curve[1] > 0.0).any()]
+    if len(plan.steps) < 2 or not curves:
+        return None
+    figure, (row,) = panels(1, len(curves), 2.1, top=0.15, gap=0.85)
+    counts = np.array([step.count for step in plan.steps], float)
+    for axes, curve in zip(row, curves, strict=True):
+        _curve(axes, counts, *curve, len(plan.q))
+    size = "smaller" if plan.criterion in SMALL else "larger"
+    own, random = (number(scale * value) for value in (plan.value, plan.random))
+    return Drawn(
+        "criterion-by-count",
+        "Accuracy against number of configurations",
+        f"Below {len(plan.q)} configurations the best part of the plan, above it the "
+        f"plan with more candidates. Planned: {name} {own}{of_unit}; random baseline: "
+        f"{random}{of_unit}; {size} is better. Where a curve is flat, further "
+        "measurements gain little.",
+        figure,
+    )
+
+
+def _curve(
+    axes: Axes, counts: Floats, label: str, values: Floats, random: float, planned: int
+) -> None:
+    """A measure of accuracy, that of the plan, and that of random configurations."""
+    own = counts == planned
+    axes.plot(counts, values, color=AFTER, marker="o", markersize=3.0)
+    ring = marks(INK, "o", 9.0, hollow=True)
+    axes.plot(counts[own], values[own], **ring, label=f"planned, {planned}")
+    if np.isfinite(random):
+        cross, name = marks(BEFORE, "X", 8.0), f"random baseline, {planned}"
+        axes.plot(planned, random, **cross, label=name)
+    log_axis(axes, "y", values, np.array([random]))
+    axes.locator_params(axis="x", nbins=6)
+    axes.set_xlabel("configurations")
+    axes.set_ylabel(label)
+    axes.legend(loc="lower right" if values[-1] > values[0] else "upper right")
+
+
+def planned_positions(plan: Plan) -> Drawn | None:
+    """Positions of the tool from three sides in their order, with the way between."""
+    points = tool_positions(plan)
+    if len(points) == 0:
+        return None
+    figure, axes = views(points, np.arange(1.0, len(points) + 1.0), "configuration")
+    for view, side in zip(axes, SIDES, strict=True):
+        view.plot(*points[:, side].T, color=MUTED, linewidth=0.7, alpha=0.5, zorder=0.9)
+        view.plot(*points[:1, side].T, **marks(BEFORE, "s", 6.5), zorder=4.0)
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    return Drawn(
+        "planned-positions",
+        "Planned positions of the tool",
+        f"The {len(points)} configurations from three sides; the color is their place "
+        f"in the plan, the square is the first. Straight lines, {length:.2f} m in all, "
+        "join one with the next; the robot itself moves on curves.",
+        figure,
+    )
+
+
+def tool_positions(plan: Plan) -> Floats:
+    """Tool points of the nominal robot in the base link, shape (K, 3) [m]."""
+    points = np.zeros((len(plan.q), 3))
+    keys = [aim.key for aim in plan.aims]
+    for block in dict.fromkeys(keys):
+        own = np.array([other == block for other in keys], bool)
+        term = plan.problem.terms[block]
+        error = term.error
+        T = error.poses(plan.q[own][:, term.columns], np.zeros(len(error.screws)))
+        points[own] = (error.base.inverse().homogeneous @ T)[:, :3, 3]
+    return points

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from benchmarks.accuracy.measuring import CHOSEN, NOMINAL, Errors, Measured
 from benchmarks.accuracy.published import Published, published
@@ -16,17 +15,18 @@ from calib_pin.report.figures.canvas import (
     GROUPS,
     INK,
     MUTED,
-    WIDTH,
     Drawn,
     key,
+    log_axis,
     marks,
-    panel,
+    panels,
 )
-from calib_pin.report.figures.estimates import FOOT, HEAD, LEFT, RULE, beside
-from calib_pin.report.figures.labels import log_axis, log_limits
 
 LINE = 0.24
 """Height of a line [inch]."""
+
+LEFT = 2.8
+"""Width of the names [inch]."""
 
 SIGNS = {
     NOMINAL: marks(BEFORE, "o", hollow=True),
@@ -42,16 +42,13 @@ def figure_of(found: Sequence[Measured]) -> Drawn:
     """Errors near and away by data set, with what others reach."""
     lines = [(measured, line) for measured in found for line in measured.lines]
     height = LINE * (len(lines) + 1)
-    figure = Figure(figsize=(WIDTH, HEAD + height + FOOT))
-    axes = panel(figure, LEFT, HEAD, WIDTH - LEFT - 0.2, height)
+    figure, ((axes,),) = panels(1, 1, height, left=LEFT, top=0.35)
     axes.set_ylim(len(lines) - 0.2, -0.8)
-    axes.set_yticks([])
-    places = range(len(lines))
-    axes.hlines(places, 0.0, 1.0, **RULE, transform=axes.get_yaxis_transform())
+    names = []
     drawn = []
     for place, (measured, line) in enumerate(lines):
         which = measured.data_set.statistic
-        beside(axes, place, f"{measured.data_set.name}, {line.what} ({which})")
+        names.append(f"{measured.data_set.name}, {line.what} ({which})")
         for method, sign in SIGNS.items():
             size = MM * getattr(line.errors[method], which)
             axes.plot([size], [place], **sign)
@@ -63,12 +60,11 @@ def figure_of(found: Sequence[Measured]) -> Drawn:
         for other in _others(measured, line):
             axes.plot([other.error], [place], **OTHERS)
             drawn.append(other.error)
-    limits = log_limits(np.array(drawn))
-    if limits is not None:
-        log_axis(axes, "x", limits)
+    axes.set_yticks(range(len(lines)), names)
+    log_axis(axes, "x", np.array(drawn))
     axes.set_xlabel("position error [mm]")
     signs = {HEADERS[method]: sign for method, sign in SIGNS.items()}
-    key(figure, signs | {"predicted away": PREDICTED, "others": OTHERS}, 0.1)
+    key(figure, signs | {"predicted away": PREDICTED, "others": OTHERS})
     return Drawn(
         "accuracy",
         "Accuracy on public measurements",

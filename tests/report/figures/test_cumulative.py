@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib_pin.report.figures.canvas import AFTER, BEFORE
-from calib_pin.report.figures.cumulative import cumulative_errors
+from calib_pin.report.figures.errors import cumulative_errors
 from calib_pin.report.tables import significant
 from calib_pin.units import DISPLAY
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from calib_pin.observations import Observations
-from calib_pin.report.figures.residuals_along import (
+from calib_pin.report.figures.errors import (
+    FEW,
     FEWEST,
-    LIMIT,
     residuals_by_joint,
     residuals_over_order,
 )
@@ -54,5 +54,5 @@ def test_few_and_many(calibrated, draw, many):
     few = with_rows(calibrated, np.arange(FEWEST - 1))
     for figure in FIGURES:
         assert figure(few) is None
-    drawn = draw(residuals_over_order, many(2 * LIMIT))
-    assert f"{LIMIT} of {2 * LIMIT} " in drawn.reading
+    drawn = draw(residuals_over_order, many(2 * FEW))
+    assert f"{FEW} of {2 * FEW} " in drawn.reading

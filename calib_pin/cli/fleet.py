@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, exists
-from calib_pin.cli.fleet_types import types_of
 from calib_pin.cli.printing import (
     Bar,
     notice,
@@ -23,16 +22,20 @@ from calib_pin.cli.workforce import ClusterAddress, WorkerCount, asked_workers
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
-    from calib_pin.cli.fleet_jobs import Orders
-    from calib_pin.io.jobs import Job
+    from calib_pin.cli.jobs import Job
+    from calib_pin.estimation.statistics.population_prior import (
+        Population,
+        RobotEvidence,
+    )
     from calib_pin.validation.fleet import FleetRow
     from calib_pin.workers import Workers
 
-FILES = ("fleet.csv", "fleet.html")
-"""Files of a fleet beside the folders of its calibrations."""
+TABLE, PAGE, PRIOR = FILES = ("fleet.csv", "fleet.html", "fleet.json")
+"""Files of a fleet beside the folders of its calibrations.
 
-PRIOR = "fleet.json"
-"""The prior that robots are for the next one of their type: `prior` in its setup."""
+The last one is the prior that robots are for the next one of their type: `prior` in its
+setup.
+"""
 
 
 def fleet(
@@ -87,7 +90,8 @@ def fleet(
     if (jobs is None) == (monte_carlo is None):
         raise OptionError("give either a table of JOBS, or --monte-carlo SETUP")
     # A job may end the process that does it.
-    patience = None if monte_carlo is not None else 0.0
+    patience = None if jobs is None else 0.0
+    asked: dict[str, Any] = dict(resume=resume, force=force, quiet=quiet, json=json)
     with (
         asked_workers(workers, cluster, patience) as several,
         progress_bar(quiet=quiet) as bar,
@@ -95,29 +99,9 @@ def fleet(
         if monte_carlo is not None:
             from calib_pin.cli.monte_carlo import simulated
 
-            return simulated(
-                monte_carlo,
-                output,
-                several,
-                seed=seed,
-                resume=resume,
-                force=force,
-                quiet=quiet,
-                json=json,
-                bar=bar,
-            )
+            return simulated(monte_carlo, output, several, seed=seed, bar=bar, **asked)
         assert jobs is not None
-        return _calibrated(
-            jobs,
-            output,
-            several,
-            pages=not no_pages,
-            resume=resume,
-            force=force,
-            quiet=quiet,
-            json=json,
-            bar=bar,
-        )
+        return _calibrated(jobs, output, several, pages=not no_pages, bar=bar, **asked)
 
 
 def _calibrated(
@@ -134,8 +118,8 @@ def _calibrated(
 ) -> int:
     """Calibrate the robots of a table; returns the exit status."""
     from calib_pin.cli.fleet_jobs import Orders, Outcome, calibrate_job, lost_job
+    from calib_pin.cli.jobs import read_jobs
     from calib_pin.io.files import write_files
-    from calib_pin.io.jobs import read_jobs
     from calib_pin.io.json_text import plain
     from calib_pin.io.measurements import encode_table
     from calib_pin.report.figures import fleet_figures
@@ -144,9 +128,8 @@ def _calibrated(
     from calib_pin.validation.fleet import by_urgency, fleet_columns
 
     asked = read_jobs(table, notice)
-    csv, html = files = [output / name for name in FILES]
+    _check(output, asked, table, force or resume)
     orders = Orders(Path.cwd(), output, pages, resume)
-    _check(orders, asked, [*files, output / PRIOR], table, force or resume)
     done: dict[str, Outcome] = {}
     for wave in _waves(asked):
         for outcome in workers.map(calibrate_job, orders, wave, lost_job):
@@ -157,28 +140,28 @@ def _calibrated(
     rows = _compared(orders, asked, [row for row, _ in found], workers, bar)
     if bar is not None:
         bar("types", None)
-    types = types_of(asked, rows, [evidence for _, evidence in found])
-    ordered = by_urgency(types.rows)
+    populations, rows = types_of(asked, rows, [evidence for _, evidence in found])
+    ordered = by_urgency(rows)
+    columns = fleet_columns(ordered)
     contents = {
-        csv: encode_table(fleet_columns(ordered), []),
-        html: blocks_page(
+        output / TABLE: encode_table(columns, []),
+        output / PAGE: blocks_page(
             "Calibrations of a fleet",
-            [*fleet_report(ordered, types.populations, MANY)],
+            [*fleet_report(ordered, populations, MANY)],
             [*fleet_figures(ordered)],
-            csv.name,
+            TABLE,
         ),
-        **types.priors(output, PRIOR),
+        **priors(output, populations),
     }
     with write_files(contents, force=True):
         if json:
-            columns = fleet_columns(ordered)
-            cells = zip(
-                *(plain(list(column)) for column in columns.values()), strict=True
-            )
-            jobs = [dict(zip(columns, row, strict=True)) for row in cells]
+            lists = [plain(list(column)) for column in columns.values()]
+            jobs = [
+                dict(zip(columns, row, strict=True)) for row in zip(*lists, strict=True)
+            ]
             say_json({"jobs": jobs}, contents)
         elif not quiet:
-            show(fleet_report(ordered, types.populations))
+            show(fleet_report(ordered, populations))
     if not quiet and not json:
         folders = sum(row.fitted > 0 for row in ordered)
         written = [f"wrote {folders} folders to {output}"]
@@ -191,55 +174,108 @@ def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
     left = list(jobs)
     while left:
         names = {job.name for job in left}
-        yield [j for j in left if not (j.stated.start and j.before in names)]
-        left = [j for j in left if j.stated.start and j.before in names]
+        waiting = [job for job in left if job.stated.start and job.before in names]
+        yield [job for job in left if job not in waiting]
+        left = waiting
 
 
-def _check(
-    orders: Orders,
-    jobs: Sequence[Job],
-    files: Sequence[Path],
-    table: Path,
-    force: bool,
-) -> None:
+def _check(output: Path, jobs: Sequence[Job], table: Path, force: bool) -> None:
     """Refuse to replace what is there, and to write into what is read.
 
     Raises:
         OptionError: If something is there.
     """
-    names = {file.name.casefold() for file in files}
     for job in jobs:
-        if job.name.casefold() in names:
+        if job.name.casefold() in FILES:
             raise OptionError(
                 "a job cannot have this name", file=table, line=job.line, value=job.name
             )
-        if not force and exists(folder := orders.folder(job.name)):
+        if not force and exists(folder := output / job.name):
             reason = "exists; --resume goes on, --force begins again"
             raise OptionError(reason, file=folder)
-    check_outputs(files, [table], force)
+    check_outputs([output / name for name in FILES], [table], force)
 
 
 def _compared(
-    orders: Orders,
+    orders: Any,
     jobs: Sequence[Job],
     rows: Sequence[FleetRow],
     workers: Workers,
     bar: Bar | None,
 ) -> list[FleetRow]:
     """The rows with the drift of those robots that were calibrated before."""
-    from calib_pin.cli.fleet_jobs import Successor, compare_job
+    from calib_pin.cli.fleet_jobs import compare_job
 
-    by_name = {row.job: row for row in rows}
+    found = {row.job: row for row in rows}
     pairs = []
     for job, row in zip(jobs, rows, strict=True):
-        if not row.fitted:
-            continue
-        if previous := job.stated.previous:
-            pairs.append(Successor(row, (Path(previous), previous)))
-        elif job.before and by_name[job.before].fitted:
-            pairs.append(Successor(row, (orders.folder(job.before), job.before)))
+        if row.fitted and (previous := job.stated.previous):
+            pairs.append((row, previous, str(previous)))
+        elif row.fitted and job.before and found[job.before].fitted:
+            pairs.append((row, orders.output / job.before, job.before))
     for k, row in enumerate(workers.map(compare_job, orders, pairs), 1):
-        by_name[row.job] = row
+        found[row.job] = row
         if bar is not None:
             bar("drift", k / len(pairs))
-    return [by_name[row.job] for row in rows]
+    return [found[row.job] for row in rows]
+
+
+def types_of(
+    jobs: Sequence[Job],
+    rows: Sequence[FleetRow],
+    evidences: Sequence[RobotEvidence | None],
+) -> tuple[list[Population], list[FleetRow]]:
+    """The types of a fleet; of a serial number its last calibration counts.
+
+    Args:
+        jobs: The jobs.
+        rows: The row of each.
+        evidences: The evidence of each; None where it tells nothing of a type.
+
+    Returns:
+        The types with robots enough, the largest first, and the rows, those of such
+        types with their farthest joint.
+    """
+    from calib_pin.estimation.statistics.population_prior import (
+        LEAST,
+        joint_deviations,
+        population_of,
+    )
+    from calib_pin.validation.fleet import with_joint
+
+    earlier = {job.before for job in jobs}
+    alike: list[dict[int, RobotEvidence]] = []
+    for k, (job, own) in enumerate(zip(jobs, evidences, strict=True)):
+        if own is None or job.name in earlier:
+            continue
+        for members in alike:
+            first = next(iter(members.values()))
+            if not first.robot.difference(own.robot) and first.names == own.names:
+                members[k] = own
+                break
+        else:
+            alike.append({k: own})
+    found, result = [], list(rows)
+    for members in sorted(alike, key=len, reverse=True):
+        if len(members) < LEAST:
+            continue
+        found.append(population := population_of([*members.values()]))
+        for k, joints in zip(members, joint_deviations(population), strict=True):
+            result[k] = with_joint(result[k], joints)
+    return found, result
+
+
+def priors(folder: Path, populations: Sequence[Population]) -> dict[Path, bytes]:
+    """The files of the priors; all but the first have the name of their robot."""
+    from calib_pin.io.json_text import encode
+    from calib_pin.io.population_prior import prior_document
+    from calib_pin.io.results import urdf_name
+
+    found: dict[Path, bytes] = {}
+    for number, population in enumerate(populations, 1):
+        robot = Path(urdf_name(population.evidences[0].robot.name)).stem
+        path = folder / PRIOR
+        for end in (f"-{robot}", f"-{number}"):  # Two types may have one name.
+            path = path.with_stem(path.stem + end) if path in found else path
+        found[path] = encode(prior_document(population.prior()))
+    return found

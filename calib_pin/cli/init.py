@@ -150,8 +150,7 @@ def _ends(
     """The setup with the chains that a column names, and what may be the joints."""
     from calib_pin.io.first_look import joint_columns, named_chains
     from calib_pin.io.foreign_headers import measured
-    from calib_pin.setup import ChainSetup
-    from calib_pin.setup.references import WORLD
+    from calib_pin.setup import WORLD, ChainSetup
 
     named = measured(columns).get("chain")
     tips = dict(word.partition("=")[::2] for word in (setup.tip or "").split(","))

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
+from dataclasses import MISSING, fields
+from functools import partial, wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 
@@ -66,6 +68,41 @@ def option(
         autocompletion=completed(names[-1]),
         rich_help_panel=heading,
     )
+
+
+def parameters(kind: Any) -> list[Parameter]:
+    """The fields of a dataclass as parameters of a command."""
+    hints = get_type_hints(kind, include_extras=True)
+    return [
+        Parameter(
+            f.name,
+            Parameter.KEYWORD_ONLY,
+            default=Parameter.empty if f.default is MISSING else f.default,
+            annotation=hints[f.name],
+        )
+        for f in fields(kind)
+    ]
+
+
+def command(declared: Sequence[Parameter], function: Callable[..., Any]) -> Any:
+    """A function as a command with these parameters."""
+    function.__signature__ = Signature(declared)  # type: ignore[attr-defined]
+    function.__annotations__ = {p.name: p.annotation for p in declared}
+    return function
+
+
+def spread(function: Callable[..., int]) -> Callable[..., int]:
+    """A command whose first argument, a dataclass, is made from options of its own."""
+    first, *own = signature(function, eval_str=True).parameters.values()
+    asked = parameters(first.annotation)
+
+    @wraps(function)
+    def run(**given: Any) -> int:
+        values = {p.name: given.pop(p.name) for p in asked}
+        return function(first.annotation(**values), **given)
+
+    others = (p.replace(kind=Parameter.KEYWORD_ONLY) for p in own)
+    return command([*asked, *others], run)  # type: ignore[no-any-return]
 
 
 robot, fit, constraints, output = (

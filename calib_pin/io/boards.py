@@ -30,8 +30,8 @@ from calib_pin.io.board_fit import (
 )
 from calib_pin.io.files import read_bytes
 from calib_pin.observations.corners import corner_sigmas, marker_corners, noise_of
-from calib_pin.setup import BoardSetup, CameraSetup
-from calib_pin.setup.references import DICTIONARIES, TAGS
+from calib_pin.setup import DICTIONARIES, TAGS, BoardSetup, CameraSetup
+from calib_pin.setup.arguments import Refused, Taker
 
 PIXELS = 1 << 27
 """Most pixels of an image."""
@@ -181,10 +181,6 @@ def board_of(word: str) -> BoardSetup:
     Raises:
         OptionError: If it states none.
     """
-    from pydantic import TypeAdapter, ValidationError
-
-    from calib_pin.io.setup import context
-
     kind, grid, square, *rest = f"{word}::".split(":")
     columns, _, rows = grid.partition("x")
     stated: dict[str, object] = {"type": kind, "columns": columns, "rows": rows}
@@ -198,10 +194,10 @@ def board_of(word: str) -> BoardSetup:
             raise OptionError(f"--board states its {name} twice", value=word)
         stated[name] = value
     try:
-        return TypeAdapter(BoardSetup).validate_python(stated, context=context())
-    except ValidationError as error:
-        _, ours, reason = error.errors()[0]["msg"].partition("Value error, ")
-        allowed = reason if ours else FORM
+        board: BoardSetup = Taker().taken(stated, BoardSetup)
+        return board
+    except Refused as error:
+        allowed = error.allowed if error.shown else FORM
         raise OptionError("--board is no board", value=word, allowed=allowed) from None
 
 

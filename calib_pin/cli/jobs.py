@@ -1,0 +1,297 @@
+"""Tables of jobs: what is to be calibrated in a fleet, as CSV or YAML.
+
+A job is what `calibrate` can be asked for, with what a fleet needs beside it. Its cells
+are taken as the options of a command line are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from inspect import signature
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.exceptions import TyperException
+
+from calib_pin.cli.calibrate import calibrate
+from calib_pin.cli.options import command, parameters
+from calib_pin.cli.requests import Request
+from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.io.table import read_table
+from calib_pin.setup import Date, Entry
+from calib_pin.setup.arguments import taken
+
+JOBS = "jobs"
+"""Key of the list of jobs in YAML; those beside it hold for all jobs."""
+
+CHAINED = ";"
+"""Between files in a cell."""
+
+FLAGS = {"true": True, "false": False}
+"""Cells that say whether something is so."""
+
+PREVIOUS = Path("previous")
+"""The `start` that is the calibration before of the same robot."""
+
+MISTAKES = (OptionError, TyperException)
+"""Errors of a command line."""
+
+Texts = Mapping[str, list[str]]
+
+SEPARATORS = '/\\:*?"<>|'
+"""Letters that no folder of a job may have in its name, on any system."""
+
+
+def _folder(text: str) -> str:
+    name = text.strip()
+    usable = name.isprintable() and not set(SEPARATORS) & set(name)
+    if not name or not usable or name.startswith(".") or len(name) > 100:
+        raise OptionError(
+            "'name' cannot have this value",
+            allowed="a name for a folder, of at most 100 letters, without "
+            f"{SEPARATORS} and no point in front",
+        )
+    return name
+
+
+def _text(name: str, kind: Any) -> Any:
+    return typer.Option(parser=lambda text: taken(name, text, kind))
+
+
+@dataclass(frozen=True)
+class JobSetup(Request):
+    """A calibration of a fleet. Its files are named from the folder of the table.
+
+    A name of measurements may hold * for any letters; in a CSV table semicolons
+    separate files. `start: previous` is the calibration before of the same serial
+    number, in the table or in the folder of the results.
+
+    Attributes:
+        name: Name of its folder; None for the serial number with the date.
+        serial_number: Serial number of the robot.
+        date: Day of the measurements; of one serial number, the drift is told from
+            the day before, or from the line before.
+        previous: An earlier calibration of this robot, from which drift is told; None
+            for the one before in the table.
+    """
+
+    name: Annotated[str | None, typer.Option(parser=_folder)] = None
+    serial_number: Annotated[str, _text("serial_number", Entry)] = ""
+    date: Annotated[str | None, _text("date", Date)] = None
+    previous: Path | None = None
+
+
+KEYS = tuple(field.name for field in fields(JobSetup))
+"""Columns and keys of a job."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A calibration that is asked for.
+
+    Attributes:
+        name: Name of its folder, unlike those of all other jobs.
+        line: Line of the table.
+        stated: Everything that is asked for, files from where the table lies.
+        before: Name of the job before it with the same robot; empty for none.
+    """
+
+    name: str
+    line: int
+    stated: JobSetup
+    before: str = ""
+
+
+def read_jobs(
+    path: str | Path, notice: Callable[[str], None] = lambda remark: None
+) -> tuple[Job, ...]:
+    r"""Read a table of jobs.
+
+    Args:
+        path: CSV file with a line for each job, or YAML (`.yaml`, `.yml`) with a list
+            `jobs` and, beside it, what holds for all of them.
+        notice: Told of columns that mean nothing.
+
+    Raises:
+        InputError: If the table cannot be used; names the first such line.
+
+    Examples:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "jobs.csv"
+        ...     _ = file.write_text("robot,measurements,serial_number\npa10,a.csv,A7\n")
+        ...     [job.name for job in read_jobs(file)]
+        ['A7']
+    """
+    yaml = Path(path).suffix.lower() in (".yaml", ".yml")
+    rows = _of_yaml(path) if yaml else _of_csv(path, notice)
+    found = [(lines[""], _job(path, lines, texts)) for lines, texts in rows]
+    jobs = dict[str, Job]()
+    for number, (line, stated) in enumerate(found, 1):
+        name = stated.name or _name(stated, number, [job for _, job in found])
+        if (twin := jobs.get(name.casefold())) is not None:
+            raise InputError(
+                f"the job has the folder of that in line {twin.line}",
+                file=path,
+                line=line,
+                value=name,
+                allowed="a 'name' of its own",
+            )
+        if stated.start == PREVIOUS and not (stated.serial_number or stated.previous):
+            reason = "'start: previous' needs a 'serial_number'"
+            raise InputError(reason, file=path, line=line)
+        jobs[name.casefold()] = Job(name, line, _placed(Path(path).parent, stated))
+    before = _before(list(jobs.values()))
+    return tuple(replace(job, before=before.get(job.name, "")) for job in jobs.values())
+
+
+Row = tuple[dict[str, int], dict[str, list[str]]]
+"""Lines and texts of a job by its keys; its own line is that of the empty one."""
+
+
+def _of_yaml(path: str | Path) -> Iterator[Row]:
+    from calib_pin.io.yaml_tree import read_tree
+
+    tree = read_tree(path)
+    listed = tree.data.get(JOBS) if isinstance(tree.data, dict) else None
+    if not isinstance(listed, list) or not listed:
+        raise tree.error(
+            f"the file must be a mapping with a list '{JOBS}'",
+            (),
+            allowed=f"{JOBS}: [{{robot: arm.urdf, measurements: [a.csv]}}, ...]",
+        )
+    for number, own in enumerate(listed):
+        if not isinstance(own, dict):
+            raise tree.error("a job is a mapping of keys to values", (JOBS, number))
+        lines: dict[str, int] = {"": tree.line((JOBS, number))}
+        texts: dict[str, list[str]] = {}
+        for key, value in {**tree.data, **own}.items():
+            place = (JOBS, number, key) if key in own else (key,)
+            lines[key], several = tree.line(place), isinstance(value, list)
+            places = [(*place, k) for k in range(len(value))] if several else [place]
+            if key != JOBS and value is not None:
+                texts[key] = [str(tree.written(at)) for at in places]
+        yield lines, texts
+
+
+def _of_csv(path: str | Path, notice: Callable[[str], None]) -> Iterator[Row]:
+    table = read_table(path)
+    foreign = [name for name in table.columns if name not in KEYS]
+    for name in foreign:
+        hint = nearest(name, KEYS)
+        if hint or name in signature(calibrate).parameters:
+            raise table.error(f"no column of a job{hint}", name, ", ".join(KEYS))
+    if remark := table.ignored(foreign):
+        notice(remark)
+    texts = table.texts([name for name in KEYS if name in table])
+    for row, line in enumerate(table.lines.tolist()):
+        yield {"": line}, {k: [cells[row]] for k, cells in texts.items() if cells[row]}
+
+
+def _job(path: str | Path, lines: Mapping[str, int], given: Texts) -> JobSetup:
+    """A job by its cells.
+
+    Raises:
+        InputError: If a cell cannot be used.
+    """
+
+    def error(key: str, reason: str, **told: Any) -> InputError:
+        return InputError(reason, file=path, line=lines.get(key, lines[""]), **told)
+
+    for key in given:
+        if key not in KEYS:
+            reason = f"unknown key '{key}'{nearest(key, KEYS)}"
+            raise error(key, reason, allowed=", ".join(KEYS))
+    try:
+        return JobSetup(**_parsed(given))
+    except MISTAKES as mistake:
+        for key in given:
+            try:
+                _parsed({"robot": ["robot"], "measurements": ["file"], key: given[key]})
+            except MISTAKES as own:
+                reason, value = f"'{key}' cannot have this value", "; ".join(given[key])
+                allowed = getattr(own, "allowed", None)
+                raise error(key, reason, value=value, allowed=allowed) from None
+        lost = next(key for key in KEYS if key not in given)
+        raise error(lost, f"'{lost}' is missing") from mistake
+
+
+@cache
+def _command() -> Any:
+    """The command whose options are the keys of a job."""
+    app = typer.Typer(add_completion=False, rich_markup_mode=None)
+    app.command("job")(command(parameters(JobSetup), lambda **given: None))
+    return typer.main.get_command(app)
+
+
+def _parsed(given: Texts) -> dict[str, Any]:
+    """The values of a job, as a command line has them."""
+    options, rest = list[str](), list[str]()
+    for param in _command().params:
+        texts = given.get(param.name, [])
+        several = param.nargs < 0 or getattr(param, "multiple", False)
+        if several:
+            texts = [t.strip() for text in texts for t in text.split(CHAINED) if t]
+        if len(texts) > len(set(texts)) or (len(texts) > 1 and not several):
+            raise OptionError("", allowed="one value, or different files")
+        if not getattr(param, "is_flag", False):
+            words = [f"{param.opts[0]}={text}" for text in texts]
+        elif set(texts) <= FLAGS.keys():
+            words = [param.opts[0] for text in texts if FLAGS[text]]
+        else:
+            raise OptionError("", allowed=", ".join(FLAGS))
+        rest += texts if param.param_type_name == "argument" else []
+        options += words if param.param_type_name == "option" else []
+    found = _command().make_context("job", [*options, "--", *rest]).params
+    values = ((key, found[key]) for key in given)
+    return {k: [*v] if isinstance(v, tuple) else v for k, v in values}
+
+
+def folder_name(serial: str) -> str:
+    """The name of a folder by a serial number."""
+    kept = (c if c.isalnum() or c in "._- " else "_" for c in serial)
+    return "".join(kept).lstrip(".")
+
+
+def _name(stated: JobSetup, number: int, every: Sequence[JobSetup]) -> str:
+    """The name of a job that states none."""
+    serial = stated.serial_number
+    if not serial:
+        return f"job-{number:0{len(str(len(every)))}d}"
+    alone = sum(other.serial_number == serial for other in every) == 1
+    dated = not alone or stated.start == PREVIOUS
+    return folder_name(f"{serial}-{stated.date}" if dated and stated.date else serial)
+
+
+def _placed(folder: Path, stated: JobSetup) -> JobSetup:
+    """A job with its files named from here, not from the folder of the table."""
+
+    def placed(value: Any) -> Any:
+        if isinstance(value, list):
+            return [*map(placed, value)]
+        file = isinstance(value, Path) and value != PREVIOUS
+        return folder / value if file else value
+
+    found = {key: placed(value) for key, value in vars(stated).items()}
+    # A robot may be a bundled one, and a xacro file has its arguments behind it.
+    if (folder / stated.robot.split(" ")[0]).exists():
+        found["robot"] = str(folder / stated.robot)
+    return JobSetup(**found)
+
+
+def _before(jobs: Sequence[Job]) -> dict[str, str]:
+    """For each job of a robot the job before it, by their names."""
+    by_serial: dict[str, list[Job]] = {}
+    for job in jobs:
+        if job.stated.serial_number:
+            by_serial.setdefault(job.stated.serial_number, []).append(job)
+    found: dict[str, str] = {}
+    for own in by_serial.values():
+        if all(job.stated.date for job in own):
+            own = sorted(own, key=lambda job: str(job.stated.date))
+        found |= {later.name: job.name for job, later in pairwise(own)}
+    return found

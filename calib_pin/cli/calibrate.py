@@ -16,7 +16,8 @@ from calib_pin.cli.printing import (
     say_written,
     show,
 )
-from calib_pin.cli.requests import Request, calibrated, opened
+from calib_pin.cli.request import Request
+from calib_pin.cli.requests import calibrated, opened
 from calib_pin.cli.results import (
     FigureFormat,
     Figures,

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from calib_pin.cli.jobs import PREVIOUS, Job, folder_name
 from calib_pin.cli.printing import tell_notices
-from calib_pin.cli.requests import Request, calibrated, opened
+from calib_pin.cli.request import Request
+from calib_pin.cli.requests import calibrated, opened
 from calib_pin.cli.results import write_results
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError, OptionError, one_line

@@ -7,19 +7,16 @@ are taken as the options of a command line are.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cache
+from dataclasses import dataclass, replace
+from functools import partial
 from inspect import signature
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
-
-import typer
-from typer.exceptions import TyperException
+from types import NoneType
+from typing import Annotated, Any, get_args, get_type_hints
 
 from calib_pin.cli.calibrate import calibrate
-from calib_pin.cli.options import command, parameters
-from calib_pin.cli.requests import Request
+from calib_pin.cli.request import Request, Told
 from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.io.table import read_table
 from calib_pin.setup import Date, Entry
@@ -37,9 +34,6 @@ FLAGS = {"true": True, "false": False}
 PREVIOUS = Path("previous")
 """The `start` that is the calibration before of the same robot."""
 
-MISTAKES = (OptionError, TyperException)
-"""Errors of a command line."""
-
 Texts = Mapping[str, list[str]]
 
 SEPARATORS = '/\\:*?"<>|'
@@ -51,15 +45,14 @@ def _folder(text: str) -> str:
     usable = name.isprintable() and not set(SEPARATORS) & set(name)
     if not name or not usable or name.startswith(".") or len(name) > 100:
         raise OptionError(
-            "'name' cannot have this value",
+            "",
             allowed="a name for a folder, of at most 100 letters, without "
             f"{SEPARATORS} and no point in front",
         )
     return name
 
 
-def _text(name: str, kind: Any) -> Any:
-    return typer.Option(parser=lambda text: taken(name, text, kind))
+ENTRY, DATE = (partial(taken, "", hint=kind) for kind in (Entry, Date))
 
 
 @dataclass(frozen=True)
@@ -79,13 +72,13 @@ class JobSetup(Request):
             for the one before in the table.
     """
 
-    name: Annotated[str | None, typer.Option(parser=_folder)] = None
-    serial_number: Annotated[str, _text("serial_number", Entry)] = ""
-    date: Annotated[str | None, _text("date", Date)] = None
-    previous: Path | None = None
+    name: Annotated[str | None, Told(parse=_folder)] = None
+    serial_number: Annotated[str, Told(parse=ENTRY)] = ""
+    date: Annotated[str | None, Told(parse=DATE)] = None
+    previous: Annotated[Path | None, Told()] = None
 
 
-KEYS = tuple(field.name for field in fields(JobSetup))
+KEYS = get_type_hints(JobSetup, include_extras=True)
 """Columns and keys of a job."""
 
 
@@ -202,53 +195,39 @@ def _job(path: str | Path, lines: Mapping[str, int], given: Texts) -> JobSetup:
     def error(key: str, reason: str, **told: Any) -> InputError:
         return InputError(reason, file=path, line=lines.get(key, lines[""]), **told)
 
-    for key in given:
+    found = {}
+    for key, texts in given.items():
         if key not in KEYS:
             reason = f"unknown key '{key}'{nearest(key, KEYS)}"
             raise error(key, reason, allowed=", ".join(KEYS))
-    try:
-        return JobSetup(**_parsed(given))
-    except MISTAKES as mistake:
-        for key in given:
-            try:
-                _parsed({"robot": ["robot"], "measurements": ["file"], key: given[key]})
-            except MISTAKES as own:
-                reason, value = f"'{key}' cannot have this value", "; ".join(given[key])
-                allowed = getattr(own, "allowed", None)
-                raise error(key, reason, value=value, allowed=allowed) from None
-        lost = next(key for key in KEYS if key not in given)
-        raise error(lost, f"'{lost}' is missing") from mistake
+        try:
+            found[key] = _value(key, texts)
+        except OptionError as wrong:
+            reason, value = f"'{key}' cannot have this value", "; ".join(texts)
+            raise error(key, reason, value=value, allowed=wrong.allowed) from None
+    for key in ("robot", "measurements"):
+        if key not in found:
+            raise error(key, f"'{key}' is missing")
+    return JobSetup(**found)
 
 
-@cache
-def _command() -> Any:
-    """The command whose options are the keys of a job."""
-    app = typer.Typer(add_completion=False, rich_markup_mode=None)
-    app.command("job")(command(parameters(JobSetup), lambda **given: None))
-    return typer.main.get_command(app)
+def _value(key: str, texts: Sequence[str]) -> Any:
+    """The value of a key, as a command line takes it.
 
-
-def _parsed(given: Texts) -> dict[str, Any]:
-    """The values of a job, as a command line has them."""
-    options, rest = list[str](), list[str]()
-    for param in _command().params:
-        texts = given.get(param.name, [])
-        several = param.nargs < 0 or getattr(param, "multiple", False)
-        if several:
-            texts = [t.strip() for text in texts for t in text.split(CHAINED) if t]
-        if len(texts) > len(set(texts)) or (len(texts) > 1 and not several):
-            raise OptionError("", allowed="one value, or different files")
-        if not getattr(param, "is_flag", False):
-            words = [f"{param.opts[0]}={text}" for text in texts]
-        elif set(texts) <= FLAGS.keys():
-            words = [param.opts[0] for text in texts if FLAGS[text]]
-        else:
-            raise OptionError("", allowed=", ".join(FLAGS))
-        rest += texts if param.param_type_name == "argument" else []
-        options += words if param.param_type_name == "option" else []
-    found = _command().make_context("job", [*options, "--", *rest]).params
-    values = ((key, found[key]) for key in given)
-    return {k: [*v] if isinstance(v, tuple) else v for k, v in values}
+    Raises:
+        OptionError: If it cannot be used.
+    """
+    hint, told = get_args(KEYS[key])
+    kind = get_args(hint)[0] if NoneType in get_args(hint) else hint
+    if kind == list[Path]:
+        found = [f.strip() for text in texts for f in text.split(CHAINED) if f.strip()]
+        if not found or len(set(found)) < len(found):
+            raise OptionError("", allowed="files, each at most once")
+        return [*map(Path, found)]
+    if len(texts) != 1 or (kind is bool and texts[0] not in FLAGS):
+        allowed = ", ".join(FLAGS) if kind is bool else "one value"
+        raise OptionError("", allowed=allowed)
+    return FLAGS[texts[0]] if kind is bool else (told.parse or kind)(texts[0])
 
 
 def folder_name(serial: str) -> str:

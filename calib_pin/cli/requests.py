@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-import calib_pin.cli.options as options
 from calib_pin.cli.files import (
     check_outputs,
     open_chains,
@@ -20,8 +17,9 @@ from calib_pin.cli.files import (
     open_setup,
     require_distinct,
 )
-from calib_pin.cli.older import ProcessNoise, Start, as_before, older_files, open_older
+from calib_pin.cli.older import as_before, older_files, open_older
 from calib_pin.cli.printing import Bar, notice
+from calib_pin.cli.request import Request
 from calib_pin.cli.results import (
     ResultFiles,
     Run,
@@ -41,104 +39,6 @@ if TYPE_CHECKING:
     from calib_pin.planning.suggestions import Suggestion
     from calib_pin.setup import Setup
     from calib_pin.validation.result import CalibrationResult
-
-
-@dataclass(frozen=True)
-class Request:
-    """A calibration as it is asked for.
-
-    Each field is an argument or option of `calibrate`, and a column of the jobs of
-    `fleet`.
-    """
-
-    robot: options.RobotName
-    measurements: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="MEASUREMENTS...",
-            help="CSV or Parquet files with one row per measurement.",
-        ),
-    ]
-    package_dir: options.PackageDirs = None
-    setup: options.SetupFile = None
-    model: options.Model = None
-    base: options.Base = None
-    tip: options.Tip = None
-    parameters: options.Parameters = None
-    station_per_file: options.StationPerFile = False
-    solver: Annotated[
-        str | None,
-        options.fit(
-            "--solver NAME",
-            "gauss-newton (default), two-step (alternating: frames and "
-            "instrument, then the robot), de (differential evolution), or hybrid: de, "
-            "then gauss-newton, for errors of centimeters and degrees.",
-        ),
-    ] = None
-    loss: Annotated[
-        str | None,
-        options.fit(
-            "--loss NAME",
-            "auto (default) sets outliers aside where there are any; gnc always "
-            "searches for them; huber gives them less weight; squared weights all "
-            "measurements equally.",
-        ),
-    ] = None
-    learned: Annotated[
-        str | None,
-        options.fit(
-            "--learned NAME",
-            "Learn the errors that no parameter describes: network or "
-            "gaussian-process; with --model-ladder the only one that is tried.",
-        ),
-    ] = None
-    model_ladder: Annotated[
-        bool,
-        options.fit(
-            "--model-ladder",
-            "Select the model: try joint offsets, geometry, transmission, "
-            "compliance and learned corrections on held-out measurements, and take "
-            "the simplest of the best.",
-        ),
-    ] = False
-    use: Annotated[
-        str | None,
-        options.fit(
-            "--use WHERE",
-            "Select the model that holds near the measured configurations, away "
-            "from them, or both (default); implies --model-ladder.",
-        ),
-    ] = None
-    validation: Annotated[
-        Path | None,
-        options.fit(
-            "--validation FILE", "Check the fit on the measurements of this file."
-        ),
-    ] = None
-    holdout: Annotated[
-        float | None,
-        options.fit(
-            "--holdout PART",
-            "Hold out this part of the measurements, such as 0.2, for the check.",
-            options.number(float, "--holdout", "a number between 0 and 1", 0.0, 1.0),
-        ),
-    ] = None
-    start: Start = None
-    process_noise: ProcessNoise = None
-    seed: options.Seed = 0
-
-    def words(self, output: Path) -> tuple[str, ...]:
-        """The command line of `calibrate` that asks for the same."""
-        words = ["calibrate", self.robot, *map(str, self.measurements)]
-        for asked in fields(Request)[2:]:
-            value = getattr(self, asked.name)
-            option = f"--{asked.name.replace('_', '-')}"
-            if value is True:
-                words.append(option)
-            elif value != asked.default:
-                for one in value if isinstance(value, list) else [value]:
-                    words += [option, str(one)]
-        return ("calib-pin", *words, "-o", str(output))
 
 
 @dataclass(frozen=True)

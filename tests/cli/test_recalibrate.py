@@ -16,7 +16,7 @@ from calib_pin.cli import main
 from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.fleet_jobs import Orders, request_of
 from calib_pin.cli.jobs import KEYS, read_jobs
-from calib_pin.cli.requests import Request
+from calib_pin.cli.request import Request
 from calib_pin.io.results import read_result
 from calib_pin.setup import JointPrior
 from tests.cli.files import document

@@ -200,19 +200,16 @@ def _error(tree: Tree, refused: Refused) -> InputError:
     return tree.error(refused.reason, refused.path, value, refused.allowed)
 
 
-POINT = f"a name without {AT}, which in the target column stands between two names"
-
-NAMES: Mapping[str, tuple[str, str]] = {
-    **dict.fromkeys(("planes", "targets", "sockets"), (AT, POINT)),
-    **dict.fromkeys(("spheres", "anchors"), (AT, POINT)),
-    "payloads": (
-        NOTHING,
-        f"any name but {NOTHING}, which measurements without a payload have",
-    ),
-    "chains": (WORLD, f"any name but {WORLD}, which stands for all that does not move"),
-    **dict.fromkeys(("stations", "tools"), ("", "a name")),
+NAMES: Mapping[str, str] = {
+    **dict.fromkeys(("planes", "targets", "sockets", "spheres", "anchors"), AT),
+    "payloads": NOTHING,  # As measurements without one have it.
+    "chains": WORLD,
+    **dict.fromkeys(("stations", "tools"), " "),
 }
-"""The name, or a part of it, that a section has not, and those that it may have."""
+"""A name, or a part of it, that entries of a section cannot have.
+
+In the target column `AT` stands between two names.
+"""
 
 
 def _check(setup: Setup) -> None:
@@ -222,20 +219,17 @@ def _check(setup: Setup) -> None:
         Refused: If there is such.
     """
     _check_evolution(setup)
-    quantities = [
-        q.name
-        for model in MEASUREMENT_MODELS.values()
-        for q in model.declaration.quantities
-    ]
-    for name in setup.noise:
-        if name not in quantities:
-            raise unknown(("noise", name), dict.fromkeys(quantities))
+    models = MEASUREMENT_MODELS.values()
+    known = {q.name: q for model in models for q in model.declaration.quantities}
+    for name in setup.noise.keys() - known.keys():
+        raise unknown(("noise", name), known)
     _check_twice(
         (given.joint, ("joints", name, "joint")) for name, given in setup.joints.items()
     )
-    for key, (word, allowed) in NAMES.items():
+    for key, word in NAMES.items():
         for name in getattr(setup, key):
             if not name.strip() or name == word or (word == AT and AT in name):
+                allowed = f"a name {'without' if word == AT else 'other than'} {word}"
                 raise Refused((key, name), allowed, "{} cannot have this name")
     for name in setup.tools:
         _check_carrier(setup, name)

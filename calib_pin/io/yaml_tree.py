@@ -48,8 +48,10 @@ class Tree:
     def written(self, path: Sequence[str | int]) -> str | None:
         """The value at a path as it stands in the file, on one line and shortened."""
         node = self._find(path)[1]
-        if node is None or isinstance(node, yaml.ScalarNode):
-            return None if node is None else str(node.value)
+        if node is None:
+            return None
+        if isinstance(node, yaml.ScalarNode):
+            return str(node.value)
         # A block ends where the next one starts, beyond the comments between them.
         text = str(node.start_mark.buffer)[node.start_mark.index : node.end_mark.index]
         return textwrap.shorten(text.split("#")[0], 60, placeholder=" ...")
@@ -70,12 +72,11 @@ class Tree:
         node = self.root
         line = _line(node) if node else 1 if self.file else None
         for step in path:
+            below: dict[Any, Any] = {}
             if isinstance(node, yaml.MappingNode):
                 below = {key.value: (key, value) for key, value in node.value}
             elif isinstance(node, yaml.SequenceNode):
                 below = {k: (item, item) for k, item in enumerate(node.value)}
-            else:
-                break
             if step not in below:
                 break
             key, node = below[step]
@@ -89,17 +90,14 @@ class _Loader(yaml.SafeLoader):
     def compose_node(self, parent: Any, index: Any) -> Any:
         """The next node."""
         event: Any = self.peek_event()  # type: ignore[no-untyped-call]
-        refused = ""
-        if isinstance(event, yaml.AliasEvent):
-            refused = f"an alias, '*{event.anchor}', ({_QUOTED})"
-        elif event.anchor is not None:
-            refused = f"an anchor, '&{event.anchor}',"
-        elif event.tag is not None:
-            refused = f"a tag, '{event.tag}',"
-        elif _HALVES.search(getattr(event, "value", "")):
-            refused = "half of a character, in an escape,"
-        if refused:
-            raise InputError(f"{refused} is not allowed here", line=_line(event))
+        alias = isinstance(event, yaml.AliasEvent)
+        halves = _HALVES.search(getattr(event, "value", ""))
+        if alias or event.anchor or event.tag or halves:
+            raise InputError(
+                "an alias (*x), an anchor (&x), a tag (!x) or half of a character is "
+                f"not allowed; {_QUOTED}",
+                line=_line(event),
+            )
         return super().compose_node(parent, index)
 
 

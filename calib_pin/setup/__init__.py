@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 from calendar import monthrange
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from typing import Annotated, Any, ClassVar, Literal
@@ -24,29 +24,54 @@ from calib_pin.setup.population import PopulationPrior as PopulationPrior
 from calib_pin.setup.values import (
     LARGEST_ANGLE,
     LARGEST_LENGTH,
+    MOST,
     REST,
     SMALLEST,
-    Angles,
-    Conversion,
-    Count,
-    Direction,
-    Factor,
     Family,
-    Length,
-    Many,
     OneOf,
     Pair,
-    Position,
-    Range,
     Section,
-    Sigmas,
     Text,
     Triple,
     Value,
     Written,
-    distinct,
-    number,
 )
+
+MANY = 10_000_000
+"""Most robots, configurations or repetitions that can be meant."""
+
+
+def distinct(names: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A list with at least one entry, and each once."""
+    if not names or len(set(names)) < len(names):
+        raise ValueError("at least one entry, and each at most once")
+    return names
+
+
+def _not_zero(factor: float) -> float:
+    if abs(factor) < 1e-6:
+        raise ValueError("a number from 1e-6 to 1e6, or the negative of one")
+    return factor
+
+
+def _direction(vector: Triple) -> Triple:
+    if math.hypot(*vector) < 1e-6:
+        raise ValueError("three numbers that are not all 0, such as [0, 0, 1]")
+    return vector
+
+
+Length = Annotated[float, Value("m", SMALLEST, LARGEST_LENGTH)]
+Position = Annotated[Triple, Value("m", -LARGEST_LENGTH, LARGEST_LENGTH)]
+Angles = Annotated[Triple, Value("rad", -LARGEST_ANGLE, LARGEST_ANGLE)]
+Direction = Annotated[Triple, Value("", -1e6, 1e6), _direction]
+Range = Annotated[
+    Pair, Value("m", 0.0, LARGEST_LENGTH, rising=True, shorter={1: lambda r: (0.0, r)})
+]
+Factor = Annotated[float, Value("", -1e6, 1e6), _not_zero]
+Conversion = Annotated[float, Value("", 1e-6, 1e6)]
+Count = Annotated[int, Value("", 1, MOST)]
+Many = Annotated[int, Value("", 1, MANY)]
+Sigmas = Mapping[str, Annotated[float, Value("SI", SMALLEST)]]
 
 
 def empty(*key: str) -> Any:
@@ -88,10 +113,8 @@ function with a derivative."""
 Distortion = tuple[float, float, float, float, float]
 
 
-def _coefficients(value: Any) -> Any:
-    """Of a distortion the first two or four, and 0 for the others."""
-    short = isinstance(value, list | tuple) and len(value) in (2, 4)
-    return [*value, 0, 0, 0][:5] if short else value
+def _more(*numbers: float) -> Sequence[float]:
+    return (*numbers, 0.0, 0.0, 0.0)[:5]
 
 
 @dataclass(frozen=True)
@@ -159,8 +182,19 @@ class PlaneSetup(Section):
     estimate: bool = True
 
 
+class _Placed(Section):
+    """A section with a place that may be estimated."""
+
+    xyz: Triple | None
+    estimate: bool | None
+
+    def _check(self) -> None:
+        if self.estimate is False and self.xyz is None:
+            raise ValueError("estimate: false only together with xyz")
+
+
 @dataclass(frozen=True)
-class PointSetup(Section):
+class PointSetup(_Placed):
     """A reference point on the tool or of a board, or a socket that holds a ball.
 
     Attributes:
@@ -173,12 +207,9 @@ class PointSetup(Section):
     xyz: Position | None = None
     estimate: bool | None = None
 
-    def _check(self) -> None:
-        _check_place(self)
-
 
 @dataclass(frozen=True)
-class SphereSetup(Section):
+class SphereSetup(_Placed):
     """A sphere in the measurement frame.
 
     Attributes:
@@ -195,13 +226,13 @@ class SphereSetup(Section):
     estimate_radius: bool | None = None
 
     def _check(self) -> None:
-        _check_place(self)
+        super()._check()
         if self.estimate_radius is False and self.radius is None:
             raise ValueError("estimate_radius: false only together with radius")
 
 
 @dataclass(frozen=True)
-class AnchorSetup(Section):
+class AnchorSetup(_Placed):
     """A fixed point that distances are measured from, such as a draw-wire encoder.
 
     Attributes:
@@ -216,14 +247,6 @@ class AnchorSetup(Section):
     bias: Annotated[float, Value("m", -LARGEST_LENGTH, LARGEST_LENGTH)] = 0.0
     estimate: bool = True
     estimate_bias: bool = False
-
-    def _check(self) -> None:
-        _check_place(self)
-
-
-def _check_place(section: PointSetup | SphereSetup | AnchorSetup) -> None:
-    if section.estimate is False and section.xyz is None:
-        raise ValueError("estimate: false only together with xyz")
 
 
 @dataclass(frozen=True)
@@ -245,7 +268,7 @@ class CameraSetup(Section):
     focal: Annotated[Pair, Value("px", 1.0, WIDEST)]
     center: Annotated[Pair, Value("px", -WIDEST, WIDEST)]
     distortion: Annotated[
-        Distortion, Written(list[float], _coefficients), Value("", -WIDEST, WIDEST)
+        Distortion, Value("", -WIDEST, WIDEST, shorter=dict.fromkeys((2, 4), _more))
     ] = (0.0, 0.0, 0.0, 0.0, 0.0)
     size: Annotated[Pair, Value("px", SMALLEST, WIDEST)] | None = None
     estimate: bool = False
@@ -397,19 +420,15 @@ def _axes(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-def _place(value: Any) -> str:
-    file, _, line = value.rpartition(":") if isinstance(value, str) else ("", "", value)
-    plain = number(line)
-    if not (plain.is_integer() and 1 <= plain <= 2**53):
-        raise ValueError
-    return f"{file}:{int(plain)}" if file else str(int(plain))
+PLACE = re.compile(r"(.*:)?0*[1-9][0-9]{0,15}")
 
 
 def _places(value: Any) -> tuple[str, ...]:
-    try:
-        return tuple(map(_place, value if isinstance(value, list | tuple) else [value]))
-    except ValueError:
-        raise ValueError("lines, such as [12, 31] or [day1.csv:12]") from None
+    found = value if isinstance(value, list | tuple) else [value]
+    whole = [int(v) if isinstance(v, float) and v.is_integer() else v for v in found]
+    if not all(PLACE.fullmatch(str(place)) for place in whole):
+        raise ValueError("lines, such as [12, 31] or [day1.csv:12]")
+    return tuple(map(str, whole))
 
 
 def _pairs(value: Any) -> tuple[tuple[str, ...], ...]:
@@ -417,12 +436,6 @@ def _pairs(value: Any) -> tuple[tuple[str, ...], ...]:
     if any(len(pair) != 2 for pair in pairs):
         raise ValueError("pairs of lines, such as [[12, 13]]")
     return pairs
-
-
-def _of_distance(value: Any) -> Any:
-    """A drift of distances has one component."""
-    alone = isinstance(value, list | tuple) and len(value) == 1
-    return [*value, 0, 0] if alone else value
 
 
 Places = Annotated[tuple[str, ...], Written(list[Line], _places)]
@@ -520,8 +533,7 @@ class ReadingSetup(Section):
     opposite: bool = False
     drift: Annotated[
         Triple,
-        Written(list[float], _of_distance),
-        Value("m", -LARGEST_LENGTH, LARGEST_LENGTH),
+        Value("m", -LARGEST_LENGTH, LARGEST_LENGTH, shorter={1: lambda d: (d, 0, 0)}),
     ] = (0.0, 0.0, 0.0)
     moved: Places = ()
     remounted: Places = ()
@@ -550,11 +562,11 @@ def _entry(value: str) -> str:
 
 
 def _date(value: str) -> str:
-    if (found := DATE.fullmatch(value)) is not None:
-        year, month, day = map(int, found.groups())
-        if 1 <= month <= 12 and 1 <= day <= monthrange(year, month)[1]:
-            return value
-    raise ValueError("a date, such as 2026-11-23")
+    found = DATE.fullmatch(value)
+    year, month, day = map(int, found.groups()) if found else (1, 0, 0)
+    if not (1 <= month <= 12 and 1 <= day <= monthrange(year, month)[1]):
+        raise ValueError("a date, such as 2026-11-23")
+    return value
 
 
 Entry = Annotated[str, _entry]
@@ -648,11 +660,6 @@ def _corners(box: tuple[Triple, Triple]) -> tuple[Triple, Triple]:
     return box
 
 
-def _thrice(value: Any) -> Any:
-    """One factor of a mesh for all three axes."""
-    return value if isinstance(value, list | tuple) else [value] * 3
-
-
 def _ordered(limits: Pair) -> Pair:
     if limits[0] > limits[1]:
         raise ValueError("[lower, upper] in rad or m")
@@ -680,7 +687,7 @@ class Obstacle(Section):
     cylinder: Annotated[Pair, Value("m", SMALLEST, LARGEST_LENGTH)] | None = None
     mesh: Text | None = None
     scale: (
-        Annotated[Triple, Written(float | Triple, _thrice), Value("", SMALLEST)] | None
+        Annotated[Triple, Value("", SMALLEST, shorter={1: lambda s: (s, s, s)})] | None
     ) = None
     xyz: Position = (0.0, 0.0, 0.0)
     rpy: Angles = (0.0, 0.0, 0.0)

@@ -44,11 +44,6 @@ _CLASSES = {
     int: int | np.integer,
     float: int | float | np.number,
 }
-_DTYPES: Mapping[Any, Any] = {
-    NDArray[np.bool_]: bool,
-    NDArray[np.int64]: np.int64,
-    NDArray[np.float64]: float,
-}
 
 
 class Refused(ValueError):
@@ -145,10 +140,7 @@ def settle(given: Any) -> None:
     kind: Any = type(given)
     for name, hint in _hints(kind).items():
         value = getattr(given, name)
-        found = value.dtype if isinstance(value, np.ndarray) else type(value)
-        plain = found == _DTYPES.get(hint, hint) and not isinstance(value, Section)
-        if found is tuple:  # Of names, mostly.
-            plain = {*map(type, value)} == {*get_args(hint)[:1]}
+        plain = type(value) is hint and not isinstance(value, Section)
         if not plain and value is not getattr(kind, name, MISSING):
             object.__setattr__(given, name, taken(name, value, hint))
 

@@ -9,8 +9,8 @@ it otherwise. Where a value cannot be used, a `ValueError` says what is allowed 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Annotated, Any, get_args
 
 from calib_pin.units import as_number
@@ -29,9 +29,6 @@ SMALLEST = 1e-12
 
 MOST = 100
 """Most rows or columns of a board."""
-
-MANY = 10_000_000
-"""Most robots, configurations or repetitions that can be meant."""
 
 
 class Section:
@@ -68,7 +65,7 @@ def number(value: object) -> float:
     return float(plain)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # Annotations are hashed, mappings cannot be.
 class Value:
     """Limits of a number, or of every number in a list of fixed length.
 
@@ -77,12 +74,15 @@ class Value:
         least: Least value.
         most: Largest value.
         rising: Whether each must exceed the one before.
+        shorter: Makes all numbers of fewer, by how many may be written instead; a
+            single number may stand alone.
     """
 
     unit: str = ""
     least: float = -math.inf
     most: float = math.inf
     rising: bool = False
+    shorter: Mapping[int, Callable[..., Sequence[float]]] = field(default_factory=dict)
 
     def taken(self, value: object, kind: Any) -> Any:
         """The number or numbers, as a type has them.
@@ -97,6 +97,8 @@ class Value:
             found = [number(entry) for entry in entries]
         except ValueError:
             found = []
+        if (whole := self.shorter.get(len(found))) is not None:
+            found = [*whole(*found)]
         fits = len(found) == max(count, 1)
         fits &= all(self.least <= entry <= self.most for entry in found)
         fits &= not self.rising or sorted(set(found)) == found
@@ -116,7 +118,8 @@ class Value:
         words += f" of at least {low}" if low and not high else ""
         words += f" of at most {high}" if high and not low else ""
         words = words.replace("e+0", "e")
-        return f"{words}, each larger than the one before" if self.rising else words
+        words += ", each larger than the one before" if self.rising else ""
+        return words + "".join(f", or {n} of them" for n in self.shorter)
 
 
 @dataclass(frozen=True)
@@ -158,50 +161,11 @@ class Written:
     function: Callable[[Any], Any]
 
 
-def _text(value: str) -> str:
+def text(value: str) -> str:
+    """A text that is not blank."""
     if not value.strip():
         raise ValueError("text (in quotes if it looks like something else)")
     return value
 
 
-def distinct(names: tuple[Any, ...]) -> tuple[Any, ...]:
-    """A list with at least one entry, and each once."""
-    if not names or len(set(names)) < len(names):
-        raise ValueError("at least one entry, and each at most once")
-    return names
-
-
-def _not_zero(factor: float) -> float:
-    if abs(factor) < 1e-6:
-        raise ValueError("a number from 1e-6 to 1e6, or the negative of one")
-    return factor
-
-
-def _direction(vector: Triple) -> Triple:
-    if math.hypot(*vector) < 1e-6:
-        raise ValueError("three numbers that are not all 0, such as [0, 0, 1]")
-    return vector
-
-
-def _from_zero(far: Any) -> Any:
-    """The farthest distance alone counts from 0."""
-    return far if isinstance(far, list | tuple) else [0, far]
-
-
-Text = Annotated[str, _text]
-Length = Annotated[float, Value("m", SMALLEST, LARGEST_LENGTH)]
-Position = Annotated[Triple, Value("m", -LARGEST_LENGTH, LARGEST_LENGTH)]
-Angles = Annotated[Triple, Value("rad", -LARGEST_ANGLE, LARGEST_ANGLE)]
-Direction = Annotated[Triple, Value("", -1e6, 1e6), _direction]
-Range = Annotated[
-    Pair,
-    Written(
-        float | Pair, lambda far: far if isinstance(far, list | tuple) else [0, far]
-    ),
-    Value("m", 0.0, LARGEST_LENGTH, rising=True),
-]
-Factor = Annotated[float, Value("", -1e6, 1e6), _not_zero]
-Conversion = Annotated[float, Value("", 1e-6, 1e6)]
-Count = Annotated[int, Value("", 1, MOST)]
-Many = Annotated[int, Value("", 1, MANY)]
-Sigmas = Mapping[str, Annotated[float, Value("SI", SMALLEST)]]
+Text = Annotated[str, text]

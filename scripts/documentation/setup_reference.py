@@ -8,12 +8,13 @@ import math
 import re
 import typing
 from collections.abc import Iterator, Mapping
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, get_args, get_origin
 
 from calib_pin import setup as declared
+from calib_pin.cli.options import meanings
 from calib_pin.io.setup import FAMILIES
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.setup import values
@@ -56,8 +57,8 @@ and are not listed here.
 
 
 CHECKS: Mapping[Any, Json] = {
-    values._text: {"minLength": 1},
-    values.distinct: {"uniqueItems": True},
+    values.text: {"minLength": 1},
+    declared.distinct: {"uniqueItems": True},
     declared._entry: {"maxLength": declared.LONGEST},
     declared._date: {"format": "date"},
 }
@@ -83,7 +84,7 @@ def json_schema() -> Json:
             name: _section(kind)
             for name, kind in sorted(vars(declared).items())
             if isinstance(kind, type) and issubclass(kind, Section)
-            if kind not in (Section, declared.RobotSetup, declared.Setup)
+            if is_dataclass(kind) and not issubclass(declared.Setup, kind)
         },
         **_section(declared.Setup),
         "description": "A setup file of calib-pin.",
@@ -139,8 +140,13 @@ def _numbers(found: Json, limits: values.Value) -> Json:
     if "anyOf" in found:
         found = {"anyOf": [_numbers(one, limits) for one in found["anyOf"]]}
     elif found["type"] == "array":
-        found = {**found, "items": _numbers(found["items"], limits)}
+        few = min(limits.shorter, default=found["minItems"])
+        found = {**found, "items": _numbers(found["items"], limits), "minItems": few}
         found["items"].pop("unit", None)
+        if few == 1:
+            found = {
+                "anyOf": [found["items"], {**found, "minItems": found["maxItems"]}]
+            }
     else:
         lowest = "exclusiveMinimum" if limits.least == SMALLEST else "minimum"
         least = 0.0 if limits.least == SMALLEST else limits.least
@@ -213,22 +219,6 @@ def _evolution() -> Json:
         # JSON has no infinity, which here stands for no target.
         part |= {} if default == -math.inf else {"default": default}
         found[option.name] = {**part, "description": told[option.name]}
-    return found
-
-
-def meanings(cls: type) -> dict[str, str]:
-    """The attributes in the docstrings of a class and of its bases.
-
-    Returns:
-        Text on one line, by attribute.
-    """
-    found: dict[str, str] = {}
-    for base in reversed(cls.__mro__):
-        _, _, text = inspect.cleandoc(base.__doc__ or "").partition("Attributes:\n")
-        text = text.split("\n\n")[0]
-        for entry in re.split(r"\n    (?=\w)", "\n" + text)[1:]:
-            name, _, meaning = entry.partition(": ")
-            found[name] = " ".join(meaning.split())
     return found
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -22,6 +22,7 @@ from calib_pin.cli.workforce import ClusterAddress, WorkerCount, asked_workers
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
+    from calib_pin.cli.fleet_jobs import Orders
     from calib_pin.cli.jobs import Job
     from calib_pin.estimation.statistics.population_prior import (
         Population,
@@ -91,82 +92,85 @@ def fleet(
         raise OptionError("give either a table of JOBS, or --monte-carlo SETUP")
     # A job may end the process that does it.
     patience = None if jobs is None else 0.0
-    asked: dict[str, Any] = dict(resume=resume, force=force, quiet=quiet, json=json)
     with (
         asked_workers(workers, cluster, patience) as several,
         progress_bar(quiet=quiet) as bar,
     ):
-        if monte_carlo is not None:
+        if jobs is None:
             from calib_pin.cli.monte_carlo import simulated
 
-            return simulated(monte_carlo, output, several, seed=seed, bar=bar, **asked)
-        assert jobs is not None
-        return _calibrated(jobs, output, several, pages=not no_pages, bar=bar, **asked)
+            return simulated(
+                cast(Path, monte_carlo),
+                output,
+                several,
+                seed=seed,
+                resume=resume,
+                force=force,
+                quiet=quiet,
+                json=json,
+                bar=bar,
+            )
+        from calib_pin.cli.fleet_jobs import Orders
 
-
-def _calibrated(
-    table: Path,
-    output: Path,
-    workers: Workers,
-    *,
-    pages: bool,
-    resume: bool,
-    force: bool,
-    quiet: bool,
-    json: bool,
-    bar: Bar | None,
-) -> int:
-    """Calibrate the robots of a table; returns the exit status."""
-    from calib_pin.cli.fleet_jobs import Orders, Outcome, calibrate_job, lost_job
-    from calib_pin.cli.jobs import read_jobs
+        orders = Orders(Path.cwd(), output, not no_pages, resume)
+        rows, populations = _calibrated(jobs, orders, force, several, bar)
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import plain
     from calib_pin.io.measurements import encode_table
     from calib_pin.report.figures import fleet_figures
     from calib_pin.report.fleet_text import MANY, fleet_report
     from calib_pin.report.html import blocks_page
-    from calib_pin.validation.fleet import by_urgency, fleet_columns
+    from calib_pin.validation.fleet import fleet_columns
 
-    asked = read_jobs(table, notice)
-    _check(output, asked, table, force or resume)
-    orders = Orders(Path.cwd(), output, pages, resume)
-    done: dict[str, Outcome] = {}
-    for wave in _waves(asked):
-        for outcome in workers.map(calibrate_job, orders, wave, lost_job):
-            done[outcome.row.job] = outcome
-            if bar is not None:
-                bar(f"{len(done)} of {len(asked)}", len(done) / len(asked))
-    found = [done[job.name] for job in asked]
-    rows = _compared(orders, asked, [row for row, _ in found], workers, bar)
-    if bar is not None:
-        bar("types", None)
-    populations, rows = types_of(asked, rows, [evidence for _, evidence in found])
-    ordered = by_urgency(rows)
-    columns = fleet_columns(ordered)
+    columns = fleet_columns(rows)
+    page = [*fleet_report(rows, populations, MANY)], [*fleet_figures(rows)]
     contents = {
         output / TABLE: encode_table(columns, []),
-        output / PAGE: blocks_page(
-            "Calibrations of a fleet",
-            [*fleet_report(ordered, populations, MANY)],
-            [*fleet_figures(ordered)],
-            TABLE,
-        ),
+        output / PAGE: blocks_page("Calibrations of a fleet", *page, TABLE),
         **priors(output, populations),
     }
     with write_files(contents, force=True):
         if json:
-            lists = [plain(list(column)) for column in columns.values()]
-            jobs = [
-                dict(zip(columns, row, strict=True)) for row in zip(*lists, strict=True)
-            ]
-            say_json({"jobs": jobs}, contents)
+            cells = zip(*(plain(list(c)) for c in columns.values()), strict=True)
+            listed = [dict(zip(columns, row, strict=True)) for row in cells]
+            say_json({"jobs": listed}, contents)
         elif not quiet:
-            show(fleet_report(ordered, populations))
+            show(fleet_report(rows, populations))
     if not quiet and not json:
-        folders = sum(row.fitted > 0 for row in ordered)
-        written = [f"wrote {folders} folders to {output}"]
+        written = [f"wrote {sum(row.fitted > 0 for row in rows)} folders to {output}"]
         say_written([*written, *(f"wrote {file}" for file in contents)])
-    return 0 if all(row.trusted for row in ordered) else 2
+    return 0 if all(row.trusted for row in rows) else 2
+
+
+def _calibrated(
+    table: Path, orders: Orders, force: bool, workers: Workers, bar: Bar | None
+) -> tuple[Sequence[FleetRow], Sequence[Population]]:
+    """Calibrate the robots of a table: rows by urgency, and the types of robots."""
+    from calib_pin.cli.fleet_jobs import calibrate_job, compare_job, lost_job
+    from calib_pin.cli.jobs import read_jobs
+    from calib_pin.validation.fleet import by_urgency
+
+    tell = bar or (lambda stage, part: None)
+    asked = read_jobs(table, notice)
+    _check(table, asked, orders.output, force or orders.resume)
+    rows: dict[str, FleetRow] = {}
+    evidences: dict[str, RobotEvidence | None] = {}
+    for wave in _waves(asked):
+        for row, evidence in workers.map(calibrate_job, orders, wave, lost_job):
+            rows[row.job], evidences[row.job] = row, evidence
+            tell(f"{len(rows)} of {len(asked)}", len(rows) / len(asked))
+    pairs = []
+    for job in asked:
+        if rows[job.name].fitted and (previous := job.stated.previous):
+            pairs.append((rows[job.name], previous, str(previous)))
+        elif rows[job.name].fitted and job.before and rows[job.before].fitted:
+            pairs.append((rows[job.name], orders.output / job.before, job.before))
+    for k, row in enumerate(workers.map(compare_job, orders, pairs), 1):
+        rows[row.job] = row
+        tell("drift", k / len(pairs))
+    tell("types", None)
+    populations = types_of(asked, rows, evidences)
+    return by_urgency([rows[job.name] for job in asked]), populations
 
 
 def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
@@ -179,7 +183,7 @@ def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
         left = waiting
 
 
-def _check(output: Path, jobs: Sequence[Job], table: Path, force: bool) -> None:
+def _check(table: Path, jobs: Sequence[Job], output: Path, force: bool) -> None:
     """Refuse to replace what is there, and to write into what is read.
 
     Raises:
@@ -187,54 +191,28 @@ def _check(output: Path, jobs: Sequence[Job], table: Path, force: bool) -> None:
     """
     for job in jobs:
         if job.name.casefold() in FILES:
-            raise OptionError(
-                "a job cannot have this name", file=table, line=job.line, value=job.name
-            )
+            reason = "a job cannot have this name"
+            raise OptionError(reason, file=table, line=job.line, value=job.name)
         if not force and exists(folder := output / job.name):
             reason = "exists; --resume goes on, --force begins again"
             raise OptionError(reason, file=folder)
     check_outputs([output / name for name in FILES], [table], force)
 
 
-def _compared(
-    orders: Any,
-    jobs: Sequence[Job],
-    rows: Sequence[FleetRow],
-    workers: Workers,
-    bar: Bar | None,
-) -> list[FleetRow]:
-    """The rows with the drift of those robots that were calibrated before."""
-    from calib_pin.cli.fleet_jobs import compare_job
-
-    found = {row.job: row for row in rows}
-    pairs = []
-    for job, row in zip(jobs, rows, strict=True):
-        if row.fitted and (previous := job.stated.previous):
-            pairs.append((row, previous, str(previous)))
-        elif row.fitted and job.before and found[job.before].fitted:
-            pairs.append((row, orders.output / job.before, job.before))
-    for k, row in enumerate(workers.map(compare_job, orders, pairs), 1):
-        found[row.job] = row
-        if bar is not None:
-            bar("drift", k / len(pairs))
-    return [found[row.job] for row in rows]
-
-
 def types_of(
     jobs: Sequence[Job],
-    rows: Sequence[FleetRow],
-    evidences: Sequence[RobotEvidence | None],
-) -> tuple[list[Population], list[FleetRow]]:
+    rows: dict[str, FleetRow],
+    evidences: Mapping[str, RobotEvidence | None],
+) -> list[Population]:
     """The types of a fleet; of a serial number its last calibration counts.
 
     Args:
         jobs: The jobs.
-        rows: The row of each.
+        rows: The row of each, by its name; those of the types get their farthest joint.
         evidences: The evidence of each; None where it tells nothing of a type.
 
     Returns:
-        The types with robots enough, the largest first, and the rows, those of such
-        types with their farthest joint.
+        The types with robots enough, the largest first.
     """
     from calib_pin.estimation.statistics.population_prior import (
         LEAST,
@@ -244,25 +222,25 @@ def types_of(
     from calib_pin.validation.fleet import with_joint
 
     earlier = {job.before for job in jobs}
-    alike: list[dict[int, RobotEvidence]] = []
-    for k, (job, own) in enumerate(zip(jobs, evidences, strict=True)):
+    alike: list[dict[str, RobotEvidence]] = []
+    for job in jobs:
+        own = evidences[job.name]
         if own is None or job.name in earlier:
             continue
         for members in alike:
             first = next(iter(members.values()))
             if not first.robot.difference(own.robot) and first.names == own.names:
-                members[k] = own
+                members[job.name] = own
                 break
         else:
-            alike.append({k: own})
-    found, result = [], list(rows)
+            alike.append({job.name: own})
+    found = []
     for members in sorted(alike, key=len, reverse=True):
-        if len(members) < LEAST:
-            continue
-        found.append(population := population_of([*members.values()]))
-        for k, joints in zip(members, joint_deviations(population), strict=True):
-            result[k] = with_joint(result[k], joints)
-    return found, result
+        if len(members) >= LEAST:
+            found.append(population := population_of([*members.values()]))
+            for name, far in zip(members, joint_deviations(population), strict=True):
+                rows[name] = with_joint(rows[name], far)
+    return found
 
 
 def priors(folder: Path, populations: Sequence[Population]) -> dict[Path, bytes]:

@@ -75,7 +75,6 @@ class Outcome(NamedTuple):
 @serial_blas
 def calibrate_job(orders: Orders, job: Job) -> Outcome:
     """Calibrate, write the folder of the results, and tell its row."""
-    serial, date = job.stated.serial_number, job.stated.date or ""
     try:
         orders.enter()
         request = request_of(orders, job)
@@ -84,26 +83,30 @@ def calibrate_job(orders: Orders, job: Job) -> Outcome:
             _calibrated(orders, job, request)
             # As the folder has it, so that who goes on later has the same bytes.
             result = read_result(orders.output / job.name)
-        row = fleet_row(job.name, result, serial, date)
+        date = job.stated.date or ""
+        row = fleet_row(job.name, result, job.stated.serial_number, date)
         return Outcome(row, _evidence(result))
     except CalibPinError as error:
-        reason = str(error)
+        return failed(job, str(error))
     except OSError as error:
         reason = f"{error.filename or job.name}: {error.strerror or error}"
+        return failed(job, reason)
     except Exception as error:  # One broken job stops nothing.
-        reason = one_line(f"{type(error).__name__}: {error}")
+        return failed(job, one_line(f"{type(error).__name__}: {error}"))
     finally:
         tell_notices(forget=True)
-    return Outcome(FleetRow(job.name, serial, date, reason=reason))
+
+
+def failed(job: Job, reason: str) -> Outcome:
+    """The outcome of a job that ended in an error."""
+    stated = job.stated
+    row = FleetRow(job.name, stated.serial_number, stated.date or "", reason=reason)
+    return Outcome(row)
 
 
 def lost_job(job: Job) -> Outcome:
     """The outcome of a job over which workers died again and again."""
-    reason = "the process that calibrates it dies each time"
-    stated = job.stated
-    return Outcome(
-        FleetRow(job.name, stated.serial_number, stated.date or "", reason=reason)
-    )
+    return failed(job, "the process that calibrates it dies each time")
 
 
 def _evidence(result: CalibrationResult) -> RobotEvidence | None:

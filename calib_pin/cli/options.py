@@ -195,7 +195,9 @@ def parse_limits(
         # Degrees would leave a joint as free as it was, without a word.
         if not -ANGLE.largest <= lower <= upper <= ANGLE.largest:
             most = f"{ANGLE.largest:.4g} rad or m"
-            allowed = f"LOWER up to UPPER, at most {most}; other units in brackets"
+            allowed = (
+                f"LOWER up to UPPER, at most {most}; other units in brackets: [deg]"
+            )
             raise OptionError(wrong, allowed=allowed)
         for k in matching(joint, chains.joints):
             kind = ANGLE if chains.revolute[k] else LENGTH

@@ -221,8 +221,9 @@ def _check(setup: Setup) -> None:
     _check_evolution(setup)
     models = MEASUREMENT_MODELS.values()
     known = {q.name: q for model in models for q in model.declaration.quantities}
-    for name in setup.noise.keys() - known.keys():
-        raise unknown(("noise", name), known)
+    for name in setup.noise:
+        if name not in known:
+            raise unknown(("noise", name), known)
     _check_twice(
         (given.joint, ("joints", name, "joint")) for name, given in setup.joints.items()
     )
@@ -231,29 +232,19 @@ def _check(setup: Setup) -> None:
             if not name.strip() or name == word or (word == AT and AT in name):
                 allowed = f"a name {'without' if word == AT else 'other than'} {word}"
                 raise Refused((key, name), allowed, "{} cannot have this name")
-    for name in setup.tools:
-        _check_carrier(setup, name)
+    carried: set[str | None] = {None}
+    for _ in setup.tools:
+        carried |= {name for name, tool in setup.tools.items() if tool.on in carried}
+    for name in [n for n in setup.tools if n not in carried]:
+        others, on = [n for n in setup.tools if n != name], str(setup.tools[name].on)
+        reason = f"{{}} is no other tool, or one that it carries{nearest(on, others)}"
+        raise Refused(("tools", name, "on"), ", ".join(others), reason)
     if setup.board and setup.targets:
         reason = "{} and 'targets' both say what the camera looks at"
         raise Refused(("board",), "one of them", reason)
     for key in ("distances", "angles"):
         ends = enumerate(getattr(setup, key))
         _check_twice((frozenset(d.between), (key, k, "between")) for k, d in ends)
-
-
-def _check_carrier(setup: Setup, name: str) -> None:
-    """Refuse a tool on one that is not there, or on itself."""
-    below, on = [name], setup.tools[name].on
-    while on is not None:
-        place = ("tools", below[-1], "on")
-        others = [other for other in setup.tools if other != below[-1]]
-        if on not in others:
-            hint = nearest(on, others)
-            raise Refused(place, ", ".join(others), f"{{}} is no other tool{hint}")
-        if on in below:
-            raise Refused(place, None, "{} is a tool that this one carries")
-        below.append(on)
-        on = setup.tools[on].on
 
 
 def _check_evolution(setup: Setup) -> None:

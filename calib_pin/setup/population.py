@@ -52,10 +52,9 @@ class RobotType:
             return "its joints stand in another order"
         for own, joint in zip(self.joints, other.joints, strict=True):
             for word in ("axis", "placement"):
-                numbers: tuple[Row, Row] = getattr(own, word), getattr(joint, word)
-                if len(numbers[0]) != len(numbers[1]) or any(
-                    not abs(a - b) <= SAME for a, b in zip(*numbers, strict=True)
-                ):
+                numbers: list[Row] = [getattr(own, word), getattr(joint, word)]
+                apart = [abs(a - b) for a, b in zip(*numbers, strict=False)]
+                if len({*map(len, numbers)}) > 1 or not max(apart, default=0) <= SAME:
                     return f"its joint '{own.name}' has another nominal {word}"
         return ""
 

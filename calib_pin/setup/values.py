@@ -111,15 +111,12 @@ class Value:
         count, positive = len(get_args(kind)), self.least == SMALLEST
         noun = f"number{'s' if count else ''}{f' [{self.unit}]' if self.unit else ''}"
         which = "positive" if positive else "whole" if kind is int else "finite"
-        words = f"{count or 'a'} {which} {noun}"
-        low = "" if positive or self.least == -math.inf else f"{self.least:.6g}"
-        high = "" if self.most == math.inf else f"{self.most:.6g}"
-        words += f" from {low} to {high}" if low and high else ""
-        words += f" of at least {low}" if low and not high else ""
-        words += f" of at most {high}" if high and not low else ""
-        words = words.replace("e+0", "e")
-        words += ", each larger than the one before" if self.rising else ""
-        return words + "".join(f", or {n} of them" for n in self.shorter)
+        words = [f"{count or 'a'} {which} {noun}"]
+        for word, limit in (("least", self.least), ("most", self.most)):
+            if math.isfinite(limit) and limit != SMALLEST:
+                words.append(f"at {word} {limit:.6g}".replace("e+0", "e"))
+        words += ["each larger than the one before"] * self.rising
+        return ", ".join([*words, *(f"or {n} of them" for n in self.shorter)])
 
 
 @dataclass(frozen=True)

@@ -5,18 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 from contextlib import chdir
-from dataclasses import fields
-from inspect import signature
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calib_pin.cli import main
-from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.fleet_jobs import Orders, request_of
-from calib_pin.cli.jobs import KEYS, read_jobs
-from calib_pin.cli.request import Request
+from calib_pin.cli.jobs import read_jobs
 from calib_pin.io.results import read_result
 from calib_pin.setup import JointPrior
 from tests.cli.files import document
@@ -142,8 +138,3 @@ def test_a_fleet_goes_on(run, inside) -> None:
     (job,) = read_jobs("more.csv")
     orders = Orders(Path.cwd(), Path("out"))
     assert request_of(orders, job).start == Path("out/A-2026-07-01")
-
-
-def test_a_job_has_all_options_of_calibrate() -> None:
-    asked = {field.name for field in fields(Request)}
-    assert asked < set(signature(calibrate).parameters) and asked < set(KEYS)

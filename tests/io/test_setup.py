@@ -73,20 +73,24 @@ TEXT = "text (in quotes if it looks like something else)"
 WRONG = [
     # A file, its key, what is allowed there, and what is not.
     (
-        *("gauge: %s", "gauge", "a positive number [m] of at most 100"),
+        *("gauge: %s", "gauge", "a positive number [m], at most 100"),
         "one|true|[1]|.nan|-.inf|1:30|0x10|1_000|''|0|-1|100.1|{a: b}",
     ),
     (
-        *("reading: {shift: %s}", "reading.shift", "a whole number from -1e6 to 1e6"),
+        *(
+            "reading: {shift: %s}",
+            "reading.shift",
+            "a whole number, at least -1e6, at most 1e6",
+        ),
         "one|true|2.5|.nan|1000001|[1]",
     ),
     (
-        *("drift: {shift: %s}", "drift.shift", "a finite number [m] of at least 0"),
+        *("drift: {shift: %s}", "drift.shift", "a finite number [m], at least 0"),
         "-1e-9|'1 mm'",
     ),
     (
         *("limits: {j: %s}", "limits.j"),
-        "2 finite numbers [rad, m] from -12.5664 to 12.5664",
+        "2 finite numbers [rad, m], at least -12.5664, at most 12.5664",
         "1|[1]|[1, 2, 3]|[1, a]|[-13, 1]|{a: b}|'12'",
     ),
     (
@@ -414,7 +418,7 @@ MISTAKES: list[Any] = [
     # References that lead nowhere, or to themselves.
     ("tools:\n  probe: {}\n  tip:\n    on: prob\n", 4, "'probe'"),
     ("tools: {a: {on: a}}", 1, "'tools.a.on'"),
-    ("tools:\n  d: {on: a}\n  a: {on: b}\n  b: {on: a}\n", 4, "'tools.b.on'"),
+    ("tools:\n  d: {on: a}\n  a: {on: b}\n  b: {on: a}\n", 2, "'tools.d.on'"),
     ("joints:\n  a:\n    joint: j\n  b:\n    joint: j\n", 5, "'joints.a.joint'"),
     (f"{APART}  - {{between: [b, a], value: 1}}\n", 3, "distances[0]"),
     # Numbers together, or where the schema says less.

@@ -166,7 +166,7 @@ def _open(
     if known is not None:
         things = things_around(known, reach)
     elif model is not None:
-        things = surroundings(model.parts, {}, reach)
+        things = surroundings(model.terms, {}, reach)
     return Scene(robot.name, shapes.parts, bodies, chains, rows, planned, tuple(things))
 
 

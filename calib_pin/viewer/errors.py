@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.estimation.measured import Block
 from calib_pin.estimation.problem import error_table
+from calib_pin.estimation.terms import Block
 from calib_pin.kinematics.skeleton import base_poses
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.tool_point import PointModel
@@ -63,13 +63,13 @@ def stage_errors(robot: Prepared, link: str) -> StageErrors:
     data, residual = problem.data, problem.errors(theta)
     points, vectors = np.zeros((len(data), 3)), np.full((len(data), 3), np.nan)
     for block in problem.blocks:
-        q, base = data.q[block.rows], block.part.error.base.inverse().homogeneous
+        q, base = data.q[block.rows], block.term.error.base.inverse().homogeneous
         seen = _in_base(block, theta)
-        to_link = base_poses(problem.chains, block.part.key.chain, link, q)
+        to_link = base_poses(problem.chains, block.term.key.chain, link, q)
         points[block.rows] = (to_link @ seen)[:, :3, 3]
         turn = to_link[:, :3, :3] @ base[:3, :3]
         errors = block.table(residual)
-        for quantity in block.part.measurement.quantities:
+        for quantity in block.term.measurement.quantities:
             columns = errors[:, quantity.columns]
             if quantity.unit == "m" and columns.shape[1] == 3:
                 vectors[block.rows] = np.einsum("nij,nj->ni", turn, columns)
@@ -92,15 +92,15 @@ def things_around(robot: Prepared, reach: float) -> list[Thing]:
     """
     problem, theta = robot.problem.rebased(robot.theta)
     touched = {
-        block.part.key: (block.data.target, _in_base(block, theta)[:, :3, 3])
+        block.term.key: (block.data.target, _in_base(block, theta)[:, :3, 3])
         for block in problem.blocks
     }
-    return surroundings(problem.parts, touched, reach)
+    return surroundings(problem.terms, touched, reach)
 
 
 def _in_base(block: Block, theta: Floats) -> Floats:
     """Poses of the tool at the measured points, in the base link, (N, 4, 4)."""
-    base = block.part.error.base.inverse().homogeneous
+    base = block.term.error.base.inverse().homogeneous
     return np.asarray(base @ _tool_poses(block, theta))
 
 
@@ -109,10 +109,10 @@ def _tool_poses(block: Block, theta: Floats) -> Floats:
 
     Of relative measurements as well: where the tool is, not how it has moved.
     """
-    part, data = block.part, block.data
-    error, of_robot = part.error, part.values(theta)[0]
+    term, data = block.term, block.data
+    error, of_robot = term.error, term.values(theta)[0]
     T = error.poses(data.q, of_robot, error.basis(data.q, data.conditions))
-    model = part.measurement
+    model = term.measurement
     if isinstance(model, PointModel):
         label, _ = model.names(data.target, data)
         offsets = [point.at(np.zeros(3)) for point in model.points]

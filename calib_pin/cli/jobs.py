@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from inspect import signature
-from itertools import pairwise
+from itertools import groupby, pairwise
+from operator import attrgetter
 from pathlib import Path
 from types import NoneType
 from typing import Annotated, Any, get_args, get_type_hints
@@ -127,19 +128,13 @@ def read_jobs(
     for number, (line, stated) in enumerate(found, 1):
         name = stated.name or _name(stated, number, [job for _, job in found])
         if (twin := jobs.get(name.casefold())) is not None:
-            raise InputError(
-                f"the job has the folder of that in line {twin.line}",
-                file=path,
-                line=line,
-                value=name,
-                allowed="a 'name' of its own",
-            )
+            reason = f"the job needs a 'name': it has the folder of line {twin.line}"
+            raise InputError(reason, file=path, line=line, value=name)
         if stated.start == PREVIOUS and not (stated.serial_number or stated.previous):
             reason = "'start: previous' needs a 'serial_number'"
             raise InputError(reason, file=path, line=line)
-        jobs[name.casefold()] = Job(name, line, _placed(Path(path).parent, stated))
-    before = _before(list(jobs.values()))
-    return tuple(replace(job, before=before.get(job.name, "")) for job in jobs.values())
+        jobs[name.casefold()] = Job(name, line, stated)
+    return _in_order([*jobs.values()])
 
 
 Row = tuple[dict[str, int], dict[str, list[str]]]
@@ -195,24 +190,27 @@ def _job(path: str | Path, lines: Mapping[str, int], given: Texts) -> JobSetup:
     def error(key: str, reason: str, **told: Any) -> InputError:
         return InputError(reason, file=path, line=lines.get(key, lines[""]), **told)
 
-    found = {}
+    found, folder = dict[str, Any](), Path(path).parent
     for key, texts in given.items():
         if key not in KEYS:
             reason = f"unknown key '{key}'{nearest(key, KEYS)}"
             raise error(key, reason, allowed=", ".join(KEYS))
         try:
-            found[key] = _value(key, texts)
+            found[key] = _value(key, texts, folder)
         except OptionError as wrong:
             reason, value = f"'{key}' cannot have this value", "; ".join(texts)
             raise error(key, reason, value=value, allowed=wrong.allowed) from None
     for key in ("robot", "measurements"):
         if key not in found:
             raise error(key, f"'{key}' is missing")
+    # A robot may be a bundled one, and a xacro file has its arguments behind it.
+    if (folder / found["robot"].split(" ")[0]).exists():
+        found["robot"] = str(folder / found["robot"])
     return JobSetup(**found)
 
 
-def _value(key: str, texts: Sequence[str]) -> Any:
-    """The value of a key, as a command line takes it.
+def _value(key: str, texts: Sequence[str], folder: Path) -> Any:
+    """The value of a key as a command line takes it, files as from this folder.
 
     Raises:
         OptionError: If it cannot be used.
@@ -223,10 +221,14 @@ def _value(key: str, texts: Sequence[str]) -> Any:
         found = [f.strip() for text in texts for f in text.split(CHAINED) if f.strip()]
         if not found or len(set(found)) < len(found):
             raise OptionError("", allowed="files, each at most once")
-        return [*map(Path, found)]
+        return [folder / file for file in found]
     if len(texts) != 1 or (kind is bool and texts[0] not in FLAGS):
         allowed = ", ".join(FLAGS) if kind is bool else "one value"
         raise OptionError("", allowed=allowed)
+    if kind is Path:
+        return (
+            PREVIOUS if (key, texts) == ("start", ["previous"]) else folder / texts[0]
+        )
     return FLAGS[texts[0]] if kind is bool else (told.parse or kind)(texts[0])
 
 
@@ -246,31 +248,12 @@ def _name(stated: JobSetup, number: int, every: Sequence[JobSetup]) -> str:
     return folder_name(f"{serial}-{stated.date}" if dated and stated.date else serial)
 
 
-def _placed(folder: Path, stated: JobSetup) -> JobSetup:
-    """A job with its files named from here, not from the folder of the table."""
-
-    def placed(value: Any) -> Any:
-        if isinstance(value, list):
-            return [*map(placed, value)]
-        file = isinstance(value, Path) and value != PREVIOUS
-        return folder / value if file else value
-
-    found = {key: placed(value) for key, value in vars(stated).items()}
-    # A robot may be a bundled one, and a xacro file has its arguments behind it.
-    if (folder / stated.robot.split(" ")[0]).exists():
-        found["robot"] = str(folder / stated.robot)
-    return JobSetup(**found)
-
-
-def _before(jobs: Sequence[Job]) -> dict[str, str]:
-    """For each job of a robot the job before it, by their names."""
-    by_serial: dict[str, list[Job]] = {}
-    for job in jobs:
-        if job.stated.serial_number:
-            by_serial.setdefault(job.stated.serial_number, []).append(job)
-    found: dict[str, str] = {}
-    for own in by_serial.values():
+def _in_order(jobs: Sequence[Job]) -> tuple[Job, ...]:
+    """The jobs, each with the name of the one before it of the same robot."""
+    found, serial = dict[str, str](), attrgetter("stated.serial_number")
+    for name, alike in groupby(sorted(jobs, key=serial), serial):
+        own = list(alike)
         if all(job.stated.date for job in own):
-            own = sorted(own, key=lambda job: str(job.stated.date))
-        found |= {later.name: job.name for job, later in pairwise(own)}
-    return found
+            own.sort(key=attrgetter("stated.date"))
+        found |= {later.name: job.name for job, later in pairwise(own) if name}
+    return tuple(replace(job, before=found.get(job.name, "")) for job in jobs)

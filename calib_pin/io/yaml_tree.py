@@ -27,6 +27,10 @@ _LARGEST = 1 << 20  # Bytes; some seconds, and a tree of hundreds of times as ma
 _QUOTED = 'a glob needs quotes, as in "*.placement.z"'
 
 
+Place = Sequence[str | int]
+"""Keys and positions that lead to a value."""
+
+
 @dataclass(frozen=True)
 class Tree:
     """A YAML document.
@@ -41,11 +45,11 @@ class Tree:
     data: Any
     root: yaml.Node | None = None
 
-    def line(self, path: Sequence[str | int]) -> Any:
+    def line(self, path: Place) -> Any:
         """Line of a key or list item, or of the last part of the path that exists."""
         return self._find(path)[0]
 
-    def written(self, path: Sequence[str | int]) -> str | None:
+    def written(self, path: Place) -> str | None:
         """The value at a path as it stands in the file, on one line and shortened."""
         node = self._find(path)[1]
         if node is None:
@@ -57,17 +61,13 @@ class Tree:
         return textwrap.shorten(text.split("#")[0], 60, placeholder=" ...")
 
     def error(
-        self,
-        reason: str,
-        path: Sequence[str | int],
-        value: object = None,
-        allowed: str | None = None,
+        self, reason: str, path: Place, value: object = None, allowed: Any = None
     ) -> InputError:
         """An error about the key at a path."""
         file, line = self.file or None, self.line(path)
         return InputError(reason, file=file, line=line, value=value, allowed=allowed)
 
-    def _find(self, path: Sequence[str | int]) -> tuple[int | None, yaml.Node | None]:
+    def _find(self, path: Place) -> tuple[int | None, yaml.Node | None]:
         """Line and value node of the last part of a path that exists."""
         node = self.root
         line = _line(node) if node else 1 if self.file else None

@@ -410,10 +410,6 @@ HELD = (
 """Orientations that such columns may hold instead."""
 
 
-Line = int | str
-"""A line, which a file and a colon precede if there are several."""
-
-
 def _axes(names: tuple[str, ...]) -> tuple[str, ...]:
     if sorted(name.removeprefix("-") for name in names) != list(AXES):
         raise ValueError("x, y and z in any order, each with or without a -")
@@ -438,7 +434,7 @@ def _pairs(value: Any) -> tuple[tuple[str, ...], ...]:
     return pairs
 
 
-Places = Annotated[tuple[str, ...], Written(list[Line], _places)]
+Places = Annotated[tuple[str, ...], Written(list[int | str], _places)]
 
 
 @dataclass(frozen=True)
@@ -522,7 +518,7 @@ class ReadingSetup(Section):
     orientation: OrientationSetup | None = None
     inverted: bool = False
     exchanged: Annotated[
-        tuple[tuple[str, ...], ...], Written(list[tuple[Line, Line]], _pairs)
+        tuple[tuple[str, ...], ...], Written(list[tuple[int, int]], _pairs)
     ] = ()
     converted: tuple[ConvertedSetup, ...] = ()
     reversed: bool = False

@@ -54,7 +54,10 @@ class Refused(ValueError):
         reason: What is wrong.
         allowed: What is allowed instead; None where there is nothing to say.
         shown: Whether the value itself tells more.
+        value: The value.
     """
+
+    value: Any = None
 
     def __init__(
         self, path: Path, allowed: str | None, what: str = "{} cannot have this value"
@@ -118,20 +121,20 @@ def as_array(name: str, value: object, *shape: int | str) -> NDArray[np.float64]
     return rows
 
 
-def taken(name: str, value: object, hint: Any) -> Any:
+def taken(name: str, value: object, hint: Any, *above: str | int) -> Any:
     """An argument as its annotation has it.
 
     Raises:
         OptionError: If it is nothing of the kind.
     """
     try:
-        return Taker().taken(value, hint, (name,))
+        return Taker().taken(value, hint, (*above, name))
     except Refused as error:
-        given = None if not error.shown else "None" if value is None else value
-        raise OptionError(error.reason, value=given, allowed=error.allowed) from None
+        reason, value = error.reason, error.value
+        raise OptionError(reason, value=value, allowed=error.allowed) from None
 
 
-def settle(given: Any) -> None:
+def settle(given: Any, *path: str | int) -> None:
     """Take the fields of a dataclass as their annotations have them.
 
     Raises:
@@ -142,7 +145,7 @@ def settle(given: Any) -> None:
         value = getattr(given, name)
         plain = type(value) is hint and not isinstance(value, Section)
         if not plain and value is not getattr(kind, name, MISSING):
-            object.__setattr__(given, name, taken(name, value, hint))
+            object.__setattr__(given, name, taken(name, value, hint, *path))
 
 
 def checked(function: _Function) -> _Function:
@@ -194,7 +197,9 @@ class Taker:
         except Refused:
             raise
         except ValueError as error:
-            raise Refused(path, str(error)) from None
+            refused = Refused(path, str(error))
+            refused.value = "None" if value is None else value
+            raise refused from None
 
     def _taken(self, value: Any, hint: Any, path: Path) -> Any:
         kind, inner = get_origin(hint) or hint, get_args(hint)
@@ -226,7 +231,7 @@ class Taker:
         if not fits and not (section and issubclass(kind, type(value))):
             raise ValueError(words)
         if section:
-            settle(value)
+            settle(value, *path)
         if kind is not Mapping:
             return value
         return {

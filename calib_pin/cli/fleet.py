@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -18,6 +19,7 @@ from calib_pin.cli.printing import (
     say_written,
     show,
 )
+from calib_pin.cli.request import SEED, Told
 from calib_pin.cli.workforce import ClusterAddress, WorkerCount, asked_workers
 from calib_pin.errors import OptionError
 
@@ -39,7 +41,27 @@ setup.
 """
 
 
+@dataclass(frozen=True)
+class Fleet:
+    """Many calibrations as they are asked for.
+
+    Attributes:
+        monte_carlo: Simulate robots instead, as 'monte_carlo' in this setup file says:
+            how accurate will they be, against number of configurations?
+        seed: Random seed of the study.
+        resume: Go on with what a stopped run has left, as far as it is whole.
+        no_pages: No report.html in the folders; 'calib-pin report' writes it later.
+    """
+
+    monte_carlo: Annotated[Path | None, Told("SETUP", "Study")] = None
+    seed: Annotated[int, Told("N", "Study", SEED)] = 0
+    resume: Annotated[bool, Told("", "Output")] = False
+    no_pages: Annotated[bool, Told("", "Output")] = False
+
+
+@options.spread
 def fleet(
+    request: Fleet,
     output: Annotated[
         Path, options.output("-o --output DIR", "Folder for all results.")
     ],
@@ -51,31 +73,8 @@ def fleet(
             "serial_number, date, ...",
         ),
     ] = None,
-    monte_carlo: Annotated[
-        Path | None,
-        options.option(
-            "Study",
-            "--monte-carlo SETUP",
-            "Simulate robots instead, as 'monte_carlo' in this setup file says: how "
-            "accurate will they be, against number of configurations?",
-        ),
-    ] = None,
-    resume: Annotated[
-        bool,
-        options.output(
-            "--resume", "Go on with what a stopped run has left, as far as it is whole."
-        ),
-    ] = False,
-    no_pages: Annotated[
-        bool,
-        options.output(
-            "--no-pages",
-            "No report.html in the folders; 'calib-pin report' writes it later.",
-        ),
-    ] = False,
     workers: WorkerCount = None,
     cluster: ClusterAddress = None,
-    seed: Annotated[int, options.seed("Study", "Random seed of the study.")] = 0,
     force: options.Force = False,
     quiet: options.Quiet = False,
     json: options.Json = False,
@@ -88,7 +87,8 @@ def fleet(
     fails is a row with its reason and stops nothing. Workers of a cluster need to see
     the same files. Exit status 2: some calibration failed or must not be trusted.
     """
-    if (jobs is None) == (monte_carlo is None):
+    study = request.monte_carlo
+    if (jobs is None) == (study is None):
         raise OptionError("give either a table of JOBS, or --monte-carlo SETUP")
     # A job may end the process that does it.
     patience = None if jobs is None else 0.0
@@ -100,11 +100,11 @@ def fleet(
             from calib_pin.cli.monte_carlo import simulated
 
             return simulated(
-                cast(Path, monte_carlo),
+                cast(Path, study),
                 output,
                 several,
-                seed=seed,
-                resume=resume,
+                seed=request.seed,
+                resume=request.resume,
                 force=force,
                 quiet=quiet,
                 json=json,
@@ -112,7 +112,7 @@ def fleet(
             )
         from calib_pin.cli.fleet_jobs import Orders
 
-        orders = Orders(Path.cwd(), output, not no_pages, resume)
+        orders = Orders(Path.cwd(), output, not request.no_pages, request.resume)
         rows, populations = _calibrated(jobs, orders, force, several, bar)
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import plain

@@ -29,7 +29,7 @@ JOBS = "jobs"
 CHAINED = ";"
 """Between files in a cell."""
 
-FLAGS = {"true": True, "false": False}
+FLAGS = dict(true=True, yes=True, on=True, false=False, no=False, off=False)
 """Cells that say whether something is so."""
 
 PREVIOUS = Path("previous")
@@ -222,14 +222,14 @@ def _value(key: str, texts: Sequence[str], folder: Path) -> Any:
         if not found or len(set(found)) < len(found):
             raise OptionError("", allowed="files, each at most once")
         return [folder / file for file in found]
-    if len(texts) != 1 or (kind is bool and texts[0] not in FLAGS):
-        allowed = ", ".join(FLAGS) if kind is bool else "one value"
+    if len(texts) != 1 or (kind is bool and texts[0].lower() not in FLAGS):
+        allowed = "true, false" if kind is bool else "one value"
         raise OptionError("", allowed=allowed)
     if kind is Path:
         return (
             PREVIOUS if (key, texts) == ("start", ["previous"]) else folder / texts[0]
         )
-    return FLAGS[texts[0]] if kind is bool else (told.parse or kind)(texts[0])
+    return FLAGS[texts[0].lower()] if kind is bool else (told.parse or kind)(texts[0])
 
 
 def folder_name(serial: str) -> str:

@@ -62,10 +62,10 @@ def meanings(cls: type) -> dict[str, str]:
     return found
 
 
-def asked(name: str) -> Any:
+def asked(name: str, kind: Any = Request) -> Any:
     """The argument or the option for a field of a request."""
-    (told,) = REQUEST[name].__metadata__
-    meaning = MEANINGS.get(name, "")
+    (told,) = get_type_hints(kind, include_extras=True)[name].__metadata__
+    meaning = meanings(kind).get(name, "")
     if name in ("robot", "measurements"):
         completion = robots if name == "robot" else None
         return typer.Argument(
@@ -78,20 +78,19 @@ def asked(name: str) -> Any:
 
 def spread(function: Callable[..., int]) -> Callable[..., int]:
     """A command whose first argument, a request, is made from options of its own."""
-    kinds = {
-        name: Annotated[get_args(h)[0], asked(name)] for name, h in REQUEST.items()
+    first, *own = signature(function, eval_str=True).parameters.values()
+    kind, only = first.annotation, Parameter.KEYWORD_ONLY
+    hints = get_type_hints(kind, include_extras=True)
+    of = {
+        name: Annotated[get_args(h)[0], asked(name, kind)] for name, h in hints.items()
     }
-    declared = [
-        p.replace(annotation=kinds[p.name], kind=Parameter.KEYWORD_ONLY)
-        for p in signature(Request).parameters.values()
-    ]
-    _, *own = signature(function, eval_str=True).parameters.values()
-    declared += [p.replace(kind=Parameter.KEYWORD_ONLY) for p in own]
+    fields = signature(kind).parameters.values()
+    declared = [p.replace(annotation=of[p.name], kind=only) for p in fields]
+    declared += [p.replace(kind=only) for p in own]
 
     @wraps(function)
     def run(**given: Any) -> int:
-        values = {name: given.pop(name) for name in REQUEST}
-        return function(Request(**values), **given)
+        return function(kind(**{name: given.pop(name) for name in hints}), **given)
 
     run.__signature__ = Signature(declared)  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in declared}
@@ -113,10 +112,6 @@ def listed(model: str | None) -> str | None:
         print(f"{name:18} {declared(name).help}")
     raise typer.Exit
 
-
-REQUEST = get_type_hints(Request, include_extras=True)
-MEANINGS = meanings(Request)
-"""Types and help texts of its fields."""
 
 RobotName = Annotated[str, asked("robot")]
 PackageDirs = Annotated[list[Path] | None, asked("package_dir")]

@@ -518,7 +518,7 @@ class ReadingSetup(Section):
     orientation: OrientationSetup | None = None
     inverted: bool = False
     exchanged: Annotated[
-        tuple[tuple[str, ...], ...], Written(list[tuple[int, int]], _pairs)
+        tuple[tuple[str, ...], ...], Written(list[tuple[int | str, int | str]], _pairs)
     ] = ()
     converted: tuple[ConvertedSetup, ...] = ()
     reversed: bool = False

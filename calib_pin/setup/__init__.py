@@ -37,9 +37,6 @@ from calib_pin.setup.values import (
     Written,
 )
 
-MANY = 10_000_000
-"""Most robots, configurations or repetitions that can be meant."""
-
 
 def distinct(names: tuple[Any, ...]) -> tuple[Any, ...]:
     """A list with at least one entry, and each once."""
@@ -70,7 +67,7 @@ Range = Annotated[
 Factor = Annotated[float, Value("", -1e6, 1e6), _not_zero]
 Conversion = Annotated[float, Value("", 1e-6, 1e6)]
 Count = Annotated[int, Value("", 1, MOST)]
-Many = Annotated[int, Value("", 1, MANY)]
+Many = Annotated[int, Value("", 1, 10_000_000)]
 Sigmas = Mapping[str, Annotated[float, Value("SI", SMALLEST)]]
 
 
@@ -99,16 +96,6 @@ DICTIONARIES = (
     *("DICT_APRILTAG_36h10", "DICT_APRILTAG_36h11"),
 )
 """Dictionaries of markers, by the names of OpenCV."""
-
-LAST = 999
-"""Largest number of a marker in a dictionary."""
-
-MOST_ANGLE = 1.571
-"""Largest angle of planes, a right one with the digits that people write [rad]."""
-
-LEAST_ANGLE = 0.02
-"""Least angle between planes that may be stated [rad]: that of parallel ones is no
-function with a derivative."""
 
 Distortion = tuple[float, float, float, float, float]
 
@@ -303,7 +290,7 @@ class BoardSetup(Section):
     marker: Length | None = None
     dictionary: Annotated[str, OneOf(DICTIONARIES)] | None = None
     gap: Length | None = None
-    first: Annotated[int, Value("", 0, LAST)] = 0
+    first: Annotated[int, Value("", 0, 999)] = 0
     legacy: bool = False
 
     def _check(self) -> None:
@@ -377,7 +364,8 @@ class AngleSetup(DistanceSetup):
         sigma: Its standard deviation [rad].
     """
 
-    value: Annotated[float, Value("rad", LEAST_ANGLE, MOST_ANGLE)]
+    # The angle of parallel planes has no derivative; a right one has few digits.
+    value: Annotated[float, Value("rad", 0.02, 1.571)]
     sigma: Annotated[float, Value("rad", SMALLEST, 1.0)] = 1e-4
 
     key: ClassVar[str] = "angles"
@@ -539,9 +527,6 @@ class ReadingSetup(Section):
 
 # --- conditions, payloads, printed reports ------------------------------------------
 
-HEAVIEST = 1e5
-"""Largest mass of a payload [kg]; more comes from a mistaken unit."""
-
 Temperature = Annotated[float, Value("degC", -100.0, 200.0)]
 """A temperature that a robot can have."""
 
@@ -578,7 +563,7 @@ class Payload(Section):
         com: Center of mass in the tip frame [m].
     """
 
-    mass: Annotated[float, Value("kg", SMALLEST, HEAVIEST)]
+    mass: Annotated[float, Value("kg", SMALLEST, 1e5)]
     com: Position
 
 

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 import calib_pin.cli.options as options
-from calib_pin.cli.older import ProcessNoise, Start
 from calib_pin.cli.printing import (
     notice,
     progress_bar,
@@ -17,7 +16,8 @@ from calib_pin.cli.printing import (
     say_written,
     show,
 )
-from calib_pin.cli.requests import Request, calibrated, opened
+from calib_pin.cli.request import Request
+from calib_pin.cli.requests import calibrated, opened
 from calib_pin.cli.results import (
     FigureFormat,
     Figures,
@@ -28,16 +28,10 @@ from calib_pin.cli.results import (
 from calib_pin.cli.workforce import ClusterAddress, WorkerCount, asked_workers
 
 
+@options.spread
 def calibrate(
+    request: Request,
     context: typer.Context,
-    robot: options.RobotName,
-    measurements: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="MEASUREMENTS...",
-            help="CSV or Parquet files with one row per measurement.",
-        ),
-    ],
     output: Annotated[
         Path | None,
         options.output(
@@ -45,76 +39,9 @@ def calibrate(
             "Folder for the results; without it they are only printed.",
         ),
     ] = None,
-    package_dir: options.PackageDirs = None,
-    setup: options.SetupFile = None,
-    model: options.Model = None,
-    base: options.Base = None,
-    tip: options.Tip = None,
-    parameters: options.Parameters = None,
-    station_per_file: options.StationPerFile = False,
-    solver: Annotated[
-        str | None,
-        options.fit(
-            "--solver NAME",
-            "gauss-newton (default), two-step (alternating: frames and "
-            "instrument, then the robot), de (differential evolution), or hybrid: de, "
-            "then gauss-newton, for errors of centimeters and degrees.",
-        ),
-    ] = None,
-    loss: Annotated[
-        str | None,
-        options.fit(
-            "--loss NAME",
-            "auto (default) sets outliers aside where there are any; gnc always "
-            "searches for them; huber gives them less weight; squared weights all "
-            "measurements equally.",
-        ),
-    ] = None,
-    learned: Annotated[
-        str | None,
-        options.fit(
-            "--learned NAME",
-            "Learn the errors that no parameter describes: network or "
-            "gaussian-process; with --model-ladder the only one that is tried.",
-        ),
-    ] = None,
-    model_ladder: Annotated[
-        bool,
-        options.fit(
-            "--model-ladder",
-            "Select the model: try joint offsets, geometry, transmission, "
-            "compliance and learned corrections on held-out measurements, and take "
-            "the simplest of the best.",
-        ),
-    ] = False,
-    use: Annotated[
-        str | None,
-        options.fit(
-            "--use WHERE",
-            "Select the model that holds near the measured configurations, away "
-            "from them, or both (default); implies --model-ladder.",
-        ),
-    ] = None,
-    validation: Annotated[
-        Path | None,
-        options.fit(
-            "--validation FILE", "Check the fit on the measurements of this file."
-        ),
-    ] = None,
-    holdout: Annotated[
-        float | None,
-        options.fit(
-            "--holdout PART",
-            "Hold out this part of the measurements, such as 0.2, for the check.",
-            options.number(float, "--holdout", "a number between 0 and 1"),
-        ),
-    ] = None,
-    start: Start = None,
-    process_noise: ProcessNoise = None,
     details: options.Details = False,
     figures: Figures = None,
     figure_format: FigureFormat = "png",
-    seed: options.Seed = 0,
     workers: WorkerCount = None,
     cluster: ClusterAddress = None,
     force: options.Force = False,
@@ -134,26 +61,6 @@ def calibrate(
     from calib_pin.io.files import write_files
     from calib_pin.report.text import report
 
-    request = Request(
-        robot,
-        tuple(measurements),
-        setup,
-        tuple(package_dir or ()),
-        base,
-        tip,
-        model,
-        parameters,
-        solver,
-        loss,
-        learned,
-        use or ("both" if model_ladder else None),
-        station_per_file,
-        validation,
-        holdout,
-        start,
-        process_noise,
-        seed,
-    )
     pictures = figure_files(figures, figure_format, "calibration")
     with progress_bar(quiet=quiet) as bar:
         given = opened(request, output, pictures, force=force, quiet=quiet, bar=bar)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, exists
-from calib_pin.cli.fleet_types import types_of
 from calib_pin.cli.printing import (
     Bar,
     notice,
@@ -19,23 +19,49 @@ from calib_pin.cli.printing import (
     say_written,
     show,
 )
+from calib_pin.cli.request import SEED, Told
 from calib_pin.cli.workforce import ClusterAddress, WorkerCount, asked_workers
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
     from calib_pin.cli.fleet_jobs import Orders
-    from calib_pin.io.jobs import Job
+    from calib_pin.cli.jobs import Job
+    from calib_pin.estimation.statistics.population_prior import (
+        Population,
+        RobotEvidence,
+    )
     from calib_pin.validation.fleet import FleetRow
     from calib_pin.workers import Workers
 
-FILES = ("fleet.csv", "fleet.html")
-"""Files of a fleet beside the folders of its calibrations."""
+TABLE, PAGE, PRIOR = FILES = ("fleet.csv", "fleet.html", "fleet.json")
+"""Files of a fleet beside the folders of its calibrations.
 
-PRIOR = "fleet.json"
-"""The prior that robots are for the next one of their type: `prior` in its setup."""
+The last one is the prior that robots are for the next one of their type: `prior` in its
+setup.
+"""
 
 
+@dataclass(frozen=True)
+class Fleet:
+    """Many calibrations as they are asked for.
+
+    Attributes:
+        monte_carlo: Simulate robots instead, as 'monte_carlo' in this setup file says:
+            how accurate will they be, against number of configurations?
+        seed: Random seed of the study.
+        resume: Go on with what a stopped run has left, as far as it is whole.
+        no_pages: No report.html in the folders; 'calib-pin report' writes it later.
+    """
+
+    monte_carlo: Annotated[Path | None, Told("SETUP", "Study")] = None
+    seed: Annotated[int, Told("N", "Study", SEED)] = 0
+    resume: Annotated[bool, Told("", "Output")] = False
+    no_pages: Annotated[bool, Told("", "Output")] = False
+
+
+@options.spread
 def fleet(
+    request: Fleet,
     output: Annotated[
         Path, options.output("-o --output DIR", "Folder for all results.")
     ],
@@ -47,31 +73,8 @@ def fleet(
             "serial_number, date, ...",
         ),
     ] = None,
-    monte_carlo: Annotated[
-        Path | None,
-        options.option(
-            "Study",
-            "--monte-carlo SETUP",
-            "Simulate robots instead, as 'monte_carlo' in this setup file says: how "
-            "accurate will they be, against number of configurations?",
-        ),
-    ] = None,
-    resume: Annotated[
-        bool,
-        options.output(
-            "--resume", "Go on with what a stopped run has left, as far as it is whole."
-        ),
-    ] = False,
-    no_pages: Annotated[
-        bool,
-        options.output(
-            "--no-pages",
-            "No report.html in the folders; 'calib-pin report' writes it later.",
-        ),
-    ] = False,
     workers: WorkerCount = None,
     cluster: ClusterAddress = None,
-    seed: Annotated[int, options.seed("Study", "Random seed of the study.")] = 0,
     force: options.Force = False,
     quiet: options.Quiet = False,
     json: options.Json = False,
@@ -84,105 +87,89 @@ def fleet(
     fails is a row with its reason and stops nothing. Workers of a cluster need to see
     the same files. Exit status 2: some calibration failed or must not be trusted.
     """
-    if (jobs is None) == (monte_carlo is None):
+    study = request.monte_carlo
+    if (jobs is None) == (study is None):
         raise OptionError("give either a table of JOBS, or --monte-carlo SETUP")
     # A job may end the process that does it.
-    patience = None if monte_carlo is not None else 0.0
+    patience = None if jobs is None else 0.0
     with (
         asked_workers(workers, cluster, patience) as several,
         progress_bar(quiet=quiet) as bar,
     ):
-        if monte_carlo is not None:
+        if jobs is None:
             from calib_pin.cli.monte_carlo import simulated
 
             return simulated(
-                monte_carlo,
+                cast(Path, study),
                 output,
                 several,
-                seed=seed,
-                resume=resume,
+                seed=request.seed,
+                resume=request.resume,
                 force=force,
                 quiet=quiet,
                 json=json,
                 bar=bar,
             )
-        assert jobs is not None
-        return _calibrated(
-            jobs,
-            output,
-            several,
-            pages=not no_pages,
-            resume=resume,
-            force=force,
-            quiet=quiet,
-            json=json,
-            bar=bar,
-        )
+        from calib_pin.cli.fleet_jobs import Orders
 
-
-def _calibrated(
-    table: Path,
-    output: Path,
-    workers: Workers,
-    *,
-    pages: bool,
-    resume: bool,
-    force: bool,
-    quiet: bool,
-    json: bool,
-    bar: Bar | None,
-) -> int:
-    """Calibrate the robots of a table; returns the exit status."""
-    from calib_pin.cli.fleet_jobs import Orders, Outcome, calibrate_job, lost_job
+        orders = Orders(Path.cwd(), output, not request.no_pages, request.resume)
+        rows, populations = _calibrated(jobs, orders, force, several, bar)
     from calib_pin.io.files import write_files
-    from calib_pin.io.jobs import read_jobs
     from calib_pin.io.json_text import plain
     from calib_pin.io.measurements import encode_table
     from calib_pin.report.fleet_text import MANY, fleet_report
     from calib_pin.report.html import blocks_page
-    from calib_pin.validation.fleet import by_urgency, fleet_columns
+    from calib_pin.validation.fleet import fleet_columns
 
-    asked = read_jobs(table, notice)
-    csv, html = files = [output / name for name in FILES]
-    orders = Orders(Path.cwd(), output, pages, resume)
-    _check(orders, asked, [*files, output / PRIOR], table, force or resume)
-    done: dict[str, Outcome] = {}
-    for wave in _waves(asked):
-        for outcome in workers.map(calibrate_job, orders, wave, lost_job):
-            done[outcome.row.job] = outcome
-            if bar is not None:
-                bar(f"{len(done)} of {len(asked)}", len(done) / len(asked))
-    found = [done[job.name] for job in asked]
-    rows = _compared(orders, asked, [row for row, _ in found], workers, bar)
-    if bar is not None:
-        bar("types", None)
-    types = types_of(asked, rows, [evidence for _, evidence in found])
-    ordered = by_urgency(types.rows)
+    columns = fleet_columns(rows)
+    page = [*fleet_report(rows, populations, MANY)]
     contents = {
-        csv: encode_table(fleet_columns(ordered), []),
-        html: blocks_page(
-            "Calibrations of a fleet",
-            [*fleet_report(ordered, types.populations, MANY)],
-            [],
-            csv.name,
-        ),
-        **types.priors(output, PRIOR),
+        output / TABLE: encode_table(columns, []),
+        output / PAGE: blocks_page("Calibrations of a fleet", page, [], TABLE),
+        **priors(output, populations),
     }
     with write_files(contents, force=True):
         if json:
-            columns = fleet_columns(ordered)
-            cells = zip(
-                *(plain(list(column)) for column in columns.values()), strict=True
-            )
-            jobs = [dict(zip(columns, row, strict=True)) for row in cells]
-            say_json({"jobs": jobs}, contents)
+            cells = zip(*(plain(list(c)) for c in columns.values()), strict=True)
+            listed = [dict(zip(columns, row, strict=True)) for row in cells]
+            say_json({"jobs": listed}, contents)
         elif not quiet:
-            show(fleet_report(ordered, types.populations))
+            show(fleet_report(rows, populations))
     if not quiet and not json:
-        folders = sum(row.fitted > 0 for row in ordered)
-        written = [f"wrote {folders} folders to {output}"]
+        written = [f"wrote {sum(row.fitted > 0 for row in rows)} folders to {output}"]
         say_written([*written, *(f"wrote {file}" for file in contents)])
-    return 0 if all(row.trusted for row in ordered) else 2
+    return 0 if all(row.trusted for row in rows) else 2
+
+
+def _calibrated(
+    table: Path, orders: Orders, force: bool, workers: Workers, bar: Bar | None
+) -> tuple[Sequence[FleetRow], Sequence[Population]]:
+    """Calibrate the robots of a table: rows by urgency, and the types of robots."""
+    from calib_pin.cli.fleet_jobs import calibrate_job, compare_job, lost_job
+    from calib_pin.cli.jobs import read_jobs
+    from calib_pin.validation.fleet import by_urgency
+
+    tell = bar or (lambda stage, part: None)
+    asked = read_jobs(table, notice)
+    _check(table, asked, orders.output, force or orders.resume)
+    rows: dict[str, FleetRow] = {}
+    evidences: dict[str, RobotEvidence | None] = {}
+    for wave in _waves(asked):
+        for row, evidence in workers.map(calibrate_job, orders, wave, lost_job):
+            rows[row.job], evidences[row.job] = row, evidence
+            tell(f"{len(rows)} of {len(asked)}", len(rows) / len(asked))
+    pairs = []
+    for job in asked:
+        if rows[job.name].fitted and (previous := job.stated.previous):
+            pairs.append((rows[job.name], previous, str(previous)))
+        elif rows[job.name].fitted and job.before and rows[job.before].fitted:
+            pairs.append((rows[job.name], orders.output / job.before, job.before))
+    for k, row in enumerate(workers.map(compare_job, orders, pairs), 1):
+        rows[row.job] = row
+        tell("drift", k / len(pairs))
+    tell("types", None)
+    populations = types_of(asked, rows, evidences)
+    return by_urgency([rows[job.name] for job in asked]), populations
 
 
 def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
@@ -190,55 +177,82 @@ def _waves(jobs: Sequence[Job]) -> Iterator[list[Job]]:
     left = list(jobs)
     while left:
         names = {job.name for job in left}
-        yield [j for j in left if not (j.stated.start and j.before in names)]
-        left = [j for j in left if j.stated.start and j.before in names]
+        waiting = [job for job in left if job.stated.start and job.before in names]
+        yield [job for job in left if job not in waiting]
+        left = waiting
 
 
-def _check(
-    orders: Orders,
-    jobs: Sequence[Job],
-    files: Sequence[Path],
-    table: Path,
-    force: bool,
-) -> None:
+def _check(table: Path, jobs: Sequence[Job], output: Path, force: bool) -> None:
     """Refuse to replace what is there, and to write into what is read.
 
     Raises:
         OptionError: If something is there.
     """
-    names = {file.name.casefold() for file in files}
     for job in jobs:
-        if job.name.casefold() in names:
-            raise OptionError(
-                "a job cannot have this name", file=table, line=job.line, value=job.name
-            )
-        if not force and exists(folder := orders.folder(job.name)):
+        if job.name.casefold() in FILES:
+            reason = "a job cannot have this name"
+            raise OptionError(reason, file=table, line=job.line, value=job.name)
+        if not force and exists(folder := output / job.name):
             reason = "exists; --resume goes on, --force begins again"
             raise OptionError(reason, file=folder)
-    check_outputs(files, [table], force)
+    check_outputs([output / name for name in FILES], [table], force)
 
 
-def _compared(
-    orders: Orders,
+def types_of(
     jobs: Sequence[Job],
-    rows: Sequence[FleetRow],
-    workers: Workers,
-    bar: Bar | None,
-) -> list[FleetRow]:
-    """The rows with the drift of those robots that were calibrated before."""
-    from calib_pin.cli.fleet_jobs import Successor, compare_job
+    rows: dict[str, FleetRow],
+    evidences: Mapping[str, RobotEvidence | None],
+) -> list[Population]:
+    """The types of a fleet; of a serial number its last calibration counts.
 
-    by_name = {row.job: row for row in rows}
-    pairs = []
-    for job, row in zip(jobs, rows, strict=True):
-        if not row.fitted:
+    Args:
+        jobs: The jobs.
+        rows: The row of each, by its name; those of the types get their farthest joint.
+        evidences: The evidence of each; None where it tells nothing of a type.
+
+    Returns:
+        The types with robots enough, the largest first.
+    """
+    from calib_pin.estimation.statistics.population_prior import (
+        LEAST,
+        joint_deviations,
+        population_of,
+    )
+    from calib_pin.validation.fleet import with_joint
+
+    earlier = {job.before for job in jobs}
+    alike: list[dict[str, RobotEvidence]] = []
+    for job in jobs:
+        own = evidences[job.name]
+        if own is None or job.name in earlier:
             continue
-        if previous := job.stated.previous:
-            pairs.append(Successor(row, (Path(previous), previous)))
-        elif job.before and by_name[job.before].fitted:
-            pairs.append(Successor(row, (orders.folder(job.before), job.before)))
-    for k, row in enumerate(workers.map(compare_job, orders, pairs), 1):
-        by_name[row.job] = row
-        if bar is not None:
-            bar("drift", k / len(pairs))
-    return [by_name[row.job] for row in rows]
+        for members in alike:
+            first = next(iter(members.values()))
+            if not first.robot.difference(own.robot) and first.names == own.names:
+                members[job.name] = own
+                break
+        else:
+            alike.append({job.name: own})
+    found = []
+    for members in sorted(alike, key=len, reverse=True):
+        if len(members) >= LEAST:
+            found.append(population := population_of([*members.values()]))
+            for name, far in zip(members, joint_deviations(population), strict=True):
+                rows[name] = with_joint(rows[name], far)
+    return found
+
+
+def priors(folder: Path, populations: Sequence[Population]) -> dict[Path, bytes]:
+    """The files of the priors; all but the first have the name of their robot."""
+    from calib_pin.io.json_text import encode
+    from calib_pin.io.population_prior import prior_document
+    from calib_pin.io.results import urdf_name
+
+    found: dict[Path, bytes] = {}
+    for number, population in enumerate(populations, 1):
+        robot = Path(urdf_name(population.evidences[0].robot.name)).stem
+        path = folder / PRIOR
+        for end in (f"-{robot}", f"-{number}"):  # Two types may have one name.
+            path = path.with_stem(path.stem + end) if path in found else path
+        found[path] = encode(prior_document(population.prior()))
+    return found

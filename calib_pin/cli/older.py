@@ -13,30 +13,12 @@ if TYPE_CHECKING:
     from calib_pin.setup import Setup
     from calib_pin.validation.result import CalibrationResult
 
-Start = Annotated[
-    Path | None,
-    options.fit(
-        "--start CALIBRATION",
-        "Go on from an older calibration of the robot, a folder or its "
-        "calibration.json: few measurements are enough, and sudden changes of the "
-        "robot are told.",
-    ),
-]
 PlannedStart = Annotated[
     Path | None,
     options.option(
         "Plan",
         "--start CALIBRATION",
         "Plan for a calibration that goes on from this older one.",
-    ),
-]
-ProcessNoise = Annotated[
-    float | None,
-    options.fit(
-        "--process-noise S",
-        "With --start: how far each error of the geometry may have drifted since "
-        "then, standard deviation in m and rad; by default as the measurements show.",
-        options.number(float, "--process-noise", "1e-9 to 0.01 [m, rad]", 1e-9, 1e-2),
     ),
 ]
 

@@ -2,46 +2,24 @@
 
 from __future__ import annotations
 
-import math
+import re
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import partial, wraps
+from inspect import Parameter, Signature, cleandoc, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
 
 from calib_pin.cli.completion import completed, robots
+from calib_pin.cli.request import SEED, Request
+from calib_pin.cli.request import number as number
 from calib_pin.errors import OptionError
 from calib_pin.units import as_number
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
     from calib_pin.setup import ReportSetup
-
-_Number = TypeVar("_Number", int, float)
-
-
-def number(
-    kind: type[_Number],
-    option: str,
-    allowed: str,
-    least: float = -math.inf,
-    most: float = math.inf,
-) -> Callable[[str], _Number]:
-    """A parser of a number whose errors name the option, the value and the range."""
-
-    def parse(text: str | _Number) -> _Number:
-        try:
-            value = None if as_number(str(text)) is None else kind(text)
-        except ValueError:
-            value = None
-        # Not-a-number lies in no interval.
-        inside = value is not None and least <= value <= most
-        if value is None or not inside or value in (-math.inf, math.inf):
-            raise OptionError(f"{option} cannot be {text!r}", allowed=allowed)
-        return value
-
-    return parse
 
 
 def option(
@@ -68,6 +46,57 @@ def option(
     )
 
 
+def meanings(cls: type) -> dict[str, str]:
+    """The attributes in the docstrings of a class and of its bases.
+
+    Returns:
+        Text on one line, by attribute.
+    """
+    found: dict[str, str] = {}
+    for base in reversed(cls.__mro__):
+        _, _, text = cleandoc(base.__doc__ or "").partition("Attributes:\n")
+        text = text.split("\n\n")[0]
+        for entry in re.split(r"\n    (?=\w)", "\n" + text)[1:]:
+            name, _, meaning = entry.partition(": ")
+            found[name] = " ".join(meaning.split())
+    return found
+
+
+def asked(name: str, kind: Any = Request) -> Any:
+    """The argument or the option for a field of a request."""
+    (told,) = get_type_hints(kind, include_extras=True)[name].__metadata__
+    meaning = meanings(kind).get(name, "")
+    if name in ("robot", "measurements"):
+        completion = robots if name == "robot" else None
+        return typer.Argument(
+            metavar=told.word, help=meaning, autocompletion=completion
+        )
+    usage = f"--{name.replace('_', '-')} {told.word}"
+    then = listed if name == "model" else None
+    return option(told.heading, usage, meaning, told.parse, then)
+
+
+def spread(function: Callable[..., int]) -> Callable[..., int]:
+    """A command whose first argument, a request, is made from options of its own."""
+    first, *own = signature(function, eval_str=True).parameters.values()
+    kind, only = first.annotation, Parameter.KEYWORD_ONLY
+    hints = get_type_hints(kind, include_extras=True)
+    of = {
+        name: Annotated[get_args(h)[0], asked(name, kind)] for name, h in hints.items()
+    }
+    fields = signature(kind).parameters.values()
+    declared = [p.replace(annotation=of[p.name], kind=only) for p in fields]
+    declared += [p.replace(kind=only) for p in own]
+
+    @wraps(function)
+    def run(**given: Any) -> int:
+        return function(kind(**{name: given.pop(name) for name in hints}), **given)
+
+    run.__signature__ = Signature(declared)  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in declared}
+    return run
+
+
 robot, fit, constraints, output = (
     partial(option, heading) for heading in ("Robot", "Fit", "Constraints", "Output")
 )
@@ -84,15 +113,14 @@ def listed(model: str | None) -> str | None:
     raise typer.Exit
 
 
-RobotName = Annotated[
-    str,
-    typer.Argument(
-        metavar="ROBOT",
-        autocompletion=robots,
-        help="URDF or xacro file (with its arguments, name:=value), name of a bundled "
-        "robot, or example:NAME if example-robot-data is installed.",
-    ),
-]
+RobotName = Annotated[str, asked("robot")]
+PackageDirs = Annotated[list[Path] | None, asked("package_dir")]
+SetupFile = Annotated[Path | None, asked("setup")]
+Model = Annotated[str | None, asked("model")]
+Base = Annotated[str | None, asked("base")]
+Tip = Annotated[str | None, asked("tip")]
+StationPerFile = Annotated[bool, asked("station_per_file")]
+Parameters = Annotated[str | None, asked("parameters")]
 RobotOrCalibration = Annotated[
     str,
     typer.Argument(
@@ -102,33 +130,6 @@ RobotOrCalibration = Annotated[
         "example:NAME, or a calibration.",
     ),
 ]
-PackageDirs = Annotated[
-    list[Path] | None,
-    robot(
-        "--package-dir DIR",
-        "Folder of the ROS packages that the robot names; may be repeated.",
-    ),
-]
-SetupFile = Annotated[
-    Path | None, robot("--setup FILE", "Setup file (YAML); options override it.")
-]
-Model = Annotated[
-    str | None,
-    robot(
-        "--model NAME",
-        "Measurement model, or several joined by +; by default inferred from the "
-        "columns. 'list' prints all.",
-        callback=listed,
-    ),
-]
-Base = Annotated[
-    str | None,
-    robot("--base LINK", "First link of the chain; by default the root."),
-]
-Tip = Annotated[
-    str | None,
-    robot("--tip LINK", "Last link of the chain; by default the only leaf."),
-]
 ChainName = Annotated[
     str | None,
     robot(
@@ -137,29 +138,11 @@ ChainName = Annotated[
         "there are several and the measurements do not say.",
     ),
 ]
-StationPerFile = Annotated[
-    bool,
-    robot(
-        "--station-per-file", "Every file is from another station of the instrument."
-    ),
-]
-Parameters = Annotated[
-    str | None,
-    robot(
-        "--parameters P,...",
-        "placement (default), link-transform, dh, dh-full, joint-offset{}; beyond "
-        "geometry transmission, compliance, hysteresis, motor-ripple, "
-        "cross-compliance, thermal, warm-up{}; of the instrument instrument-drift; "
-        "several may be combined.",
-    ),
-]
 
 
 def seed(heading: str, meaning: str = "Random seed.") -> Any:
     """The option `--seed`."""
-    return option(
-        heading, "--seed N", meaning, number(int, "--seed", "0, 1, 2, ...", 0)
-    )
+    return option(heading, "--seed N", meaning, SEED)
 
 
 Seed = Annotated[int, seed("Fit")]
@@ -196,33 +179,26 @@ def parse_limits(
     for word in words:
         # The name of a joint may hold a sign of equality, an interval cannot.
         joint, _, rest = word.rpartition("=")
-        joint = joint.strip()
-        interval, unit = split_header(rest)
-        low, _, high = interval.partition(":")
-        lower, upper = as_number(low.strip()), as_number(high.strip())
-        factor = 1.0 if unit is None else units.get(unit)
-        if not joint or lower is None or upper is None or factor is None:
-            raise OptionError(
-                f"--limits cannot be {word!r}",
-                allowed="JOINT=LOWER:UPPER, such as 'elbow=-90:90 [deg]'; units "
-                + ", ".join(units),
-            )
-        lower, upper = factor * lower, factor * upper
+        joint, (interval, unit) = joint.strip(), split_header(rest)
+        ends = [as_number(end.strip()) for end in interval.split(":")]
+        wrong, allowed = f"--limits cannot be {word!r}", ""
+        factor = 1.0 if unit is None else units.get(unit, 0.0)
+        if not joint or len(ends) != 2 or None in ends or not factor:
+            allowed = "JOINT=LOWER:UPPER, such as 'elbow=-90:90 [deg]'; units "
+            raise OptionError(wrong, allowed=allowed + ", ".join(units))
+        lower, upper = (factor * float(end or 0.0) for end in ends)
         # Degrees would leave a joint as free as it was, without a word.
         if not -ANGLE.largest <= lower <= upper <= ANGLE.largest:
-            raise OptionError(
-                f"--limits cannot be {word!r}",
-                allowed=f"LOWER up to UPPER, at most {ANGLE.largest:.4g} rad or m; "
-                "other units in brackets: [deg]",
+            most = f"{ANGLE.largest:.4g} rad or m"
+            allowed = (
+                f"LOWER up to UPPER, at most {most}; other units in brackets: [deg]"
             )
+            raise OptionError(wrong, allowed=allowed)
         for k in matching(joint, chains.joints):
             kind = ANGLE if chains.revolute[k] else LENGTH
-            if unit is not None and unit not in kind.units:
-                raise OptionError(
-                    f"--limits cannot be {word!r}: joint '{chains.joints[k]}' is "
-                    f"{'revolute' if chains.revolute[k] else 'prismatic'}",
-                    allowed=", ".join(kind.units),
-                )
+            if unit not in (None, *kind.units):
+                wrong += f": joint '{chains.joints[k]}' is of another kind"
+                raise OptionError(wrong, allowed=", ".join(kind.units))
         limits[joint] = (lower, upper)
     return limits
 

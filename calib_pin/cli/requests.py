@@ -6,6 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from calib_pin.cli.files import (
 )
 from calib_pin.cli.older import as_before, open_older
 from calib_pin.cli.printing import Bar, notice
+from calib_pin.cli.request import Request
 from calib_pin.cli.results import (
     ResultFiles,
     check_results,
@@ -36,50 +38,6 @@ if TYPE_CHECKING:
     from calib_pin.planning.suggestions import Suggestion
     from calib_pin.setup import Setup
     from calib_pin.validation.result import CalibrationResult
-
-
-@dataclass(frozen=True)
-class Request:
-    """A calibration as it is asked for; each field is an option of `calibrate`."""
-
-    robot: str
-    measurements: tuple[Path, ...]
-    setup: Path | None = None
-    package_dir: tuple[Path, ...] = ()
-    base: str | None = None
-    tip: str | None = None
-    model: str | None = None
-    parameters: str | None = None
-    solver: str | None = None
-    loss: str | None = None
-    learned: str | None = None
-    use: str | None = None
-    station_per_file: bool = False
-    validation: Path | None = None
-    holdout: float | None = None
-    start: Path | None = None
-    process_noise: float | None = None
-    seed: int = 0
-
-    @property
-    def inputs(self) -> list[str | Path | None]:
-        """The files that it reads, none of which may be written."""
-        from calib_pin.io.results import document_file
-
-        older = [] if self.start is None else [document_file(self.start)]
-        return [self.robot, self.setup, self.validation, *older, *self.measurements]
-
-    def words(self, output: Path) -> tuple[str, ...]:
-        """The command line of `calibrate` that asks for the same."""
-        words = ["calibrate", self.robot, *map(str, self.measurements)]
-        for name, default in Request.__dataclass_fields__.items():
-            value = getattr(self, name)
-            if name in ("robot", "measurements") or value == default.default:
-                continue
-            option = f"--{name.replace('_', '-')}"
-            for one in value if isinstance(value, tuple) else (value,):
-                words += [option] if one is True else [option, str(one)]
-        return ("calib-pin", *words, "-o", str(output))
 
 
 @dataclass(frozen=True)
@@ -112,14 +70,12 @@ class Calibrated:
     Attributes:
         result: The result.
         suggestions: Suggested measurements.
-        seconds: Time of the fit.
         contents: All files and figures by their paths.
         pictures: The figures among them.
     """
 
     result: CalibrationResult
     suggestions: Sequence[Suggestion]
-    seconds: float
     contents: Mapping[Path, bytes]
     pictures: Mapping[Path, bytes]
 
@@ -140,21 +96,15 @@ def opened(
         OptionError: If an option cannot, or results must not be written there.
     """
     from calib_pin.io.measured_columns import place_of
+    from calib_pin.io.results import document_file
 
     if request.use is not None:
         from calib_pin.validation.candidate_scores import USES
 
         require_known("use", request.use, USES)
-    stated = open_setup(
-        request.setup,
-        base=request.base,
-        tip=request.tip,
-        model=request.model,
-        parameters=request.parameters,
-        solver=request.solver,
-        loss=request.loss,
-        learned=request.learned,
-    )
+    asked = vars(request)
+    over = signature(open_setup).parameters.keys() & asked.keys()
+    stated = open_setup(request.setup, **{name: asked[name] for name in over})
     further = [] if request.validation is None else [request.validation]
     older = open_older(request.start, [*request.measurements, *further])
     stated = as_before(stated, older)
@@ -163,34 +113,23 @@ def opened(
         notice(f"{name} ignores the options of differential evolution in 'solver'")
     chains = open_chains(request.robot, stated, package_dirs=request.package_dir)
     files = None if output is None else result_files(output, chains.robot.name)
+    # None of them may be written.
+    started = [] if request.start is None else [document_file(request.start)]
+    inputs = [request.robot, request.setup, *started, *request.measurements, *further]
     if files is None:
-        check_outputs(pictures, request.inputs, force)
+        check_outputs(pictures, inputs, force)
     else:
-        check_results(files, pictures, chains.robot, request.inputs, force)
-    validation, per_file = request.validation, request.station_per_file
+        check_results(files, pictures, chains.robot, inputs, force)
     require_distinct([*request.measurements, *further])
-    chains, rows = open_measurements(
-        request.measurements,
-        chains,
-        stated,
-        station_per_file=per_file,
-        quiet=quiet,
-        bar=bar,
-    )
+    read = partial(open_measurements, station_per_file=request.station_per_file)
+    chains, rows = read(request.measurements, chains, stated, quiet=quiet, bar=bar)
     unseen = None
-    if validation is not None:
+    if further:
         same = replace(stated, model="+".join(rows.models))
         sockets = map(place_of, rows.target.distinct)
-        _, unseen = open_measurements(
-            [validation],
-            chains,
-            same,
-            station_per_file=per_file,
-            quiet=True,
-            sockets=sockets,
-        )
-    if rows.validate.any() and (unseen is not None or request.holdout is not None):
-        option = "--holdout" if unseen is None else "--validation"
+        _, unseen = read(further, chains, same, quiet=True, sockets=sockets)
+    if rows.validate.any() and (further or request.holdout is not None):
+        option = "--validation" if further else "--holdout"
         notice(
             f"the measurements that 'set' marks for validation are not used with "
             f"{option}"
@@ -222,25 +161,27 @@ def calibrated(
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.validation.candidate_scores import USES
 
-    request, files = opened.request, opened.files
+    request, files, setup = opened.request, opened.files, opened.setup
     shown = (files is not None and page) or bool(pictures)
     robot = opened.chains.robot
-    shapes = shapes_ahead(robot, request.package_dir) if shown else tuple
+    shapes = shapes_ahead(robot, request.package_dir or ()) if shown else tuple
     start = time.perf_counter()
+    # What `calibrate` calls as the request does is passed on as it is.
+    same = signature(calibrate).parameters.keys() & vars(request).keys()
+    given = {name: getattr(request, name) for name in same} | {
+        "setup": setup,
+        "validation": opened.validation,
+        "measurements": opened.measurements,
+        "start": opened.older,
+        "use": request.use or USES[0],
+    }
     result = calibrate(
         opened.chains,
-        opened.measurements,
-        opened.setup,
-        validation=opened.validation,
-        holdout=request.holdout,
-        ladder=request.use is not None,
-        use=request.use or USES[0],
-        seed=request.seed,
+        **given,
+        ladder=request.model_ladder or request.use is not None,
         progress=bar,
-        others=partial(other_robots, opened.chains, opened.setup),
+        others=partial(other_robots, opened.chains, setup),
         workers=workers,
-        start=opened.older,
-        process_noise=request.process_noise,
     )
     seconds = time.perf_counter() - start
     better = suggestions(
@@ -251,8 +192,7 @@ def calibrated(
         seed=request.seed,
     )
     drawn = draw_calibration(result, bar, shapes()) if shown else []
-    drawings = figure_contents(drawn, pictures)
-    contents = drawings
+    contents = drawings = figure_contents(drawn, pictures)
     if files is not None:
         from calib_pin.io.results import provenance
 
@@ -260,4 +200,4 @@ def calibrated(
         contents = result_contents(
             result, files, made, drawn if page else None, drawings, better
         )
-    return Calibrated(result, better, seconds, contents, drawings)
+    return Calibrated(result, better, contents, drawings)

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.observations.corners import sampled
-from calib_pin.setup import BoardSetup
-from calib_pin.setup.references import BOARDS
+from calib_pin.setup import BOARDS, BoardSetup
 
 Floats = NDArray[np.float64]
 Tags = Mapping[int, Floats]

@@ -37,8 +37,8 @@ from calib_pin.observations.corners import (
     noise_of,
     sampled,
 )
-from calib_pin.setup import BoardSetup, CameraSetup
-from calib_pin.setup.references import DICTIONARIES, TAGS
+from calib_pin.setup import DICTIONARIES, TAGS, BoardSetup, CameraSetup
+from calib_pin.setup.arguments import Refused, Taker
 
 PIXELS = 1 << 27
 """Most pixels of an image."""
@@ -173,10 +173,6 @@ def board_of(word: str) -> BoardSetup:
     Raises:
         OptionError: If it states none.
     """
-    from pydantic import TypeAdapter, ValidationError
-
-    from calib_pin.io.setup import context
-
     if (match := WORD.fullmatch(word)) is None:
         raise OptionError("--board is no board", value=word, allowed=FORM)
     stated = {key: text for key, text in match.groupdict().items() if text}
@@ -184,10 +180,10 @@ def board_of(word: str) -> BoardSetup:
         stated["marker" if stated.get("type") == "charuco" else "gap"] = size
     about = stated | ({"legacy": True} if "legacy" in stated else {})
     try:
-        return TypeAdapter(BoardSetup).validate_python(about, context=context())
-    except ValidationError as error:
-        _, ours, reason = error.errors()[0]["msg"].partition("Value error, ")
-        allowed = reason if ours else FORM
+        board: BoardSetup = Taker().taken(about, BoardSetup)
+        return board
+    except Refused as error:
+        allowed = error.allowed if error.shown else FORM
         raise OptionError("--board is no board", value=word, allowed=allowed) from None
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
 from math import inf
+from typing import Any
 
+from calib_pin.errors import enumerated
 from calib_pin.io.first_look import Look
 from calib_pin.io.setup import setup_document, yaml_text
 from calib_pin.kinematics.robot import Robot
@@ -14,9 +15,6 @@ from calib_pin.units import DISPLAY
 
 WIDTH = 88
 """Longest line of a comment."""
-
-SHOWN = 6
-"""Links and columns that a comment names."""
 
 FAMILIES = (
     "Six errors at every joint, the usual choice. Others: joint-offset for zeros "
@@ -28,32 +26,47 @@ HAND_SET = (
     "errors at every joint."
 )
 
-EXTERNAL = """
+EXTERNAL = """\
 # The instrument may stand anywhere, and the target may sit anywhere
 # on the tool: both are estimated. State them if you know them.
 frames:
   base: {estimate: true}
   tool: {estimate: true}"""
 
-INTERNAL = """
+INTERNAL = """\
 # Tool and instrument are estimated; the base link is the frame of
 # reference. State 'frames', 'targets' or 'planes' that you know."""
 """Lines on what is estimated of frames, by where the instrument stands."""
 
 GAUGED = (
-    "Readings of the gauge count. In 'dial' pushed in is positive; if yours counts the "
-    "other way, name its column 'deviation' under 'columns'."
+    " Readings of the gauge count. In 'dial' pushed in is positive; if yours counts "
+    "the other way, name its column 'deviation' under 'columns'."
+)
+
+COMPUTED = (
+    "The controller computed {} from the joints: no measurement, other columns are "
+    "taken."
+)
+
+NO_FIT = (
+    ". That is NO fit: a column has another meaning, or these are not measurements of "
+    "this robot. Correct what is wrong below."
 )
 
 COMMENTS = {
+    "base": "The chain starts here.",
+    "tip": "The link that carries the tool.",
     "chains": "The links that the names in the column 'chain' stand for.",
+    "model": "Measured: ",
+    "parameters": "",
     "prior": "Zeros that were set by hand are off by about 5 degrees [rad].",
+    "columns": "Our names of columns, and those of the file with their units.",
     "board": "The board; its points are known.",
     "camera": "The camera; a first guess that is estimated, but for the size of the "
     "images, 'size: [width, height]', which export to camera-info needs.",
     "distances": "Known distances [m]: they give the robot its size.",
 }
-"""Comments of keys that are written as they are."""
+"""Comments of keys, in the order of the file."""
 
 
 def draft(robot: Robot, look: Look, command: str) -> str:
@@ -64,86 +77,63 @@ def draft(robot: Robot, look: Look, command: str) -> str:
         look: The reading.
         command: The command line that it comes from.
     """
-    return "\n".join(_lines(robot, look, command)) + "\n"
-
-
-def _lines(robot: Robot, look: Look, command: str) -> Iterator[str]:
     data, document = look.data, setup_document(look.setup)
     assert data is not None
-
-    def stated(key: str) -> Iterator[str]:
-        if key in document:
-            yield f"\n{_comment(COMMENTS[key])}\n{yaml_text({key: document[key]})}"
-
-    yield _comment(f"Setup file of calib-pin, drafted by: {command}")
-    yield _comment(f"{len(data)} measurements of {robot.name}. {_fit(look)}")
-    if look.computed:
-        yield _comment(
-            f"The controller computed {_few(look.computed)} from the joints: no "
-            "measurement, other columns are taken."
-        )
-    if look.ignored:
-        yield _comment(f"Columns without a meaning: {_few(look.ignored)}.")
-    if "base" in document:
-        yield f"{_entry('base', document['base'])}  # the chain starts here"
-    if "tip" in document:
-        others = [link for link in look.joints.tips if link != look.setup.tip]
-        more = f" The same joints move {_few(others)}." if others else ""
-        yield "\n" + _comment(f"The link that carries the tool.{more}")
-        yield _entry("tip", document["tip"])
-    yield from stated("chains")
-    helps = "; ".join(declared(name).help for name in data.models)
-    yield "\n" + _comment(f"Measured: {helps}.")
-    if any(declared(b.model).contact and b.values.shape[1] for b in data.blocks):
-        yield _comment(GAUGED)
-    yield f"model: {'+'.join(data.models)}"
-    yield _comment(HAND_SET.format(why) if (why := look.hand_set) else FAMILIES)
-    yield yaml_text({"parameters": document["parameters"]})
-    yield from stated("prior")
-    if "columns" in document:
-        yield "\n# Our names of columns, and those of the file with their units."
-        if look.joints.order:
-            yield f"# Joints are known by the order alone, {look.joints.order}."
-        yield "columns:"
-        for ours, theirs in document["columns"].items():
-            told = "  # (unit by its numbers)" if ours in look.units else ""
-            yield f"  {_entry(ours, theirs)}{told}"
-    for key in ("board", "camera", "distances"):
-        yield from stated(key)
-    external = any(declared(name).external for name in data.models)
-    yield EXTERNAL if external else INTERNAL
+    document["model"] = "+".join(data.models)
+    models = [declared(name) for name in data.models]
+    others = [link for link in look.joints.tips if link != look.setup.tip]
+    gauged = any(declared(b.model).contact and b.values.shape[1] for b in data.blocks)
+    more = {
+        "tip": f" The same joints move {enumerated(others)}." if others else "",
+        "model": "; ".join(m.help for m in models) + "." + GAUGED * gauged,
+        "parameters": HAND_SET.format(why) if (why := look.hand_set) else FAMILIES,
+    }
+    parts = [_head(robot, look, command)]
+    for key in filter(document.__contains__, COMMENTS):
+        parts.append(_comment(COMMENTS[key] + more.get(key, "")))
+        parts[-1] += f"\n{_lines(key, document[key], look)}"
+    parts.append(EXTERNAL if any(m.external for m in models) else INTERNAL)
     quantity = next(iter(look.errors))
     unit, usual = ("px", "0.3") if quantity == "pixel" else ("m", "1.0e-4")
-    yield f"# State the noise of the instrument if you know it [{unit}]:"
-    yield f"# noise: {{{quantity}: {usual}}}"
+    parts[-1] += f"\n# State the noise of the instrument if you know it [{unit}]:"
+    parts[-1] += f"\n# noise: {{{quantity}: {usual}}}\n"
+    return "\n\n".join(parts)
 
 
-def _fit(look: Look) -> str:
-    """How well the nominal robot fits to the measurements, in words."""
+def _head(robot: Robot, look: Look, command: str) -> str:
+    """Comments on the whole, and on how well the nominal robot fits."""
     told = []
     for quantity, size in look.errors.items():
         unit = {"orientation": "rad", "pixel": "px"}.get(quantity, "m")
         shown, factor = DISPLAY[unit]
         told.append(f"{factor * size:.3g} {shown} ({quantity})")
-    text = f"The nominal robot fits to {', '.join(told)} rms so"
+    text = f"{len(look.data or ())} measurements of {robot.name}. The nominal robot "
+    text += f"fits to {', '.join(told)} rms so"
     if look.next_share < inf:
         part, other = (f"{100 * k:.2g} %" for k in (look.share, look.next_share))
         text += f": {part} of its motion; in other units it is {other}"
-    if look.fits:
-        return f"{text}."
-    return (
-        f"{text}. That is NO fit: a column has another meaning, or these are not "
-        "measurements of this robot. Correct what is wrong below."
-    )
+    text += "." if look.fits else NO_FIT
+    words = [f"Setup file of calib-pin, drafted by: {command}", text]
+    if look.computed:
+        words.append(COMPUTED.format(enumerated(look.computed)))
+    if look.ignored:
+        words.append(f"Columns without a meaning: {enumerated(look.ignored)}.")
+    return "\n".join(map(_comment, words))
 
 
-def _entry(key: str, word: str) -> str:
-    return yaml_text({key: word}).strip("{}")
-
-
-def _few(names: Sequence[str]) -> str:
-    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
-    return ", ".join(names[:SHOWN]) + more
+def _lines(key: str, value: Any, look: Look) -> str:
+    """A key as it stands in the file, columns each on a line of its own."""
+    if isinstance(value, str):
+        return yaml_text({key: value}).strip("{}")
+    if key != "columns":
+        return yaml_text({key: value})
+    order = look.joints.order
+    found = f"# Joints are known by the order alone, {order}.\n" * bool(order)
+    found += "columns:"
+    for ours, theirs in value.items():
+        told = "  # (unit by its numbers)" if ours in look.units else ""
+        found += f"\n  {_lines(ours, theirs, look)}{told}"
+    return found
 
 
 def _comment(text: str) -> str:

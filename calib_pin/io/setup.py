@@ -1,17 +1,16 @@
 """Setup files: YAML in, `Setup` out, or one line about the first thing wrong.
 
-Their schema follows from the declarations of `calib_pin.setup`, and from the names that
-there are. pydantic and PyYAML import slowly, and most commands read no setup file.
+What may stand in a file is declared in `calib_pin.setup`; here are the lines, the names
+that there are, and what fits together. PyYAML imports slowly, and most commands read no
+setup file.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cache
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any
 
 from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.estimation.robust.weights import LOSSES
@@ -26,33 +25,13 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import AT
 from calib_pin.parameterizations import NOTHING, PARAMETERIZATIONS, required_keys
 from calib_pin.residual_models import RESIDUAL_MODELS
-from calib_pin.setup import (
-    WORLD,
-    ConditionSetup,
-    FitSetup,
-    Frames,
-    FrameSetup,
-    JointPrior,
-    MeasurementSetup,
-    PlanSetup,
-    RobotSetup,
-    Section,
-    Setup,
-    SolverSetup,
-    StudySetup,
-)
-from calib_pin.setup.constraints import LENIENT, Constraint, Keys, Names, meanings
-from calib_pin.setup.values import Number, Positive
-from calib_pin.solvers.differential_evolution import (
-    INITS,
-    STRATEGIES,
-    DifferentialEvolution,
-)
-from calib_pin.units import as_number
+from calib_pin.setup import WORLD, JointPrior, Setup
+from calib_pin.setup.arguments import Path as Place
+from calib_pin.setup.arguments import Refused, Taker, dotted, stated, unknown
+from calib_pin.setup.values import Value
+from calib_pin.solvers.differential_evolution import DifferentialEvolution
 
 if TYPE_CHECKING:
-    from pydantic import TypeAdapter, ValidationError
-
     from calib_pin.io.yaml_tree import Tree
 
 WIDTH = 60
@@ -61,21 +40,19 @@ WIDTH = 60
 LARGEST_ERROR = 1e5
 """Largest value of a parameter, whatever its unit: that of a camera's focal length."""
 
-SIZE = f"a number of at most {LARGEST_ERROR:g} [m, rad]"
-TrueErrors = dict[
-    str, Annotated[float, Number(least=-LARGEST_ERROR, most=LARGEST_ERROR, words=SIZE)]
+TrueErrors = Mapping[
+    str, Annotated[float, Value("m, rad", -LARGEST_ERROR, LARGEST_ERROR)]
 ]
 """Values of parameters by name."""
 
-BLURRED = 1e3
-"""Largest standard deviation of a pixel [px]."""
-
-ALLOWED: Mapping[str, str] = {
-    "dataclass_type": "a mapping of keys to values",
-    "dict_type": "a mapping of names to values",
-    "tuple_type": "a list in square brackets",
+FAMILIES: Mapping[str, Collection[str]] = {
+    "model": MEASUREMENT_MODELS,
+    "parameters": PARAMETERIZATIONS,
+    "learned": RESIDUAL_MODELS,
+    "loss": LOSSES,
+    "solver": SOLVERS,
 }
-"""The allowed type where pydantic itself found the wrong type."""
+"""The names that there are."""
 
 
 def read_true_errors(
@@ -99,15 +76,13 @@ def read_true_errors(
         ...     read_true_errors(file, ["elbow.placement.x"])
         {'elbow.placement.x': 0.001}
     """
-    from pydantic import TypeAdapter, ValidationError
-
     from calib_pin.io.yaml_tree import read_tree
 
     tree = read_tree(path)
     try:
-        found = TypeAdapter(TrueErrors).validate_python(tree.data)
-    except ValidationError as error:
-        raise wrong_value(tree, error, lambda path: ()) from None
+        found: dict[str, float] = Taker().taken(tree.data, TrueErrors)
+    except Refused as error:
+        raise _error(tree, error) from None
     for name in found:
         if known is not None and name not in known:
             raise tree.error(f"no parameter '{name}'{nearest(name, known)}", (name,))
@@ -136,38 +111,27 @@ def read_setup(path: str | Path | Mapping[str, object]) -> Setup:
         >>> setup.tip, setup.fixed
         ('tool0', ('*.placement.z',))
     """
-    from pydantic import ValidationError
+    from calib_pin.io.yaml_tree import Tree, read_tree
 
-    from calib_pin.io.yaml_tree import read_tree, tree_of
-
-    file = "" if isinstance(path, Mapping) else str(path)
-    if isinstance(path, Mapping):
-        tree = tree_of(yaml_text(path).encode(), "setup")
-    else:
-        tree = read_tree(path)
+    tree = Tree("", path) if isinstance(path, Mapping) else read_tree(path)
     if tree.data is None:
         return Setup()
-    try:
-        stated = adapter().validate_python(tree.data, context=context())
-    except ValidationError as error:
-        raise wrong_value(tree, error, known_keys) from None
     # The result may be read from another folder than the setup file.
-    folder = Path(file).absolute().parent
-    if isinstance(stated.prior, str):
-        stated = replace(stated, prior=read_population_prior(folder / stated.prior))
-    setup = stated.setup()
-    _check(tree, setup)
+    folder = Path(tree.file).absolute().parent
+    data = tree.data
+    prior = data.get("prior") if isinstance(data, Mapping) else None
+    if isinstance(prior, str) and prior.strip():
+        data = {**data, "prior": read_population_prior(folder / prior)}
+    try:
+        setup: Setup = Taker(FAMILIES).taken(data, Setup)
+        _check(setup)
+    except Refused as error:
+        raise _error(tree, error) from None
     obstacles = tuple(
-        obstacle
-        if obstacle.mesh is None
-        else replace(
-            obstacle,
-            mesh=str(folder / obstacle.mesh),
-            scale=obstacle.scale or (1.0, 1.0, 1.0),
-        )
-        for obstacle in setup.obstacles
+        replace(one, mesh=one.mesh and str(folder / one.mesh))
+        for one in setup.obstacles
     )
-    return replace(setup, obstacles=obstacles, file=file)
+    return replace(setup, obstacles=obstacles, file=tree.file)
 
 
 def setup_document(setup: Setup) -> dict[str, Any]:
@@ -175,18 +139,38 @@ def setup_document(setup: Setup) -> dict[str, Any]:
 
     Examples:
         >>> setup_document(Setup(tip="tool0", fixed=("*.placement.z",)))
-        {'tip': 'tool0', 'parameters': ['placement'], 'fixed': ['*.placement.z']}
+        {'tip': 'tool0', 'fixed': ['*.placement.z'], 'parameters': ['placement']}
     """
-    file, empty = SetupFile.of(setup), SetupFile()
-    required = {"parameters", *required_keys(setup.parameters)}
-    found = {
-        key: value
-        for key, value in _plain(asdict(file)).items()
-        if getattr(file, key) != getattr(empty, key) or key in required
-    }
+    found: dict[str, Any] = stated(setup)
+    for key in ("parameters", *required_keys(setup.parameters)):
+        found.setdefault(key, stated(getattr(setup, key)))
     if isinstance(setup.prior, JointPrior):
         found["prior"] = prior_document(setup.prior)
     return found
+
+
+def setup_of(document: Mapping[str, Any]) -> Setup:
+    """The setup of what `setup_document` made, read back from a JSON file.
+
+    Unknown keys are those of a later version and are passed over.
+
+    Raises:
+        ValueError: If it is not such a document.
+
+    Examples:
+        >>> setup_of(setup_document(Setup(tip="tool0"))).tip
+        'tool0'
+    """
+    prior = document.get("prior")
+    if isinstance(prior, Mapping) and "format" in prior:
+        document = {**document, "prior": prior_of(prior)}
+    try:
+        setup: Setup = Taker(FAMILIES, lenient=True).taken(document, Setup)
+        _check_evolution(setup)
+    except Refused as error:
+        place = dotted(("setup", *error.path))
+        raise ValueError(f"'{place}' cannot have this value") from None
+    return setup
 
 
 def yaml_text(lines: Mapping[str, Any]) -> str:
@@ -210,344 +194,76 @@ def yaml_text(lines: Mapping[str, Any]) -> str:
     return str(text).rstrip("\n")
 
 
-def setup_of(document: Mapping[str, Any]) -> Setup:
-    """The setup of what `setup_document` made, read back from a JSON file.
-
-    Unknown keys are those of a later version and are passed over.
-
-    Raises:
-        ValueError: If it is not such a document.
-
-    Examples:
-        >>> setup_of(setup_document(Setup(tip="tool0"))).tip
-        'tool0'
-    """
-    from pydantic import ValidationError
-
-    names = context(lenient=True)
-    prior = document.get("prior")
-    if isinstance(prior, Mapping) and "format" in prior:
-        rest = {key: value for key, value in document.items() if key != "prior"}
-        return replace(setup_of(rest), prior=prior_of(prior))
-    try:
-        return adapter().validate_python(document, context=names).setup()
-    except ValidationError as error:
-        place = _dotted(error.errors(include_url=False)[0]["loc"])
-        raise ValueError(f"'setup.{place}' cannot have this value") from None
+def _error(tree: Tree, refused: Refused) -> InputError:
+    """A refusal with its line."""
+    value = tree.written(refused.path) if refused.shown else None
+    return tree.error(refused.reason, refused.path, value, refused.allowed)
 
 
-def _plain(value: Any) -> Any:
-    """Mappings without their empty keys, and lists, as a file has them."""
-    if isinstance(value, Mapping):
-        return {k: _plain(item) for k, item in value.items() if item is not None}
-    return [_plain(item) for item in value] if isinstance(value, tuple) else value
-
-
-def wrong_value(
-    tree: Tree,
-    error: ValidationError,
-    known: Callable[[Sequence[str | int]], Sequence[str]],
-    place: Callable[[Sequence[str | int]], Sequence[str | int]] = lambda path: path,
-) -> InputError:
-    """The first thing that pydantic found wrong, in our words.
-
-    Args:
-        tree: The file.
-        error: What pydantic found.
-        known: The keys that may stand in the place of an unknown one, by its path.
-        place: Path within the file of a path within what was checked.
-    """
-    problems = error.errors(include_url=False)
-    problem = min(problems, key=lambda problem: tree.line(place(problem["loc"])))
-    path: Sequence[str | int] = problem["loc"]
-    where = place(path)
-    key = f"'{_dotted(path)}'" if path else "the file"
-    if problem["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        names = known(path)
-        reason = f"unknown key {key}{nearest(str(path[-1]), names)}"
-        return tree.error(reason, where, allowed=", ".join(names))
-    if problem["type"] == "missing":
-        return tree.error(f"{key} is missing", where)
-    reason, written = f"{key} cannot have this value", tree.written(where)
-    return tree.error(reason, where, written, allowed_instead(problem))
-
-
-def allowed_instead(problem: Mapping[str, Any]) -> str:
-    """The values that are allowed instead of one that pydantic found wrong."""
-    stated = problem.get("ctx", {}).get("error", problem["msg"])
-    return ALLOWED.get(problem["type"], str(stated))
-
-
-POINT = f"a name without {AT}, which in the target column stands between two names"
-
-NAMES: Mapping[str, tuple[str, str]] = {
-    **dict.fromkeys(("planes", "targets", "sockets"), (AT, POINT)),
-    **dict.fromkeys(("spheres", "anchors"), (AT, POINT)),
-    "payloads": (
-        NOTHING,
-        f"any name but {NOTHING}, which measurements without a payload have",
-    ),
-    "chains": (WORLD, f"any name but {WORLD}, which stands for all that does not move"),
-    **dict.fromkeys(("stations", "tools"), ("", "a name")),
+NAMES: Mapping[str, str] = {
+    **dict.fromkeys(("planes", "targets", "sockets", "spheres", "anchors"), AT),
+    "payloads": NOTHING,  # As measurements without one have it.
+    "chains": WORLD,
+    **dict.fromkeys(("stations", "tools"), " "),
 }
-"""The name, or a part of it, that a section has not, and those that it may have."""
+"""A name, or a part of it, that entries of a section cannot have.
+
+In the target column `AT` stands between two names.
+"""
 
 
-def _check(tree: Tree, setup: Setup) -> None:
+def _check(setup: Setup) -> None:
     """Refuse names that cannot be, and what does not fit together.
 
     Raises:
-        InputError: Names the line.
+        Refused: If there is such.
     """
+    _check_evolution(setup)
+    models = MEASUREMENT_MODELS.values()
+    known = {q.name: q for model in models for q in model.declaration.quantities}
+    for name in setup.noise:
+        if name not in known:
+            raise unknown(("noise", name), known)
     _check_twice(
-        tree,
-        ((given.joint, ("joints", k, "joint")) for k, given in setup.joints.items()),
+        (given.joint, ("joints", name, "joint")) for name, given in setup.joints.items()
     )
-    for key, (word, allowed) in NAMES.items():
+    for key, word in NAMES.items():
         for name in getattr(setup, key):
             if not name.strip() or name == word or (word == AT and AT in name):
-                reason = f"'{key}.{name}' cannot have this name"
-                raise tree.error(reason, (key, name), allowed=allowed)
-    for name, tool in setup.tools.items():
-        others = [other for other in setup.tools if other != name]
-        if tool.on is not None and tool.on not in others:
-            raise tree.error(
-                f"'tools.{name}.on' is no other tool{nearest(tool.on, others)}",
-                ("tools", name, "on"),
-                tool.on,
-                ", ".join(others) or None,
-            )
-        below, on = [name], tool.on
-        while on is not None and on in setup.tools and on not in below:
-            below.append(on)
-            on = setup.tools[on].on
-        if on in below:
-            raise tree.error(f"'tools.{on}' carries itself", ("tools", on, "on"))
+                allowed = f"a name {'without' if word == AT else 'other than'} {word}"
+                raise Refused((key, name), allowed, "{} cannot have this name")
+    carried: set[str | None] = {None}
+    for _ in setup.tools:
+        carried |= {name for name, tool in setup.tools.items() if tool.on in carried}
+    for name in [n for n in setup.tools if n not in carried]:
+        others, on = [n for n in setup.tools if n != name], str(setup.tools[name].on)
+        reason = f"{{}} is no other tool, or one that it carries{nearest(on, others)}"
+        raise Refused(("tools", name, "on"), ", ".join(others), reason)
     if setup.board and setup.targets:
-        raise tree.error(
-            "'board' and 'targets' both say what the camera looks at",
-            ("board",),
-            allowed="one of them",
-        )
+        reason = "{} and 'targets' both say what the camera looks at"
+        raise Refused(("board",), "one of them", reason)
     for key in ("distances", "angles"):
-        ends = ((frozenset(d.between), k) for k, d in enumerate(getattr(setup, key)))
-        _check_twice(tree, ((pair, (key, k, "between")) for pair, k in ends))
+        ends = enumerate(getattr(setup, key))
+        _check_twice((frozenset(d.between), (key, k, "between")) for k, d in ends)
 
 
-def _check_twice(
-    tree: Tree, entries: Iterable[tuple[object, tuple[str | int, ...]]]
-) -> None:
+def _check_evolution(setup: Setup) -> None:
+    """Refuse options that differential evolution does not have or take."""
+    known = [option.name for option in fields(DifferentialEvolution)]
+    for name, value in setup.solver.evolution.items():
+        if name not in known:
+            raise unknown(("solver", name), ["name", *known])
+        try:
+            DifferentialEvolution(**{name: value})  # type: ignore[arg-type]
+        except OptionError as error:
+            raise Refused(("solver", name), error.allowed) from None
+
+
+def _check_twice(entries: Iterable[tuple[object, Place]]) -> None:
     """Refuse a value that stands in two places."""
-    seen = dict[object, tuple[str | int, ...]]()
+    seen = dict[object, Place]()
     for value, path in entries:
         if value in seen:
-            reason = f"'{_dotted(seen[value])}' and '{_dotted(path)}' are the same"
-            raise tree.error(reason, path, tree.written(path))
+            reason = f"{{}} and '{dotted(seen[value])}' are the same"
+            raise Refused(path, None, reason)
         seen[value] = path
-
-
-def _dotted(path: Sequence[str | int]) -> str:
-    """A key path as in `frames.tool.xyz` and `fixed[0]`."""
-    first, *rest = path
-    steps = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in rest)
-    return f"{first}{''.join(steps)}"
-
-
-# --- the schema -------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class EvolutionOption(Constraint):
-    """An option of differential evolution, which knows its limits.
-
-    Attributes:
-        name: Field of `DifferentialEvolution`.
-        kind: Its type.
-    """
-
-    name: str
-    kind: str
-
-    def check(self, value: object) -> Any:
-        """The option."""
-        # Numbers in quotes are numbers too, so that no one has to know YAML's rules.
-        written = as_number(value) if isinstance(value, str) else None
-        plain: Any = value if written is None else written
-        if isinstance(plain, float) and plain.is_integer() and self.kind == "int":
-            plain = int(plain)
-        if isinstance(plain, float) and not math.isfinite(plain):
-            raise ValueError("a finite number")
-        try:
-            DifferentialEvolution(**{self.name: plain})
-        except OptionError as error:
-            raise ValueError(error.allowed) from None
-        return plain
-
-    def schema(self) -> dict[str, Any]:
-        """The names or the type of the option, and its default."""
-        kinds = {"int": "integer", "float": "number", "str": "string"}
-        known = {"strategy": STRATEGIES, "init": INITS}.get(self.name)
-        found = {"enum": list(known)} if known else {"type": kinds[self.kind]}
-        default = getattr(DifferentialEvolution, self.name)
-        # JSON has no infinity, which here stands for no target.
-        return found if default == -math.inf else {**found, "default": default}
-
-
-def solver_keys() -> dict[str, Constraint]:
-    """Keys of `solver`: its name and the options of the evolution."""
-    options = fields(DifferentialEvolution)
-    evolution = {o.name: EvolutionOption(o.name, str(o.type)) for o in options}
-    return {"name": Names(SOLVERS), **evolution}
-
-
-def noise_keys() -> dict[str, Constraint]:
-    """Keys of `noise`: the quantities of all measurement models."""
-    words = f"a standard deviation in px, at most {BLURRED:g}"
-    return {
-        q.name: Positive("px", BLURRED, words) if q.unit == "px" else Positive(q.unit)
-        for model in MEASUREMENT_MODELS.values()
-        for q in model.declaration.quantities
-    }
-
-
-@dataclass(frozen=True)
-class FrameKeys(Section):
-    """The frames of a setup file.
-
-    Attributes:
-        frames: Frames at both ends of the chain: known, or estimated.
-    """
-
-    frames: Frames = field(default_factory=Frames)
-
-
-@dataclass(frozen=True)
-class SetupFile(
-    StudySetup,
-    PlanSetup,
-    ConditionSetup,
-    FitSetup,
-    MeasurementSetup,
-    FrameKeys,
-    RobotSetup,
-):
-    """A setup file of calib-pin.
-
-    The keys of a `Setup`, but for two that a file groups otherwise: it has both frames
-    under `frames`, and the options of the evolution beside the name of the solver. The
-    quantities of `noise` are known here alone.
-    """
-
-    noise: Annotated[Mapping[str, float], Keys(noise_keys)] = field(
-        default_factory=dict
-    )
-
-    solver: Annotated[
-        Mapping[str, Any],
-        Keys(solver_keys, meanings(SolverSetup) | meanings(DifferentialEvolution)),
-    ] = field(default_factory=dict)  # type: ignore[assignment]
-
-    @classmethod
-    def of(cls, setup: Setup) -> Self:
-        """The file of a setup."""
-        ends = (setup.base_frame, setup.tool_frame)
-        frames = Frames(*(None if end == FrameSetup() else end for end in ends))
-        solver = {"name": setup.solver.name, **setup.solver.evolution}
-        return cls(
-            **_shared(setup),
-            frames=frames,
-            solver={} if setup.solver == SolverSetup() else solver,
-        )
-
-    def setup(self) -> Setup:
-        """The setup of the file."""
-        options = dict(self.solver)
-        name = options.pop("name", SolverSetup.name)
-        return Setup(
-            **_shared(self),
-            base_frame=self.frames.base or FrameSetup(),
-            tool_frame=self.frames.tool or FrameSetup(),
-            solver=SolverSetup(name, options),
-        )
-
-
-def _shared(setup: Setup | SetupFile) -> dict[str, Any]:
-    """The keys that a setup and its file have alike."""
-    names = {f.name for f in fields(Setup)} & {f.name for f in fields(SetupFile)}
-    return {name: getattr(setup, name) for name in names - {"solver"}}
-
-
-@cache
-def adapter() -> TypeAdapter[SetupFile]:
-    """The reader of setup files that are plain data."""
-    from pydantic import TypeAdapter
-
-    return TypeAdapter(SetupFile)
-
-
-def context(*, lenient: bool = False) -> dict[str, Any]:
-    """The validation context: the names that there are.
-
-    Args:
-        lenient: Whether unknown keys are passed over.
-    """
-    return {
-        "model": Names(MEASUREMENT_MODELS, joined="+"),
-        "parameters": Names(PARAMETERIZATIONS),
-        "learned": Names(RESIDUAL_MODELS),
-        "loss": Names(LOSSES),
-        LENIENT: lenient,
-    }
-
-
-def json_schema() -> dict[str, Any]:
-    """The JSON schema of setup files, with the names that there are.
-
-    A number has its `unit` beside its limits.
-    """
-    names = context()
-
-    def filled(part: Any) -> Any:
-        if isinstance(part, list):
-            return [filled(item) for item in part]
-        if not isinstance(part, dict):
-            return part
-        part = {key: filled(value) for key, value in part.items() if key != "title"}
-        if part.get("default", ...) is None:  # A key that may be left out.
-            del part["default"]
-        choices = [c for c in part.pop("anyOf", ()) if c != {"type": "null"}]
-        if len(choices) == 1:
-            part = {**choices[0], **part}
-        elif choices:
-            part["anyOf"] = choices
-        family = part.pop("registered", None)
-        return part if family is None else {**names[family].schema(), **part}
-
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "Setup file of calib-pin",
-        **filled(adapter().json_schema()),
-    }
-
-
-def known_keys(path: Sequence[str | int]) -> list[str]:
-    """The keys that may stand where an unknown one does.
-
-    Args:
-        path: Path of the unknown key.
-    """
-    schema = json_schema()
-    part = schema
-    for step in path[:-1]:
-        if isinstance(step, int):
-            part = part["items"]
-        else:
-            part = part.get("properties", {}).get(step) or part["additionalProperties"]
-        part = resolved(schema, part)
-    return list(part["properties"])
-
-
-def resolved(schema: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:
-    """The definition that a part of the schema refers to, or the part itself."""
-    name = str(part.get("$ref", "")).rpartition("/")[2]
-    return dict(schema["$defs"][name]) if name else part

@@ -1,4 +1,4 @@
-"""YAML as a tree that knows the line of every key.
+"""YAML as plain data that know the line of every key.
 
 A small, strict part of YAML: no anchors, aliases or tags, every key once, and numbers
 as in YAML 1.2. PyYAML follows YAML 1.1, in which `1e-5` is text, `010` is eight and
@@ -22,14 +22,13 @@ from calib_pin.errors import InputError
 from calib_pin.io.files import read_bytes
 from calib_pin.units import as_number
 
-_DEEPEST = 20
 _HALVES = re.compile("[\ud800-\udfff]")
 _LARGEST = 1 << 20  # Bytes; some seconds, and a tree of hundreds of times as many.
-_GLOB = '"*.placement.z"'
+_QUOTED = 'a glob needs quotes, as in "*.placement.z"'
 
-Keys = tuple[str | int, ...]
-Places = dict[Keys, tuple[int, yaml.Node]]
-"""Line and value node of every key and list item, by its path."""
+
+Place = Sequence[str | int]
+"""Keys and positions that lead to a value."""
 
 
 @dataclass(frozen=True)
@@ -37,44 +36,69 @@ class Tree:
     """A YAML document.
 
     Attributes:
-        file: Path as the caller gave it.
+        file: Path as the caller gave it; empty for data that are in no file.
         data: Mappings with text keys, lists, text, numbers, truth values and None.
+        root: The node of the whole.
     """
 
     file: str
     data: Any
-    _places: Places
-    _text: str
+    root: yaml.Node | None = None
 
-    def line(self, path: Sequence[str | int]) -> int:
+    def line(self, path: Place) -> Any:
         """Line of a key or list item, or of the last part of the path that exists."""
         return self._find(path)[0]
 
-    def written(self, path: Sequence[str | int]) -> str:
+    def written(self, path: Place) -> str | None:
         """The value at a path as it stands in the file, on one line and shortened."""
         node = self._find(path)[1]
+        if node is None:
+            return None
         if isinstance(node, yaml.ScalarNode):
             return str(node.value)
         # A block ends where the next one starts, beyond the comments between them.
-        text = self._text[node.start_mark.index : node.end_mark.index]
+        text = str(node.start_mark.buffer)[node.start_mark.index : node.end_mark.index]
         return textwrap.shorten(text.split("#")[0], 60, placeholder=" ...")
 
     def error(
-        self,
-        reason: str,
-        path: Sequence[str | int],
-        value: object = None,
-        allowed: str | None = None,
+        self, reason: str, path: Place, value: object = None, allowed: Any = None
     ) -> InputError:
         """An error about the key at a path."""
-        return InputError(
-            reason, file=self.file, line=self.line(path), value=value, allowed=allowed
-        )
+        file, line = self.file or None, self.line(path)
+        return InputError(reason, file=file, line=line, value=value, allowed=allowed)
 
-    def _find(self, path: Sequence[str | int]) -> tuple[int, yaml.Node]:
+    def _find(self, path: Place) -> tuple[int | None, yaml.Node | None]:
         """Line and value node of the last part of a path that exists."""
-        ends = (tuple(path[:count]) for count in range(len(path), -1, -1))
-        return next(self._places[end] for end in ends if end in self._places)
+        node = self.root
+        line = _line(node) if node else 1 if self.file else None
+        for step in path:
+            below: dict[Any, Any] = {}
+            if isinstance(node, yaml.MappingNode):
+                below = {key.value: (key, value) for key, value in node.value}
+            elif isinstance(node, yaml.SequenceNode):
+                below = {k: (item, item) for k, item in enumerate(node.value)}
+            if step not in below:
+                break
+            key, node = below[step]
+            line = _line(key)
+        return line, node
+
+
+class _Loader(yaml.SafeLoader):
+    """Composes nodes of the part of YAML that is allowed here."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """The next node."""
+        event: Any = self.peek_event()  # type: ignore[no-untyped-call]
+        alias = isinstance(event, yaml.AliasEvent)
+        halves = _HALVES.search(getattr(event, "value", ""))
+        if alias or event.anchor or event.tag or halves:
+            raise InputError(
+                "an alias (*x), an anchor (&x), a tag (!x) or half of a character is "
+                f"not allowed; {_QUOTED}",
+                line=_line(event),
+            )
+        return super().compose_node(parent, index)
 
 
 def read_tree(path: str | Path) -> Tree:
@@ -95,100 +119,52 @@ def read_tree(path: str | Path) -> Tree:
         ...     read_tree(file).data
         {'elbow_joint.placement.x': 1e-05}
     """
-    return tree_of(read_bytes(path, _LARGEST), str(path))
-
-
-def tree_of(content: bytes, file: str) -> Tree:
-    """The content of a YAML file, see `read_tree`."""
+    content, line, file = read_bytes(path, _LARGEST), None, str(path)
     try:
-        text = content.decode("utf-8-sig")
-        _check_events(text, file)
-        root = yaml.compose(text, yaml.SafeLoader)
-        if root is None:  # There is nothing, or nothing but comments.
-            begin = yaml.Mark(file, 0, 0, 0, None, 0)
-            root = yaml.ScalarNode("tag:yaml.org,2002:null", "", begin, begin)
-        places: Places = {}
-        data = _build(root, file, (), _line(root), places)
-        return Tree(file, data, places, text)
+        root = _Loader(content.decode("utf-8-sig")).get_single_node()
+        return Tree(file, None if root is None else _plain(root), root)
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
-        raise InputError("not UTF-8 text", file=file, line=line) from None
+        reason = "not UTF-8 text"
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        reason = ", ".join(filter(None, (error.context, error.problem)))
-        if error.context == "while scanning an alias":
-            reason = f"a glob needs quotes, as in {_GLOB}"
-        raise InputError(
-            f"not valid YAML: {reason}",
-            file=file,
-            line=None if mark is None else mark.line + 1,
-        ) from None
+        line = None if mark is None else mark.line + 1
+        words = ", ".join(filter(None, (error.context, error.problem)))
+        alias = error.context == "while scanning an alias"
+        reason = f"not valid YAML: {_QUOTED if alias else words}"
     except yaml.YAMLError:
         # The reader's own error, about a control character, has no line.
-        raise InputError("not a text file", file=file) from None
+        reason = "not a text file"
+    except RecursionError:
+        reason = "lists or mappings are nested too deeply"
+    except InputError as error:
+        line, reason = error.line, error.reason
+    raise InputError(reason, file=file, line=line)
 
 
-def _check_events(text: str, file: str) -> None:
-    """Refuse anchors, aliases and tags, and what is nested too deeply to compose.
-
-    Raises:
-        InputError: Names the line.
-    """
-    depth = 0
-    for event in yaml.parse(text, yaml.SafeLoader):
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        anchor, tag = (getattr(event, name, None) for name in ("anchor", "tag"))
-        refused = ""
-        if isinstance(event, yaml.AliasEvent):
-            refused = f"an alias, '*{anchor}', (a glob needs quotes, as in {_GLOB})"
-        elif anchor is not None:
-            refused = f"an anchor, '&{anchor}',"
-        elif tag is not None:
-            refused = f"a tag, '{tag}',"
-        elif depth > _DEEPEST:
-            refused = "so deep a nesting"
-        elif _HALVES.search(getattr(event, "value", "")):
-            refused = "half of a character, in an escape,"
-        if refused:
-            reason = f"{refused} is not allowed here"
-            raise InputError(reason, file=file, line=_line(event))
-
-
-def _build(node: yaml.Node, file: str, path: Keys, line: int, places: Places) -> Any:
-    """The data of a node, whose place and those of all below it are noted."""
-    places[path] = line, node
+def _plain(node: yaml.Node) -> Any:
+    """The data of a node."""
     if isinstance(node, yaml.SequenceNode):
-        return [
-            _build(item, file, (*path, k), _line(item), places)
-            for k, item in enumerate(node.value)
-        ]
+        return [_plain(item) for item in node.value]
     if isinstance(node, yaml.ScalarNode):
-        return _scalar(node)
+        if node.style is not None:
+            return str(node.value)
+        if node.tag.endswith(":null"):
+            return None
+        if node.tag.endswith(":bool"):
+            return node.value.lower() in ("true", "yes", "on")
+        number = as_number(node.value)
+        return str(node.value) if number is None else number
     result: dict[str, Any] = {}
     for key, value in node.value:
         if not isinstance(key, yaml.ScalarNode):
-            raise InputError("a key must be a name", file=file, line=_line(key))
+            raise InputError("a key must be a name", line=_line(key))
         if key.value in result:
-            raise InputError(
-                f"the key '{key.value}' occurs twice", file=file, line=_line(key)
-            )
-        below = (*path, key.value)
-        result[key.value] = _build(value, file, below, _line(key), places)
+            reason = f"the key '{key.value}' occurs twice"
+            raise InputError(reason, line=_line(key))
+        result[key.value] = _plain(value)
     return result
 
 
-def _scalar(node: yaml.ScalarNode) -> str | float | bool | None:
-    if node.style is not None:
-        return str(node.value)
-    if node.tag.endswith(":null"):
-        return None
-    if node.tag.endswith(":bool"):
-        return node.value.lower() in ("true", "yes", "on")
-    number = as_number(node.value)
-    return str(node.value) if number is None else number
-
-
-def _line(item: yaml.Node | yaml.Event) -> int:
-    assert item.start_mark is not None
+def _line(item: Any) -> int:
     return int(item.start_mark.line) + 1

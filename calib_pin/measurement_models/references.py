@@ -28,8 +28,8 @@ from calib_pin.setup import (
     PlaneSetup,
     PointSetup,
     SphereSetup,
-    Triple,
 )
+from calib_pin.setup.values import Triple
 
 METER = 1.0
 """Scale of an unknown place [m]: where something stands is no error of a robot."""

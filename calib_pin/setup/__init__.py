@@ -1,145 +1,828 @@
 """The statements of a user beside the robot and the measurements.
 
-Every key of a setup file is declared here once, with its type, its constraint (which
-carries its unit), its default and its meaning. The reader of files, the JSON schema and
-the reference in docs/ follow from the declarations.
+Every key of a setup file is declared here once, with its type, its limits and their
+unit (see `values`), its default and its meaning. The reader of files and the reference
+in docs/ follow from the declarations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import re
+from calendar import monthrange
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated
+from itertools import product
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.setup.arguments import Brief, settle
-from calib_pin.setup.conditions import (
-    ConditionSetup,
-    DriftSetup,
-    Payload,
-    ThermalSetup,
-)
-from calib_pin.setup.constraints import (
-    Checked,
-    Distinct,
-    OrFile,
-    Registered,
-    Section,
-    listed,
-)
-from calib_pin.setup.fleet import JobSetup, MonteCarloSetup
-from calib_pin.setup.population import JointPrior, PopulationPrior
-from calib_pin.setup.printing import ReportSetup
-from calib_pin.setup.reading import (
-    AXES,
-    HELD,
-    STATED,
-    ConvertedSetup,
-    OrientationSetup,
-    ReadingSetup,
-)
-from calib_pin.setup.references import (
-    WORLD,
-    AnchorSetup,
-    AngleSetup,
-    BoardSetup,
-    CameraSetup,
-    ChainSetup,
-    DistanceSetup,
-    Frames,
-    FrameSetup,
-    PlaneSetup,
-    PointSetup,
-    SphereSetup,
-    ToolSetup,
-)
+from calib_pin.setup.population import JointPrior as JointPrior
+from calib_pin.setup.population import PopulationPrior as PopulationPrior
 from calib_pin.setup.values import (
     LARGEST_ANGLE,
-    Length,
-    Number,
+    LARGEST_LENGTH,
+    MOST,
+    REST,
+    SMALLEST,
+    Family,
     OneOf,
     Pair,
-    Positive,
+    Section,
     Text,
     Triple,
-    Vector,
-    number,
-    positive,
+    Value,
+    Written,
 )
-from calib_pin.setup.workspace import Ball, Cone, Obstacle, RangerSetup, Region
 
-__all__ = [
-    "AXES",
-    "HELD",
-    "STATED",
-    "WORLD",
-    "AnchorSetup",
-    "AngleSetup",
-    "Ball",
-    "BoardSetup",
-    "CameraSetup",
-    "ChainSetup",
-    "ConditionSetup",
-    "Cone",
-    "ConvertedSetup",
-    "DistanceSetup",
-    "DriftSetup",
-    "FrameSetup",
-    "Frames",
-    "JobSetup",
-    "JointMap",
-    "JointPrior",
-    "LimitSetup",
-    "MonteCarloSetup",
-    "Obstacle",
-    "OrientationSetup",
-    "Payload",
-    "PlaneSetup",
-    "PointSetup",
-    "PopulationPrior",
-    "RangerSetup",
-    "ReadingSetup",
-    "Region",
-    "ReportSetup",
-    "RobotSetup",
-    "Section",
-    "Setup",
-    "SolverSetup",
-    "SphereSetup",
-    "StudySetup",
-    "ThermalSetup",
-    "ToolSetup",
-    "Triple",
+
+def distinct(names: tuple[Any, ...]) -> tuple[Any, ...]:
+    """A list with at least one entry, and each once."""
+    if not names or len(set(names)) < len(names):
+        raise ValueError("at least one entry, and each at most once")
+    return names
+
+
+def _not_zero(factor: float) -> float:
+    if abs(factor) < 1e-6:
+        raise ValueError("a number from 1e-6 to 1e6, or the negative of one")
+    return factor
+
+
+def _direction(vector: Triple) -> Triple:
+    if math.hypot(*vector) < 1e-6:
+        raise ValueError("three numbers that are not all 0, such as [0, 0, 1]")
+    return vector
+
+
+Length = Annotated[float, Value("m", SMALLEST, LARGEST_LENGTH)]
+Position = Annotated[Triple, Value("m", -LARGEST_LENGTH, LARGEST_LENGTH)]
+Angles = Annotated[Triple, Value("rad", -LARGEST_ANGLE, LARGEST_ANGLE)]
+Direction = Annotated[Triple, Value("", -1e6, 1e6), _direction]
+Range = Annotated[
+    Pair, Value("m", 0.0, LARGEST_LENGTH, rising=True, shorter={1: lambda r: (0.0, r)})
 ]
-
-STRONGEST = 100.0
-"""Largest acceleration of gravity [m/s^2]."""
-
-
-def _bound(value: object) -> float | Pair:
-    allowed = "a positive number, or [lower, upper] with lower < upper"
-    try:
-        if not isinstance(value, list):
-            return positive(value)
-        lower, upper = map(number, value)
-    except ValueError:
-        raise ValueError(allowed) from None
-    if not lower < upper:
-        raise ValueError(allowed)
-    return lower, upper
+Factor = Annotated[float, Value("", -1e6, 1e6), _not_zero]
+Conversion = Annotated[float, Value("", 1e-6, 1e6)]
+Count = Annotated[int, Value("", 1, MOST)]
+Many = Annotated[int, Value("", 1, 10_000_000)]
+Sigmas = Mapping[str, Annotated[float, Value("SI", SMALLEST)]]
 
 
-BOUND = {"anyOf": [Positive().schema(), listed({"type": "number"}, 2)], "unit": "SI"}
-"""JSON schema of a bound."""
+def empty(*key: str) -> Any:
+    """A field that is an empty mapping by default, and its key in a file."""
+    return field(default_factory=dict, metadata={"key": key} if key else {})
 
-Factor = Annotated[
-    float,
-    Number(
-        least=-1e6,
-        most=1e6,
-        apart=1e-6,
-        words="a number from 1e-6 to 1e6, or the negative of one",
-    ),
-]
+
+# --- references of measurements: frames, planes, points, spheres, cameras -----------
+
+WORLD = "world"
+"""Name of the chain of what stands still: targets on posts, in the base link."""
+
+WIDEST = 1e5
+"""Largest focal length, image, and coefficient of a distortion [px]."""
+
+BOARDS = {"charuco": 1, "chessboard": 1, "circles": 0, "apriltag": 0, "marker": 0}
+"""Types of boards, and by how much each row and column has fewer points than cells."""
+
+TAGS = ("apriltag", "marker")
+"""Types of boards whose points are the four corners of every tag."""
+
+DICTIONARIES = (
+    *(f"DICT_{k}X{k}_{n}" for k in (4, 5, 6, 7) for n in (50, 100, 250, 1000)),
+    *("DICT_ARUCO_ORIGINAL", "DICT_APRILTAG_16h5", "DICT_APRILTAG_25h9"),
+    *("DICT_APRILTAG_36h10", "DICT_APRILTAG_36h11"),
+)
+"""Dictionaries of markers, by the names of OpenCV."""
+
+Distortion = tuple[float, float, float, float, float]
+
+
+def _more(*numbers: float) -> Sequence[float]:
+    return (*numbers, 0.0, 0.0, 0.0)[:5]
+
+
+@dataclass(frozen=True)
+class FrameSetup(Section):
+    """The frame of a station or of a tool.
+
+    Attributes:
+        xyz: Position [m], a first guess if estimated; None where none was given.
+        rpy: URDF fixed-axis angles [rad]; None where none were given.
+        estimate: Whether the frame is estimated; None to leave it to the measurement
+            model (position and pose estimate both frames, a laser distance sensor
+            only the tool).
+    """
+
+    xyz: Position | None = None
+    rpy: Angles | None = None
+    estimate: bool | None = None
+
+
+@dataclass(frozen=True)
+class ToolSetup(FrameSetup):
+    """A tool: its pose in the tip frame, or its known pose on another tool.
+
+    Attributes:
+        on: Tool that carries this one, in whose frame the pose is then known; None for
+            a tool at the tip.
+    """
+
+    on: Text | None = None
+
+    def _check(self) -> None:
+        if self.on is not None and self.estimate:
+            raise ValueError("estimate: true only without on, whose pose is known")
+
+
+@dataclass(frozen=True)
+class ChainSetup(Section):
+    """A chain of the robot's tree.
+
+    Attributes:
+        tip: Link at which the chain ends.
+        base: Link at which it starts; None for that of the whole setup.
+    """
+
+    tip: Text
+    base: Text | None = None
+
+    def _check(self) -> None:
+        if self.base == self.tip:
+            raise ValueError("two different links as base and tip")
+
+
+@dataclass(frozen=True)
+class PlaneSetup(Section):
+    """A plane `normal . p + offset = 0` in the base frame.
+
+    Attributes:
+        normal: Normal of any length but zero.
+        offset: Offset, in the unit of `normal . p` (m for a unit normal).
+        estimate: Whether normal and offset are estimated from these as a first guess.
+    """
+
+    normal: Direction
+    offset: Annotated[float, Value("m", -1e8, 1e8)]
+    estimate: bool = True
+
+
+class _Placed(Section):
+    """A section with a place that may be estimated."""
+
+    xyz: Triple | None
+    estimate: bool | None
+
+    def _check(self) -> None:
+        if self.estimate is False and self.xyz is None:
+            raise ValueError("estimate: false only together with xyz")
+
+
+@dataclass(frozen=True)
+class PointSetup(_Placed):
+    """A reference point on the tool or of a board, or a socket that holds a ball.
+
+    Attributes:
+        xyz: Place [m], a first guess if estimated; None where none was given. Of a
+            point on the tool in the tool frame, of all else in the measurement frame.
+        estimate: Whether it is estimated; None to leave it to the measurement model:
+            the points that a camera looks at are known, all others are estimated.
+    """
+
+    xyz: Position | None = None
+    estimate: bool | None = None
+
+
+@dataclass(frozen=True)
+class SphereSetup(_Placed):
+    """A sphere in the measurement frame.
+
+    Attributes:
+        xyz: Center [m], a first guess if estimated; None where none was given.
+        radius: Radius [m]; None where none was given.
+        estimate: Whether the center is estimated.
+        estimate_radius: Whether the radius is estimated; None to estimate it if none
+            was given.
+    """
+
+    xyz: Position | None = None
+    radius: Length | None = None
+    estimate: bool = True
+    estimate_radius: bool | None = None
+
+    def _check(self) -> None:
+        super()._check()
+        if self.estimate_radius is False and self.radius is None:
+            raise ValueError("estimate_radius: false only together with radius")
+
+
+@dataclass(frozen=True)
+class AnchorSetup(_Placed):
+    """A fixed point that distances are measured from, such as a draw-wire encoder.
+
+    Attributes:
+        xyz: Place in the measurement frame [m], a first guess if estimated; None where
+            none was given.
+        bias: Excess of every reading [m].
+        estimate: Whether the place is estimated.
+        estimate_bias: Whether the bias is estimated.
+    """
+
+    xyz: Position | None = None
+    bias: Annotated[float, Value("m", -LARGEST_LENGTH, LARGEST_LENGTH)] = 0.0
+    estimate: bool = True
+    estimate_bias: bool = False
+
+
+@dataclass(frozen=True)
+class CameraSetup(Section):
+    """A pinhole camera with Brown-Conrady distortion.
+
+    Attributes:
+        mount: `hand` if the camera is the tool and looks at points of the
+            measurement frame, `world` if it stands still and looks at points of the
+            tool.
+        focal: Focal lengths f_x, f_y [px].
+        center: Principal point c_x, c_y [px].
+        distortion: k_1, k_2, p_1, p_2, k_3, or the first two or four of them.
+        size: Width and height of the image [px]; None where it has no edge.
+        estimate: Whether focal lengths, principal point and distortion are estimated.
+    """
+
+    mount: Literal["hand", "world"]
+    focal: Annotated[Pair, Value("px", 1.0, WIDEST)]
+    center: Annotated[Pair, Value("px", -WIDEST, WIDEST)]
+    distortion: Annotated[
+        Distortion, Value("", -WIDEST, WIDEST, shorter=dict.fromkeys((2, 4), _more))
+    ] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    size: Annotated[Pair, Value("px", SMALLEST, WIDEST)] | None = None
+    estimate: bool = False
+
+
+@dataclass(frozen=True)
+class BoardSetup(Section):
+    """A flat calibration board, printed as it is seen: x to the right, y down.
+
+    Attributes:
+        type: `charuco` or `chessboard`, whose points are the inner corners, `circles`,
+            whose points are the centers, or a grid of tags, `apriltag` or `marker`
+            (ArUco), whose points are the corners of all tags.
+        columns: Squares, circles or tags along x, the direction of a row; 1 by 1 for a
+            single tag.
+        rows: Squares, circles or tags along y.
+        square: Edge of a square or tag (of its black border), or distance of
+            neighboring centers [m].
+        marker: Edge of the markers in a charuco board [m], which only `detect` needs.
+        dictionary: Dictionary of markers or tags; None for DICT_4X4_50, of `apriltag`
+            DICT_APRILTAG_36h11.
+        gap: Distance between neighboring tags [m]; only for several of them.
+        first: Number of the first marker or tag in the dictionary.
+        legacy: Whether a charuco board is of OpenCV before 4.6, whose first square is
+            white where the number of rows is even.
+    """
+
+    type: Literal["charuco", "chessboard", "circles", "apriltag", "marker"]
+    columns: Count
+    rows: Count
+    square: Length
+    marker: Length | None = None
+    dictionary: Annotated[str, OneOf(DICTIONARIES)] | None = None
+    gap: Length | None = None
+    first: Annotated[int, Value("", 0, 999)] = 0
+    legacy: bool = False
+
+    def _check(self) -> None:
+        tags, several = self.type in TAGS, self.columns * self.rows > 1
+        if not tags and min(self.columns, self.rows) < 2:
+            raise ValueError("2 or more columns and rows, but for apriltag and marker")
+        if (self.gap is not None) != (tags and several):
+            raise ValueError("gap for several tags (apriltag, marker), and only there")
+        if self.marker is not None and self.type != "charuco":
+            raise ValueError("marker only for charuco; the edge of a tag is its square")
+        if self.marker is not None and self.marker >= self.square:
+            raise ValueError("a marker that is smaller than the square")
+        if self.legacy and self.type != "charuco":
+            raise ValueError("legacy only for charuco")
+        if self.dictionary is not None and self.type in ("chessboard", "circles"):
+            raise ValueError("dictionary only for charuco, apriltag and marker")
+
+    @property
+    def points(self) -> dict[str, PointSetup]:
+        """Its known points.
+
+        Corners and centers are numbered row by row from 0, which is the origin. Those
+        of tag 7 are 7/0 to 7/3, clockwise from the upper left one; tags are numbered
+        row by row, and corner 0 of the first is the origin.
+        """
+        fewer = BOARDS[self.type]
+        cells = product(range(self.rows - fewer), range(self.columns - fewer))
+        places: dict[str, tuple[float, float]] = {}
+        if self.type in TAGS:
+            pitch, edge = self.square + (self.gap or 0.0), self.square
+            for k, (row, column) in enumerate(cells, self.first):
+                x, y = pitch * column, pitch * row
+                around = ((x, y), (x + edge, y), (x + edge, y + edge), (x, y + edge))
+                places |= {f"{k}/{n}": corner for n, corner in enumerate(around)}
+        else:
+            places = {
+                str(k): (self.square * x, self.square * y)
+                for k, (y, x) in enumerate(cells)
+            }
+        return {n: PointSetup((x, y, 0.0), False) for n, (x, y) in places.items()}
+
+
+@dataclass(frozen=True)
+class DistanceSetup(Section):
+    """A known distance between two points or planes, which counts as a measurement.
+
+    Attributes:
+        between: Names of two sockets, spheres, fixed reference points or planes, or of
+            two points of the tool. That of a point and a plane is along the normal, as
+            is that of two planes, which are parallel, half-way between where both were
+            measured.
+        value: Distance [m].
+        sigma: Its standard deviation [m].
+    """
+
+    between: Annotated[tuple[Text, Text], distinct]
+    value: Length
+    sigma: Length = 1e-4
+
+    key: ClassVar[str] = "distances"
+    unit: ClassVar[str] = "m"
+
+
+@dataclass(frozen=True)
+class AngleSetup(DistanceSetup):
+    """A known angle between two planes, which counts as a measurement.
+
+    Attributes:
+        between: Names of two planes.
+        value: The smaller of both angles [rad].
+        sigma: Its standard deviation [rad].
+    """
+
+    # The angle of parallel planes has no derivative; a right one has few digits.
+    value: Annotated[float, Value("rad", 0.02, 1.571)]
+    sigma: Annotated[float, Value("rad", SMALLEST, 1.0)] = 1e-4
+
+    key: ClassVar[str] = "angles"
+    unit: ClassVar[str] = "rad"
+
+
+# --- the reading of files -----------------------------------------------------------
+
+AXES = ("x", "y", "z")
+"""Axes of a position, in the order of its values."""
+
+SIGNED = tuple(sign + axis for axis in AXES for sign in ("", "-"))
+"""Axes with their directions."""
+
+STATED = {
+    "quaternion": ("qx", "qy", "qz", "qw"),
+    "rotation-vector": ("rx", "ry", "rz"),
+    "roll-pitch-yaw": ("roll", "pitch", "yaw"),
+}
+"""The ways in which a file may state an orientation, and their columns."""
+
+ORDERS = [a + b + c for a in "xyz" for b in "xyz" for c in "xyz" if a != b != c]
+
+HELD = (
+    "wxyz",
+    "rotation-vector",
+    *(f"{kind}-{order}" for kind in ("extrinsic", "intrinsic") for order in ORDERS),
+    *(f"rpy-{order}" for order in ("xzy", "yxz", "yzx", "zxy")),
+)
+"""Orientations that such columns may hold instead."""
+
+
+def _axes(names: tuple[str, ...]) -> tuple[str, ...]:
+    if sorted(name.removeprefix("-") for name in names) != list(AXES):
+        raise ValueError("x, y and z in any order, each with or without a -")
+    return names
+
+
+PLACE = re.compile(r"(.*:)?0*[1-9][0-9]{0,15}")
+
+
+def _places(value: Any) -> tuple[str, ...]:
+    found = value if isinstance(value, list | tuple) else [value]
+    whole = [int(v) if isinstance(v, float) and v.is_integer() else v for v in found]
+    if not all(PLACE.fullmatch(str(place)) for place in whole):
+        raise ValueError("lines, such as [12, 31] or [day1.csv:12]")
+    return tuple(map(str, whole))
+
+
+def _pairs(value: Any) -> tuple[tuple[str, ...], ...]:
+    pairs = tuple(map(_places, value)) if isinstance(value, list | tuple) else ((),)
+    if any(len(pair) != 2 for pair in pairs):
+        raise ValueError("pairs of lines, such as [[12, 13]]")
+    return pairs
+
+
+Places = Annotated[tuple[str, ...], Written(list[int | str], _places)]
+
+
+@dataclass(frozen=True)
+class ConvertedSetup(Section):
+    """A part of the measurements that was written in another unit.
+
+    Attributes:
+        factor: Factor that brings their numbers to the unit of the column.
+        lines: First and last line, or all lines one by one if `each` is true; left out
+            for all measurements.
+        each: Whether `lines` names every line.
+        joints: Joints whose positions are converted; left out for the measured lengths.
+    """
+
+    factor: Conversion
+    lines: Places = ()
+    each: bool = False
+    joints: tuple[Text, ...] = ()
+
+    def _check(self) -> None:
+        if self.lines and not self.each and len(self.lines) != 2:
+            raise ValueError("lines: [first, last], or each: true")
+
+
+@dataclass(frozen=True)
+class OrientationSetup(Section):
+    """How the columns of an orientation are to be read, where their names are wrong.
+
+    Attributes:
+        columns: The columns that it is about, by what their names say; files with
+            others are read as they are. Left out for all.
+        hold: Their numbers: `wxyz` a quaternion in this order,
+            `rotation-vector`, `intrinsic-zyx` or `extrinsic-zyx` angles in the order
+            of these rotations about turned or fixed axes, `rpy-yxz` angles about x, y
+            and z that are applied about fixed axes in the order y, x, z.
+        factor: Factor that brings their angles to the unit of the column.
+        inverse: Whether they hold the inverse of the rotation.
+    """
+
+    columns: Annotated[str, OneOf(tuple(STATED))] | None = None
+    hold: Annotated[str, OneOf(HELD)] | None = None
+    factor: Conversion = 1.0
+    inverse: bool = False
+
+    def _check(self) -> None:
+        fits = (self.hold == "wxyz") == (self.columns == "quaternion")
+        if self.hold is not None and (self.columns is None or not fits):
+            raise ValueError(
+                "with 'hold' also 'columns': quaternion for wxyz, rotation-vector or "
+                "roll-pitch-yaw for angles"
+            )
+
+
+@dataclass(frozen=True)
+class ReadingSetup(Section):
+    """How measurement files are to be read where they are not as their columns say.
+
+    All keys together are applied in the order in which they stand here.
+
+    Attributes:
+        orientation: How the columns of an orientation are to be read.
+        inverted: Whether poses are those of the measurement frame in the tool.
+        exchanged: Pairs of lines whose joint positions are exchanged.
+        converted: Measurements in another unit.
+        reversed: Whether the joint positions of every file stand in reversed order.
+        shift: Lines by which the joint positions of a measurement stand below it.
+        lag: Joint name to the part of its last motion that it had still before it when
+            it was measured.
+        axes: What stands in the columns x, y and z of a position: `[y, x, z]` says
+            that the first two are exchanged, `-z` that an axis is negated.
+        scale: Factor of all measured lengths.
+        opposite: Whether deviations of contacts have the opposite sign.
+        drift: Displacement of measured positions, or of distances (one number), from
+            the first to the last line of all files, which is taken out [m].
+        moved: Lines from which on the instrument stood elsewhere.
+        remounted: Lines from which on the tool was mounted elsewhere.
+        without: Lines that are left out.
+        sigmas: Whether the standard deviations of the files count.
+    """
+
+    orientation: OrientationSetup | None = None
+    inverted: bool = False
+    exchanged: Annotated[
+        tuple[tuple[str, ...], ...], Written(list[tuple[int | str, int | str]], _pairs)
+    ] = ()
+    converted: tuple[ConvertedSetup, ...] = ()
+    reversed: bool = False
+    shift: Annotated[int, Value("", -1e6, 1e6)] = 0
+    lag: Mapping[str, Annotated[float, Value("", -1.0, 1.0)]] = empty()
+    axes: Annotated[tuple[Annotated[str, OneOf(SIGNED)], ...], _axes] = AXES
+    scale: Conversion = 1.0
+    opposite: bool = False
+    drift: Annotated[
+        Triple,
+        Value("m", -LARGEST_LENGTH, LARGEST_LENGTH, shorter={1: lambda d: (d, 0, 0)}),
+    ] = (0.0, 0.0, 0.0)
+    moved: Places = ()
+    remounted: Places = ()
+    without: Places = ()
+    sigmas: bool = True
+
+
+# --- conditions, payloads, printed reports ------------------------------------------
+
+Temperature = Annotated[float, Value("degC", -100.0, 200.0)]
+"""A temperature that a robot can have."""
+
+LONGEST = 80
+"""Letters of an entry, which have to fit beside its name on one page."""
+
+DATE = re.compile(r"([12][0-9]{3})-([0-9]{2})-([0-9]{2})")
+
+
+def _entry(value: str) -> str:
+    if not value.isprintable() or len(value) > LONGEST:
+        raise ValueError(f"text of at most {LONGEST} printable letters")
+    return value.strip()
+
+
+def _date(value: str) -> str:
+    found = DATE.fullmatch(value)
+    year, month, day = map(int, found.groups()) if found else (1, 0, 0)
+    if not (1 <= month <= 12 and 1 <= day <= monthrange(year, month)[1]):
+        raise ValueError("a date, such as 2026-11-23")
+    return value
+
+
+Entry = Annotated[str, _entry]
+Date = Annotated[str, _date]
+
+
+@dataclass(frozen=True)
+class Payload(Section):
+    """A payload of the robot.
+
+    Attributes:
+        mass: Mass [kg].
+        com: Center of mass in the tip frame [m].
+    """
+
+    mass: Annotated[float, Value("kg", SMALLEST, 1e5)]
+    com: Position
+
+
+@dataclass(frozen=True)
+class ThermalSetup(Section):
+    """How links grow with the temperature: for the parameters `thermal`, `warm-up`.
+
+    Attributes:
+        reference: Temperature at which the geometry holds [degC]; None for the mean of
+            the measurements.
+        materials: Names or globs of joints by the name of a material: the links before
+            these joints, and to a tip on such a fixed joint, grow alike.
+        switched_on: Times since which the robot grows warm [s]; empty for that of the
+            first measurement.
+        warm_up_time: Time in which it covers 63 % of the way from cold to warm [s];
+            None for that which suits the measurements best.
+    """
+
+    reference: Temperature | None = None
+    materials: Mapping[str, tuple[Text, ...]] = empty()
+    switched_on: tuple[Annotated[float, Value("s")], ...] = ()
+    warm_up_time: Annotated[float, Value("s", SMALLEST)] | None = None
+
+
+@dataclass(frozen=True)
+class DriftSetup(Section):
+    """How instruments drift, for the parameters `instrument-drift`.
+
+    What is not stated is found in the measurements.
+
+    Attributes:
+        spans: First and last time between which an instrument drifts [s], by the name
+            of its station; `base` is that of the only one.
+        shift: Standard deviation of what it has shifted by then along each axis [m]; 0
+            where it does not shift.
+        turn: The same of its turn about each axis [rad].
+    """
+
+    spans: Mapping[str, Annotated[Pair, Value("s", rising=True)]] = empty()
+    shift: Annotated[float, Value("m", 0.0)] | None = None
+    turn: Annotated[float, Value("rad", 0.0)] | None = None
+
+
+@dataclass(frozen=True)
+class ReportSetup(Section):
+    """Entries of a printed report; what is left out is filled in by hand.
+
+    Attributes:
+        serial_number: Serial number of the robot.
+        customer: For whom it was measured.
+        operator: Who measured.
+        instrument: The measuring instrument.
+        temperature: Temperature of the robot [degC].
+        load: Load on the flange at an acceptance test.
+        speed: Speed of an acceptance test.
+        date: Day of the report, year-month-day; None for today.
+    """
+
+    serial_number: Entry = ""
+    customer: Entry = ""
+    operator: Entry = ""
+    instrument: Entry = ""
+    temperature: Temperature | None = None
+    load: Entry = ""
+    speed: Entry = ""
+    date: Date | None = None
+
+
+# --- where the robot may measure ----------------------------------------------------
+
+
+def _corners(box: tuple[Triple, Triple]) -> tuple[Triple, Triple]:
+    if not all(a < b for a, b in zip(*box, strict=True)):
+        raise ValueError("[lower, upper], two corners such as [[0, 0, 0], [1, 0.5, 1]]")
+    return box
+
+
+def _ordered(limits: Pair) -> Pair:
+    if limits[0] > limits[1]:
+        raise ValueError("[lower, upper] in rad or m")
+    return limits
+
+
+@dataclass(frozen=True)
+class Obstacle(Section):
+    """Something solid that the robot must not touch: one of four shapes at a pose.
+
+    Attributes:
+        box: Edge lengths along x, y and z [m].
+        sphere: Radius [m].
+        cylinder: Radius and length of a cylinder along z [m].
+        mesh: File of a mesh.
+        scale: Factors that make the numbers of the mesh meters, or one for all three
+            axes; only with a mesh, None for 1.
+        xyz: Position of its origin in the base link of the chain [m]; a box, a sphere
+            and a cylinder have it in their middle.
+        rpy: URDF fixed-axis angles in the base link [rad].
+    """
+
+    box: Annotated[Triple, Value("m", SMALLEST, LARGEST_LENGTH)] | None = None
+    sphere: Length | None = None
+    cylinder: Annotated[Pair, Value("m", SMALLEST, LARGEST_LENGTH)] | None = None
+    mesh: Text | None = None
+    scale: (
+        Annotated[Triple, Value("", SMALLEST, shorter={1: lambda s: (s, s, s)})] | None
+    ) = None
+    xyz: Position = (0.0, 0.0, 0.0)
+    rpy: Angles = (0.0, 0.0, 0.0)
+
+    @property
+    def kind(self) -> str:
+        """The name of its shape."""
+        return next(kind for kind in SHAPES if getattr(self, kind) is not None)
+
+    def _check(self) -> None:
+        if sum(getattr(self, kind) is not None for kind in SHAPES) != 1:
+            raise ValueError(f"exactly one of {', '.join(SHAPES)}")
+        if self.scale is not None and self.mesh is None:
+            raise ValueError("a scale only together with a mesh")
+
+
+SHAPES = ("box", "sphere", "cylinder", "mesh")
+"""Shapes of obstacles, each a key of one."""
+
+
+@dataclass(frozen=True)
+class Cone(Section):
+    """Field of view of an instrument.
+
+    Attributes:
+        apex: Where the instrument stands, in the base frame [m].
+        axis: Direction it looks in, of any length but zero.
+        angle: Half the opening angle [rad].
+        range: Nearest and farthest distance from the apex [m].
+    """
+
+    apex: Position
+    axis: Direction
+    angle: Annotated[float, Value("rad", SMALLEST, math.pi)]
+    range: Range
+
+    def contains(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether points lie within, shape (N, 3) [m] -> (N,)."""
+        ray = np.asarray(points) - self.apex
+        along = ray @ np.array(self.axis)
+        across = np.linalg.norm(np.cross(ray, self.axis), axis=1)
+        distance = np.linalg.norm(ray, axis=1)
+        near, far = self.range
+        # Unlike the arc cosine, this is exact on the axis; the apex itself counts.
+        seen = np.arctan2(across, along) <= self.angle
+        return np.asarray(seen & (near <= distance) & (distance <= far))
+
+
+@dataclass(frozen=True)
+class Ball(Section):
+    """The inside of a sphere.
+
+    Attributes:
+        center: Center in the base frame [m].
+        radius: Radius [m].
+    """
+
+    center: Position
+    radius: Length
+
+
+@dataclass(frozen=True)
+class Region(Section):
+    """Where the measured point may be, in the base frame.
+
+    Several shapes together mean what they have in common; their surfaces count.
+
+    Attributes:
+        box: Lower and upper corner [m].
+        sphere: Inside of a sphere.
+        cone: Field of view.
+    """
+
+    box: Annotated[tuple[Position, Position], _corners] | None = None
+    sphere: Ball | None = None
+    cone: Cone | None = None
+
+    def contains(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether points lie in the region.
+
+        Args:
+            points: Points in the base frame, shape (N, 3) [m].
+
+        Returns:
+            True for those within, shape (N,).
+
+        Examples:
+            >>> table = Region(box=((0.0, 0.0, 0.0), (1.0, 1.0, 0.5)))
+            >>> table.contains(np.array([[0.5, 0.5, 0.2], [0.5, 0.5, 0.7]])).tolist()
+            [True, False]
+        """
+        points = np.asarray(points, float)
+        within = np.ones(len(points), bool)
+        if self.box is not None:
+            lower, upper = self.box
+            within &= ((lower <= points) & (points <= upper)).all(axis=1)
+        if self.sphere is not None:
+            distance = np.linalg.norm(points - self.sphere.center, axis=1)
+            within &= distance <= self.sphere.radius
+        if self.cone is not None:
+            within &= self.cone.contains(points)
+        return within
+
+    def _check(self) -> None:
+        if self.box is None and self.sphere is None and self.cone is None:
+            raise ValueError("at least one of box, sphere, cone")
+
+
+@dataclass(frozen=True)
+class RangerSetup(Section):
+    """The window in which a laser distance sensor measures.
+
+    Attributes:
+        range: Shortest and longest distance [m].
+        incidence: Largest angle between the beam and the plane's normal, beyond which
+            too little light comes back [rad].
+    """
+
+    range: Range = (0.0, 5.0)
+    incidence: Annotated[float, Value("rad", SMALLEST, 1.57)] = math.radians(70.0)
+
+
+# --- the robot, the fit, studies ----------------------------------------------------
+
+Bound = (
+    Annotated[float, Value("SI", SMALLEST)] | Annotated[Pair, Value("SI", rising=True)]
+)
+"""The largest absolute value, or the lower and the upper limit."""
+
+
+@dataclass(frozen=True)
+class MonteCarloSetup(Section):
+    """A study of simulated robots, whose instruments stand where the setup says.
+
+    Attributes:
+        robot: URDF or xacro file, bundled robot, or example:NAME.
+        robots: Number of simulated robots.
+        configurations: Numbers of configurations that are measured of each.
+        plan: CSV file with configurations, of which the first ones are measured; None
+            for random ones.
+        parameters: Parameterizations of the errors that the robots have; empty for
+            those that are fitted.
+        errors: Glob to the standard deviation of true errors [SI]; where none applies
+            it is the expected size, 1 mm and 1 mrad.
+        repeats: Readings per configuration.
+    """
+
+    robot: Text | None = None
+    robots: Many = 200
+    configurations: Annotated[tuple[Many, ...], distinct] = (12, 20, 30, 50)
+    plan: Text | None = None
+    parameters: Annotated[tuple[str, ...], Family("parameters")] = ()
+    errors: Sigmas = field(default_factory=dict)
+    repeats: Many = 1
 
 
 @dataclass(frozen=True)
@@ -157,14 +840,18 @@ class JointMap(Section):
     """
 
     joint: Text
-    sign: Annotated[int, OneOf((1, -1))] = 1
+    sign: Annotated[int, Value("", -1, 1), OneOf((1, -1))] = 1
     gear: Factor = 1.0
-    offset: Annotated[float, Number("rad, m")] = 0.0
-    coupled: Mapping[str, Annotated[float, Number()]] = field(default_factory=dict)
+    offset: Annotated[float, Value("rad, m")] = 0.0
+    coupled: Mapping[str, Annotated[float, Value()]] = empty()
+
+
+def _whole(value: float) -> float:
+    return int(value) if value.is_integer() else value
 
 
 @dataclass(frozen=True)
-class SolverSetup:
+class SolverSetup(Section):
     """The solver of the least-squares problem.
 
     Attributes:
@@ -175,8 +862,25 @@ class SolverSetup:
             has its default. A file has them beside the name.
     """
 
-    name: str = "gauss-newton"
-    evolution: Mapping[str, str | float] = field(default_factory=dict)
+    name: Annotated[str, Family("solver")] = "gauss-newton"
+    evolution: Mapping[str, Annotated[float, Value(), _whole] | str] = empty(REST)
+
+
+@dataclass(frozen=True)
+class LimitSetup(Section):
+    """Largest errors that the robot may have, for `accept`.
+
+    Attributes:
+        position: Of the position, AP [m].
+        orientation: Of an angle of the orientation [rad].
+        repeatability: Of the repeatability of positions, RP [m].
+        distance: Of distances between poses, AD [m].
+    """
+
+    position: Annotated[float, Value("m", SMALLEST)] | None = None
+    orientation: Annotated[float, Value("rad", SMALLEST)] | None = None
+    repeatability: Annotated[float, Value("m", SMALLEST)] | None = None
+    distance: Annotated[float, Value("m", SMALLEST)] | None = None
 
 
 @dataclass(frozen=True)
@@ -195,19 +899,21 @@ class RobotSetup(Section):
 
     base: Text | None = None
     tip: Text | None = None
-    chains: Mapping[str, ChainSetup] = field(default_factory=dict)
-    model: Annotated[str, Registered("model")] | None = None
-    parameters: Annotated[
-        tuple[Annotated[str, Registered("parameters")], ...], Distinct()
-    ] = ("placement",)
-    learned: Annotated[str, Registered("learned")] | None = None
+    chains: Mapping[str, ChainSetup] = empty()
+    model: Annotated[str, Family("model", "+")] | None = None
+    parameters: Annotated[tuple[str, ...], Family("parameters")] = ("placement",)
+    learned: Annotated[str, Family("learned")] | None = None
 
 
 @dataclass(frozen=True)
-class MeasurementSetup(Section):
+class MeasurementSetup(RobotSetup):
     """The references of the measurements, and the columns of the joints.
 
     Attributes:
+        base_frame: Pose of the base link in the measurement frame, from the only
+            station unless `stations` states it.
+        tool_frame: Pose of the only tool (target, beam) in the tip frame, unless
+            `tools` states it.
         stations: Where an instrument stood, by the name that measurements give: each
             is a pose of the base link in the measurement frame.
         tools: Tools by the name that measurements give.
@@ -229,23 +935,27 @@ class MeasurementSetup(Section):
         reading: How files are to be read where they are not as their columns say.
     """
 
-    stations: Mapping[str, FrameSetup] = field(default_factory=dict)
-    tools: Mapping[str, ToolSetup] = field(default_factory=dict)
-    planes: Mapping[str, PlaneSetup] = field(default_factory=dict)
-    targets: Mapping[str, PointSetup] = field(default_factory=dict)
-    sockets: Mapping[str, PointSetup] = field(default_factory=dict)
-    spheres: Mapping[str, SphereSetup] = field(default_factory=dict)
-    anchors: Mapping[str, AnchorSetup] = field(default_factory=dict)
+    base_frame: FrameSetup = field(
+        default=FrameSetup(), metadata={"key": ("frames", "base")}
+    )
+    tool_frame: FrameSetup = field(
+        default=FrameSetup(), metadata={"key": ("frames", "tool")}
+    )
+    stations: Mapping[str, FrameSetup] = empty()
+    tools: Mapping[str, ToolSetup] = empty()
+    planes: Mapping[str, PlaneSetup] = empty()
+    targets: Mapping[str, PointSetup] = empty()
+    sockets: Mapping[str, PointSetup] = empty()
+    spheres: Mapping[str, SphereSetup] = empty()
+    anchors: Mapping[str, AnchorSetup] = empty()
     camera: CameraSetup | None = None
     board: BoardSetup | None = None
     distances: tuple[DistanceSetup, ...] = ()
     angles: tuple[AngleSetup, ...] = ()
-    columns: Mapping[str, Text] = field(default_factory=dict)
-    joints: Mapping[str, JointMap] = field(default_factory=dict)
-    encoder_steps: Mapping[str, Annotated[float, Positive()]] = field(
-        default_factory=dict
-    )
-    reading: ReadingSetup = field(default_factory=ReadingSetup)
+    columns: Mapping[str, Text] = empty()
+    joints: Mapping[str, JointMap] = empty()
+    encoder_steps: Mapping[str, Annotated[float, Value("", SMALLEST)]] = empty()
+    reading: ReadingSetup = ReadingSetup()
 
     @property
     def known(self) -> tuple[DistanceSetup, ...]:
@@ -254,24 +964,7 @@ class MeasurementSetup(Section):
 
 
 @dataclass(frozen=True)
-class LimitSetup(Section):
-    """Largest errors that the robot may have, for `accept`.
-
-    Attributes:
-        position: Of the position, AP [m].
-        orientation: Of an angle of the orientation [rad].
-        repeatability: Of the repeatability of positions, RP [m].
-        distance: Of distances between poses, AD [m].
-    """
-
-    position: Annotated[float, Positive("m")] | None = None
-    orientation: Annotated[float, Positive("rad")] | None = None
-    repeatability: Annotated[float, Positive("m")] | None = None
-    distance: Annotated[float, Positive("m")] | None = None
-
-
-@dataclass(frozen=True)
-class FitSetup(Section):
+class FitSetup(MeasurementSetup):
     """Prior knowledge of the robot and its parameters, and the solver.
 
     Attributes:
@@ -293,34 +986,17 @@ class FitSetup(Section):
         report: Entries of printed reports.
     """
 
-    gravity: Annotated[
-        Triple,
-        Vector(
-            3,
-            "three finite numbers in m/s^2, such as [0, 0, -9.81], at most "
-            f"{STRONGEST:g} long",
-            "m/s^2",
-            norm=(0.0, STRONGEST),
-        ),
-    ] = (0.0, 0.0, -9.81)
-    payloads: Mapping[str, Payload] = field(default_factory=dict)
-    gear_ratios: Mapping[str, Factor] = field(default_factory=dict)
+    gravity: Annotated[Triple, Value("m/s^2", -100.0, 100.0)] = (0.0, 0.0, -9.81)
+    payloads: Mapping[str, Payload] = empty()
+    gear_ratios: Mapping[str, Factor] = empty()
     fixed: tuple[Text, ...] = ()
-    bounds: Mapping[str, Annotated[float | Pair, Checked(_bound, BOUND)]] = field(
-        default_factory=dict
-    )
-    prior: Annotated[
-        Mapping[str, float] | JointPrior,
-        OrFile(
-            Mapping[str, Annotated[float, Positive("SI")]],
-            "the file of a fleet's prior, or a mapping of names to standard deviations",
-        ),
-    ] = field(default_factory=dict)
-    noise: Mapping[str, Annotated[float, Positive()]] = field(default_factory=dict)
+    bounds: Mapping[str, Bound] = empty()
+    prior: Sigmas | JointPrior = field(default_factory=dict)
+    noise: Mapping[str, Annotated[float, Value("SI, px", SMALLEST, 1e3)]] = empty()
     solver: SolverSetup = SolverSetup()
-    loss: Annotated[str, Registered("loss")] = "auto"
-    limit: LimitSetup = field(default_factory=LimitSetup)
-    report: ReportSetup = field(default_factory=ReportSetup)
+    loss: Annotated[str, Family("loss")] = "auto"
+    limit: LimitSetup = LimitSetup()
+    report: ReportSetup = ReportSetup()
 
     @property
     def prior_by_glob(self) -> Mapping[str, float]:
@@ -333,11 +1009,13 @@ class FitSetup(Section):
         return max(self.payloads, key=lambda name: self.payloads[name].mass, default="")
 
 
-@dataclass(frozen=True)
-class PlanSetup(Section):
-    """Where the robot may measure.
+@dataclass(frozen=True, repr=False)
+class Setup(FitSetup):
+    """Everything a setup file can state; the defaults are those of an empty file.
 
     Attributes:
+        thermal: How links grow with the temperature.
+        drift: How instruments drift in the course of time.
         obstacles: Obstacles that the robot must not touch.
         region: Where the measured point may be; None for anywhere.
         limits: Joint name or glob to the lower and upper position within which
@@ -345,57 +1023,21 @@ class PlanSetup(Section):
         ranger: The window in which a laser distance sensor measures.
         gauge: How far a gauge that is pushed in reads at most, either way. Simulated
             contacts are then off by as much and have a reading [m].
-    """
-
-    obstacles: tuple[Obstacle, ...] = ()
-    region: Region | None = None
-    limits: Mapping[
-        str,
-        Annotated[
-            Pair,
-            Vector(
-                2,
-                # Degrees would leave a joint as free as it was, without a word.
-                "[lower, upper] in rad or m with lower < upper, at most "
-                f"{LARGEST_ANGLE:.4g}",
-                "rad, m",
-                limit=LARGEST_ANGLE,
-                rising=True,
-            ),
-        ],
-    ] = field(default_factory=dict)
-    ranger: RangerSetup = field(default_factory=RangerSetup)
-    gauge: Length | None = None
-
-
-@dataclass(frozen=True)
-class StudySetup(Section):
-    """Studies by simulation.
-
-    Attributes:
         monte_carlo: How accurate robots of a type would be, for
             `fleet --monte-carlo`.
-    """
-
-    monte_carlo: MonteCarloSetup = field(default_factory=MonteCarloSetup)
-
-
-@dataclass(frozen=True, repr=False)
-class Setup(
-    StudySetup, PlanSetup, ConditionSetup, FitSetup, MeasurementSetup, RobotSetup
-):
-    """Everything a setup file can state; the defaults are those of an empty file.
-
-    Attributes:
-        base_frame: Pose of the base link in the measurement frame, from the only
-            station unless `stations` states it.
-        tool_frame: Pose of the only tool (target, beam) in the tip frame, unless
-            `tools` states it.
         file: Where all this was read from, for messages.
     """
 
-    base_frame: FrameSetup = field(default_factory=FrameSetup)
-    tool_frame: FrameSetup = field(default_factory=FrameSetup)
+    thermal: ThermalSetup = ThermalSetup()
+    drift: DriftSetup = DriftSetup()
+    obstacles: tuple[Obstacle, ...] = ()
+    region: Region | None = None
+    limits: Mapping[
+        str, Annotated[Pair, Value("rad, m", -LARGEST_ANGLE, LARGEST_ANGLE), _ordered]
+    ] = empty()
+    ranger: RangerSetup = RangerSetup()
+    gauge: Length | None = None
+    monte_carlo: MonteCarloSetup = MonteCarloSetup()
     file: str = field(default="", compare=False)
 
     __repr__ = Brief.__repr__

@@ -1,30 +1,38 @@
-"""Arguments from Python: taken where it is clear what they mean, else refused.
+"""Values by their annotations: taken where it is clear what they mean, else refused.
 
-What is allowed stands in the annotations of functions and dataclasses. A refusal is one
-line that names the argument, and what is shown of a dataclass is one line as well.
+What is allowed stands in the annotations of functions and dataclasses, and holds for
+arguments from Python as for the keys of files. A refusal is one line that names the
+argument or key, and what is shown of a dataclass is one line as well.
 """
 
 from __future__ import annotations
 
 import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import MISSING, fields, replace
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cache, wraps
 from inspect import signature
 from types import NoneType, UnionType
-from typing import Any, TypeVar, get_args, get_origin
+from typing import Any, TypeVar, cast, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import VALUE, OptionError
+from calib_pin.errors import VALUE, OptionError, nearest
+from calib_pin.setup.values import REST, Family, Section, Value, Written
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
+Path = tuple[str | int, ...]
+"""Keys and positions that lead to a value."""
+
+KEYS = "a mapping of keys to values"
+"""The type of a section, in words."""
+
 _WORDS: Mapping[Any, str] = {
-    str: "text",
-    bool: "True, False",
+    str: "text (in quotes if it looks like something else)",
+    bool: "true, false",
     int: "a whole number, 0 or more",
     float: "a finite number",
     NoneType: "None",
@@ -36,13 +44,42 @@ _CLASSES = {
     int: int | np.integer,
     float: int | float | np.number,
 }
-_DTYPES: Mapping[Any, Any] = {
-    NDArray[np.bool_]: bool,
-    NDArray[np.int64]: np.int64,
-    NDArray[np.float64]: float,
-}
-SECTION = "__pydantic_config__"
-"""Attribute of the sections of a setup alone."""
+
+
+class Refused(ValueError):
+    """A value that cannot be used.
+
+    Attributes:
+        path: Where it stands.
+        reason: What is wrong.
+        allowed: What is allowed instead; None where there is nothing to say.
+        shown: Whether the value itself tells more.
+        value: The value.
+    """
+
+    value: Any = None
+
+    def __init__(
+        self, path: Path, allowed: str | None, what: str = "{} cannot have this value"
+    ) -> None:
+        """Name the place."""
+        self.path, self.allowed, self.shown = path, allowed, what.endswith("value")
+        self.reason = what.format(f"'{dotted(path)}'" if path else "the file")
+        super().__init__(allowed or self.reason)
+
+
+def unknown(path: Path, known: Iterable[str | int]) -> Refused:
+    """The refusal of a key that is none of those that are known."""
+    names = [str(name) for name in known if name != REST]
+    hint = nearest(str(path[-1]), names)
+    return Refused(path, ", ".join(names), f"unknown key {{}}{hint}")
+
+
+def dotted(path: Sequence[str | int]) -> str:
+    """A key path as in `frames.tool.xyz` and `fixed[0]`."""
+    first, *rest = path
+    steps = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in rest)
+    return f"{first}{''.join(steps)}"
 
 
 class Brief:
@@ -84,21 +121,20 @@ def as_array(name: str, value: object, *shape: int | str) -> NDArray[np.float64]
     return rows
 
 
-def taken(name: str, value: object, hint: Any) -> Any:
+def taken(name: str, value: object, hint: Any, *above: str | int) -> Any:
     """An argument as its annotation has it.
 
     Raises:
         OptionError: If it is nothing of the kind.
     """
     try:
-        return _taken(value, hint)
-    except ValueError as error:
-        given = "None" if value is None else value
-        reason = f"'{name}' cannot have this value"
-        raise OptionError(reason, value=given, allowed=str(error)) from None
+        return Taker().taken(value, hint, (*above, name))
+    except Refused as error:
+        reason, value = error.reason, error.value
+        raise OptionError(reason, value=value, allowed=error.allowed) from None
 
 
-def settle(given: Any) -> None:
+def settle(given: Any, *path: str | int) -> None:
     """Take the fields of a dataclass as their annotations have them.
 
     Raises:
@@ -107,12 +143,9 @@ def settle(given: Any) -> None:
     kind: Any = type(given)
     for name, hint in _hints(kind).items():
         value = getattr(given, name)
-        found = value.dtype if isinstance(value, np.ndarray) else type(value)
-        plain = found == _DTYPES.get(hint, hint) and not hasattr(value, SECTION)
-        if found is tuple:  # Of names, mostly.
-            plain = {*map(type, value)} == {*get_args(hint)[:1]}
+        plain = type(value) is hint and not isinstance(value, Section)
         if not plain and value is not getattr(kind, name, MISSING):
-            object.__setattr__(given, name, taken(name, value, hint))
+            object.__setattr__(given, name, taken(name, value, hint, *path))
 
 
 def checked(function: _Function) -> _Function:
@@ -134,73 +167,167 @@ def _hints(of: Any) -> dict[str, Any]:
     return {k: hint for k, hint in found.items() if get_origin(hint) != typing.ClassVar}
 
 
-def _taken(value: Any, hint: Any) -> Any:
-    """The value as a type has it; a `ValueError` says what is allowed instead."""
-    kind, inner = get_origin(hint) or hint, get_args(hint)
-    if kind is typing.Annotated:
-        for constraint in hint.__metadata__:
-            # Some are known only where a file is read, and some are none.
-            with suppress(NotImplementedError, AttributeError):
-                if getattr(constraint, "rising", False):  # Programs may hold a joint.
-                    constraint = replace(constraint, rising=False)
-                return constraint.check(_listed(value))
-        return _taken(value, inner[0])
-    if kind in (typing.Union, UnionType):
-        return _one_of(value, inner)
-    if kind is np.ndarray:
-        return _array(value, get_args(inner[1])[0])
-    if kind is typing.Literal:
-        fits, words = value in inner, ", ".join(map(str, inner))
-    elif inner and kind not in _WORDS:
-        return _several(value, kind, inner)
-    elif getattr(kind, "_is_protocol", kind is Any):
-        return value
-    else:
-        fits = isinstance(value, _CLASSES.get(kind, kind))
-        words = _WORDS.get(kind) or kind.__name__
-    if fits and kind in (int, float):
-        fits = not isinstance(value, bool) and np.isfinite(value)
-        fits = fits and (kind is float or value >= 0)
-    fits = fits or hasattr(value, getattr(kind, "acts", " "))
-    if hasattr(kind, SECTION):  # What a section extends is taken as well.
-        fits |= issubclass(kind, type(value))
-    if not fits:
-        raise ValueError(words)
-    if hasattr(value, SECTION):
-        settle(value)
-    if kind is Mapping:
-        return {_taken(k, inner[0]): _taken(v, inner[1]) for k, v in value.items()}
-    return value
+@cache
+def keys_of(kind: Any) -> dict[Path, str]:
+    """The fields of a section by the path of their keys in a file."""
+    told = [f for f in fields(kind) if f.compare]
+    return {f.metadata.get("key", (f.name,)): f.name for f in told}
 
 
-def _one_of(value: Any, hints: Sequence[Any]) -> Any:
-    reasons = dict[str, None]()
-    for hint in hints:
+@dataclass(frozen=True)
+class Taker:
+    """Takes values as types have them.
+
+    Attributes:
+        families: Known names by the name of their family; others are not checked.
+        lenient: Whether unknown keys are passed over.
+    """
+
+    families: Mapping[str, Collection[str]] = field(default_factory=dict)
+    lenient: bool = False
+
+    def taken(self, value: Any, hint: Any, path: Path = ()) -> Any:
+        """The value as a type has it.
+
+        Raises:
+            Refused: If it is nothing of the kind.
+        """
         try:
-            return _taken(value, hint)
+            return self._taken(value, hint, path)
+        except Refused:
+            raise
         except ValueError as error:
-            reasons[str(error)] = None
-    raise ValueError(", ".join(reasons))
+            refused = Refused(path, str(error))
+            refused.value = "None" if value is None else value
+            raise refused from None
 
+    def _taken(self, value: Any, hint: Any, path: Path) -> Any:
+        kind, inner = get_origin(hint) or hint, get_args(hint)
+        if kind is typing.Annotated:
+            return self._limited(value, inner[0], hint.__metadata__, path)
+        if kind in (typing.Union, UnionType):
+            if value is None and NoneType in inner:
+                return None
+            return self._one_of(value, [h for h in inner if h is not NoneType], path)
+        if kind is np.ndarray:
+            return _array(value, get_args(inner[1])[0])
+        section = isinstance(kind, type) and issubclass(kind, Section)
+        if section and isinstance(value, Mapping):
+            return self._section(value, kind, path)
+        if kind is typing.Literal:
+            fits, words = value in inner, ", ".join(map(str, inner))
+        elif inner and kind not in _WORDS:
+            return self._several(value, kind, inner, path)
+        elif getattr(kind, "_is_protocol", kind is Any):
+            return value
+        else:
+            fits = isinstance(value, _CLASSES.get(kind, kind))
+            words = KEYS if section else _WORDS.get(kind) or kind.__name__
+        if fits and kind in (int, float):
+            fits = not isinstance(value, bool) and np.isfinite(value)
+            fits = fits and (kind is float or value >= 0)
+        fits = fits or hasattr(value, getattr(kind, "acts", " "))
+        # What a section extends is taken as well.
+        if not fits and not (section and issubclass(kind, type(value))):
+            raise ValueError(words)
+        if section:
+            settle(value, *path)
+        if kind is not Mapping:
+            return value
+        return {
+            self.taken(key, inner[0], path): self.taken(item, inner[1], (*path, key))
+            for key, item in value.items()
+            if item is not None
+        }
 
-def _listed(value: Any) -> Any:
-    """Lists in place of tuples and arrays, as a file has them."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    return [*map(_listed, value)] if isinstance(value, list | tuple) else value
+    def _limited(self, value: Any, kind: Any, marks: Iterable[Any], path: Path) -> Any:
+        """A value within the limits of its annotation, see `values`."""
+        limits = None
+        for mark in marks:
+            if isinstance(mark, Written):
+                value = mark.function(value)
+            elif isinstance(mark, Value):
+                limits = mark
+        found = limits.taken(value, kind) if limits else self.taken(value, kind, path)
+        for mark in marks:
+            if isinstance(mark, Family):
+                self._require_known(found, mark, path)
+            elif callable(mark):
+                found = mark(found)
+        return found
 
+    def _require_known(self, found: Any, mark: Family, path: Path) -> None:
+        """Refuse names that their family does not have, and those that repeat."""
+        if (known := self.families.get(mark.name)) is None:
+            return
+        listed = isinstance(found, tuple)
+        names = found if listed else found.split(mark.joined or None)
+        wrong = [k for k, n in enumerate(names) if n not in known or n in names[:k]]
+        if wrong or not names:
+            allowed = f"{', '.join(known)}, each at most once"
+            raise Refused((*path, *wrong[: listed * 1]), allowed)
 
-def _several(value: Any, kind: Any, inner: Sequence[Any]) -> Any:
-    """A sequence; a single value counts as a sequence of one."""
-    one = isinstance(value, str) or not isinstance(value, Iterable)
-    values = (value,) if one else value if isinstance(value, Sequence) else [*value]
-    hints = inner
-    if kind is not tuple or inner[-1] is ...:
-        hints = [inner[0]] * len(values)
-    if len(values) != len(hints):
-        raise ValueError(f"{len(hints)} values")
-    found = tuple(map(_taken, values, hints))
-    return found if kind is tuple or one else values
+    def _one_of(self, value: Any, hints: Sequence[Any], path: Path) -> Any:
+        """A value of the first type that takes it, or what the nearest one allows."""
+        refused = list[Refused]()
+        for hint in hints:
+            try:
+                return self.taken(value, hint, path)
+            except Refused as error:
+                refused.append(error)
+        deepest = max(refused, key=lambda error: len(error.path))
+        if len(deepest.path) > len(path):
+            raise deepest
+        raise ValueError(" or ".join(dict.fromkeys(str(e.allowed) for e in refused)))
+
+    def _section(self, value: Mapping[str, Any], kind: Any, path: Path) -> Any:
+        """A section by its keys in a file."""
+        found = dict[str, Any]()
+        self._fill(found, value, kind, path, ())
+        for f in fields(kind):
+            if f.name not in found and f.default is f.default_factory is MISSING:
+                raise Refused((*path, f.name), None, "{} is missing")
+        section: Section = kind(**found)
+        section._check()
+        return section
+
+    def _fill(
+        self, found: Any, value: Mapping[str, Any], kind: Any, path: Path, above: Path
+    ) -> None:
+        """Take the fields of a section; a key without a value counts as not written."""
+        known, hints, depth = keys_of(kind), _hints(kind), len(above)
+        beside = dict.fromkeys(k[depth] for k in known if k[:depth] == above)
+        for key, item in value.items():
+            place, here = (*above, key), (*path, key)
+            if key not in beside and REST not in beside:
+                if not self.lenient:
+                    raise unknown(here, beside)
+            elif item is None:
+                continue
+            elif (name := known.get(place)) is not None:
+                found[name] = self.taken(item, hints[name], here)
+            elif key not in beside:
+                name = known[(*above, REST)]
+                one = self.taken(item, get_args(hints[name])[1], here)
+                found.setdefault(name, {})[key] = one
+            else:
+                self.taken(item, Mapping[str, Any], here)
+                self._fill(found, item, kind, here, place)
+
+    def _several(self, value: Any, kind: Any, inner: Sequence[Any], path: Path) -> Any:
+        """A sequence; a single value counts as a sequence of one."""
+        if isinstance(value, Mapping):
+            raise ValueError("a list in square brackets")
+        one = isinstance(value, str) or not isinstance(value, Iterable)
+        values = (value,) if one else value if isinstance(value, Sequence) else [*value]
+        hints = inner
+        if kind is not tuple or inner[-1] is ...:
+            hints = [inner[0]] * len(values)
+        if len(values) != len(hints):
+            raise ValueError(f"{len(hints)} values")
+        places = [path if one else (*path, k) for k in range(len(values))]
+        found = tuple(map(self.taken, values, hints, places))
+        return found if kind is tuple or one else values
 
 
 def _array(value: Any, kind: Any) -> Any:
@@ -210,3 +337,22 @@ def _array(value: Any, kind: Any) -> Any:
         if array.dtype.kind in kinds or not array.size:
             return array.astype(kind, copy=False)
     raise ValueError("an array of numbers")
+
+
+def stated(value: Any) -> Any:
+    """A setup as plain data with the keys of a file, without defaults."""
+    if isinstance(value, Mapping):
+        return {k: stated(item) for k, item in value.items() if item is not None}
+    if not isinstance(value, Section):
+        return [*map(stated, value)] if isinstance(value, tuple) else value
+    found, kind = dict[Any, Any](), cast(Any, type(value))
+    defaults = {f.name: f.default for f in fields(kind)}
+    for (*above, key), name in keys_of(kind).items():
+        item = getattr(value, name)
+        if item is None or item == defaults[name] or item == {}:
+            continue
+        part = found
+        for step in above:
+            part = part.setdefault(step, {})
+        part.update(stated(item) if key == REST else {key: stated(item)})
+    return found

@@ -45,20 +45,16 @@ class RobotType:
         """How another robot differs in a few words; empty for one of this type."""
         here = tuple(joint.name for joint in self.joints)
         there = tuple(joint.name for joint in other.joints)
+        for name in (*there, *here):
+            if (name in here) != (name in there):
+                return f"it has {'no' if name in here else 'a'} joint '{name}'"
         if here != there:
-            strange = [name for name in there if name not in here]
-            lacking = [name for name in here if name not in there]
-            if strange:
-                return f"it has a joint '{strange[0]}'"
-            if lacking:
-                return f"it has no joint '{lacking[0]}'"
             return "its joints stand in another order"
         for own, joint in zip(self.joints, other.joints, strict=True):
             for word in ("axis", "placement"):
-                numbers: tuple[Row, Row] = getattr(own, word), getattr(joint, word)
-                if len(numbers[0]) != len(numbers[1]) or any(
-                    not abs(a - b) <= SAME for a, b in zip(*numbers, strict=True)
-                ):
+                numbers: list[Row] = [getattr(own, word), getattr(joint, word)]
+                apart = [abs(a - b) for a, b in zip(*numbers, strict=False)]
+                if len({*map(len, numbers)}) > 1 or not max(apart, default=0) <= SAME:
                     return f"its joint '{own.name}' has another nominal {word}"
         return ""
 

@@ -215,7 +215,7 @@ class Reader:
             exec(compile(lines, str(self.page), "exec"), self.names)
 
     def _yaml(self, block: Block) -> None:
-        from calib_pin.io.jobs import read_jobs
+        from calib_pin.cli.jobs import read_jobs
         from calib_pin.io.setup import read_setup
 
         path = Path(self._written(block))

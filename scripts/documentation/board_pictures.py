@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import product
 
-from calib_pin.setup import BoardSetup
-from calib_pin.setup.references import BOARDS, TAGS
+from calib_pin.setup import BOARDS, TAGS, BoardSetup
 
 SHOWN = (
     BoardSetup("charuco", 5, 4, 1.0, 0.7),

@@ -77,7 +77,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     f"{CALIBRATE} --model position+camra": dict(reason="'camera'"),
     f"{CALIBRATE} --model position+position": dict(value="position+position"),
     f"{CALIBRATE} --model camera": dict(file="rows.csv", line=2, column="u"),
-    f"{CALIBRATE} --holdout 1.5": dict(value=1.5),
+    f"{CALIBRATE} --holdout 1.5": dict(reason=("--holdout", "'1.5'")),
     f"{CALIBRATE} --holdout nan": dict(reason=("--holdout", "'nan'")),
     f"{CALIBRATE} --seed one": dict(reason=("--seed", "'one'")),
     f"{CALIBRATE} --seed -1": dict(reason=("--seed", "'-1'")),

@@ -177,7 +177,7 @@ TABLES = [
     ("jobs.csv", "robot\narm.urdf\n", "'measurements'"),
     ("jobs.csv", "robot,measurments\narm.urdf,a.csv\n", "'measurements'?"),
     ("jobs.csv", f"{FIRST}\narm.urdf,\n", "jobs.csv:2: 'measurements'"),
-    ("jobs.csv", f"{FIRST},holdout\narm.urdf,a.csv,20\n", "'holdout', value '20'"),
+    ("jobs.csv", f"{FIRST},holdout\narm.urdf,a.csv,20\n", "jobs.csv:2: 'holdout'"),
     ("jobs.csv", f"{FIRST},date\narm.urdf,a.csv,3.4.2026\n", "2026-11-23"),
     ("jobs.csv", f"{FIRST},name\narm.urdf,a.csv,../up\n", "'../up'"),
     ("jobs.csv", f"{FIRST},name\na.urdf,a.csv,one\na.urdf,b.csv,One\n", "jobs.csv:3"),

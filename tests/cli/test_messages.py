@@ -116,7 +116,7 @@ MESSAGES: list[tuple[str, Mapping[str, str], str]] = [
         f"{CALIBRATE} --setup bad.yaml",
         {"bad.yaml": "payloads:\n  gripper: {mass: -2, com: [0, 0, 0]}\n"},
         "bad.yaml:2: 'payloads.gripper.mass' cannot have this value (value "
-        "'-2'); allowed: a mass in kg, more than 0 and at most 100000",
+        "'-2'); allowed: a positive number [kg], at most 100000",
     ),
     (
         "calibrate arm.urdf distances.csv --setup bad.yaml",

@@ -5,16 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 from contextlib import chdir
-from inspect import signature
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from calib_pin.cli import main
-from calib_pin.cli.calibrate import calibrate
-from calib_pin.cli.fleet_jobs import Orders, start_of
-from calib_pin.io.jobs import KEYS, OF_FLEET, read_jobs
+from calib_pin.cli.fleet_jobs import Orders, request_of
+from calib_pin.cli.jobs import read_jobs
 from calib_pin.io.results import read_result
 from calib_pin.setup import JointPrior
 from tests.cli.files import document
@@ -139,10 +137,4 @@ def test_a_fleet_goes_on(run, inside) -> None:
     )
     (job,) = read_jobs("more.csv")
     orders = Orders(Path.cwd(), Path("out"))
-    assert start_of(orders, job) == Path("out/A-2026-07-01")
-
-
-def test_a_job_has_all_options_of_calibrate() -> None:
-    options = set(signature(calibrate).parameters) - {"context"}
-    assert options - set(OF_FLEET) == options & set(KEYS)
-    assert set(OF_FLEET) <= options
+    assert request_of(orders, job).start == Path("out/A-2026-07-01")

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
-import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from dataclasses import fields, replace
-from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,18 +14,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from calib_pin.cli.options import meanings
 from calib_pin.errors import CalibPinError, InputError
+from calib_pin.estimation.robust.weights import LOSSES
 from calib_pin.estimation.solve import SOLVERS
 from calib_pin.io import setup as setup_files
-from calib_pin.io.setup import (
-    SetupFile,
-    json_schema,
-    known_keys,
-    read_setup,
-    setup_document,
-    setup_of,
-    yaml_text,
-)
+from calib_pin.io.setup import read_setup, setup_document, setup_of, yaml_text
 from calib_pin.measurement_models import MEASUREMENT_MODELS, Quantity
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.setup import (
@@ -46,9 +36,8 @@ from calib_pin.setup import (
     SphereSetup,
     ToolSetup,
 )
-from calib_pin.setup.constraints import meanings
 from calib_pin.solvers import DifferentialEvolution
-from documentation.setup_reference import schema_text
+from documentation.setup_reference import json_schema
 
 Keys = tuple[str | int, ...]
 Schema = dict[str, Any]
@@ -76,251 +65,92 @@ def bad(write, refused):
     return bad
 
 
-# --- the schema, walked ------------------------------------------------------------
+# --- keys and their values ---------------------------------------------------------
+
+KEYS = list(json_schema()["properties"])
+
+TEXT = "text (in quotes if it looks like something else)"
+WRONG = [
+    # A file, its key, what is allowed there, and what is not.
+    (
+        *("gauge: %s", "gauge", "a positive number [m], at most 100"),
+        "one|true|[1]|.nan|-.inf|1:30|0x10|1_000|''|0|-1|100.1|{a: b}",
+    ),
+    (
+        *(
+            "reading: {shift: %s}",
+            "reading.shift",
+            "a whole number, at least -1e6, at most 1e6",
+        ),
+        "one|true|2.5|.nan|1000001|[1]",
+    ),
+    (
+        *("drift: {shift: %s}", "drift.shift", "a finite number [m], at least 0"),
+        "-1e-9|'1 mm'",
+    ),
+    (
+        *("limits: {j: %s}", "limits.j"),
+        "2 finite numbers [rad, m], at least -12.5664, at most 12.5664",
+        "1|[1]|[1, 2, 3]|[1, a]|[-13, 1]|{a: b}|'12'",
+    ),
+    (
+        *("drift: {spans: {a: %s}}", "drift.spans.a"),
+        "2 finite numbers [s], each larger than the one before",
+        "[2, 1]|[1, 1]",
+    ),
+    ("tip: %s", "tip", TEXT, "12|no|[a]|{a: b}|' '"),
+    ("reading: {inverted: %s}", "reading.inverted", "true, false", "1|one|'true'|[]"),
+    ("fixed: %s", "fixed", "a list in square brackets", "{a: b}"),
+    ("fixed: [a, %s]", "fixed[1]", TEXT, "12|[a]|''"),
+    ("loss: %s", "loss", f"{', '.join(LOSSES)}, each at most once", "one|''"),
+    ("loss: %s", "loss", TEXT, "1"),
+    ("camera: {mount: %s}", "camera.mount", "hand, world", "one|1|[hand]"),
+    ("joints: {a: {joint: b, sign: %s}}", "joints.a.sign", "1, -1", "0"),
+    ("planes: %s", "planes", "a mapping of names to values", "12|[a]|true|one"),
+    ("planes: {a: %s}", "planes.a", "a mapping of keys to values", "12|[a]|true"),
+    ("frames: %s", "frames", "a mapping of names to values", "12|[a]|true"),
+    ("report: {load: %s}", "report.load", None, f"{81 * 'a'}|1"),
+    ("reading: {axes: %s}", "reading.axes", None, "[x, y]|[x, y, y]|x"),
+    ("reading: {without: %s}", "reading.without", None, "[a]|0|1.5|[true]|a:b"),
+    ("reading: {exchanged: %s}", "reading.exchanged", None, "[1, 2]|[[1]]|1"),
+    ("solver: {mutation: %s}", "solver.mutation", None, "0|one|true|[1]|.inf"),
+]
 
 
-@cache
-def schema() -> Schema:
-    return json_schema()
+@pytest.mark.parametrize(("text", "key", "allowed", "values"), WRONG)
+def test_values_that_a_key_refuses(bad, text, key, allowed, values):
+    """By line, key, value, and what is allowed."""
+    about = {} if allowed is None else {"allowed": allowed}
+    for value in values.split("|"):
+        bad(f"# \nbase: a\n{text % value}\n", f"'{key}'", line=3, **about)
 
 
-def resolved(part: Schema) -> Schema:
-    """A part of the schema without references; of alternatives the first."""
-    name = part.get("$ref", "").rpartition("/")[2]
-    part = schema()["$defs"][name] if name else part
-    return {**part, **part["anyOf"][0]} if "anyOf" in part else part
+def test_limits_themselves_are_allowed(write):
+    text = "gauge: 100\nreading: {shift: -1e6}\ndrift: {shift: 0}\nlimits: {j: [1, 1]}"
+    assert read_setup(write(text)).limits == {"j": (1.0, 1.0)}
 
 
-def parts(part: Schema, path: Keys = ()) -> Iterator[tuple[Keys, Schema]]:
-    """Every key of a setup file by its path, and the whole under the empty path."""
-    part = resolved(part)
-    yield path, part
-    for key, value in part.get("properties", {}).items():
-        yield from parts(value, (*path, key))
-    if part.get("additionalProperties"):
-        yield from parts(part["additionalProperties"], (*path, "name"))
-    if "$ref" in part.get("items", {}):
-        yield from parts(part["items"], (*path, 0))
+UNKNOWN = [
+    # A file, its unknown key, and some that are known instead.
+    ("modle: pose", "modle", "model"),
+    ("frames: {bas: {}}", "frames.bas", "base, tool"),
+    ("stations: {a: {xzy: 1}}", "stations.a.xzy", "xyz, rpy, estimate"),
+    ("distances: [{betwen: [a, b]}]", "distances[0].betwen", "between, value, sigma"),
+    ("solver: {mutatoin: 1}", "solver.mutatoin", "name, strategy"),
+    ("noise: {positoin: 1}", "noise.positoin", "position, orientation"),
+    ("file: a", "file", "base, tip"),
+    ("base_frame: {}", "base_frame", "frames"),
+]
 
 
-def example(part: Schema, number: int = 1) -> Any:
-    """A value that the schema allows and no default, another one for each number."""
-    part = resolved(part)
-    if "enum" in part:
-        return part["enum"][-number % len(part["enum"])]
-    if part["type"] == "object":
-        if part.get("additionalProperties"):
-            return {"name": example(part["additionalProperties"])}
-        required = part.get("required", ())
-        return {key: example(part["properties"][key]) for key in required}
-    if part["type"] == "array":
-        count = part.get("maxItems", 1)
-        return [example(part["items"], k) for k in range(number, number + count)]
-    if part["type"] in ("number", "integer"):
-        return number + (part.get("default") == number)
-    if part["type"] == "string":
-        return "2026-11-23" if part.get("format") == "date" else chr(96 + number)
-    return not part.get("default", False)
-
-
-def document(path: Keys, text: str, **beside: Any) -> str:
-    """A file with this text at a path, in its last line, and what is required there.
-
-    In the place of what the schema requires beside the key may stand something else.
-    """
-    lines, part = ["# a setup file", ""], schema()
-    for depth, step in enumerate(path):
-        part = resolved(part)
-        needed = {
-            key: example(part["properties"][key]) for key in part.get("required", ())
-        }
-        if depth == len(path) - 1:
-            needed |= beside
-        needed.pop(step, None)
-        lines += [f"{'  ' * depth}{k}: {json.dumps(v)}" for k, v in needed.items()]
-        lines.append("  " * depth + ("-" if step == 0 else f"{step}:"))
-        below = part["items"] if step == 0 else part.get("properties", {}).get(step)
-        part = below or part.get("additionalProperties") or {}
-    return "\n".join(lines) + f" {text}\n"
-
-
-def wrong(part: Schema) -> Iterator[tuple[str, float | None]]:
-    """What a key must refuse: of a wrong type, and beyond a limit, which follows."""
-    kind = "enum" if "enum" in part else part["type"]
-    yield from ((text, None) for text in WRONG[kind])
-    if part.get("minLength"):
-        yield "''", None
-    if "maxLength" in part:
-        yield "a" * (part["maxLength"] + 1), part["maxLength"]
-    for key, out in OUTSIDE.items():
-        if key in part:
-            yield repr(out(part[key])), part[key]
-    if part.get("type") != "array":
-        return
-    *most, last = example(part)
-    if "maxItems" in part:
-        yield json.dumps([*most, last, last]), None
-        yield json.dumps(most[: part.get("minItems", 0) - 1]), None
-    for text, _ in wrong(resolved(part["items"])):
-        yield f"[{', '.join([*map(json.dumps, most), text])}]", None
-
-
-WRONG = {
-    "enum": ["one", "[a]", "{a: b}", "''"],
-    "number": ["one", "true", "[1]", ".nan", "-.inf", "1:30", "0x10", "1_000", "''"],
-    "integer": ["one", "true", "[1]", ".nan", "2.5"],
-    "string": ["12", "no", "[a]", "{a: b}"],
-    "boolean": ["1", "one", "'true'"],
-    "array": ["one", "{a: b}", "true"],
-    "object": ["12", "[a]", "true"],
-}
-"""What is no value of a type."""
-
-OUTSIDE = {
-    "minimum": lambda limit: limit - 1e-3 * max(abs(limit), 1e-9),
-    "maximum": lambda limit: limit + 1e-3 * abs(limit),
-    "exclusiveMinimum": lambda limit: limit,
-    "exclusiveMaximum": lambda limit: limit,
-}
-"""The nearest numbers that limits of the schema exclude."""
-
-INSIDE = {
-    "minimum": lambda limit: limit,
-    "maximum": lambda limit: limit,
-    "exclusiveMinimum": lambda limit: limit + 1e-9,
-    "exclusiveMaximum": lambda limit: limit - 1e-9,
-}
-"""The nearest numbers that they allow."""
-
-
-def dotted(path: Keys) -> str:
-    return re.sub(r"\.0(?=\.|$)", "[0]", ".".join(map(str, path)))
-
-
-KEYS = [field.name for field in fields(SetupFile)]
-
-UNSAID = {
-    "planes.name.offset",
-    "obstacles[0].scale",
-    "region.cone.range",
-    "ranger.range",
-}
-"""Keys whose limits an error does not state: far from all that can be meant."""
-
-
-def said(limit: float, allowed: str) -> bool:
-    """Whether what is allowed states a limit, however it is rounded."""
-    numbers = map(float, re.findall(r"\d+\.?\d*(?:e-?\d+)?", allowed))
-    return any(math.isclose(abs(limit), n, rel_tol=1e-3) for n in numbers)
-
-
-@pytest.mark.parametrize("key", KEYS)
-def test_every_key_refuses_what_it_cannot_be(write, key):
-    """By line, key, value and limits; and takes what is just within the limits."""
-    for path, part in parts(schema()):
-        if path[:1] != (key,):
-            continue
-        name = dotted(path)
-        for text, limit in wrong(part):
-            file = write(written := document(path, text))
-            with pytest.raises(InputError) as caught:
-                read_setup(file)
-            error, about = caught.value, (name, text, str(caught.value))
-            assert (error.file, error.line) == (str(file), written.count("\n")), about
-            assert re.search(rf"'{re.escape(name)}['\[]", error.reason), about
-            if part.get("type") == "array":  # Its wrong entry may be named.
-                assert error.value in text, about
-            else:
-                assert error.value == text.strip("'"), about
-            if limit and name not in UNSAID:
-                assert said(limit, error.allowed), about
-        for limit, inside in INSIDE.items():
-            if limit in part and "anyOf" not in part:
-                file = write(document(path, repr(inside(part[limit]))))
-                try:
-                    read_setup(file)
-                except InputError as error:  # Another key must then stand beside it.
-                    assert f"'{name}'" not in error.reason, (name, limit)
-
-
-def sections() -> Iterator[tuple[Keys, Schema]]:
-    return ((path, part) for path, part in parts(schema()) if "properties" in part)
-
-
-def test_unknown_keys_are_told_their_neighbors(bad):
-    # Of the sections that are alike one.
-    alike = {tuple(part["properties"]): path for path, part in sections()}
-    for known, path in alike.items():
-        key = max(known, key=len)
-        text = document((*path, key + "_"), "1")
-        words = [f"'{dotted((*path, key + '_'))}'", f"'{key}'"]
-        bad(text, words, line=text.count("\n"), allowed=", ".join(known))
+@pytest.mark.parametrize(("text", "key", "allowed"), UNKNOWN)
+def test_unknown_keys_are_told_their_neighbors(bad, text, key, allowed):
+    bad(f"tip: a\n{text}", f"unknown key '{key}'", line=2, allowed=allowed)
 
 
 def test_missing_keys(bad):
-    for path, part in sections():
-        for key in part.get("required", ()):
-            rest = {k: v for k, v in example(part).items() if k != key}
-            for text in (json.dumps(rest), json.dumps({**rest, key: None})):
-                text = document(path, text)
-                bad(text, f"'{dotted((*path, key))}'", line=text.count("\n"))
-
-
-BOARD = {"columns": 2, "rows": 2, "square": 9}
-BESIDE = {
-    "chains.name.base": {"tip": "b"},
-    "spheres.name.estimate": {"xyz": [1, 2, 3]},
-    "anchors.name.estimate": {"xyz": [1, 2, 3]},
-    "board.marker": {"type": "charuco", **BOARD},
-    "board.legacy": {"type": "charuco", **BOARD},
-    "board.gap": {"type": "apriltag", **BOARD},
-    "reading.orientation.hold": {"columns": "roll-pitch-yaw"},
-    "reading.converted[0].lines": {"each": True},
-    "obstacles[0].scale": {"mesh": "/a"},
-    "obstacles[0].xyz": {"sphere": 1},
-    "obstacles[0].rpy": {"sphere": 1},
-}
-"""What a key needs beside it."""
-
-STORED = {
-    "reading.exchanged": [["1", "2"]],
-    "reading.converted[0].lines": ["1"],
-    **{f"reading.{key}": ["1"] for key in ("moved", "remounted", "without")},
-    "region.cone.range": [0, 1],
-    "ranger.range": [0, 1],
-    "obstacles[0].scale": [1, 1, 1],
-}
-"""What a document states where it is not what a file does."""
-
-ELSEWHERE = {
-    "tools.name.on",
-    "solver.population_size",
-    "obstacles[0].mesh",
-    "reading.axes",
-}
-"""Keys whose values depend on more than the schema says."""
-
-
-@pytest.mark.parametrize("key", KEYS)
-def test_every_key_is_read_and_stored(write, key):
-    """What a file says stands in the document of its setup, under the same key."""
-    for path, part in parts(schema()):
-        name = dotted(path)
-        if path[:1] != (key,) or part.get("type") == "object":
-            continue
-        if name in ELSEWHERE or "$ref" in part.get("items", {}):
-            continue
-        value = example(part)
-        setup = read_setup(
-            write(document(path, json.dumps(value), **BESIDE.get(name, {})))
-        )
-        found = json.loads(json.dumps(setup_document(setup)))
-        if key != "reading":  # It is applied to the rows and never stored.
-            assert setup_of(found) == setup
-            assert read_setup(write(yaml_text(found))) == setup
-        for step in path:
-            found = found[step]
-        assert found == STORED.get(name, value), name
+    for text in ("{offset: 1}", "{offset: 1, normal: }"):
+        bad(f"tip: a\nplanes:\n  wall: {text}", "'planes.wall.normal'", line=3)
 
 
 FULL = """\
@@ -363,6 +193,23 @@ region: {box: [[0.2, -0.5, 0.1], [1, 0.5, 1.2]], sphere: {center: [0, 0, 1], rad
 limits: {"joint_*": [-2, 2], rail: [0.1, 1.5]}
 ranger: {range: 3, incidence: 1.2}
 report: {serial_number: KR 7, temperature: "20.5", date: 2026-11-23}
+parameters: [dh, thermal]
+learned: network
+stations: {day1: {xyz: [1, 2, 3], estimate: false}}
+sockets: {front/0: {}, front/1: {xyz: [1, 2, 3]}}
+board: {type: charuco, columns: 7, rows: 5, square: 0.03, marker: 0.02}
+angles: [{between: [floor, wall], value: 1.57}]
+columns: {x: "X [mm]"}
+encoder_steps: {J*: 4096}
+reading: {without: [12, "a.csv:3"], exchanged: [[1, 2]], axes: [-y, x, z], drift: [0.1]}
+gravity: [0, 0, 9.81]
+prior: {"*.placement.*": 0.002}
+loss: gnc
+limit: {position: 5e-4}
+thermal: {reference: 20, materials: {steel: [J1, "J2*"]}, switched_on: [0]}
+drift: {spans: {base: [0, 60]}, shift: 0}
+gauge: 0.01
+monte_carlo: {robot: pa10, configurations: [9, 12], errors: {"*": 1e-3}}
 camera: {mount: world, focal: [9, 9], center: [0, 0], distortion: [0.1, 0.2, 3, -4]}
 """
 
@@ -370,6 +217,16 @@ camera: {mount: world, focal: [9, 9], center: [0, 0], distortion: [0.1, 0.2, 3, 
 def test_what_keys_mean(write):
     """Where a file says it otherwise than the setup, in other types, or by defaults."""
     setup = read_setup(write(FULL))
+    found = json.loads(json.dumps(setup_document(setup)))
+    assert found.keys() == set(KEYS) - {"targets"}
+    assert (
+        setup_of(found)
+        == setup
+        == read_setup(found)
+        == read_setup(write(yaml_text(found)))
+    )
+    assert setup.reading.without == ("12", "a.csv:3")
+    assert setup.reading.drift == (0.1, 0.0, 0.0)
     assert setup.base_frame == FrameSetup(estimate=True)
     assert setup.tool_frame == FrameSetup((0.0, 0.0, 0.1), (0.0, -1.5, 1e-5), False)
     assert setup.tools["cap"] == ToolSetup(on="stylus")
@@ -390,7 +247,7 @@ def test_what_keys_mean(write):
     assert setup.solver == SolverSetup("hybrid", options)
     assert isinstance(setup.solver.evolution["maxiter"], int)
     scales = [obstacle.scale for obstacle in setup.obstacles]
-    assert scales == [None, (0.001,) * 3, (1.0, 2.0, 1.0), (1.0, 1.0, 1.0)]
+    assert scales == [None, (0.001,) * 3, (1.0, 2.0, 1.0), None]
     assert setup.camera.distortion == (0.1, 0.2, 3.0, -4.0, 0.0)
     assert setup.ranger == RangerSetup((0.0, 3.0), 1.2)
     assert setup.report == ReportSetup("KR 7", temperature=20.5, date="2026-11-23")
@@ -399,31 +256,22 @@ def test_what_keys_mean(write):
 # --- the documents that are made from the schema ---------------------------------
 
 
-def test_the_names_that_there_are_stand_in_the_schema() -> None:
-    keys = json_schema()["properties"]
+def test_the_names_that_there_are_stand_in_the_schema(bad) -> None:
+    keys, solver = json_schema()["properties"], json_schema()["$defs"]["SolverSetup"]
     assert keys["model"]["anyOf"][0]["enum"] == list(MEASUREMENT_MODELS)
     assert keys["parameters"]["items"]["enum"] == list(PARAMETERIZATIONS)
-    assert keys["solver"]["properties"]["name"]["enum"] == list(SOLVERS)
-    assert "registered" not in schema_text()
-
-
-def test_the_solver_has_the_options_of_the_evolution() -> None:
+    assert solver["properties"]["name"]["enum"] == list(SOLVERS)
     options = [option.name for option in fields(DifferentialEvolution)]
-    assert known_keys(("solver", "popsize")) == ["name", *options]
+    assert list(solver["properties"]) == ["name", *options]
+    bad("solver: {mutatoin: 1}", "'mutation'", allowed=", ".join(["name", *options]))
 
 
-def test_the_noise_of_a_quantity_of_another_package(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_noise_of_a_quantity_of_another_package(monkeypatch, bad) -> None:
     angle = SimpleNamespace(quantities=[Quantity("angle", "rad", slice(0, 2), 1e-5)])
     models = {**MEASUREMENT_MODELS, "theodolite": SimpleNamespace(declaration=angle)}
     monkeypatch.setattr(setup_files, "MEASUREMENT_MODELS", models)
-    setup_files.adapter.cache_clear()
-    try:
-        assert known_keys(("noise", "x"))[-2:] == ["pixel", "angle"]
-        assert setup_of({"noise": {"angle": 1e-5}}).noise == {"angle": 1e-5}
-    finally:
-        setup_files.adapter.cache_clear()
+    assert read_setup({"noise": {"angle": 1e-5}}).noise == {"angle": 1e-5}
+    bad("noise: {x: 1}", "'noise.x'", line=1, allowed="pixel, angle")
 
 
 def test_every_key_has_a_meaning() -> None:
@@ -436,15 +284,14 @@ def test_every_key_has_a_meaning() -> None:
             if isinstance(part.get(key), dict):
                 described(part[key], f"{path}.{key}")
 
-    described(schema(), "")
-    for name, part in schema()["$defs"].items():
+    described(json_schema(), "")
+    for name, part in json_schema()["$defs"].items():
         described(part, name)
 
 
 def test_the_keys_of_a_setup_and_of_its_file() -> None:
     ours = {field.name for field in fields(Setup)} - {"file"}
-    theirs = {field.name for field in fields(SetupFile)}
-    assert ours ^ theirs == {"base_frame", "tool_frame", "frames"}
+    assert ours ^ set(KEYS) == {"base_frame", "tool_frame", "frames"}
     assert set(meanings(Setup)) == ours | {"file"}
 
 
@@ -525,13 +372,6 @@ def test_numbers(write, written):
     assert read_setup(write(f"prior: {{a: {written}}}")).prior == {"a": value}
 
 
-@pytest.mark.parametrize("name", MEASUREMENT_MODELS)
-def test_models(write, name):
-    other = "pose" if name != "pose" else "position"
-    for model in (name, f"{other}+{name}"):
-        assert read_setup(write(f"model: {model}")).model == model
-
-
 # --- what contradicts itself or is no such YAML ------------------------------------
 
 NAMED = ("planes", "targets", "sockets", "spheres", "anchors")
@@ -544,7 +384,7 @@ APART = "distances:\n  - {between: [a, b], value: 1}\n"
 CIRCLES = "board: {type: circles, columns: 3, rows: 3, square: 0.03}\n"
 
 # A file, the line of the error, and the key or name that it is about.
-MISTAKES = [
+MISTAKES: list[Any] = [
     # Names that cannot be.
     *(
         (f"{key}:\n  b: {BARE[key]}\n  {name}: {BARE[key]}\n", 3, f"'{key}.")
@@ -558,7 +398,7 @@ MISTAKES = [
     ("model: pose+cam\n", 1, "'model'"),
     ("model: pose+\n", 1, "'model'"),
     ("model: pose+camera+pose\n", 1, "'model'"),
-    ("parameters: [dh, dh]\n", 1, "'parameters'"),
+    ("parameters: [dh, dh]\n", 1, "'parameters[1]'"),
     ("parameters: []\n", 1, "'parameters'"),
     ("parameters:\n  - placement\n  - placment\n", 3, "'parameters[1]'"),
     # Keys that need or exclude each other.
@@ -573,54 +413,44 @@ MISTAKES = [
     (CIRCLES.replace("}", ", gap: 0.01}"), 1, "'board'"),
     (CIRCLES.replace("rows: 3", "rows: 1"), 1, "'board'"),
     ("obstacles:\n  - {sphere: 1}\n  - {xyz: [0, 0, 0]}\n", 3, "'obstacles[1]'"),
-    ("obstacles: [{box: [1, 1, 1], sphere: 1}]\n", 1, "'obstacles[0]'"),
     ("obstacles: [{sphere: 1, scale: 2}]\n", 1, "'obstacles[0]'"),
     ("region: {}\n", 1, "'region'"),
-    # What refers to something else.
+    # References that lead nowhere, or to themselves.
     ("tools:\n  probe: {}\n  tip:\n    on: prob\n", 4, "'probe'"),
     ("tools: {a: {on: a}}", 1, "'tools.a.on'"),
-    ("tools:\n  d: {on: a}\n  a: {on: b}\n  b: {on: a}\n", 3, "'tools.a'"),
+    ("tools:\n  d: {on: a}\n  a: {on: b}\n  b: {on: a}\n", 2, "'tools.d.on'"),
     ("joints:\n  a:\n    joint: j\n  b:\n    joint: j\n", 5, "'joints.a.joint'"),
     (f"{APART}  - {{between: [b, a], value: 1}}\n", 3, "distances[0]"),
     # Numbers together, or where the schema says less.
     ("planes:\n  w:\n    offset: 0\n    normal: [0, 0, 0]\n", 4, "normal'"),
     ("bounds: {a: [1, 1]}", 1, "'bounds.a'"),
     ("bounds:\n  a:\n    - 2 # m\n    - 1\n", 2, "'bounds.a'"),
-    ("limits: {j: [1, 1]}", 1, "'limits.j'"),
     ("limits:\n  a: [0, 1]\n  j: [-90, 90]", 3, "'limits.j'"),
-    ("frames: {tool: {rpy: [0, 0, 90]}}", 1, "'frames.tool.rpy'"),
+    ("limits: {j: [2, 1]}", 1, "'limits.j'"),
     ("joints: {a: {joint: b, gear: 0}}", 1, "'joints.a.gear'"),
-    *(
-        (f"distances:\n  - between: {pair}\n    value: 1\n", 2, "[0].between'")
-        for pair in ("a", "[a, a]", "[1, 2]", "[a, '']")
-    ),
-    ("region: {box: [[0, 0, 2], [1, 1, 1]]}", 1, "'region.box'"),
+    ("distances:\n  - between: [a, a]\n    value: 1\n", 2, "[0].between"),
     ("region: {box: [[0, 0, 0], [1, 1, 0]]}", 1, "'region.box'"),
     ("ranger: {range: [2, 1]}", 1, "'ranger.range'"),
     ("ranger: {range: 0}", 1, "'ranger.range'"),
-    ("solver: {mutation: 0}", 1, "'solver.mutation'"),
     ("solver: {population_size: 3}", 1, "'solver.population_size'"),
     ('report: {customer: "7\\x1b[2J"}', 1, "'report.customer'"),
     ("report: {date: 2026-02-30}", 1, "'report.date'"),
     # Of several mistakes the first.
     ("noise: {position: 0}\nprior: {a: 0}\nbase: 1\nfoo: 1\n", 1, "noise.position"),
-    # What is YAML, but not for us.
+    # YAML, but not for us.
     ("base: a\ntip: b\nbase: c\n", 3, "'base'"),
     ("frames:\n  base: {}\n  base: {}\n", 3, "'base'"),
     ("<<: {base: a}", 1, "'<<'"),
-    ("base: &x a\ntip: *x\n", 1, "'&x'"),
-    ("base: a\ntip: *x\n", 2, "'*x'"),
+    ("base: &x a\ntip: *x\n", 1, "(&x)"),
+    ("base: a\ntip: *x\n", 2, '"*.placement.z"'),
     ("base: a\ntip: !!str b\n", 2),
     ("[a, b]: c\n", 1),
     ("- a\n", 1),
-    ("placement\n", 1),
     ('tip: tool\n"\\uDCFF": 1\n', 2),
-    ('tip: tool\nfixed: ["\\uD800"]\n', 2),
-    ("base: " + "[" * 3000, 1),
-    # What is not YAML.
+    ("base: " + "[" * 3000, None),
+    # No YAML.
     ("base: a\ntip: [b\n", 3),
     ("base: a\n\ttip: b\n", 2),
-    ("base: a: b\n", 1),
     ("base: a\n---\nbase: b\n", 2),
     ("fixed: [*.x]\n", 1, '"*.placement.z"'),
     (b"base: a\ntip: \xff\n", 2),
@@ -634,13 +464,6 @@ def test_mistakes(bad, case):
     bad(text, words, line=line)
 
 
-def test_long_values_are_shortened(write):
-    with pytest.raises(InputError) as caught:
-        read_setup(write("tip:\n" + "  - a very long item in a list\n" * 20))
-    assert len(caught.value.value) < 80
-    assert "..." in caught.value.value
-
-
 def test_the_path_is_named_as_given(tmp_path, monkeypatch, refused):
     with refused(InputError, file=str(tmp_path / "s.yaml"), line=None):
         read_setup(tmp_path / "s.yaml")  # It is not there.
@@ -648,10 +471,13 @@ def test_the_path_is_named_as_given(tmp_path, monkeypatch, refused):
     monkeypatch.chdir(tmp_path)
     with refused(InputError, file="s.yaml", line=1):
         read_setup("s.yaml")
+    (tmp_path / "s.yaml").write_text("tip:\n" + "  - a very long item in a list\n" * 20)
+    with pytest.raises(InputError) as caught:
+        read_setup("s.yaml")
+    assert len(caught.value.value) < 80 and "..." in caught.value.value
 
 
-@pytest.mark.parametrize("module", ["calib_pin.io.setup", "calib_pin.setup"])
-def test_importing_does_not_load_what_reads_files(module):
+def test_importing_does_not_load_what_reads_files():
     slow = "{'yaml', 'pydantic', 'scipy'}"
-    code = f"import sys, {module}; sys.exit(not {slow}.isdisjoint(sys.modules))"
+    code = f"import calib_pin.io.setup, sys; assert {slow}.isdisjoint(sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

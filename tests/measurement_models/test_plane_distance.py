@@ -144,7 +144,7 @@ def test_planes_of_a_setup_are_normalized() -> None:
 
 def test_what_cannot_be_a_plane(refused: Callable[..., Any]) -> None:
     for normal in ((0.0, 0.0, 0.0), (np.nan, 0.0, 1.0), (np.inf, 0.0, 0.0)):
-        with refused(OptionError, "'normal'"):
+        with refused(OptionError, "normal'"):
             Setup(planes={"wall": PlaneSetup(normal, 1.0)})
     F = beams(3, 2)
     for target in ("wal", ""):

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.setup import JointMap, ReadingSetup, Section
+from calib_pin.setup import JointMap, ReadingSetup
+from calib_pin.setup.values import Section
 
 
 @dataclass(frozen=True)

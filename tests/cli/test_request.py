@@ -1,0 +1,54 @@
+"""A calibration that is asked for is declared once."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+ADDED = '''
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+import calib_pin.calibration
+import calib_pin.cli.request as request
+
+@dataclass(frozen=True)
+class More(request.Request):
+    """One more field.
+
+    Attributes:
+        pose_weight: How much poses count.
+    """
+
+    pose_weight: Annotated[float | None, request.Told("W")] = None
+
+request.Request = More
+from calib_pin import robot_file
+from calib_pin.cli import main
+from calib_pin.cli.fleet_jobs import Orders, request_of
+from calib_pin.cli.jobs import read_jobs
+
+def fitted(*chains, pose_weight, **others):
+    print("python:", pose_weight)
+    sys.exit(0)
+
+calib_pin.calibration.calibrate = fitted
+main(["calibrate", "--help"])
+Path("jobs.csv").write_text("robot,measurements,pose_weight\\nspace7,a.csv,2.5\\n")
+(job,) = read_jobs("jobs.csv")
+asked = request_of(Orders(Path.cwd(), Path("out")), job)
+print("job:", asked.pose_weight, *asked.words(Path("out")))
+rows = str(robot_file("space7", "measurements.csv"))
+main(["calibrate", "space7", rows, "--pose-weight", "2.5"])
+'''
+
+
+def test_a_new_field_is_an_option_a_key_a_word_and_an_argument(tmp_path) -> None:
+    ran = subprocess.run(
+        [sys.executable, "-c", ADDED], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert "--pose-weight W" in ran.stdout and "How much poses count." in ran.stdout
+    assert "job: 2.5 calib-pin calibrate space7 a.csv --pose-weight 2.5" in ran.stdout
+    assert ran.stdout.endswith("python: 2.5\n")

@@ -111,7 +111,7 @@ def test_an_example_robot_where_there_are_none(tmp_path, monkeypatch, run):
     words = "example:panda --model position --tip panda_link8"
     words += " --parameters joint-offset"
     assert run(f"simulate {words} --count 20 -o rows.csv").status == 0
-    options = "--tip panda_link8 --parameters joint-offset --holdout 0.2"
+    options = "--tip panda_link8 --parameters joint-offset --holdout 0.25"
     words = f"calibrate example:panda rows.csv {options} -o out --quiet"
     assert run(words).status == 0
 

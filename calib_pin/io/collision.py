@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.io.files import TEXT, read_bytes
-from calib_pin.io.robot_shapes import MeshReader
+from calib_pin.io.robot_shapes import read_mesh, shape_of
 from calib_pin.io.urdf_tree import parse_document
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -83,12 +83,11 @@ def load_collisions(
     robot, geometry = chains.robot, pin.GeometryModel()
     model = robot.model
     apart = _adjacent(model) if srdf is None else _disabled(srdf, robot)
-    with MeshReader(robot.file, package_dirs) as meshes:
-        own = _of_links(robot, meshes)
-        if not own:
-            tell("the robot has no collision geometry: no collisions are checked")
-            return None
-        every = own + _of_obstacles(chains, obstacles, file, meshes)
+    own = _of_links(robot, package_dirs)
+    if not own:
+        tell("the robot has no collision geometry: no collisions are checked")
+        return None
+    every = own + _of_obstacles(chains, obstacles, file)
     for number, name, place, solid in every:
         frame = model.frames[number]
         joint, placed = frame.parentJoint, frame.placement * place
@@ -141,14 +140,15 @@ def _as_built(
     return collisions.only(kept, clearances)
 
 
-def _of_links(robot: Robot, meshes: MeshReader) -> list[_Solid]:
+def _of_links(robot: Robot, package_dirs: Sequence[str | Path]) -> list[_Solid]:
     """The collision geometry of a URDF."""
     document, found = parse_document(robot.source, robot.file), list[_Solid]()
     links = document.named("link")
     for number, frame in enumerate(robot.model.frames):
         if frame.type == pin.FrameType.BODY:
             for k, element in enumerate(links[frame.name].all("collision")):
-                if (shape := meshes.shape(document, element)) is not None:
+                shape = shape_of(document, element, robot, package_dirs)
+                if shape is not None:
                     kind, values = shape
                     name, place = f"{frame.name}_{k}", document.origin(element)
                     found.append((number, name, place, SOLIDS[kind](*values)))
@@ -179,7 +179,7 @@ _Solid = tuple[int, str, pin.SE3, pin.coal.CollisionGeometry]
 
 
 def _of_obstacles(
-    chains: Chains, obstacles: Sequence[Obstacle], file: str, meshes: MeshReader
+    chains: Chains, obstacles: Sequence[Obstacle], file: str
 ) -> list[_Solid]:
     """Solids that stand still in the base link."""
     base = chains.robot.model.getFrameId(chains.base, pin.FrameType.BODY)
@@ -187,9 +187,9 @@ def _of_obstacles(
     for k, obstacle in enumerate(obstacles, 1):
         numbers = getattr(obstacle, obstacle.kind)
         if obstacle.mesh is not None:
-            path, scale = Path(obstacle.mesh).absolute(), obstacle.scale
+            path, scale = Path(obstacle.mesh).absolute(), obstacle.scale or (1, 1, 1)
             try:
-                numbers = [meshes.read(path, scale or (1.0, 1.0, 1.0))]
+                numbers = [read_mesh(path, chains.robot, scale=scale)]
             except InputError as error:
                 reason = f"the mesh '{path}' of obstacle {k} {error.reason}"
                 raise InputError(reason, file=file or None) from None

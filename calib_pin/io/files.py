@@ -1,9 +1,9 @@
 """Read and write whole files, with errors that name the file and the reason.
 
 What a run writes is complete in a folder of its own, beside the destinations, before
-any of it is put in place. That folder of a set of files becomes the list of what is
-decided, `COMMIT`, in one step: from then on the new set stands, and whoever comes next,
-a reader or a writer, puts in place what the run that decided did not live to.
+any of it is put in place. That folder becomes what is decided, `COMMIT`, in one step:
+from then on the new set stands, and whoever comes next, a reader or a writer, puts in
+place what the run that decided did not live to.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import difflib
 import errno
 import hashlib
-import json
 import os
 import shutil
 import stat
@@ -23,10 +22,7 @@ from uuid import uuid4
 from calib_pin.errors import InputError, OptionError, OutputError
 
 COMMIT = ".calib-pin-commit"
-"""Name of the folder with what a folder is about to hold."""
-
-REMOVED = ".removed"
-"""Name of the list in it of the files that go."""
+"""Name of the folder with what a folder is about to hold; empty files are to go."""
 
 STAGED = ".calib-pin-new-"
 """Begin of the names of folders with what is not decided yet."""
@@ -86,10 +82,8 @@ def write_folder(
     """
     own = {p: data for p, data in contents.items() if inside(listed(p, folder))}
     others = {p: data for p, data in contents.items() if p not in own}
-    gone = json.dumps([listed(path, folder) for path in removed])
+    own |= {path: b"" for path in removed if inside(listed(path, folder))}
     with write_files(others, force=force), _staged(folder, own, force) as staged:
-        with _writing(folder):
-            _write(staged / REMOVED, gone.encode())
         yield
         with locked(folder), _writing(folder):
             complete(folder)
@@ -128,13 +122,11 @@ def complete(folder: Path) -> None:
     with _writing(folder):
         for source in sorted(p for p in commit.rglob("*") if p.is_file()):
             path = folder / source.relative_to(commit)
-            if source != commit / REMOVED:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                source.replace(path)
-        if (commit / REMOVED).is_file():
-            for name in json.loads((commit / REMOVED).read_bytes()):
-                if inside(name):
-                    (folder / name).unlink(missing_ok=True)
+            if source.stat().st_size == 0:
+                path.unlink(missing_ok=True)
+                continue
+            path.parent.mkdir(parents=True, exist_ok=True)
+            source.replace(path)
         shutil.rmtree(commit)
 
 

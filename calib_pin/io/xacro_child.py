@@ -172,7 +172,7 @@ def _install(given: Mapping[str, str], folders: list[Path]) -> None:
     GLOBAL["xacro"]["abs_filename"] = place
 
 
-def _expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> bytes:
+def _expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> str:
     """The URDF, or an exception of any kind."""
     arguments = Arguments(given)
     _install(given, folders)
@@ -187,8 +187,7 @@ def _expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> bytes
             if known
             else f"has no arguments, and not '{unknown[0]}'"
         )
-    text: str = document.toprettyxml(indent="  ")
-    return text.encode()
+    return str(document.toprettyxml(indent="  "))
 
 
 def _reason(failure: Any) -> str:
@@ -206,8 +205,8 @@ def _reason(failure: Any) -> str:
 
 def read(
     file: str, arguments: Mapping[str, str], folders: list[str]
-) -> tuple[dict[str, object], bytes]:
-    """The URDF in a xacro file.
+) -> tuple[str, str]:
+    """The URDF in a xacro file, and no remark.
 
     Args:
         file: The file.
@@ -218,7 +217,7 @@ def read(
         RobotError: If it cannot be expanded, with the file and macro that is wrong.
     """
     try:
-        return {}, _expanded(file, arguments, list(map(Path, folders)))
+        return _expanded(file, arguments, list(map(Path, folders))), ""
     except Exception as failure:
         reason = f"xacro cannot expand it: {_reason(failure)}"
     if xacro.macrostack:  # It, or the call of it, is wrong.

@@ -16,7 +16,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.breakdown import block_names
 from calib_pin.units import DISPLAY
 from calib_pin.viewer.controls import BODIES, STAGES, Controls, put, scale, swatch, text
-from calib_pin.viewer.errors import StageErrors
 from calib_pin.viewer.scene import Plan, Rows, Scene
 from calib_pin.viewer.stage import RowsDrawing, Stage
 
@@ -157,10 +156,11 @@ def add_panel(controls: Controls, scene: Scene, stage: Stage) -> Player | None:
         if len(stage.robots) > 1:
             swatches = (swatch(BODIES[name], name) for name in stage.robots)
             controls.gui.add_html(text("".join(swatches)))
-        if stage.things is not None:
+        if scene.things:
             controls.switch("instruments and targets", stage.things.root)
-            controls.switch("their names", stage.things.names, False)
-        _add_picture(controls, scene.title)
+            controls.switch("their names", stage.names.root, False)
+        button = controls.gui.add_button("save picture")
+        button.on_click(lambda event: save_picture(event.client, scene.title))
     joints = Joints(controls, scene, stage)
     if scene.rows is not None and stage.rows is not None:
         _add_rows(controls, scene.rows, stage.rows, joints)
@@ -239,25 +239,15 @@ def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
     magnify((first,))
 
 
-def _add_picture(controls: Controls, title: str) -> None:
-    """A button that saves the view of whoever presses it as a picture."""
-    button = controls.gui.add_button("save picture")
-
-    @button.on_click
-    def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-        if event.client is not None:
-            save_picture(event.client, title)
-
-
-def save_picture(client: viser.ClientHandle, title: str) -> None:
-    """Have a browser draw its view once more, and save that as a PNG file.
+def save_picture(client: viser.ClientHandle | None, title: str) -> None:
+    """Have the browser of whoever asked draw its view once more, as a PNG file.
 
     Nothing is drawn behind the scene, so that the picture fits on any page.
     """
-    camera = client.camera
-    image = client.get_render(
-        camera.image_height, camera.image_width, transport_format="png", timeout=WAIT
-    )
+    if client is None:
+        return
+    width, height = client.camera.image_width, client.camera.image_height
+    image = client.get_render(height, width, transport_format="png", timeout=WAIT)
     stream = io.BytesIO()
     Image.fromarray(image).save(stream, format="png")
     name = re.sub(r"[^\w.-]+", "_", title) or "robot"
@@ -291,26 +281,18 @@ def _add_map(controls: Controls, rows: Rows, drawing: RowsDrawing) -> None:
 
 def _about(rows: Rows, row: int) -> str:
     """The source of a measurement, its target, and its errors."""
-    lines = [html.escape(Path(rows.data.source(row)).name)]
+    lines = [Path(rows.data.source(row)).name]
     if len(rows.data.blocks) > 1:
-        name = block_names(rows.data.keys)[int(rows.data.block_of[row])]
-        lines.append(html.escape(name))
+        lines.append(block_names(rows.data.keys)[int(rows.data.block_of[row])])
     if rows.data.target[row]:
-        lines.append(f"target {html.escape(rows.data.target[row])}")
+        lines.append(f"target {rows.data.target[row]}")
     for name in next(iter(rows.stages.values())).quantities:
-        found = [
-            f"{stage} {size}"
-            for stage, errors in rows.stages.items()
-            if (size := _size(errors, name, row))
-        ]
+        found = []
+        for stage, errors in rows.stages.items():
+            quantity = errors.quantities[name]
+            unit, factor = DISPLAY[quantity.unit]
+            if quantity.shown[row]:
+                found.append(f"{stage} {factor * quantity.sizes[row]:.3g} {unit}")
         if found:
-            lines.append(f"{html.escape(name)}: {', '.join(found)}")
-    return "<br>".join(lines)
-
-
-def _size(errors: StageErrors, name: str, row: int) -> str:
-    quantity = errors.quantities[name]
-    if not quantity.shown[row]:
-        return ""
-    unit, factor = DISPLAY[quantity.unit]
-    return f"{factor * quantity.sizes[row]:.3g} {unit}"
+            lines.append(f"{name}: {', '.join(found)}")
+    return "<br>".join(map(html.escape, lines))

@@ -145,7 +145,7 @@ class Scene:
         title: Name of the robot.
         shapes: Shapes of the links of all bodies.
         bodies: The robot, or the nominal and the corrected one.
-        chains: The chains that measurements and plan move, if there are any.
+        chains: The chains that measurements and plan move; may be none.
         rows: Measurements, if there are any.
         plan: Planned configurations, if there are any.
         things: Instruments and targets that stand around or that the tool carries.
@@ -154,7 +154,7 @@ class Scene:
     title: str
     shapes: tuple[Shape, ...]
     bodies: tuple[Body, ...]
-    chains: Chains | None = None
+    chains: Chains
     rows: Rows | None = None
     plan: Plan | None = None
     things: tuple[Thing, ...] = ()
@@ -162,21 +162,13 @@ class Scene:
     @cached_property
     def highlighted(self) -> frozenset[str]:
         """The links of the chains that measurements and plan move, or all links."""
-        if self.chains is None:
-            return frozenset(self.bodies[0].skeleton.links)
-        return chain_links(self.chains)
+        return chain_links(self.chains) or frozenset(self.bodies[0].skeleton.links)
 
     @property
     def largest_move(self) -> float:
         """How far the origin of any link is moved by corrections at the start [m]."""
-        first, *others = (body.placements(self.start) for body in self.bodies)
-        return max(
-            (
-                float(np.linalg.norm((T - first)[:, :3, 3], axis=1).max())
-                for T in others
-            ),
-            default=0.0,
-        )
+        first, last = (self.bodies[k].placements(self.start) for k in (0, -1))
+        return float(np.linalg.norm((last - first)[:, :3, 3], axis=1).max())
 
     @cached_property
     def moved(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -185,9 +177,8 @@ class Scene:
         The first are their columns in configurations of the chains, the second are
         their places among the joints of the bodies.
         """
-        joints = () if self.chains is None else self.chains.joints
-        own = self.bodies[0].skeleton.joints
-        pairs = [(k, own.index(j)) for k, j in enumerate(joints) if j in own]
+        own, joints = self.bodies[0].skeleton.joints, enumerate(self.chains.joints)
+        pairs = [(k, own.index(joint)) for k, joint in joints if joint in own]
         columns, places = np.array(pairs, np.intp).reshape(-1, 2).T
         return columns, places
 

@@ -11,7 +11,6 @@ import contextlib
 import hmac
 import io
 import secrets
-import socket
 import time
 from collections.abc import Callable, Iterator
 from http import HTTPStatus
@@ -50,7 +49,7 @@ class Window:
 
     Args:
         scene: The scene to show.
-        port: Port that is wanted; a free one if it cannot be used, or for 0.
+        port: Port that is wanted; a free one above if it cannot be used, any for 0.
 
     Attributes:
         port: Port that it is.
@@ -61,7 +60,7 @@ class Window:
         """Start the server and draw the scene."""
         token = secrets.token_urlsafe(16)
         with _unheard(), _guarded(token):
-            self._server = _LocalServer(HOST, _usable(port), verbose=False)
+            self._server = _LocalServer(HOST, port, verbose=False)
         self.port = self._server.get_port()
         self.url = f"http://localhost:{self.port}/?token={token}"
         self._server.gui.set_panel_label(scene.title)
@@ -148,14 +147,3 @@ def _answer(
 def _unheard() -> contextlib.AbstractContextManager[object]:
     """Suppresses what viser prints at its start and end."""
     return contextlib.redirect_stdout(io.StringIO())
-
-
-def _usable(port: int) -> int:
-    """The port if a server can have it, or else a free one."""
-    for wanted in (port, 0):
-        with (
-            contextlib.suppress(OSError),
-            socket.create_server((HOST, wanted)) as probe,
-        ):
-            return int(probe.getsockname()[1])
-    return port

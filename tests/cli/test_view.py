@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,7 @@ from calib_pin.viewer.scene import Scene
 def test_without_the_extra(
     here: Path, monkeypatch: pytest.MonkeyPatch, fails: Callable[..., Any]
 ) -> None:
-    find = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util,
-        "find_spec",
-        lambda name: None if name == "viser" else find(name),
-    )
+    monkeypatch.setattr("calib_pin.cli.view.find_spec", lambda _: None)
     fails("view no/robot.urdf", "calib-pin[view]")
 
 
@@ -33,7 +27,7 @@ def test_a_robot_alone(
     assert result.err.count("\n") == 1 and "8080" in result.err
     (scene,) = opened
     assert scene.title == "arm"
-    assert (scene.chains, scene.rows, scene.plan) == (None, None, None)
+    assert (scene.chains.names, scene.rows, scene.plan) == ((), None, None)
     (body,) = scene.bodies
     assert body.skeleton.joints == ("joint1", "joint2", "joint3", "joint4")
     # Several leaves are no hindrance where nothing is measured.

@@ -12,7 +12,6 @@ import pytest
 from calib_pin.errors import InputError, OptionError, OutputError
 from calib_pin.io.files import (
     COMMIT,
-    REMOVED,
     locked,
     read_bytes,
     settled,
@@ -237,15 +236,6 @@ def test_what_fails_leaves_nothing(tmp_path: Path) -> None:
 
 
 # --- who reads and writes at the same time -----------------------------------------
-
-
-def test_a_hostile_list_removes_nothing_outside_its_folder(tmp_path: Path) -> None:
-    (tmp_path / "mine").write_bytes(b"mine")
-    commit = tmp_path / "out" / COMMIT
-    commit.mkdir(parents=True)
-    (commit / REMOVED).write_text(f'["../mine", "{tmp_path / "mine"}", "..", ""]')
-    assert read_as_a_reader(tmp_path / "out") == {}
-    assert (tmp_path / "mine").exists() and not commit.exists()
 
 
 def test_what_cannot_be_put_in_place_is_one_line(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,24 +12,15 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.errors import InputError
-from calib_pin.io import children
-from calib_pin.io.robot_shapes import MeshReader
+from calib_pin.io.robot_shapes import read_mesh
 from calib_pin.io.urdf import locate_robot
+from calib_pin.io.urdf_tree import parse_robot
 
 ENDS = ("little", "big")
 CORNERS = ((0.0, 0.0, 0.0), (0.25, 0.0, 0.0), (0.0, 0.25, 0.0))
 
 
-@pytest.fixture(autouse=True)
-def time_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
-    # However busy the machine is, memory comes to its end before time does.
-    monkeypatch.setattr(children, "SECONDS", 60.0)
-
-
-@pytest.fixture
-def reader() -> Iterator[MeshReader]:
-    with MeshReader("") as opened:
-        yield opened
+ROBOT = parse_robot(b'<robot name="r"><link name="a"/></robot>', "")
 
 
 def stl(last: str = "0 0.25 0") -> str:
@@ -89,13 +80,13 @@ def stored(folder: Path, name: str, content: str | bytes) -> Path:
     return path
 
 
-def test_a_triangle(tmp_path: Path, reader: MeshReader) -> None:
+def test_a_triangle(tmp_path: Path) -> None:
     files = [("a.stl", stl()), ("b.stl", binary_stl(CORNERS)), ("a.obj", obj())]
     files += [("a.dae", dae()), ("a.ply", ply())]
     files += [(f"{end}.ply", ply(form=f"binary_{end}_endian")) for end in ENDS]
     for name, content in files:
         path = stored(tmp_path, name, content)
-        surface = reader.read(path, (4.0, 4.0, 8.0))
+        surface = read_mesh(path, ROBOT, scale=(4.0, 4.0, 8.0))
         assert surface.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
         assert {tuple(t) for t in surface.triangles.tolist()} == {(0, 1, 2)}
 
@@ -105,16 +96,14 @@ def test_binary_stl_is_what_pinocchio_reads() -> None:
     robot = locate_robot("example:ur10_robot").resolve()
     file = robot.parents[1] / "meshes/ur10/collision/forearm.stl"
     surface = pin.coal.MeshLoader().load(str(file), np.ones(3))
-    with MeshReader("") as reader:
-        found = reader.read(file)
-        assert reader._child is None
+    found = read_mesh(file, ROBOT)
     np.testing.assert_array_equal(found.vertices, surface.vertices())
     corners = map(surface.tri_indices, range(surface.num_tris))
     expected = sorted(sorted(t[k] for k in range(3)) for t in corners)
     assert sorted(map(sorted, found.triangles.tolist())) == expected
 
 
-def test_parts_and_materials(tmp_path: Path, reader: MeshReader) -> None:
+def test_parts_and_materials(tmp_path: Path) -> None:
     """Coal joined the parts of a file by wrong triangles; a material matters not."""
     faces = '<triangles count="1"><input'
     again = dae()[dae().index("<triangles") : dae().index("</mesh>")]
@@ -122,7 +111,7 @@ def test_parts_and_materials(tmp_path: Path, reader: MeshReader) -> None:
     material += '"#m"/></technique_common></bind_material>'
     both = dae().replace(faces, again.replace("0 1 2", "1 0 2") + faces)
     both = both.replace(' url="#g"/>', f' url="#g">{material}</instance_geometry>')
-    surface = reader.read(stored(tmp_path, "a.dae", both))
+    surface = read_mesh(stored(tmp_path, "a.dae", both), ROBOT)
     assert sorted(map(sorted, surface.triangles.tolist())) == [[0, 1, 2]] * 2
     assert len(surface.vertices) == 3
 
@@ -143,20 +132,22 @@ BAD = [
     ("a.stl", binary_stl(((0, 0, 1),) * 3)),
     ("a.stl", binary_stl()),
     ("a.stl", "no mesh"),
+    ("a.ply", ply(form=f"binary_{ENDS[0]}_endian").replace(b"face 2", b"face 9999999")),
+    ("a.dae", f'<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]>&x;{dae()}'),
+    ("a.dae", dae() + "<x>" * 100_000),
+    ("a.3mf", b"PK"),
 ]
 
 
+@pytest.mark.parametrize(("name", "content"), BAD)
 def test_files_that_could_hurt(
     tmp_path: Path,
-    reader: MeshReader,
     refused: Callable[..., Any],
     capfd: pytest.CaptureFixture[str],
+    name: str,
+    content: str | bytes,
 ) -> None:
-    """None of them is a reason not to read the next one."""
-    good = stored(tmp_path, "good.obj", obj())
-    for name, content in BAD:
-        path = stored(tmp_path, name, content)
-        with refused(InputError, file=str(path)):
-            reader.read(path)
-    assert len(reader.read(good).triangles) == 1
+    path = stored(tmp_path, name, content)
+    with refused(InputError, file=str(path)):
+        read_mesh(path, ROBOT)
     assert capfd.readouterr() == ("", "")

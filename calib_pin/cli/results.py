@@ -145,13 +145,13 @@ def write_results(
     Files of an earlier run that are not rewritten would pass for a result of this
     one, so they are removed.
     """
-    from calib_pin.io.files import listed, write_folder
+    from calib_pin.io.files import listed, write_files
     from calib_pin.io.results import written_before
 
     folder = files.json.parent
     names = {listed(path, folder) for path in (*contents, files.nominal)}
     old = [p for p in written_before(files.json) if listed(p, folder) not in names]
-    with write_folder(folder, contents, old, force=force):
+    with write_files(contents, force=force, folder=folder, removed=old):
         yield
     for path in old:
         notice(f"removed {path} of an earlier run")

@@ -119,12 +119,20 @@ def _as_built(
     # The same pairs come out at every run, whatever the seed of the plan.
     q = chains.random_configurations(SAMPLES, np.random.default_rng(0))
     contacts, clearances = collisions.contacts(q), collisions.clearances.copy()
-    close = _by_design(collisions.pairs, contacts, chains.robot)
-    places = [k for k, pair in enumerate(collisions.pairs) if pair in close]
+    places: dict[tuple[str, str], list[int]] = {}
+    for k, pair in enumerate(collisions.pairs):
+        if set(pair) <= set(chains.robot.links):  # Not an obstacle.
+            places.setdefault(pair, []).append(k)
+
+    def often(found: NDArray[np.bool_], pair: tuple[str, str]) -> bool:
+        return bool(found[:, places[pair]].any(axis=1).mean() >= BY_DESIGN)
+
+    close = [pair for pair in places if often(contacts, pair)]
     # What touches by design does so without any clearance, however large it is.
-    bare = collisions.only(places, np.zeros(len(clearances)))
-    touches = bare.contacts(q)
-    touching = _by_design(bare.pairs, touches, chains.robot)
+    of_close, touches = [k for pair in close for k in places[pair]], contacts.copy()
+    bare = collisions.only(of_close, np.zeros(len(clearances)))
+    touches[:, of_close] = bare.contacts(q)
+    touching = [pair for pair in close if often(touches, pair)]
     left_out = touching if guess else []
     near = [pair for pair in close if pair not in touching]
     for found, words in ((left_out, TOUCH), (near, NEAR)):
@@ -132,9 +140,9 @@ def _as_built(
             named = "; ".join(f"{first} and {second}" for first, second in found[:3])
             count = f"{len(found)} pair{'s' * (len(found) > 1)}"
             tell(f"links that {words}: {count} ({named}{'; ...' * (len(found) > 3)})")
-    for place, touched in zip(places, touches.T, strict=True):
-        if collisions.pairs[place] in near:
-            clearances[place], contacts[:, place] = 0.0, touched
+    for pair in near:
+        clearances[places[pair]] = 0.0
+        contacts[:, places[pair]] = touches[:, places[pair]]
     order = np.argsort(-contacts.mean(axis=0), kind="stable")
     kept = (k for k in order if collisions.pairs[k] not in left_out)
     return collisions.only(kept, clearances)
@@ -232,18 +240,3 @@ def _disabled(srdf: str | Path, robot: Robot) -> set[frozenset[str]]:
     )
     every = {frozenset((link, other)) for link in links for other in robot.links}
     return pairs("disable_collisions") | every - pairs("enable_collisions")
-
-
-def _by_design(
-    pairs: Sequence[tuple[str, str]], contacts: NDArray[np.bool_], robot: Robot
-) -> list[tuple[str, str]]:
-    """Links that are in contact at nearly every configuration."""
-    together: dict[tuple[str, str], list[int]] = {}
-    for k, pair in enumerate(pairs):
-        if set(pair) <= set(robot.links):  # Not an obstacle.
-            together.setdefault(pair, []).append(k)
-    return [
-        pair
-        for pair, places in together.items()
-        if contacts[:, places].any(axis=1).mean() >= BY_DESIGN
-    ]

@@ -142,7 +142,7 @@ class Writer:
         return _tag("inertial", center + _tag("inertia", **six))
 
     def _mimics(self) -> dict[int, str]:
-        """What lets joints mimic those that they are coupled to, as far as it can."""
+        """Elements of joints that follow others, as far as a URDF can hold them."""
         model, found = self.model, dict[int, str]()
         couplings = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 == 1)
         for k in np.flatnonzero(couplings):

@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from calib_pin.viewer.scene import Scene
 
-
-def test_without_the_extra(
-    here: Path, monkeypatch: pytest.MonkeyPatch, fails: Callable[..., Any]
-) -> None:
+def test_without_the_extra(here, monkeypatch, fails):
     monkeypatch.setattr("calib_pin.cli.view.find_spec", lambda _: None)
     fails("view no/robot.urdf", "calib-pin[view]")
 
 
-def test_a_robot_alone(
-    here: Path, run: Callable[..., Any], opened: list[Scene]
-) -> None:
+def test_a_robot_alone(here, run, opened):
     result = run("view arm.urdf --once")
     assert result.status == 0 and "http://localhost:8081/?token=abc" in result.out
     assert result.err.count("\n") == 1 and "8080" in result.err
@@ -34,9 +26,7 @@ def test_a_robot_alone(
     assert run("view example:talos_reduced --once --port 5").status == 0
 
 
-def test_a_robot_with_measurements_and_a_plan(
-    here: Path, run: Callable[..., Any], opened: list[Scene]
-) -> None:
+def test_a_robot_with_measurements_and_a_plan(here, run, opened):
     result = run("view arm.urdf rows.csv --setup setup.yaml --plan new.csv --port 5")
     assert (result.status, result.err) == (0, "")
     (scene,) = opened
@@ -45,9 +35,7 @@ def test_a_robot_with_measurements_and_a_plan(
     assert (len(scene.rows.data), len(scene.plan.q)) == (40, 25)
 
 
-def test_a_calibration(
-    here: Path, run: Callable[..., Any], opened: list[Scene]
-) -> None:
+def test_a_calibration(here, run, opened):
     words = "view done/calibration.json new.csv rows.csv --port 5"
     assert run(words).status == 0
     assert run("view done/calibration.json --port 5").status == 0
@@ -61,9 +49,7 @@ def test_a_calibration(
     assert sizes[0] > 5.0 * sizes[1]
 
 
-def test_missing_meshes_are_noted_once(
-    here: Path, run: Callable[..., Any], opened: list[Scene]
-) -> None:
+def test_missing_meshes_are_noted_once(here, run, opened):
     text = Path("arm.urdf").read_text()
     mesh = '<visual><geometry><mesh filename="{}.stl"/></geometry></visual>'
     for k in (1, 2):
@@ -99,12 +85,6 @@ def test_missing_meshes_are_noted_once(
         ("example:talos_reduced rows.csv", "--tip"),
     ],
 )
-def test_bad_input(
-    here: Path,
-    fails: Callable[..., Any],
-    opened: list[Scene],
-    words: str,
-    named: str,
-) -> None:
+def test_bad_input(here, fails, opened, words, named):
     fails(f"view {words}", named)
     assert opened == []

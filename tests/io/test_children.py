@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,13 +20,7 @@ ANSWERS = [
 
 
 @pytest.mark.parametrize(("program", "said"), ANSWERS)
-def test_no_urdf(
-    tmp_path: Path,
-    refused: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
-    program: str,
-    said: str,
-) -> None:
+def test_no_urdf(tmp_path, refused, monkeypatch, program, said):
     script, file = tmp_path / "script.py", tmp_path / "arm.xml"
     script.write_text(program)
     monkeypatch.setattr(children, "__file__", str(script))
@@ -38,9 +30,7 @@ def test_no_urdf(
         converted("MJCF", file)
 
 
-def test_an_extra_that_is_missing(
-    refused: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_extra_that_is_missing(refused, monkeypatch):
     monkeypatch.setattr(children, "find_spec", lambda _: None)
     for kind, extra in (("MJCF", "mujoco"), ("xacro", "ros")):
         with refused(OptionError, f"calib-pin[{extra}]"):
@@ -58,14 +48,7 @@ LIST = '<robot><link name="${list(range(10 ** 10))}"/></robot>'
     ("kind", "text", "said"),
     [("xacro", LIST, "memory"), ("MJCF", REPLICAS, "more than 3 s")],
 )
-def test_what_needs_the_limits(
-    tmp_path: Path,
-    refused: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
-    kind: str,
-    text: str,
-    said: str,
-) -> None:
+def test_what_needs_the_limits(tmp_path, refused, monkeypatch, kind, text, said):
     import resource
 
     pytest.importorskip("mujoco" if kind == "MJCF" else "xacro")

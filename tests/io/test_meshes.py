@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -140,13 +139,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("name", "content"), BAD)
-def test_files_that_could_hurt(
-    tmp_path: Path,
-    refused: Callable[..., Any],
-    capfd: pytest.CaptureFixture[str],
-    name: str,
-    content: str | bytes,
-) -> None:
+def test_files_that_could_hurt(tmp_path, refused, capfd, name, content):
     path = stored(tmp_path, name, content)
     with refused(InputError, file=str(path)):
         read_mesh(path, ROBOT)

@@ -73,9 +73,7 @@ def test_what_stands_in_the_file(plain: Robot) -> None:
     assert robot.source.startswith(b'<robot name="arm">')
 
 
-def test_a_free_body_is_carried_but_no_chain_contains_it(
-    tmp_path: Path, refused: Callable[..., Any]
-) -> None:
+def test_a_free_body_is_carried_but_no_chain_contains_it(tmp_path, refused):
     free = f'<body name="torso" pos="0 0 1"><freejoint name="fly"/>{BODIES}</body>'
     robot = load_robot(written(tmp_path, free))
     assert len(Chain(robot, "torso", "tool").joints) == 4
@@ -140,9 +138,7 @@ UNSTATED = HEAD.replace('angle="degree" ', "")
 
 
 @pytest.mark.parametrize("stated", ["", 'angle="degree"', 'angle="radian"'])
-def test_radians_that_nothing_states(
-    tmp_path: Path, refused: Callable[..., Any], stated: str
-) -> None:
+def test_radians_that_nothing_states(tmp_path, refused, stated):
     head = UNSTATED.replace("100", "3").replace("<compiler", f"<compiler {stated}")
     file = written(tmp_path, BASE, head.replace("10", "1"))
     if stated:
@@ -177,9 +173,7 @@ def test_couplings_are_those_of_mujoco(tmp_path: Path) -> None:
     assert np.allclose(j3, 0.1 - 2.0 * j1, atol=1e-12)
 
 
-def test_warnings_leave_no_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., Any]
-) -> None:
+def test_warnings_leave_no_file(tmp_path, monkeypatch, refused):
     monkeypatch.chdir(tmp_path)
     file = written(tmp_path, BASE.replace('pos="0 0 0.3"', 'pos="nan 0 0.3"'))
     with refused(RobotError, file=str(file)):
@@ -247,9 +241,7 @@ MUJOCO = """<mujoco model="c">
 
 
 @pytest.mark.parametrize("sequence", ["xyz", "XYZ", "zyx"])
-def test_all_its_bodies_are_where_mujoco_has_them(
-    tmp_path: Path, sequence: str
-) -> None:
+def test_all_its_bodies_are_where_mujoco_has_them(tmp_path, sequence):
     import mujoco
 
     file = tmp_path / "arm.xml"

@@ -71,9 +71,7 @@ def test_meshes_are_found(write: Callable[..., Path], package: str) -> None:
         "<heap/>",
     ],
 )
-def test_solids_stand_in_for_what_is_missing(
-    write: Callable[..., Path], capfd: pytest.CaptureFixture[str], bad: str
-) -> None:
+def test_solids_stand_in_for_what_is_missing(write, capfd, bad):
     write("v 0 0\nf 1 2 9\n", "broken.obj")
     write(TETRAHEDRON, "a.obj")
     good = visual('<sphere radius="0.1"/>')

@@ -313,9 +313,7 @@ triples = st.tuples(lengths, lengths, lengths)
 
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(xyz=triples, rpy=st.tuples(angles, angles, angles), seed=st.integers(0, 2**32))
-def test_any_origin_and_correction(
-    xyz: tuple[float, ...], rpy: tuple[float, ...], seed: int
-) -> None:
+def test_any_origin_and_correction(xyz, rpy, seed):
     texts = [" ".join(map(repr, values)) for values in (xyz, rpy)]
     source = ARM.replace(b"1 2 3", texts[0].encode())
     source = source.replace(b"0.1 0.2 0.3", texts[1].encode())
@@ -400,9 +398,7 @@ def test_resolution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert load_robot(ambiguous).name == "anymal"
 
 
-def test_robots_that_are_not_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., Any]
-) -> None:
+def test_robots_that_are_not_there(tmp_path, monkeypatch, refused):
     Path(tmp_path, "arm.urdf").write_bytes(ARM)
     monkeypatch.setattr(urdf, "bundled_robots", lambda: {"threelink": tmp_path})
     monkeypatch.chdir(tmp_path)
@@ -452,9 +448,7 @@ def test_robots_that_are_not_there(
         (b"<!-- a -->" * 100_000 + b"<!-- x", 1),
     ],
 )
-def test_files_that_are_no_urdf(
-    source: bytes, line: int | None, bad: Callable[..., None]
-) -> None:
+def test_files_that_are_no_urdf(source, line, bad):
     bad(source, **({} if line is ... else {"line": line}))
 
 
@@ -503,9 +497,7 @@ LOOP = """<link name="d"/><link name="e"/>
         ("</robot>", f"{'<x>' * 900}{'</x>' * 900}</robot>", ..., ...),
     ],
 )
-def test_urdfs_with_a_mistake(
-    old: str, new: str, line: Any, value: Any, bad: Callable[..., None]
-) -> None:
+def test_urdfs_with_a_mistake(old, new, line, value, bad):
     assert old in ARM.decode()
     fields = {"line": line, "value": value}
     known = {name: field for name, field in fields.items() if field is not ...}
@@ -567,9 +559,7 @@ def test_write_and_read_back(tmp_path: Path, refused: Callable[..., Any]) -> Non
     assert listing(path.parent) == ["out.urdf"]
 
 
-def test_never_over_the_source(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., Any]
-) -> None:
+def test_never_over_the_source(tmp_path, monkeypatch, refused):
     source = tmp_path / "arm.urdf"
     source.write_bytes(ARM)
     link = tmp_path / "link.urdf"
@@ -586,9 +576,7 @@ def test_never_over_the_source(
     assert source.read_bytes() == ARM
 
 
-def test_nothing_is_left_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., Any]
-) -> None:
+def test_nothing_is_left_behind(tmp_path, monkeypatch, refused):
     robot = parse_robot(ARM, "arm.urdf")
     path = tmp_path / "out.urdf"
 

@@ -98,9 +98,7 @@ def no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name, raising=False)
 
 
-def test_a_package_as_ros_has_it(
-    package: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_package_as_ros_has_it(package, monkeypatch):
     file = package / "urdf" / "arm.urdf.xacro"
     chain = load_chain(str(file))
     assert chain.joints == ("joint1", "joint2")
@@ -122,12 +120,7 @@ def test_a_package_as_ros_has_it(
     assert again.file == f"{file} kinematics:=mine.yaml"
 
 
-def test_packages_are_where_one_says(
-    package: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    refused: Callable[..., Any],
-) -> None:
+def test_packages_are_where_one_says(package, tmp_path, monkeypatch, refused):
     file = tmp_path / "own.xacro"
     file.write_text(TOP)
     package.joinpath("package.xml").unlink()
@@ -173,9 +166,7 @@ def test_wrong_files(tmp_path: Path, refused: Callable[..., Any], text: str) -> 
         load_robot(str(file))
 
 
-def test_the_place_that_is_wrong_is_named(
-    package: Path, refused: Callable[..., Any]
-) -> None:
+def test_the_place_that_is_wrong_is_named(package, refused):
     folder = package / "urdf"
     file, macro = folder / "arm.urdf.xacro", folder / "macro.xacro"
     for words, said in (("sise:=10", ["'sise'", "'size'"]), ("size:=7", "arm7.yaml")):
@@ -209,9 +200,7 @@ GROWING = [
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits of memory")
 @pytest.mark.parametrize("text", GROWING)
-def test_what_grows_without_end(
-    tmp_path: Path, refused: Callable[..., Any], text: str
-) -> None:
+def test_what_grows_without_end(tmp_path, refused, text):
     file = tmp_path / "arm.xacro"
     file.write_text(f"{HEAD}{text}</robot>")
     with refused(RobotError, file=str(file)):

@@ -168,6 +168,13 @@ def test_what_fails_leaves_nothing(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
 
 
+def test_others_may_read_what_they_may_read_elsewhere(tmp_path):
+    umask = os.umask(0)
+    os.umask(umask)
+    write_atomically(tmp_path / "a", b"1", force=False)
+    assert (tmp_path / "a").stat().st_mode & 0o777 == 0o666 & ~umask
+
+
 def test_what_cannot_be_put_in_place_is_one_line(tmp_path):
     (tmp_path / COMMIT).mkdir()
     (tmp_path / COMMIT / "a").write_bytes(b"new")

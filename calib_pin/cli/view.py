@@ -126,8 +126,15 @@ def _scene(
     from calib_pin.kinematics.skeleton import corners, drawn_link
     from calib_pin.report.surroundings import surroundings
     from calib_pin.validation.evaluation import Prepared, prepared
-    from calib_pin.viewer.errors import stage_errors, things_around
-    from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, tip_paths
+    from calib_pin.viewer.scene import (
+        Plan,
+        Rows,
+        Scene,
+        bodies_of,
+        stage_errors,
+        things_around,
+        tip_paths,
+    )
 
     rows, planned, ready = None, None, list[Prepared]()
     with progress_bar() as bar:

@@ -12,7 +12,7 @@ import hmac
 import io
 import secrets
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs, urlencode
@@ -22,8 +22,7 @@ import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from calib_pin.viewer.controls import Controls
-from calib_pin.viewer.panel import add_panel
+from calib_pin.viewer.panel import Controls, add_panel
 from calib_pin.viewer.scene import Scene
 from calib_pin.viewer.stage import Stage
 
@@ -69,16 +68,13 @@ class Window:
         controls = Controls(self._server.gui)
         self._player = add_panel(controls, scene, Stage(self._server, scene))
 
-    def run(self, once: bool, now: Callable[[], float] = time.monotonic) -> None:
-        """Serve until interrupted or, with `once`, until the last browser has gone.
-
-        The clock `now` is in seconds.
-        """
-        seen, last = False, now()
-        left = last
+    def run(self, once: bool) -> None:
+        """Serve until interrupted or, with `once`, until the last browser has gone."""
+        seen, left = False, time.monotonic()
+        last = left
         while not (once and seen and last - left > GRACE):
             time.sleep(PERIOD)
-            before, last = last, now()
+            before, last = last, time.monotonic()
             if self._player is not None:
                 self._player.tick(last - before)
             if self._server.get_clients():

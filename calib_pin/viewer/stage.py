@@ -6,27 +6,50 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.shapes import Shape, creased
 from calib_pin.kinematics.skeleton import corners, floor_height
 from calib_pin.kinematics.spatial import Floats, to_quaternion
-from calib_pin.viewer.controls import (
-    BODIES,
-    MARK,
-    MEASURED,
-    PATH,
-    RGB,
-    ROBOT,
-    STAGES,
-    pale,
-    scaled,
-)
-from calib_pin.viewer.errors import ErrorSizes, StageErrors
-from calib_pin.viewer.scene import Body, Rows, Scene
+from calib_pin.viewer.scene import Body, ErrorSizes, Rows, Scene, StageErrors
 
 if TYPE_CHECKING:
     import viser
+
+RGB = tuple[int, int, int]
+
+STAGES: dict[str, RGB] = {"before": (213, 94, 0), "after": (0, 114, 178)}
+"""Of errors, after Okabe and Ito."""
+
+MARK: RGB = (204, 121, 167)
+"""Of the measurement that is looked at."""
+
+MEASURED: RGB = (40, 40, 40)
+PATH: RGB = (0, 158, 115)
+ROBOT: RGB = (225, 222, 214)
+"""Of a robot whose URDF states none."""
+
+BODIES: dict[str, RGB] = {"nominal": (213, 94, 0), "corrected": (70, 150, 205)}
+"""Of robots beside each other, those of their errors; the second one in more light."""
+
+MAP = "viridis"
+"""Colormap of sizes: perceptually uniform, and of growing lightness."""
+
+
+def scaled(sizes: Floats) -> NDArray[np.uint8]:
+    """Colors of sizes between the least and the largest, shape (N,) -> (N, 3)."""
+    parts = np.zeros(len(sizes))
+    if len(sizes) and np.ptp(sizes) > 0.0:
+        parts = (sizes - sizes.min()) / np.ptp(sizes)
+    return np.asarray(colormaps[MAP](parts, bytes=True)[:, :3])
+
+
+def pale(color: RGB) -> RGB:
+    """A color of a link that is not measured."""
+    red, green, blue = ((part + 2 * 255) // 3 for part in color)
+    return red, green, blue
+
 
 OPACITY, FAINT = 0.35, 0.1
 """Of the nominal robot beside the corrected one, and of what was not measured of it."""
@@ -128,6 +151,7 @@ class RowsDrawing:
     """Measured points, error vectors, and the residual map.
 
     Attributes:
+        rows: The measurements.
         behind: Carries the measured points.
         measured: The measured points.
         map: Carries the residual map.
@@ -136,7 +160,7 @@ class RowsDrawing:
 
     def __init__(self, api: viser.SceneApi, rows: Rows, size: float) -> None:
         """Draw them; vectors as long as they are, and a map without points."""
-        self._api, self._rows, self._size = api, rows, size
+        self._api, self.rows, self._size = api, rows, size
         self._last = list(rows.stages.values())[-1]
         measured = self._last.measured
         self.behind = api.add_frame("/behind", show_axes=False)
@@ -167,7 +191,7 @@ class RowsDrawing:
     def magnify(self, factor: float) -> None:
         """Draw the error vectors magnified by a factor."""
         for name, handle in self.vectors.items():
-            handle.points = lines(self._rows.stages[name], factor)
+            handle.points = lines(self.rows.stages[name], factor)
 
     def color_map(self, stage: str, quantity: str, block: str) -> ErrorSizes:
         """Color the tool points of a stage by the error of a quantity.
@@ -175,9 +199,9 @@ class RowsDrawing:
         Returns:
             The sizes of the measurements that are shown, those of a block.
         """
-        errors = self._rows.stages[stage]
+        errors = self.rows.stages[stage]
         found = errors.quantities[quantity]
-        shown = found.shown & self._rows.blocks[block]
+        shown = found.shown & self.rows.blocks[block]
         sizes = found.sizes[shown]
         # Points and colors in one: a browser may draw between two messages.
         self._api.add_point_cloud(

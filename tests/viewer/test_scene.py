@@ -25,12 +25,12 @@ from calib_pin.observations import BlockKey, Conditions
 from calib_pin.setup import ChainSetup, Payload, Setup
 from calib_pin.simulation import simulate
 from calib_pin.validation.evaluation import Prepared, prepared
-from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.scene import (
     Plan,
     Rows,
     Scene,
     bodies_of,
+    stage_errors,
     tip_paths,
 )
 from calib_pin.viewer.stage import sight

@@ -29,16 +29,15 @@ from calib_pin.kinematics.shapes import Shape, Surface
 from calib_pin.measurement_models.position import Position
 from calib_pin.report.surroundings import Thing
 from calib_pin.validation.evaluation import prepared
-from calib_pin.viewer.controls import Controls
-from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.panel import (
     MAGNIFICATIONS,
+    Controls,
     Joints,
     Player,
     add_panel,
     save_picture,
 )
-from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, tip_paths
+from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, stage_errors, tip_paths
 from calib_pin.viewer.stage import Stage, lines
 
 pytestmark = pytest.mark.needs("view")

@@ -151,7 +151,6 @@ def test_meshes_are_found(
     assert len(collisions.pairs) == 1
 
 
-@pytest.mark.slow
 def test_meshes_that_cannot_be_used(loaded, write, refused, tmp_path, capfd):
     """Missing, no mesh, or with numbers of which no solid can be built."""
     bad = write("no mesh", "ws/src/arm/urdf/a.stl")

@@ -98,16 +98,6 @@ def test_files_that_are_included(tmp_path: Path, plain: Robot) -> None:
     assert np.array_equal(found.upper, expected.upper)
 
 
-def test_all_bodies_of_the_world_are_where_they_are(tmp_path: Path) -> None:
-    other = '<body name="table" pos="1 2 3"><joint name="j9"/><geom size="1"/></body>'
-    moved = BASE.replace('name="base"', 'name="base" pos="0 0 0.5"')
-    chain = load_chain(written(tmp_path, moved + other), tip="table")
-    assert chain.base == "world" and chain.joints == ("j9",)
-    assert chain.poses(np.zeros((1, 1)))[0, :3, 3].tolist() == [1.0, 2.0, 3.0]
-    one = Chain(chain.robot, tip="one")
-    assert np.allclose(one.poses(np.zeros((1, 1)))[0, :3, 3], [0.0, 0.0, 0.8])
-
-
 def test_what_has_no_name_or_is_in_a_frame(tmp_path: Path) -> None:
     nameless = BODIES.replace('name="j2"', "").replace('name="j3"', "")
     inner = '<body name="inner"><joint name="j9"/><geom size="1"/></body>'
@@ -235,6 +225,7 @@ MUJOCO = """<mujoco model="c">
         </body>
       </body>
     </body>
+    <body name="table" pos="1 2 3"><joint/><geom/></body>
   </worldbody>
 </mujoco>
 """
@@ -252,12 +243,13 @@ def test_all_its_bodies_are_where_mujoco_has_them(tmp_path, sequence):
     assert np.allclose(lower[:2], [np.deg2rad(-10.0), 0.0])
     model = mujoco.MjModel.from_xml_path(str(file))
     state = mujoco.MjData(model)
-    for q in np.random.default_rng(1).uniform(-1.0, 1.0, (5, 6)):
+    for q in np.random.default_rng(1).uniform(-1.0, 1.0, (5, 7)):
         state.qpos[:] = q
         mujoco.mj_kinematics(model, state)
-        for name in ("b1", "b2", "b3", "b4", "b5"):
+        for name in ("b1", "b2", "b3", "b4", "b5", "table"):
             chain, body = Chain(robot, tip=name), state.body(name)
-            pose = chain.poses(q[None, : len(chain.joints)])[0]
+            own = q[-1:] if name == "table" else q[: len(chain.joints)]
+            pose = chain.poses(own[None])[0]
             # Some dozen products of numbers up to 4.
             assert np.abs(pose[:3, 3] - body.xpos).max() < 1e-13
             assert np.abs(pose[:3, :3].ravel() - body.xmat).max() < 1e-13

@@ -11,7 +11,6 @@ import pytest
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.stand_ins import JOINT
-from tests.kinematics.test_shapes import volume
 
 ARM = """<robot name="arm">
   <material name="red"><color rgba="1 0 0 1"/></material>
@@ -50,17 +49,6 @@ def test_visuals_come_before_collisions(write: Callable[..., Path]) -> None:
     assert np.ptp(first.surface.vertices, axis=0).tolist() == [0.2, 0.2, 0.4]
     assert (second.link, second.color) == ("upper", None)
     assert np.ptp(second.surface.vertices, axis=0) == pytest.approx(0.2, rel=0.01)
-
-
-@pytest.mark.parametrize("package", ["package:///arm/", "../"])
-def test_meshes_are_found(write: Callable[..., Path], package: str) -> None:
-    write(TETRAHEDRON, "arm/meshes/a.obj")
-    mesh = f'<mesh filename="{package}meshes/a.obj" scale="2 2 2"/>'
-    shapes = robot_shapes(load_robot(write(arm(visual(mesh)), "arm/urdf/arm.urdf")))
-    assert shapes.missing == ()
-    first, *_ = shapes.parts
-    assert volume(first.surface) == pytest.approx(0.4**3 / 6)
-    assert len(first.surface.vertices) == 4
 
 
 @pytest.mark.parametrize(

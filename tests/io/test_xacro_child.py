@@ -239,37 +239,25 @@ SYMBOLS: dict[str, Any] = {
 
 MEANT = """
 1 + 2 * 3 - 4 / 5
-7 // 2 + 7 % 4
 2 ** 10 - x ** -1
 x == 3 and name != 'right_arm'
-1 < x <= 3
 3 < x < 9
-x > 5 or x < 4
 'left' in name
-'a' not in xyz
 name if x > 2 else 'no'
 name[:4] + '_' + str(x)
 limits['elbow']['lower']
 limits.elbow.lower * 2
-math.radians(90) + math.pi
 sin(0.3) ** 2 + cos(0.3) ** 2
-atan2(1, 2)
 math.sqrt(2) * math.fabs(-1)
 max(1, x, 2) + min([4, 5])
-round(2.567, 2)
 int('12') + float('1.5')
-len(xyz)
 dict(a=1, b=2)['b']
-name.split('_')[0]
 name.replace('left', 'right').upper()
 ' '.join([str(value) for value in xyz])
 [value for value in list(range(5)) if value % 2]
 list(map(float, '1 2'.split()))
-sorted(['b', 'a'])
 '%03d_%s' % (x, name)
-[0] * 3
 (1, 2)[1]
-True and not False
 1./12 * (3 * x**2 + _y**2)
 'elbow' in limits and 'list' in limits.elbow
 '0 1 2'.split(' ')[1]
@@ -298,23 +286,19 @@ class _Python(dict[str, Any]):
 HOSTILE = """
 (y for y in [1]).gi_frame.f_back.f_builtins['__imp' + 'ort__']('os')
 [].__class__.__base__.__subclasses__()
-().__class__
 __import__('os').system('true')
 compile('1', '', 'eval')
 getattr(name, '__class__')
 type(name)
-python.type(name)
 python.vars(name)
 globals()
 '{0.__class__}'.format(name)
-'{0.__class__}'.format_map(limits)
 f'{name.__class__}'
 (lambda: 1)()
 [y := 1]
 xacro.load_yaml.__globals__
 xacro.load_yaml
 math.sin.__self__
-sin
 [print for y in [1]]
 list(map(print, xyz))
 sorted(xyz, key=print)
@@ -334,11 +318,7 @@ dict(**limits)
 max(*xyz)
 1 << 10 ** 9
 unknown
-limits.unknown
-xyz[7]
-1 / 0
 math.sqrt(-1)
-exp(1000)
 limits.__missing
 """
 

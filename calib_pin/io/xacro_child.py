@@ -113,21 +113,12 @@ class Arguments(dict[str, str]):
         return super().__getitem__(name)
 
 
-def _install(given: Mapping[str, str], folders: list[Path]) -> None:
+def _install(folders: list[Path]) -> None:
     """Replace the parts of xacro that come from Python and from ROS.
 
     Args:
-        given: Arguments of the user.
         folders: Folders that are packages or hold some.
     """
-    beside = xacro.abs_filename_spec
-
-    def place(written: str) -> str:
-        """A file beside the one that names it, or the user's in the working folder."""
-        file = Path(beside(written))
-        if written in given.values() and not file.exists() and Path(written).exists():
-            return str(Path(written).absolute())
-        return str(file)
 
     def value(text: str, symbols: Mapping[str, Any], _: object = None) -> Any:
         return evaluate(text, symbols, FUNCTIONS)
@@ -161,7 +152,6 @@ def _install(given: Mapping[str, str], folders: list[Path]) -> None:
 
     for module, name, own in (
         (xacro, "safe_eval", value),
-        (xacro, "abs_filename_spec", place),
         (substitution_args, "_eval", substituted),
         (substitution_args, "_eval_find", find),
         (substitution_args, "_eval_dirname", folder),
@@ -169,13 +159,16 @@ def _install(given: Mapping[str, str], folders: list[Path]) -> None:
         if not hasattr(module, name):
             raise Refused(f"this version of xacro has no {name}")
         setattr(module, name, own)
-    GLOBAL["xacro"]["abs_filename"] = place
 
 
 def _expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> str:
     """The URDF, or an exception of any kind."""
-    arguments = Arguments(given)
-    _install(given, folders)
+    _install(folders)
+    beside, arguments = Path(file).parent, Arguments(given)
+    for name, word in given.items():
+        # A file that the user names is in the working folder.
+        if Path(word).suffix and Path(word).is_file() and not (beside / word).exists():
+            arguments[name] = str(Path(word).absolute())
     xacro.init_stacks(file)
     document = xacro.parse(None, file)
     xacro.process_doc(document, mappings=arguments, verbosity=0)

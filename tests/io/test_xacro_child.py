@@ -118,6 +118,8 @@ def test_a_package_as_ros_has_it(package, monkeypatch):
     again = load_robot(f"{file} kinematics:=mine.yaml")
     assert again.source == chain.robot.source
     assert again.file == f"{file} kinematics:=mine.yaml"
+    file.write_text(TOP.replace("$(find arm_description)/urdf", "$(dirname)"))
+    assert load_robot(file).links == again.links
 
 
 def test_packages_are_where_one_says(package, tmp_path, monkeypatch, refused):

@@ -94,10 +94,8 @@ def settled(folder: Path) -> Iterator[None]:
     Raises:
         OutputError: If what was decided on cannot be put in place.
     """
-    if (folder / COMMIT).is_dir():
-        with locked(folder):
-            complete(folder)
-    with locked(folder, shared=True):
+    with locked(folder):
+        complete(folder)
         yield
 
 
@@ -122,7 +120,7 @@ def complete(folder: Path) -> None:
 
 
 @contextmanager
-def locked(folder: Path, *, shared: bool = False, wait: bool = True) -> Iterator[bool]:
+def locked(folder: Path, *, wait: bool = True) -> Iterator[bool]:
     """Keep other runs out of a folder.
 
     The lock is one of the system on the folder itself: no file stands for it, and it
@@ -130,28 +128,21 @@ def locked(folder: Path, *, shared: bool = False, wait: bool = True) -> Iterator
 
     Args:
         folder: The folder.
-        shared: Keep out only those that do not share it.
         wait: Wait for other runs.
 
     Yields:
         Whether there is such a lock; some file systems, and Windows, know none.
     """
-    try:
-        import fcntl
-
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except (ImportError, OSError, ValueError):
-        yield False
-        return
-    kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
     held = False
-    try:
-        with suppress(OSError):
-            fcntl.flock(descriptor, kind if wait else kind | fcntl.LOCK_NB)
+    with ExitStack() as stack:
+        with suppress(ImportError, OSError, ValueError):
+            import fcntl
+
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            stack.callback(os.close, descriptor)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
             held = True
         yield held
-    finally:
-        os.close(descriptor)
 
 
 def listed(path: Path, folder: Path) -> str:

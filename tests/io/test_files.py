@@ -183,13 +183,9 @@ def test_what_cannot_be_put_in_place_is_one_line(tmp_path):
         pass
 
 
-def test_readers_share_a_folder_and_writers_do_not(tmp_path):
-    with (
-        locked(tmp_path, shared=True) as one,
-        locked(tmp_path, shared=True) as other,
-        locked(tmp_path, wait=False) as writer,
-    ):
-        assert one and other and not writer
+def test_nobody_writes_while_somebody_reads(tmp_path):
+    with settled(tmp_path), locked(tmp_path, wait=False) as writer:
+        assert not writer
 
 
 def test_two_runs_into_one_folder(tmp_path):

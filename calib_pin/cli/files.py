@@ -49,12 +49,14 @@ def open_setup(file: Path | None, **flags: Any) -> Setup:
         if not given.get(key, key).strip():
             raise OptionError(f"--{key} is empty", allowed="the name of a link")
     setup = Setup() if file is None else read_setup(file)
-    if parameters := given.get("parameters"):
-        names = tuple(name.strip() for name in parameters.split(","))
+    if "parameters" in given:
+        names = tuple(name.strip() for name in given["parameters"].split(","))
         for name in names:
             require_known("parameterization", name, PARAMETERIZATIONS)
         if len(set(names)) != len(names):
-            raise OptionError("a parameterization is named twice", value=parameters)
+            raise OptionError(
+                "a parameterization is named twice", value=given["parameters"]
+            )
         given["parameters"] = names
     asked_models(given.get("model"))
     for key, kind, known in (

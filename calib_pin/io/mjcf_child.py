@@ -134,12 +134,12 @@ class Writer:
         model = self.model
         if (mass := model.body_mass[body]) <= LIGHTEST:
             return ""
-        turn = _place(np.zeros(3), model.body_iquat[body]).rotation
-        inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
-        keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        six = dict(zip(keys, inertia[np.triu_indices(3)], strict=True))
-        center = _tag("mass", value=mass) + _tag("origin", xyz=model.body_ipos[body])
-        return _tag("inertial", center + _tag("inertia", **six))
+        x, y, z = model.body_inertia[body]
+        turn = pin.rpy.matrixToRpy(_place(np.zeros(3), model.body_iquat[body]).rotation)
+        inside = _tag("mass", value=mass)
+        inside += _tag("origin", xyz=model.body_ipos[body], rpy=turn)
+        inside += _tag("inertia", ixx=x, iyy=y, izz=z, ixy=0.0, ixz=0.0, iyz=0.0)
+        return _tag("inertial", inside)
 
     def _mimics(self) -> dict[int, str]:
         """Elements of joints that follow others, as far as a URDF can hold them."""

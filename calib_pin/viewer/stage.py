@@ -345,12 +345,7 @@ def _light(api: viser.SceneApi, size: float, floor: float) -> None:
     # Its reflections take long where there is no graphics card.
     api.configure_environment_map(None)
     api.configure_default_lights(True, cast_shadow=True)
-    api.add_light_hemisphere("/sky", ground_color=(190, 185, 180), intensity=1.0)
-    api.add_light_point(
-        "/lamp",
-        intensity=7.0 * size**2,
-        position=(2.0 * size, -2.5 * size, floor + 1.5 * size),
-    )
+    api.add_light_hemisphere("/sky", ground_color=(190, 185, 180), intensity=2.5)
     api.add_grid(
         "/floor",
         width=4.0 * size,

@@ -26,7 +26,6 @@ from calib_pin.cli.results import (
     figure_contents,
     result_contents,
     result_files,
-    shapes_ahead,
 )
 from calib_pin.errors import require_known
 from calib_pin.workers import SERIAL, Workers
@@ -218,13 +217,12 @@ def calibrated(
     """
     from calib_pin.calibration import calibrate
     from calib_pin.io.other_robots import other_robots
+    from calib_pin.io.robot_shapes import robot_shapes
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.validation.candidate_scores import USES
 
     request, files = opened.request, opened.files
     shown = (files is not None and page) or bool(pictures)
-    robot = opened.chains.robot
-    shapes = shapes_ahead(robot, request.package_dir) if shown else tuple
     start = time.perf_counter()
     result = calibrate(
         opened.chains,
@@ -249,7 +247,10 @@ def calibrated(
         result,
         seed=request.seed,
     )
-    drawn = draw_calibration(result, bar, shapes()) if shown else []
+    drawn = []
+    if shown:
+        shapes = robot_shapes(opened.chains.robot, request.package_dir or ()).parts
+        drawn = draw_calibration(result, bar, shapes)
     drawings = figure_contents(drawn, pictures)
     contents = drawings
     if files is not None:

@@ -217,7 +217,6 @@ def calibrated(
     """
     from calib_pin.calibration import calibrate
     from calib_pin.io.other_robots import other_robots
-    from calib_pin.io.robot_shapes import robot_shapes
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.validation.candidate_scores import USES
 
@@ -249,6 +248,8 @@ def calibrated(
     )
     drawn = []
     if shown:
+        from calib_pin.io.robot_shapes import robot_shapes
+
         shapes = robot_shapes(opened.chains.robot, request.package_dir or ()).parts
         drawn = draw_calibration(result, bar, shapes)
     drawings = figure_contents(drawn, pictures)

@@ -111,6 +111,8 @@ def complete(folder: Path) -> None:
     with _writing(folder):
         for source in sorted(p for p in commit.rglob("*") if p.is_file()):
             path = folder / source.relative_to(commit)
+            if not inside(listed(path, folder)):  # No run has written that.
+                continue
             if source.stat().st_size == 0:
                 path.unlink(missing_ok=True)
                 continue

@@ -175,6 +175,19 @@ def test_others_may_read_what_they_may_read_elsewhere(tmp_path):
     assert (tmp_path / "a").stat().st_mode & 0o777 == 0o666 & ~umask
 
 
+def test_a_hostile_folder_changes_nothing_outside(tmp_path):
+    (tmp_path / "mine").mkdir()
+    for name in ("gone", "other"):
+        (tmp_path / "mine" / name).write_bytes(b"mine")
+    commit = tmp_path / "out" / COMMIT / "link"
+    commit.mkdir(parents=True)
+    (tmp_path / "out" / "link").symlink_to(tmp_path / "mine")
+    (commit / "gone").touch()
+    (commit / "other").write_bytes(b"new")
+    with settled(tmp_path / "out"):
+        assert content(tmp_path / "mine") == {"gone": b"mine", "other": b"mine"}
+
+
 def test_what_cannot_be_put_in_place_is_one_line(tmp_path):
     (tmp_path / COMMIT).mkdir()
     (tmp_path / COMMIT / "a").write_bytes(b"new")

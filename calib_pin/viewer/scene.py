@@ -9,9 +9,10 @@ place of the tool only.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -19,11 +20,19 @@ from numpy.typing import NDArray
 
 from calib_pin.estimation.measured import Block
 from calib_pin.estimation.problem import error_table
+from calib_pin.io.measurements import read_configurations, read_names
+from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf_tree import edit_origins, parse_robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import Shape
-from calib_pin.kinematics.skeleton import Skeleton, base_poses, chain_links
+from calib_pin.kinematics.skeleton import (
+    Skeleton,
+    base_poses,
+    chain_links,
+    corners,
+    drawn_link,
+)
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.tool_point import PointModel
 from calib_pin.observations import Observations
@@ -31,8 +40,9 @@ from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.report.breakdown import block_names
 from calib_pin.report.surroundings import Thing, surroundings
+from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
-from calib_pin.validation.evaluation import Prepared
+from calib_pin.validation.evaluation import Prepared, prepared
 
 STEPS = 20
 """Points of the tip's path from one configuration to the next."""
@@ -345,3 +355,67 @@ def _tool_poses(block: Block, theta: Floats) -> Floats:
         offset = np.array([*offsets, np.zeros(3)])[label]
         T[:, :3, 3] += np.einsum("nij,nj->ni", T[:, :3, :3], offset)
     return np.asarray(T)
+
+
+def make_scene(
+    chains: Chains,
+    model: CalibratedModel | None,
+    setup: Setup,
+    read: Callable[..., tuple[Chains, Observations]] | None,
+    plan: Path | None,
+    package_dirs: Sequence[Path],
+    *,
+    tell: Callable[[str], None],
+    stage: Callable[[str], object],
+) -> Scene:
+    """The scene of a robot, or of one nominally and as it was calibrated.
+
+    Args:
+        chains: The chains of the robot.
+        model: The calibration, if there is one.
+        setup: The setup.
+        read: Reads the measurements, as `cli.files.open_measurements` does, if there
+            are any.
+        plan: File of configurations, if there is one.
+        package_dirs: Folders of packages, see `io.packages.locate_mesh`.
+        tell: Called with one line for what may be otherwise than one thinks.
+        stage: Told what begins.
+    """
+    rows, planned, ready = None, None, list[Prepared]()
+    if read is not None:
+        known = {} if model is None else model.references
+        sockets = (reference.name for reference in known.values())
+        measured, data = read(chains, setup, sockets=sockets)
+        chains = measured if model is None else chains
+        stage("errors")
+        ready.append(prepared(chains, data, setup))
+        if reason := ready[0].reason:
+            tell(f"the errors before cannot be trusted: {reason}")
+        ready += [] if model is None else [prepared(model, data)]
+        found = [stage_errors(robot, drawn_link(chains)) for robot in ready]
+        rows = Rows(data, dict(zip(("before", "after"), found, strict=False)))
+    if not chains.names and (plan is not None or setup.base):
+        named = () if plan is None else read_names(plan, "chain").distinct
+        chains = chains.named(named or ("",))
+    link = drawn_link(chains)
+    if plan is not None:
+        q = read_configurations(plan, chains, setup.joints)
+        planned = Plan(q, tip_paths(chains, q, link, model))
+    stage("shapes")
+    shapes = robot_shapes(chains.robot, package_dirs)
+    if shapes.missing:
+        first, *others = shapes.missing
+        count = f"{1 + len(others)} meshes are" if others else "1 mesh is"
+        tell(
+            f"{count} missing or unreadable and replaced by simple shapes: {first}"
+            f"{', ...' if others else ''}; name the folder of its package with "
+            "--package-dir"
+        )
+    bodies = tuple(bodies_of(chains.robot, link, model))
+    skeleton = bodies[0].skeleton
+    reach = float(np.ptp(corners(skeleton, shapes.parts, skeleton.neutral), 0).max())
+    things = [] if model is None else surroundings(model.parts, {}, reach)
+    if ready:
+        things = things_around(ready[-1], reach)
+    title = chains.robot.name
+    return Scene(title, shapes.parts, bodies, chains, rows, planned, tuple(things))

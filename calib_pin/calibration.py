@@ -17,10 +17,11 @@ from calib_pin.estimation.formulation import (
     Stated,
     fitting,
     geometric_setup,
-    make_parts,
+    make_terms,
     require_known,
     setup_of,
 )
+from calib_pin.estimation.problem import tool_points
 from calib_pin.estimation.time_course import time_course, with_time_course
 from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chains import Chains, Robots
@@ -309,13 +310,13 @@ def _require_ends(
     if not setup.known:
         return
     targets = {block.key: block.target.distinct for block in training.blocks}
-    parts, _ = make_parts(chains, targets, setup)
+    terms, _ = make_terms(chains, targets, setup)
     fitted = {half for found in targets.values() for t in found for half in t.split(AT)}
     new = set[str]()
     for block in held.blocks if held is not None else ():
         own = {half for t in block.target.distinct for half in t.split(AT)} - fitted
         new |= own | {f"{block.station}/{name}" for name in own}
-    require_known(parts.values(), setup, fitted, new)
+    require_known(terms.values(), setup, fitted, new)
 
 
 def _urdf(
@@ -333,7 +334,7 @@ def _urdf(
     None where the calibration is nothing but geometry; without a model where that is
     not to be trusted.
     """
-    if all(part.error.geometric for part in model.problem.parts.values()):
+    if all(term.error.geometric for term in model.problem.terms.values()):
         return None
     fitted = model.fit
     if judgement.verdict[0] == "untrusted":
@@ -380,14 +381,15 @@ def _measured(
     errors = errors.at(np.argsort(errors.positions, kind="stable"))
     rows = measurements.rows(errors.positions)
     problem, theta = model.problem, model.theta
-    if all(key in problem.parts for key in rows.keys):
+    if all(key in problem.terms for key in rows.keys):
         problem = replace(problem, data=rows)
     else:
         there = registered(problem, theta, rows)
         problem, theta = there.problem, there.theta
     points, rotations = [], []
-    for (part, *_), found in zip(problem.blocks, problem.points(theta), strict=True):
-        error, of_robot = part.error, part.values(theta)[0]
+    points_of = tool_points(problem, theta)
+    for (term, *_), found in zip(problem.blocks, points_of, strict=True):
+        error, of_robot = term.error, term.values(theta)[0]
         to_base = (error.base * error.corrections(of_robot)[0]).inverse()
         points.append(found @ to_base.rotation.T + to_base.translation)
         rotations.append(to_base.rotation)

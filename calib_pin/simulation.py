@@ -17,9 +17,8 @@ from calib_pin.estimation.configurations import (
     observable_configurations,
     payloads_in_turn,
 )
-from calib_pin.estimation.measured import assumed_sigma
-from calib_pin.estimation.model import Configurations
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, assumed_sigma
+from calib_pin.estimation.tool_poses import Configurations
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import (
     AT,
@@ -144,7 +143,7 @@ def simulate(
         )
     found = []
     for number, one in enumerate(keys):
-        declared = problem.parts[one].measurement.declaration
+        declared = problem.terms[one].measurement.declaration
         every = per_configuration and declared.at_once
         if q is None:
             assert count is not None
@@ -228,14 +227,14 @@ def _measured(
     average: bool,
 ) -> Measurements:
     """Measurements at configurations of a block; the rest as for `simulate`."""
-    part = problem.parts[at.key]
+    term = problem.terms[at.key]
     exact = _exact(problem, theta, at)
-    if part.measurement.declaration.contact and problem.setup.gauge:
-        gaps = rng.uniform(-1.0, 1.0, (len(exact), part.components))
+    if term.measurement.declaration.contact and problem.setup.gauge:
+        gaps = rng.uniform(-1.0, 1.0, (len(exact), term.components))
         gaps *= problem.setup.gauge
         q, _ = brought_to_contact(problem, theta, at, gaps)
         exact = replace(exact, q=q, values=gaps)
-    sigma = assumed_sigma(part, problem.setup)
+    sigma = assumed_sigma(term, problem.setup)
     if noise is not None:
         sigma = np.full_like(sigma, noise)
     if average:
@@ -251,7 +250,7 @@ def _measured(
         stood = asked(problem, at.key, rows.q, rows.target, rows.conditions)
         moved, _ = brought_to_contact(problem, theta, stood, draws)
         return replace(rows, q=moved, sigma=sigmas)
-    values = part.measurement.disturb(rows.values, draws)
+    values = term.measurement.disturb(rows.values, draws)
     return replace(rows, values=values, sigma=sigmas)
 
 
@@ -273,7 +272,7 @@ def _drawn(
         every: Whether all targets are measured at each.
         rng: Random generator.
     """
-    if not problem.parts[key].measurement.declaration.relative:
+    if not problem.terms[key].measurement.declaration.relative:
         carried = _carried(problem, key, count, every)
         return observable_configurations(problem, key, theta, count, rng, carried)
     more = count + -(-count // LEG)
@@ -339,7 +338,7 @@ def _measurable(
             may be left out, at none.
     """
     seen = np.ones(len(at.q), bool)
-    if problem.parts[at.key].measurement.declaration.contact:
+    if problem.terms[at.key].measurement.declaration.contact:
         q, seen = brought_to_contact(problem, theta, at)
         at = replace(at, q=q)
     seen &= problem.observable(theta, at)
@@ -378,6 +377,6 @@ def _require_seen(
     which = f"configuration {int(np.argmin(seen)) + 1} cannot"
     if not strict:
         which = f"none of {len(seen)} configurations can"
-    why = problem.parts[key].measurement.declaration.unmeasurable
+    why = problem.terms[key].measurement.declaration.unmeasurable
     reason = f"{which} be measured ({key}): {why}"
     raise InputError(reason, file=problem.setup.file or None)

@@ -265,8 +265,8 @@ def visited() -> Callable[..., tuple[Floats, Targets]]:
         key: BlockKey | None = None,
     ) -> tuple[Floats, Targets]:
         key = key or problem.only.key
-        contact = problem.parts[key].measurement.declaration.contact
-        if not contact and len(problem.parts) == 1:
+        contact = problem.terms[key].measurement.declaration.contact
+        if not contact and len(problem.terms) == 1:
             at = observable_configurations(problem, key, theta, count, rng)
             return at.q, at.target
         names = named_targets(problem, key)

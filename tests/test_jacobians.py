@@ -20,7 +20,7 @@ from calib_pin.estimation.configurations import (
     observable_configurations,
 )
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, measured_count
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import BlockKey, Conditions, Observations, Targets
@@ -78,9 +78,9 @@ def check_jacobian(problem: Problem, visited: Visited) -> None:
     sizes = np.minimum(0.02, 20.0 * problem.parameters.scales)
     theta = rng.normal(size=len(sizes)) * sizes
     at = []
-    for key in problem.parts:
+    for key in problem.terms:
         count = max(3, len(named_targets(problem, key)))
-        if problem.parts[key].measurement.declaration.contact:
+        if problem.terms[key].measurement.declaration.contact:
             q, target = visited(problem, theta, count, rng, key)
         else:
             # Where a beam meets its plane: along it no derivative is of any size.
@@ -93,10 +93,10 @@ def check_jacobian(problem: Problem, visited: Visited) -> None:
         at.append(asked(problem, key, q, target, held))
     # Measured values away from the prediction: the residual's own curvature counts.
     disturbed = []
-    for part, data, _, _ in exact_at(problem, theta, *at).blocks:
-        noise = rng.normal(size=(len(data), part.components)) * 0.05
-        values = part.measurement.disturb(data.values, noise)
-        if part.measurement.declaration.readings:
+    for term, data, _, _ in exact_at(problem, theta, *at).blocks:
+        noise = rng.normal(size=(len(data), term.components)) * 0.05
+        values = term.measurement.disturb(data.values, noise)
+        if term.measurement.declaration.readings:
             values = noise  # Of a gauge.
         disturbed.append(replace(data, values=values))
     measured = replace(problem, data=Observations(tuple(disturbed)))
@@ -111,9 +111,9 @@ def check_jacobian(problem: Problem, visited: Visited) -> None:
     for block in measured.blocks:
         # Pixels change by thousands where angles change by one.
         found, most = block.table(error).max(), block.table(size).max()
-        assert found < 2e-7 * most, block.part.key
+        assert found < 2e-7 * most, block.term.key
     # Priors and distances.
-    rest = slice(measured.values, None)
+    rest = slice(measured_count(measured), None)
     assert error[rest].max() < 2e-7 * size[rest].max()
 
 
@@ -127,6 +127,6 @@ def test_screws_of_one_place_apply_in_order() -> None:
     expected = pin.SE3(np.eye(3), np.array([0.1, 0, 0]))
     expected *= pin.SE3(pin.exp3(np.array([0, 0.2, 0])), np.zeros(3))
     expected *= pin.SE3(pin.exp3(np.array([0, 0, -0.3])), np.zeros(3))
-    part = problem.only
-    found = part.error.corrections(part.split(theta)[0])[3]
+    term = problem.only
+    found = term.error.corrections(term.values(theta)[0])[3]
     assert found.isApprox(expected, 1e-12)

@@ -20,7 +20,7 @@ import calib_pin
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, measured_count
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
@@ -44,7 +44,7 @@ def robot_errors(problem: Problem, rng: np.random.Generator, size: float) -> Flo
 def fitted_to(problem: Problem, data: Observations, rng: np.random.Generator) -> Fit:
     """The fit of measurements without a first guess of stations and tools."""
     setup = problem.setup
-    if len({key.model for key in problem.parts}) == 1:
+    if len({key.model for key in problem.terms}) == 1:
         # Where a camera looks from, measurements of points do not tell.
         setup = replace(setup, stations={}, tools={})
     return fit(make_problem(problem.chains, data, setup), rng)
@@ -57,7 +57,8 @@ def normalized_error(fitted: Fit, exact: Observations) -> float:
     identified, and nothing of what is a matter of convention.
     """
     fresh = replace(fitted.problem, data=exact, units=np.zeros(0))
-    error, J = (part[: fresh.values] for part in fresh.linearize_rows(fitted.theta))
+    count = measured_count(fresh)
+    error, J = (part[:count] for part in fresh.linearize_rows(fitted.theta))
     U, s, _ = np.linalg.svd(J @ fitted.posterior.by_noise, full_matrices=False)
     seen = s > 1e-7 * s[0]
     return float(np.mean(((U.T @ error)[seen] / s[seen]) ** 2))

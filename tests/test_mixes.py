@@ -232,7 +232,7 @@ def drawn(
     """The problem with exact measurements of every block."""
     at = [
         observable_configurations(problem, key, theta, count, rng)
-        for key in problem.parts
+        for key in problem.terms
     ]
     return exact_at(problem, theta, *at)
 
@@ -246,11 +246,11 @@ def disturbed(problem: Problem, count: int) -> tuple[Problem, Floats]:
     theta = 0.01 * rng.normal(size=len(problem.parameters))
     exact, noisy = drawn(problem, theta, count, rng), []
     for data in exact.data.blocks:
-        part = problem.parts[data.key]
-        noise = 0.05 * rng.normal(size=(len(data), part.components))
-        values = part.measurement.disturb(data.values, noise)
+        term = problem.terms[data.key]
+        noise = 0.05 * rng.normal(size=(len(data), term.components))
+        values = term.measurement.disturb(data.values, noise)
         q = data.q
-        if part.measurement.declaration.contact:
+        if term.measurement.declaration.contact:
             q = q + 0.01 * rng.normal(size=q.shape)
         noisy.append(replace(data, q=q, values=values))
     return replace(exact, data=Observations(tuple(noisy))), theta
@@ -311,8 +311,8 @@ def test_noise_free_recovery(name: str, body: Robot) -> None:
     visible = visible_directions(J, parameters)
     size = 0.1 * parameters.scales
     truth = size * (visible @ rng.normal(size=visible.shape[1]))
-    least = min(p.components for p in problem.parts.values())
-    count = -(-3 * len(parameters) // (len(problem.parts) * least))
+    least = min(p.components for p in problem.terms.values())
+    count = -(-3 * len(parameters) // (len(problem.terms) * least))
     fitted = fit(drawn(problem, truth, max(count, 12), rng), rng)
     assert fitted.result.status is Status.CONVERGED
     assert fitted.rank == structure.rank

@@ -62,8 +62,8 @@ def test_the_tip_of_any_robot_is_recovered() -> None:
     q = chain.random_configurations(50, rng)
 
     def predicted(fitted: Problem, theta: Floats) -> Floats:
-        part = fitted.only
-        return part.error.poses(q, part.split(theta)[0])[:, :3, 3]
+        term = fitted.only
+        return term.error.poses(q, term.values(theta)[0])[:, :3, 3]
 
     truth = calib_pin.draw_errors(problem.parameters, rng)
     rows = calib_pin.simulate(problem, truth, rng, count=80, noise=0.0)

@@ -250,7 +250,7 @@ def test_ways_share_their_starts():
         assert (rows.start[leg] == rows.start[leg][0]).all()
         # Not one of the rows.
         assert (rows.q[leg] != rows.start[leg]).any(axis=1).all()
-    of_robot = problem.only.split(theta)[0]
+    of_robot = problem.only.values(theta)[0]
     ends = (
         problem.only.error.poses(q, of_robot)[:, :3, 3] for q in (rows.q, rows.start)
     )
@@ -335,7 +335,7 @@ def test_chains_and_stations_share_the_count() -> None:
     moved[problem.parameters.names.index("torso_1_joint.placement.rz")] += 1e-2
     change = np.abs(measured.errors(moved) - measured.errors(theta))
     for block in measured.blocks:
-        still = block.part.key.chain == "world"
+        still = block.term.key.chain == "world"
         assert (block.table(change).max(axis=1) > 1e-4).all() != still
 
 

@@ -96,10 +96,10 @@ def plan_acceptance(
     lower, upper = joint_limits(problem)
     count = len(chain.joints)
     ways = None if collisions is None else ways_of("--accept", chain, collisions)
-    (part,) = problem.parts.values()
+    (term,) = problem.terms.values()
     found = acceptance_poses(
         chain,
-        part.error.tool.homogeneous,
+        term.error.tool.homogeneous,
         limits=(lower[:count], upper[:count]),
         region=setup.region,
         free=None if ways is None else ways.collisions.free,

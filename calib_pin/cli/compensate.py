@@ -229,7 +229,7 @@ def compensate(
             file=targets,
         )
     oriented = asked.oriented and not position
-    own = [k.model for k in calibrated.parts if k.chain == key.chain]
+    own = [k.model for k in calibrated.terms if k.chain == key.chain]
     measured_point = all(declared(name).tracks == "point" for name in own)
     of_tool = asked.T is not None and point != "tip"
     if oriented and of_tool and measured_point and not quiet:
@@ -373,7 +373,7 @@ def _block(
             "the calibration is of several chains; say which one with --chain",
             allowed=", ".join(model.measured_chains),
         )
-    found = [key for key in model.parts if key.chain in model.measured_chains]
+    found = [key for key in model.terms if key.chain in model.measured_chains]
     for kind, name in (("chain", chain), ("station", station), ("tool", tool)):
         if name is not None:
             require_known(kind, name, dict.fromkeys(getattr(k, kind) for k in found))

@@ -178,7 +178,7 @@ def open_calibration(
 
     model = read_calibration(name, notice=doubted)
     chain = model.of().chain
-    models = "+".join(dict.fromkeys(key.model for key in model.parts))
+    models = "+".join(dict.fromkeys(key.model for key in model.terms))
     known = replace(model.setup, base=chain.base, tip=chain.tip, model=models)
     require_joints_only(file, setup, *also, known=known)
     joints = setup.joints or model.setup.joints

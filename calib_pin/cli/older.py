@@ -122,7 +122,7 @@ def planned_before(setup: Setup, older: CalibrationResult | None) -> Setup:
     setup = as_before(setup, older)
     if older is None:
         return setup
-    models = dict.fromkeys(k.model for k in older.model.parts if k.chain != WORLD)
+    models = dict.fromkeys(k.model for k in older.model.terms if k.chain != WORLD)
     before = vars(calibrated_setup(older.model)) | {"model": "+".join(models)}
     given, empty = vars(setup), vars(Empty())
     taken = {name: before[name] for name in PLANNED if given[name] == empty[name]}

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib_pin.control.joints import Kinematics
 from calib_pin.errors import OptionError, require_known
-from calib_pin.estimation.system import FRAME
+from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats, adjoint, interpolate, invert
 from calib_pin.observations import UNSTATED, BlockKey, Conditions, Signs
 from calib_pin.parameterizations import NOTHING
@@ -136,9 +136,9 @@ def ends_known(
     Raises:
         OptionError: If the measurements leave open where the frame or the point is.
     """
-    part, of_base, of_tip = result.model.parts[key], frame == "base", point == "tip"
+    term, of_base, of_tip = result.model.terms[key], frame == "base", point == "tip"
     if of_base != of_tip:  # The tool in the base link, or the tip where it is measured.
-        end, _ = frames_of(part)[of_base]
+        end, _ = frames_of(term)[of_base]
         # The orientation of a point is as stated.
         unknown = [c for c in result.unknown_of(*end) if of_tip or c in "xyz"]
         if unknown:
@@ -146,7 +146,7 @@ def ends_known(
             raise OptionError(reason, file=result.provenance.file or None)
     if not (of_base or of_tip):
         return ""
-    free = part.error.parameters.free
+    free = term.error.parameters.free
     given = not ((of_base and free[:FRAME].any()) or (of_tip and free[-FRAME:].any()))
     position, orientation = _deviations(result, key, of_base, of_tip)
     if given and position <= MUCH * _deviations(result, key, False, False)[0]:
@@ -173,15 +173,15 @@ def _deviations(
     result: CalibrationResult, key: BlockKey, of_base: bool, of_tip: bool
 ) -> tuple[float, float]:
     """Standard deviations of the point in the frame, root mean square [m, rad]."""
-    part, C = result.reference.parts[key], np.asarray(result.covariance)
-    own, values = part.of_error, np.array([p.value for p in result.parameters])
-    q = part.error.chain.random_configurations(SAMPLES, np.random.default_rng(0))
-    _, J = part.error.jacobian(q, values[part.of_error])
+    term, C = result.reference.terms[key], np.asarray(result.covariance)
+    own, values = term.of_error, np.array([p.value for p in result.parameters])
+    q = term.error.chain.random_configurations(SAMPLES, np.random.default_rng(0))
+    _, J = term.error.jacobian(q, values[term.of_error])
     if of_base:
         J[:, :, :FRAME] = 0.0
     if of_tip:
         J[:, :, -FRAME:] = 0.0
-        J = adjoint(part.error.tool.homogeneous) @ J
+        J = adjoint(term.error.tool.homogeneous) @ J
     variances = np.einsum("kip,pr,kir->i", J, C[np.ix_(own, own)], J) / len(q)
     return float(np.sqrt(variances[:3].sum())), float(np.sqrt(variances[3:].sum()))
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib_pin.estimation.scopes import scopes
+from calib_pin.estimation.terms import frames_of_blocks
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models import declared
 from calib_pin.observations import Conditions, Observations
@@ -80,7 +80,7 @@ def at_conditions(chains: Chains, data: Observations, setup: Setup) -> Setup:
     if InstrumentDrift.name not in setup.parameters:
         return setup
     spans = dict(setup.drift.spans)
-    named = scopes(chains, data.keys, setup)
+    named = frames_of_blocks(chains, data.keys, setup)
     found: dict[str, list[float]] = {}
     for block in data.blocks:
         if declared(block.model).external and len(block):

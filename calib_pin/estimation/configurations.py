@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
-from calib_pin.estimation.model import Configurations, linearized_at
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.tool_poses import Configurations, linearized_at
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import (
     UNSTATED,
@@ -68,7 +68,7 @@ def asked(
         start: Start configurations of relative measurements, shape (K, n) [rad, m];
             default the configuration before each.
     """
-    if start is None and problem.parts[key].measurement.declaration.relative:
+    if start is None and problem.terms[key].measurement.declaration.relative:
         start = np.roll(q, 1, axis=0)
     if not len(conditions.payload):
         names = payloads_in_turn(problem, key, len(q))
@@ -148,7 +148,7 @@ def observable_configurations(
     names = named_targets(problem, key)
     target = [names[i % len(names)] for i in range(count)]
     loads = tuple(payload) or payloads_in_turn(problem, key, count)
-    declared = problem.parts[key].measurement.declaration
+    declared = problem.terms[key].measurement.declaration
     q_found: Floats = np.empty((count, len(problem.chains.joints)))
     left, tries, drawn = np.arange(count), 0, 0
     while len(left) and tries < DRAWS:
@@ -196,10 +196,10 @@ def lacking_frames(problem: Problem, keys: Iterable[BlockKey]) -> str:
     """The frames of blocks of which a setup gives no first guess, for a message."""
     lacking: dict[str, None] = {}
     for key in keys:
-        scope = problem.parts[key].scope
-        if scope.base.xyz is None:
+        frames = problem.terms[key].frames
+        if frames.base.xyz is None:
             lacking[f"stations.{key.station}" if key.station else "frames.base"] = None
-        if scope.end.xyz is None:
+        if frames.end.xyz is None:
             lacking[f"tools.{key.tool}" if key.tool else "frames.tool"] = None
     return f"{' and '.join(lacking)} (first guess, xyz and rpy)" if lacking else ""
 
@@ -219,15 +219,15 @@ def brought_to_contact(
         The configurations, shape (N, n) [rad, m], and the mask of those that lie within
         the joint limits and touch, shape (N,).
     """
-    part = problem.parts[at.key]
-    robot, instrument = part.values(theta)
-    chain, every = part.error.chain, at.q.copy()
-    q = every[:, part.columns]
+    term = problem.terms[at.key]
+    robot, instrument = term.values(theta)
+    chain, every = term.error.chain, at.q.copy()
+    q = every[:, term.columns]
     touches, left = np.zeros(len(q), bool), np.arange(len(q))
     for _ in range(NEWTON):
         names, held = at.target[left], at.conditions.rows(left)
-        T, J_q = part.error.kinematics(q[left], robot, held)
-        linear = linearized_at(chain, part.measurement, T, instrument, q[left], names)
+        T, J_q = term.error.kinematics(q[left], robot, held)
+        linear = linearized_at(chain, term.measurement, T, instrument, q[left], names)
         short = -linear.residual if gap is None else gap[left] - linear.residual
         size = np.abs(short).max(axis=1)
         touches[left[size < TOUCHING]] = True
@@ -244,5 +244,5 @@ def brought_to_contact(
         shorter = np.minimum(1.0, FARTHEST / np.maximum(longest, FARTHEST))
         q[left] += step[:, :, 0] * shorter[:, None]
     within = ((q >= chain.lower) & (q <= chain.upper)).all(axis=1)
-    every[:, part.columns] = q
+    every[:, term.columns] = q
     return every, touches & within

@@ -93,6 +93,14 @@ def eliminate(own: NDArray[np.intp], rows: Sequence[Rows]) -> tuple[Station, Row
     return station, (shared, r - U @ rest, B - U @ along)
 
 
+def completed(stations: Sequence[Station], step: Floats) -> Floats:
+    """A step of the shared parameters with that of the eliminated ones, shape (P,)."""
+    result = step.copy()
+    for station in stations:
+        result[station.own] = station.settled + station.response @ step[station.shared]
+    return result
+
+
 def with_response(stations: Sequence[Station], factor: Floats) -> Floats:
     """Changes of all parameters, where only the shared ones were given, (P, k)."""
     if not stations:
@@ -143,7 +151,7 @@ def _stacked(rows: Sequence[Rows]) -> Rows:
     J = np.zeros((sum(len(r) for _, r, _ in rows), len(every)))
     start = 0
     for index, r, columns in rows:
-        # Several parameters of a part may be one.
+        # Several parameters of a term may be one.
         at = np.searchsorted(every, index)
         np.add.at(J[start : start + len(r)].T, at, columns.T)
         start += len(r)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, Self
 
 import numpy as np
 
-from calib_pin.estimation.measured import Block, Prepared
-from calib_pin.estimation.model import (
+from calib_pin.estimation.terms import Block, Term
+from calib_pin.estimation.tool_poses import (
     ToolPoses,
     kept,
     whitened,
@@ -18,6 +19,7 @@ from calib_pin.estimation.model import (
 )
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Linearization
+from calib_pin.observations import BlockKey
 from calib_pin.parameterizations.error_model import ErrorModel, flexures
 
 PIECE = 4096
@@ -88,18 +90,18 @@ class RowByRow:
 
     @cached_property
     def _tool(self) -> ToolPoses:
-        return ToolPoses(self._block.part.error, self._block.data)
+        return ToolPoses(self._block.term.error, self._block.data)
 
     def errors(self, theta: Floats) -> list[Floats]:
         """Residuals in their units, shape (N, d)."""
-        part, data = self._block.part, self._block.data
-        of_robot, instrument = part.values(theta)
-        return [part.measurement.residual(self._tool(of_robot), instrument, data)]
+        term, data = self._block.term, self._block.data
+        of_robot, instrument = term.values(theta)
+        return [term.measurement.residual(self._tool(of_robot), instrument, data)]
 
     def points(self, theta: Floats) -> list[Floats]:
         """Tool points in the measurement frame, shape (N, 3)."""
-        error, data = self._block.part.error, self._block.data
-        of_robot, _ = self._block.part.values(theta)
+        error, data = self._block.term.error, self._block.data
+        of_robot, _ = self._block.term.values(theta)
         basis = error.basis(data.q, data.conditions)
         return [error.poses(data.q, of_robot, basis)[:, :3, 3]]
 
@@ -110,7 +112,7 @@ class RowByRow:
         """
         if not self.reduces:
             return [self._rows(theta)]
-        R = np.zeros((0, len(self._block.part.index) + 1))
+        R = np.zeros((0, len(self._block.term.index) + 1))
         for piece in self._pieces():
             r, J = piece._rows(theta)
             rows = np.vstack([R, np.column_stack([J, r])])
@@ -119,10 +121,10 @@ class RowByRow:
 
     def _rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
-        part, data = self._block.part, self._block.data
-        of_robot, instrument = part.values(theta)
+        term, data = self._block.term, self._block.data
+        of_robot, instrument = term.values(theta)
         tool = self._tool.linearize(of_robot)
-        linear = part.measurement.linearize(tool.T, instrument, data)
+        linear = term.measurement.linearize(tool.T, instrument, data)
         aside = np.isinf(self._sigma)
         known = Linearization(
             linear.residual,
@@ -131,7 +133,7 @@ class RowByRow:
         )
         J = whitened_jacobian(tool, known, self._sigma)
         r = whitened(linear.residual, self._sigma)
-        return r, J.reshape(-1, len(part.index))
+        return r, J.reshape(-1, len(term.index))
 
     def _pieces(self) -> Iterator[RowByRow]:
         """Some thousand measurements at a time."""
@@ -151,29 +153,48 @@ def compilable(model: ErrorModel) -> bool:
     return model.learned is None and len(flexures(model)) == 0
 
 
-def prepared(
-    known: Prepared, sigma: Floats, many: bool
-) -> dict[Evaluator, Sequence[int]]:
-    """Evaluators, with the positions of the blocks of each.
+@dataclass(frozen=True)
+class Evaluated:
+    """The evaluators of a problem.
 
-    Those of the same measurements with other weights or about other references are
-    used again.
+    Attributes:
+        terms: The terms about whose references they are.
+        sigma: Standard deviations of the residual components, shape (M,).
+        many: Whether a Jacobian of all measurements would be too large to be handy.
+        evaluators: They, with the positions of the blocks of each.
+    """
+
+    terms: Mapping[BlockKey, Term]
+    sigma: Floats
+    many: bool
+    evaluators: Mapping[Evaluator, Sequence[int]]
+
+
+def evaluated(
+    terms: Mapping[BlockKey, Term],
+    blocks: Sequence[Block],
+    sigma: Floats,
+    many: bool,
+    last: Evaluated | None = None,
+) -> Evaluated:
+    """Evaluators of measurements.
 
     Args:
-        known: The measurements.
+        terms: The terms.
+        blocks: The measurements with these.
         sigma: Standard deviations of their residual components, shape (M,).
         many: Whether a Jacobian of all measurements would be too large to be handy.
+        last: Those of the same measurements with other weights or about other
+            references; they are used again.
     """
-    found: dict[Evaluator, Sequence[int]] = {}
-    if (last := known.shared.evaluated) is not None and last[2] == many:
-        parts, before, _, found = last
-        if parts is not known.parts:
-            found = _about(known.blocks, found)
-        if not np.array_equal(before, sigma):
+    found: Mapping[Evaluator, Sequence[int]] = {}
+    if last is not None and last.many == many:
+        found = last.evaluators
+        if terms is not last.terms:
+            found = _about(blocks, found)
+        if not np.array_equal(last.sigma, sigma):
             found = {one.weighted(sigma): at for one, at in found.items()}
-    found = found or evaluated(known.blocks, sigma, many)
-    known.shared.evaluated = known.parts, sigma, many, found
-    return found
+    return Evaluated(terms, sigma, many, found or _created(blocks, sigma, many))
 
 
 def _about(
@@ -189,7 +210,7 @@ def _about(
     return result
 
 
-def evaluated(
+def _created(
     blocks: Sequence[Block], sigma: Floats, many: bool
 ) -> dict[Evaluator, Sequence[int]]:
     """Evaluators, with the positions of the blocks of each.
@@ -208,11 +229,11 @@ def evaluated(
 
     found: dict[object, list[int]] = {}
     for k, block in enumerate(blocks):
-        plain = compilable(block.part.error) and not block.data.start.size
-        found.setdefault(alike(block.part) if plain else k, []).append(k)
+        plain = compilable(block.term.error) and not block.data.start.size
+        found.setdefault(alike(block.term) if plain else k, []).append(k)
 
     def alone(block: Block) -> RowByRow:
-        bent = len(flexures(block.part.error)) and len(block.data) > PIECE
+        bent = len(flexures(block.term.error)) and len(block.data) > PIECE
         return RowByRow(block, sigma, reduces=bool(bent))
 
     return {

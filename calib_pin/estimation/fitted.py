@@ -24,7 +24,7 @@ from calib_pin.estimation.directions import Directions, half_covariance
 from calib_pin.estimation.elimination import own_deviations, with_response
 from calib_pin.estimation.evidence import Outlier, VarianceComponent
 from calib_pin.estimation.identifiability import Structure
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, known_count
 from calib_pin.estimation.shrinkage import Evidence
 from calib_pin.estimation.solve import Solution
 from calib_pin.estimation.statistics.systematic import ROWS, Systematic, sampled
@@ -34,7 +34,7 @@ from calib_pin.estimation.statistics.variance_components import (
     current_units,
     repetitions,
 )
-from calib_pin.estimation.system import Part
+from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import LeastSquaresResult
 
@@ -74,22 +74,22 @@ class Posterior:
             result[np.ix_(own, own)] += alone @ alone.T
         return np.asarray(result)
 
-    def twists(self, part: Part, q: Floats, J: Floats) -> Floats:
-        """Deviations of the tool of a part as body twists, shape (N, 6, r + S).
+    def twists(self, term: Term, q: Floats, J: Floats) -> Floats:
+        """Deviations of the tool of a term as body twists, shape (N, 6, r + S).
 
         The squares of the last axis add up to variances. Frames, the columns 0 to 5 and
         the last six of the error model, count as what they were fitted to be.
 
         Args:
-            part: The part about its solution, see `System.rebased`.
+            term: The term about its solution, see `Terms.rebased`.
             q: Positions of its joints, shape (N, n) [rad, m].
             J: Body twists there by the parameters of its error model about these
                 references, shape (N, 6, p).
         """
-        own = part.index[: J.shape[2]]
+        own = term.index[: J.shape[2]]
         parts = [J @ self.by_noise[own]]
         if self.systematic is not None:
-            there = self.systematic.twists(part, q)
+            there = self.systematic.twists(term, q)
             parts.append(J @ self.by_effects[own] - there)
         return np.concatenate(parts, axis=2)
 
@@ -284,7 +284,7 @@ class Fit:
     @property
     def dof(self) -> int:
         """Residual components minus the rank."""
-        return self.problem.count - self.rank
+        return known_count(self.problem) - self.rank
 
     @property
     def held(self) -> tuple[Problem, LeastSquaresResult, Floats]:

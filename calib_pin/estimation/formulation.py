@@ -20,8 +20,7 @@ from calib_pin.estimation.conditions import (
 )
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.row_blocks import PLACES
-from calib_pin.estimation.scopes import prefixed, scopes
-from calib_pin.estimation.system import Part, assembled
+from calib_pin.estimation.terms import Term, assembled, frames_of_blocks, prefixed
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.measurement_models import measurement_model
@@ -69,9 +68,9 @@ def make_problem(
     _require_directions(data, setup)
     setup = at_conditions(chains, data, setup)
     targets = {block.key: block.target.distinct for block in data.blocks}
-    parts, given = make_parts(chains, targets, setup)
+    terms, given = make_terms(chains, targets, setup)
     setup = _with_prior(chains, given, setup)
-    return Problem(chains, parts, given, data, setup)
+    return Problem(chains, terms, given, data, setup)
 
 
 def setup_of(setup: Stated) -> Setup:
@@ -108,7 +107,7 @@ def fitting(
 
 
 def require_known(
-    parts: Iterable[Part],
+    terms: Iterable[Term],
     setup: Setup,
     named: Collection[str] | None = None,
     elsewhere: Collection[str] = (),
@@ -116,7 +115,7 @@ def require_known(
     """Refuse known distances and angles that nothing would use, or that mean nothing.
 
     Args:
-        parts: The parts of a problem.
+        terms: The terms of a problem.
         setup: The setup, which states them.
         named: Names that measurements give; None for all.
         elsewhere: Names of places that are not there yet.
@@ -125,13 +124,13 @@ def require_known(
         OptionError: If there are such.
     """
     places: dict[str, tuple[ReferenceObject, str]] = {}
-    for part in parts:
-        for reference in part.measurement.references:
-            name = part.scope.reference(reference)
+    for term in terms:
+        for reference in term.measurement.references:
+            name = term.frames.reference(reference)
             hidden = reference.section == "targets" and name in places
             told = named is None or reference.name in named
             if told and not hidden and isinstance(reference, PLACES):
-                frame = part.scope.station if reference.outer else part.scope.tool
+                frame = term.frames.station if reference.outer else term.frames.tool
                 places[name] = reference, frame
     every = {*places, *elsewhere}
     for known in setup.known:
@@ -156,10 +155,10 @@ def require_known(
         )
 
 
-def make_parts(
+def make_terms(
     chains: Chains, targets: Mapping[BlockKey, Sequence[str]], setup: Setup
-) -> tuple[dict[BlockKey, Part], ParameterSet]:
-    """The parts of blocks of measurements, and all parameters.
+) -> tuple[dict[BlockKey, Term], ParameterSet]:
+    """The terms of blocks of measurements, and all parameters.
 
     Args:
         chains: The chains that are measured.
@@ -170,7 +169,7 @@ def make_parts(
         OptionError: If a name in the setup does not exist.
     """
     _require_own_loads(chains, setup)
-    named = scopes(chains, tuple(targets), setup)
+    named = frames_of_blocks(chains, tuple(targets), setup)
     models = {
         key: measurement_model(key.model, setup, names)
         for key, names in targets.items()
@@ -181,7 +180,7 @@ def make_parts(
         for key, model in models.items()
         if model.sees_tool and key.chain != WORLD
     }
-    parts = []
+    terms = []
 
     @cache
     def created(chain: str, base: bool, tool: bool, drifting: str) -> ErrorModel:
@@ -198,17 +197,17 @@ def make_parts(
             estimate_tool=tool,
         )
 
-    for key, scope in named.items():
-        base, tool = scope.base.estimate, scope.end.estimate
-        base = scope.station in outside if base is None else base
-        tool = scope.tool in looked_at if tool is None else tool
-        drifting = station_of(scope.station) if scope.station in outside else ""
+    for key, frames in named.items():
+        base, tool = frames.base.estimate, frames.end.estimate
+        base = frames.station in outside if base is None else base
+        tool = frames.tool in looked_at if tool is None else tool
+        drifting = station_of(frames.station) if frames.station in outside else ""
         with stated_in(setup.file):
             error = created(key.chain, base, tool, drifting)
-            error = _on_tool(error, scope.offset)
+            error = _on_tool(error, frames.offset)
         columns, index = chains.columns(key.chain), np.zeros(0, np.intp)
-        parts.append(Part(error, models[key], key, scope, columns, index))
-    return assembled(prefixed(parts))
+        terms.append(Term(error, models[key], key, frames, columns, index))
+    return assembled(prefixed(terms))
 
 
 def _on_tool(error: ErrorModel, offset: pin.SE3) -> ErrorModel:
@@ -299,15 +298,15 @@ def nominal_problem(
     problem = make_problem(chains, Observations.of(*blocks), setup)
     placed = {
         key: replace(
-            part,
-            error=part.error.with_frames(
-                frame_pose(part.scope.base),
-                frame_pose(part.scope.end) * part.scope.offset,
+            term,
+            error=term.error.with_frames(
+                frame_pose(term.frames.base),
+                frame_pose(term.frames.end) * term.frames.offset,
             ),
         )
-        for key, part in problem.parts.items()
+        for key, term in problem.terms.items()
     }
-    return replace(problem, parts=placed)
+    return replace(problem, terms=placed)
 
 
 def restricted(setup: Setup, names: Sequence[str]) -> Setup:

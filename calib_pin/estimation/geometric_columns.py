@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.estimation.system import FRAME, System
+from calib_pin.estimation.terms import FRAME, Terms
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, invert, skew
 from calib_pin.parameterizations.base import Screw
@@ -105,7 +105,7 @@ class _Place:
         return normal, skew(axis) @ normal, axis
 
 
-def geometric_columns(system: System, parameters: ParameterSet) -> Columns:
+def geometric_columns(system: Terms, parameters: ParameterSet) -> Columns:
     """The directions of all robot parameters of a system.
 
     Args:
@@ -115,13 +115,13 @@ def geometric_columns(system: System, parameters: ParameterSet) -> Columns:
     count = len(parameters)
     turned, labels = np.eye(count), dict[int, Label]()
     ranked = dict[int, tuple[int, int]]()
-    for part in system.parts.values():
-        chain = part.error.chain
+    for term in system.terms.values():
+        chain = term.error.chain
         places = _places(chain)
         together = defaultdict[tuple[int, str], list[tuple[int, Screw]]](list)
-        inner = slice(FRAME, len(part.error.screws) - FRAME)
+        inner = slice(FRAME, len(term.error.screws) - FRAME)
         for position, screw in zip(
-            part.index[inner].tolist(), part.error.screws[inner], strict=True
+            term.index[inner].tolist(), term.error.screws[inner], strict=True
         ):
             stem = screw.parameter.name.rpartition(".")[0]
             own = parameters[position]

@@ -14,7 +14,7 @@ from calib_pin.errors import OptionError, require_known
 from calib_pin.estimation.directions import visible_nuisances
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.system import Part, System
+from calib_pin.estimation.terms import Term, Terms
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.observations import Observations
@@ -29,7 +29,7 @@ from calib_pin.residual_models import (
 )
 from calib_pin.setup import Setup
 
-_System = TypeVar("_System", bound=System)
+_Terms = TypeVar("_Terms", bound=Terms)
 
 FEW = 1000
 """Configurations that tell whether a correction is zero; then it is zero everywhere."""
@@ -59,7 +59,7 @@ def require_learnable(name: str, setup: Setup, measurements: Observations) -> No
         )
 
 
-def with_learned(problem: _System, learned: LearnedCorrection) -> _System:
+def with_learned(problem: _Terms, learned: LearnedCorrection) -> _Terms:
     """A problem or a model about its solution, with a learned correction.
 
     Args:
@@ -67,17 +67,17 @@ def with_learned(problem: _System, learned: LearnedCorrection) -> _System:
         learned: The correction, with a shift of all parameters, shape (P,); a motion
             of the tool is one of the first tool.
     """
-    parts = {}
-    for key, part in problem.parts.items():
-        shift = learned.shift[part.of_error]
-        own = replace(learned, shift=shift, carried=_carried(problem, part))
-        parts[key] = replace(part, error=replace(part.error, learned=own))
-    return problem.with_parts(parts)
+    terms = {}
+    for key, term in problem.terms.items():
+        shift = learned.shift[term.of_error]
+        own = replace(learned, shift=shift, carried=_carried(problem, term))
+        terms[key] = replace(term, error=replace(term.error, learned=own))
+    return problem.with_terms(terms)
 
 
-def _carried(problem: System, part: Part) -> Floats | None:
-    """Adjoint from the first tool to that of a part; None where it is the same."""
-    first, tool = problem.only.error.tool, part.error.tool
+def _carried(problem: Terms, term: Term) -> Floats | None:
+    """Adjoint from the first tool to that of a term; None where it is the same."""
+    first, tool = problem.only.error.tool, term.error.tool
     if tool == first:
         return None
     return np.asarray((tool.inverse() * first).toActionMatrix())
@@ -158,7 +158,7 @@ def training_rows(
     layout = problem.layout
     shape = len(problem.data), layout.width
     basis = {
-        block.part.key: block.part.error.basis(block.data.q, block.data.conditions)
+        block.term.key: block.term.error.basis(block.data.q, block.data.conditions)
         for block in problem.blocks
     }
 
@@ -169,21 +169,21 @@ def training_rows(
             np.zeros((*shape, len(shift))),
         )
         moved = directions @ shift
-        for part, data, rows, flat in problem.blocks:
-            own, error = part.index, part.error
-            of_robot, instrument = part.split(theta[own])
+        for term, data, rows, flat in problem.blocks:
+            own, error = term.index, term.error
+            of_robot, instrument = term.values(theta)
             count = len(of_robot)
             corrections, carried = values[rows], None
             if space == "tip":
-                carried = _carried(problem, part)
+                carried = _carried(problem, term)
                 corrections = (
                     corrections if carried is None else corrections @ carried.T
                 )
             given = _Given(space, corrections, moved[own[:count]])
             poses = replace(error, learned=given).linearize(
-                data.q, of_robot, basis[part.key]
+                data.q, of_robot, basis[term.key]
             )
-            linear = part.measurement.linearize(poses.T, instrument, data)
+            linear = term.measurement.linearize(poses.T, instrument, data)
             sigma = problem.sigma[flat].reshape(len(data), -1)
             J_pose = linear.J_pose / sigma[:, :, None]
             columns = layout.column[flat][: sigma.shape[1]]
@@ -243,8 +243,8 @@ def shift_directions(
     parameters, robot = problem.parameters, fitted.directions.robot
     _, J = problem.linearize(theta)
     frames = visible_nuisances(J, parameters)
-    for part in problem.parts.values():
-        frames[part.of_instrument] = 0.0
+    for term in problem.terms.values():
+        frames[term.of_instrument] = 0.0
     frames = frames[:, frames.any(axis=0)]
     free, count = np.zeros(frames.shape[1]), robot.shape[1]
     shown = robot.any(axis=1)

@@ -36,9 +36,8 @@ from numpy.typing import NDArray
 from calib_pin.compiled import blocks as compiled
 from calib_pin.compiled import kernels, link_kernels, row_kernels
 from calib_pin.compiled.threads import Threads
-from calib_pin.estimation.measured import Block
-from calib_pin.estimation.model import kept
-from calib_pin.estimation.system import FRAME, Part
+from calib_pin.estimation.terms import FRAME, Block, Term
+from calib_pin.estimation.tool_poses import kept
 from calib_pin.kinematics.spatial import Floats, adjoint, invert, se3_exp
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import Screw
@@ -57,17 +56,17 @@ sample the fit ends a million positions with a noise of 0.1 mm after one pass, a
 thousandth of a standard deviation from where a second one ends."""
 
 
-def alike(part: Part) -> tuple[object, ...]:
-    """Things that are the same in parts which `ManyRows` evaluates together."""
-    model = part.measurement
+def alike(term: Term) -> tuple[object, ...]:
+    """Things that are the same in terms which `ManyRows` evaluates together."""
+    model = term.measurement
     if not is_dataclass(model):
-        return (part.key,)
+        return (term.key,)
     values = [getattr(model, field.name) for field in fields(model)]
     return (
-        part.key._replace(station=""),
-        part.error.tool.homogeneous.tobytes(),
-        part.error.payload,
-        part.index[FRAME:].tobytes(),
+        term.key._replace(station=""),
+        term.error.tool.homogeneous.tobytes(),
+        term.error.payload,
+        term.index[FRAME:].tobytes(),
         type(model),
         *(tuple(map(id, v)) if isinstance(v, tuple) else id(v) for v in values),
     )
@@ -108,22 +107,22 @@ class ManyRows:
 
     def _refer(self, blocks: Sequence[Block]) -> None:
         """Take blocks with their references."""
-        self._blocks, part = blocks, blocks[0].part
+        self._blocks, term = blocks, blocks[0].term
         self._error = replace(
-            part.error, base=pin.SE3.Identity(), screws=part.error.screws[FRAME:]
+            term.error, base=pin.SE3.Identity(), screws=term.error.screws[FRAME:]
         )
         self._segments = Segments.of(self._error)
-        self._measurement = part.measurement
-        self._bases = np.array([block.part.error.base.homogeneous for block in blocks])
+        self._measurement = term.measurement
+        self._bases = np.array([block.term.error.base.homogeneous for block in blocks])
         self._known: list[_Linear] = []
 
     def about(self, blocks: Sequence[Block]) -> ManyRows | None:
         """The same measurements about other references; None where more has changed."""
-        before, parts = self._blocks[0].part.error, [block.part for block in blocks]
-        error = parts[0].error
+        before, terms = self._blocks[0].term.error, [block.term for block in blocks]
+        error = terms[0].error
         same = error.chain is before.chain and error.screws is before.screws
         same = same and error.payload == before.payload and error.learned is None
-        if not same or len(set(map(alike, parts))) > 1:
+        if not same or len(set(map(alike, terms))) > 1:
             return None
         result = copy.copy(self)
         result._refer(blocks)
@@ -185,11 +184,11 @@ class ManyRows:
         Returns:
             Residual, shape (M,), and Jacobian, shape (M, p), M <= p + 1.
         """
-        values = theta[np.array([block.part.index for block in self._blocks])]
+        values = theta[np.array([block.term.index for block in self._blocks])]
         for known in self._known:
             if known.holds(values):
                 return known.at(values)
-        scales = [parameter.scale for parameter in self._blocks[0].part.parameters]
+        scales = [parameter.scale for parameter in self._blocks[0].term.parameters]
         near = np.minimum(NEAR, 0.1 * np.array(scales))
         found = self._factors(theta)
         if all(np.isfinite(r).all() for r, _ in found):
@@ -233,7 +232,7 @@ class ManyRows:
 
     def _at(self, theta: Floats) -> _At:
         """The parameters for the kernels; but for their stations blocks share them."""
-        of_robot, own = self._blocks[0].part.values(theta)
+        of_robot, own = self._blocks[0].term.values(theta)
         inner = of_robot[FRAME:]
         link = self._segments.links(inner[None])[0]
         bases, _ = self._stations(theta)
@@ -256,12 +255,12 @@ class ManyRows:
 
     def _stations(self, theta: Floats) -> tuple[Floats, Floats]:
         """Base frames, (S, 4, 4), and twists of their parameters there, (S, 6, 6)."""
-        parts = [block.part for block in self._blocks]
-        values = theta[np.array([part.index[:FRAME] for part in parts])]
-        twists = np.empty((len(parts), 6, FRAME))
-        behind = np.tile(np.eye(4), (len(parts), 1, 1))
+        terms = [block.term for block in self._blocks]
+        values = theta[np.array([term.index[:FRAME] for term in terms])]
+        twists = np.empty((len(terms), 6, FRAME))
+        behind = np.tile(np.eye(4), (len(terms), 1, 1))
         for k in reversed(range(FRAME)):
-            twist = parts[0].error.screws[k].twist
+            twist = terms[0].error.screws[k].twist
             twists[:, :, k] = adjoint(invert(behind)) @ twist
             behind = se3_exp(values[:, k, None] * twist) @ behind
         return self._bases @ behind, twists
@@ -273,7 +272,7 @@ class ManyRows:
 
     def _to_parameters(self, theta: Floats) -> Floats:
         """Matrices from the columns of kernels to parameters and residual, (S, ...)."""
-        of_robot, instrument = self._blocks[0].part.values(theta)
+        of_robot, instrument = self._blocks[0].term.values(theta)
         inner, own = of_robot[FRAME:], len(instrument)
         columns = self._segments.columns(inner)
         twists, count = len(columns), FRAME + len(inner)

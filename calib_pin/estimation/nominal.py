@@ -16,7 +16,6 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.configurations import observable_configurations
 from calib_pin.estimation.directions import nuisance_basis
 from calib_pin.estimation.identifiability import Structure, structure
-from calib_pin.estimation.model import Configured, ToolPoses
 from calib_pin.estimation.problem import (
     Problem,
     representative,
@@ -25,6 +24,7 @@ from calib_pin.estimation.problem import (
 )
 from calib_pin.estimation.registration import registered
 from calib_pin.estimation.solve import least_squares
+from calib_pin.estimation.tool_poses import Configured, ToolPoses
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations.linearization import PoseLinearization
@@ -85,7 +85,7 @@ def analyze_structure(
         OptionError: If there are too many parameters, or planes that are not parallel
             have a known distance.
     """
-    theta = problem.known_distances.with_parallels(theta)
+    theta = problem.further.distances.with_parallels(theta)
     keys = representative(problem)
     blocks, at = len(keys), []
     parameters = len(problem.parameters) - len(_omitted(problem, keys))
@@ -97,10 +97,10 @@ def analyze_structure(
             allowed=f"at most {MOST}; a shorter chain (--base, --tip)",
         )
     for key in keys:
-        part = problem.parts[key]
+        term = problem.terms[key]
         # Each quantity alone may have to show its structure.
         least = min(
-            q.columns.stop - q.columns.start for q in part.measurement.quantities
+            q.columns.stop - q.columns.start for q in term.measurement.quantities
         )
         enough = -(-3 * parameters // (blocks * least))
         count = max(-(-LEAST // blocks), FEWEST, enough)
@@ -134,7 +134,7 @@ def structure_at(
             "the measured values have no derivative, as a distance of zero has none; "
             "check the base and tip links"
         )
-    found = structure(J[: len(J) - problem.further.priors], shown, count)
+    found = structure(J[: len(J) - len(problem.further.priors)], shown, count)
     scaled = scale_deviation(problem, theta, at, J) < UNKNOWN
     return replace(found, scaled=scaled, alike=alike), J
 
@@ -178,26 +178,26 @@ def scale_deviation(
     free[list(_omitted(problem, [some.key for some in at]))] = False
     scales = problem.parameters.scales
     twists, grown = [], []
-    scopes = [problem.parts[some.key].scope for some in at]
-    ends = dict.fromkeys([*(s.station for s in scopes), *(s.tool for s in scopes)])
+    named = [problem.terms[some.key].frames for some in at]
+    ends = dict.fromkeys([*(s.station for s in named), *(s.tool for s in named)])
     first_of = {name: 6 * k for k, name in enumerate(ends)}
     frames = 6 * len(ends)
     for some in at:
-        part = problem.parts[some.key]
-        own = part.of_chain(some)
-        basis = part.error.basis(own.q, own.conditions)
-        of_robot = part.values(theta)[0]
-        poses = part.error.linearize(own.q, of_robot, basis)
+        term = problem.terms[some.key]
+        own = term.of_chain(some)
+        basis = term.error.basis(own.q, own.conditions)
+        of_robot = term.values(theta)[0]
+        poses = term.error.linearize(own.q, of_robot, basis)
         count = len(poses.T)
         by_error = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
-        by_own = np.zeros((6 * count, len(part.index)))
+        by_own = np.zeros((6 * count, len(term.index)))
         by_own[:, : len(of_robot)] = by_error.reshape(6 * count, -1)
         displaced = np.zeros((6 * count, frames))
-        first, last = first_of[part.scope.station], first_of[part.scope.tool]
+        first, last = first_of[term.frames.station], first_of[term.frames.tool]
         displaced[:, first : first + 6] = adjoint(invert(poses.to_base)).reshape(-1, 6)
-        on_tool = part.scope.offset.toActionMatrixInverse()
+        on_tool = term.frames.offset.toActionMatrixInverse()
         displaced[:, last : last + 6] = np.tile(on_tool, (count, 1))
-        by_all = problem.spread(part, by_own) * scales
+        by_all = problem.spread(term, by_own) * scales
         twists.append(np.column_stack([by_all[:, free], displaced]))
         grown.append(_grown(poses, poses.to_base).reshape(-1))
     moved, b = np.concatenate(twists), np.concatenate(grown)
@@ -222,7 +222,7 @@ def _omitted(problem: Problem, keys: Sequence[BlockKey]) -> dict[int, int]:
 
     With each the same parameter of a station of its kind that is.
     """
-    used = {problem.parts[key].scope.station for key in keys}
+    used = {problem.terms[key].frames.station for key in keys}
     own = problem.own_of_stations
     found: dict[int, int] = {}
     for alike in station_kinds(problem).values() if own else ():
@@ -247,16 +247,16 @@ def growth(problem: Problem, theta: Floats) -> Floats:
         The derivative, component by component as in `Problem.sigma`, shape (M,).
     """
     changes = []
-    for part, data, _, _ in problem.blocks:
-        of_robot, instrument = part.values(theta)
-        tool = ToolPoses(part.error, data).linearize(of_robot)
+    for term, data, _, _ in problem.blocks:
+        of_robot, instrument = term.values(theta)
+        tool = ToolPoses(term.error, data).linearize(of_robot)
         T, poses, start = tool.T, tool.poses, tool.start
         grown = _grown(poses, poses.to_base @ invert(poses.to_tip))
         if start is not None:
             # The twist of T_0^-1 T is that of T without that of T_0, transformed there.
             begins = _grown(start, start.to_base @ invert(start.to_tip))
             grown -= (adjoint(invert(T)) @ begins[:, :, None])[:, :, 0]
-        J_pose = part.measurement.linearize(T, instrument, data).J_pose
+        J_pose = term.measurement.linearize(T, instrument, data).J_pose
         changes.append((J_pose @ grown[:, :, None]).reshape(-1))
     return np.asarray(np.concatenate(changes) / problem.sigma)
 

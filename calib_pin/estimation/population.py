@@ -13,8 +13,8 @@ from calib_pin.compiled.blocks import motions
 from calib_pin.compiled.threads import Threads
 from calib_pin.estimation.evaluators import compilable
 from calib_pin.estimation.many_rows import Segments
-from calib_pin.estimation.measured import Block
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.terms import Block
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Batch, BatchedModel
 from calib_pin.observations import Conditions
@@ -55,9 +55,9 @@ class PopulationCost:
         self._parts: list[_Part] = []
         self.evaluator: Literal["kernel", "loop"] = "kernel"
         for block in problem.blocks:
-            measurement = block.part.measurement
+            measurement = block.term.measurement
             batches: Sequence[Batch] = []
-            error = block.part.error
+            error = block.term.error
             if compilable(error) and isinstance(measurement, BatchedModel):
                 weights = 1.0 / block.table(problem.sigma)
                 batches = measurement.batches(block.data, weights)
@@ -89,9 +89,9 @@ class _Part:
     """The measurements of one batch."""
 
     def __init__(self, block: Block, segments: Segments, batch: Batch) -> None:
-        self._batch, self._segments, self._part = batch, segments, block.part
+        self._batch, self._segments, self._term = batch, segments, block.term
         self._comparison = kernels.COMPARISONS.index(batch.comparison)
-        error, start = block.part.error, block.data.start
+        error, start = block.term.error, block.data.start
         conditions = block.data.conditions.rows(batch.rows)
         joints = [error.screws[k].frame - 1 for k in error.joint_corrections]
         # From base to tool the joints come in the other order and move back.
@@ -127,9 +127,9 @@ class _Part:
 
     def costs(self, theta: Floats) -> Floats:
         """Half the sums of squares of these measurements, shape (S, P) -> (S,)."""
-        of_robot, instrument = self._part.values(theta)
+        of_robot, instrument = self._term.values(theta)
         chains = self._segments.links(np.ascontiguousarray(of_robot))
-        amounts = of_robot[:, self._part.error.joint_corrections]
+        amounts = of_robot[:, self._term.error.joint_corrections]
         found, result = self._batch.geometry(instrument), np.empty(len(instrument))
         if self._batch.inward:
             chains = _inverted(chains)

@@ -1,9 +1,9 @@
-"""The least-squares problem: a system, measurements, and what is known beside them."""
+"""The least-squares problem: terms, measurements, and what is known beside them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -17,14 +17,20 @@ from calib_pin.estimation.elimination import (
     reduced,
     station_parameters,
 )
-from calib_pin.estimation.evaluators import Evaluator, RowByRow, prepared
-from calib_pin.estimation.measured import Measured, assumed_sigma
-from calib_pin.estimation.row_blocks import Blocks, Expected, KnownDistances, Priors
+from calib_pin.estimation.evaluators import (
+    Evaluated,
+    Evaluator,
+    RowByRow,
+    evaluated,
+)
+from calib_pin.estimation.layout import Layout
+from calib_pin.estimation.row_blocks import Expected, Further, KnownDistances, Priors
+from calib_pin.estimation.terms import Block, Term, Terms
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import BlockKey
+from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.parameters import ParameterSet
-from calib_pin.setup import JointPrior
+from calib_pin.setup import JointPrior, Setup
 
 _Found = TypeVar("_Found")
 
@@ -47,8 +53,36 @@ Below, Pinocchio takes less time than loading the kernels.
 """
 
 
+@dataclass(eq=False)
+class Shared:
+    """Known to all problems of the same measurements, as soon as one of them asks.
+
+    Attributes:
+        data: The measurements; their weights may differ.
+        setup: What the user states.
+        keys: The blocks that there are terms of.
+        layout: Measurement and quantity of each residual component.
+        given_sigma: Standard deviations that are stated or assumed, shape (M,).
+        evaluated: The last evaluators: of which terms, with which standard deviations,
+            whether of very many measurements, with the positions of their blocks.
+    """
+
+    data: Observations
+    setup: Setup
+    keys: tuple[BlockKey, ...]
+    layout: Layout | None = None
+    given_sigma: Floats | None = None
+    evaluated: Evaluated | None = None
+
+    def holds(self, problem: Problem) -> bool:
+        """Whether a problem differs in weights, references and priors alone."""
+        if problem.setup is not self.setup or tuple(problem.terms) != self.keys:
+            return False
+        return problem.data is self.data or same_but_weights(problem.data, self.data)
+
+
 @dataclass(frozen=True)
-class Problem(Measured):
+class Problem(Terms):
     """Whitened residuals of measurements as a function of the error parameters.
 
     The residual vector holds the measurements, block by block, each component divided
@@ -56,6 +90,12 @@ class Problem(Measured):
     name, one per direction of an expected size, one per free parameter with a prior.
 
     Attributes:
+        data: The measurements; there is a term for the key of each block.
+        setup: What the user states.
+        units: Standard deviation of unit weight of every quantity of every instrument,
+            shape (K,): what the stated or assumed standard deviations are multiplied
+            by; empty for ones.
+        _known: Does not change with weights, units and priors; passed on.
         held_at: Values of parameters that are held at a bound, by position.
         expected: How large the robot's errors are expected to be; None where the
             measurements alone decide.
@@ -64,8 +104,75 @@ class Problem(Measured):
         OptionError: If the setup names a parameter that does not exist.
     """
 
+    data: Observations
+    setup: Setup = field(default_factory=Setup)
+    units: Floats = field(default_factory=lambda: np.zeros(0))
+    _known: Shared | None = field(default=None, repr=False, compare=False)
     held_at: Mapping[int, float] = field(default_factory=dict)
     expected: Expected | None = None
+
+    def __post_init__(self) -> None:
+        """Share what the problem knows that this one was made from, if it can."""
+        if self._known is None or not self._known.holds(self):
+            known = Shared(self.data, self.setup, tuple(self.terms))
+            object.__setattr__(self, "_known", known)
+
+    @property
+    def _shared(self) -> Shared:
+        assert self._known is not None
+        return self._known
+
+    @property
+    def layout(self) -> Layout:
+        """Measurement and quantity of each residual component."""
+        shared = self._shared
+        if shared.layout is None:
+            terms = self.terms.items()
+            quantities = {key: term.measurement.quantities for key, term in terms}
+            shared.layout = Layout.of(self.data, quantities)
+        return shared.layout
+
+    @cached_property
+    def blocks(self) -> tuple[Block, ...]:
+        """Every block of measurements with its term."""
+        result, start = [], 0
+        for data, rows in zip(self.data.blocks, self.data.slices, strict=True):
+            term = self.terms[data.key]
+            own = term.of_chain(data)
+            assert isinstance(own, Measurements)
+            stop = start + len(data) * term.components
+            result.append(Block(term, own, rows, slice(start, stop)))
+            start = stop
+        return tuple(result)
+
+    @property
+    def given_sigma(self) -> Floats:
+        """Standard deviations that are stated or assumed, shape (M,)."""
+        shared = self._shared
+        if shared.given_sigma is None:
+            found = [
+                np.tile(assumed_sigma(self.terms[block.key], self.setup), len(block))
+                if block.sigma is None
+                else block.sigma.reshape(-1)
+                for block in self.data.blocks
+            ]
+            shared.given_sigma = found[0] if len(found) == 1 else np.concatenate(found)
+        return shared.given_sigma
+
+    @cached_property
+    def sigma(self) -> Floats:
+        """Standard deviation of every residual component, shape (M,).
+
+        It is what whitens: the given one with the unit weight of its quantity, infinite
+        for measurements that are set aside.
+        """
+        sigma, weight = self.given_sigma, self.data.weight
+        if len(self.units):
+            sigma = sigma * self.units[self.layout.component]
+        if (weight == 1.0).all():
+            return sigma
+        with np.errstate(divide="ignore"):
+            return np.asarray(sigma / np.sqrt(weight)[self.layout.row])
 
     @cached_property
     def parameters(self) -> ParameterSet:
@@ -78,26 +185,17 @@ class Problem(Measured):
                 .without(self.held_at)
             )
 
-    @property
-    def count(self) -> int:
-        """Number of values that are known: measured ones, known distances, priors."""
-        return self.values + len(self.known_distances) + len(self._priors)
-
     @cached_property
-    def further(self) -> Blocks:
+    def further(self) -> Further:
         """The residual rows behind those of the measurements."""
-        known = self.known_distances, self.expected, self._priors
-        return Blocks([block for block in known if block is not None and len(block)])
+        known = KnownDistances.of(self.setup.known, self.references, self.given.names)
+        return Further(known, self.expected, self._priors)
 
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (M,)."""
         parts = self._by_block(lambda one: one.errors(theta))
         parts = [part.reshape(-1) for part in parts]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-    def points(self, theta: Floats) -> list[Floats]:
-        """Tool points of every block in its measurement frame, shape (N, 3)."""
-        return self._by_block(lambda one: one.points(theta))
 
     def residual(self, theta: Floats) -> Floats:
         """Whitened residual: measurements, then `further`."""
@@ -117,34 +215,32 @@ class Problem(Measured):
         if not self.many:
             r = self.residual(theta)
             return 0.5 * float(r @ r)
-        found = [r for r, _ in self._by_block(lambda one: one.factorize(theta))]
+        found = [r for r, _ in self.factorize(theta)]
         return 0.5 * sum(float(r @ r) for r in (*found, self.further.residual(theta)))
 
-    def products(self, theta: Floats) -> list[Floats]:
-        """Products of the columns of Jacobian and residual of every block.
+    def factorize(self, theta: Floats) -> list[tuple[Floats, Floats]]:
+        """Whitened residual, shape (M,), and Jacobian, shape (M, p), of every block.
 
-        They are by the block's own parameters, shape (p + 1, p + 1).
+        They are by the block's own parameters; of very many measurements those of a
+        smaller system with the same normal equations, to full precision.
         """
-        found = self._by_block(lambda one: one.factorize(theta))
-        columns = [np.column_stack([J, r]) for r, J in found]
-        return [np.asarray(A.T @ A) for A in columns]
+        return self._by_block(lambda one: one.factorize(theta))
 
     def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual and its Jacobian by all parameters.
 
-        Of very many measurements they are those of a smaller system with the same
-        normal equations, to full precision. Of very many stations the parameters of
-        each alone are eliminated: their columns are zero, see `completed`.
+        Of very many measurements they are as in `factorize`. Of very many stations the
+        parameters of each alone are eliminated: their columns are zero, see `stations`.
 
         Returns:
             Residual, shape (M,), and Jacobian, shape (M, P).
         """
-        found = self._by_block(lambda one: one.factorize(theta))
+        found = self.factorize(theta)
         if not self.own_of_stations:
             return self._with_further(theta, *self._stacked(found))
         left, stations = [], []
         for name, blocks in self._by_station.items():
-            rows = [(self.blocks[k].part.index, *found[k]) for k in blocks]
+            rows = [(self.blocks[k].term.index, *found[k]) for k in blocks]
             station, rest = eliminate(self.own_of_stations[name], rows)
             stations.append(station)
             left.append(rest)
@@ -160,20 +256,6 @@ class Problem(Measured):
             RowByRow(block, self.sigma).factorize(theta)[0] for block in self.blocks
         ]
         return self._with_further(theta, *self._stacked(rows))
-
-    def completed(self, theta: Floats, step: Floats) -> Floats:
-        """A step with that of the parameters that were eliminated.
-
-        Args:
-            theta: Parameter values, shape (P,).
-            step: Step of the other parameters from there, shape (P,).
-        """
-        result = step.copy()
-        for station in self.stations(theta):
-            result[station.own] = (
-                station.settled + station.response @ step[station.shared]
-            )
-        return result
 
     def stations(self, theta: Floats) -> Sequence[Station]:
         """The parameters that were eliminated, where these were last linearized.
@@ -194,35 +276,28 @@ class Problem(Measured):
         if not self._large:
             return {}
         indices: dict[str, list[NDArray[np.intp]]] = {}
-        for part in self.parts.values():
-            indices.setdefault(part.scope.station, []).append(part.index)
+        for term in self.terms.values():
+            indices.setdefault(term.frames.station, []).append(term.index)
         parameters = self.parameters
         tied = np.isfinite([*parameters.bounds, parameters.priors]).any(axis=0)
         tied |= ~parameters.free | ~parameters.nuisance
-        tied[self.known_distances.columns[self.known_distances.columns >= 0]] = True
+        columns = self.further.distances.columns
+        tied[columns[columns >= 0]] = True
         return station_parameters(indices, ~tied)
-
-    @property
-    def absorbed(self) -> int:
-        """Number of parameters that are eliminated."""
-        return sum(map(len, self.own_of_stations.values()))
 
     @property
     def many(self) -> bool:
         """Whether `linearize` returns a smaller system in place of the rows."""
-        reduces = any(one.reduces for one in self.evaluators)
+        reduces = any(one.reduces for one in self._evaluators)
         return reduces or bool(self.own_of_stations)
 
-    @property
-    def evaluator(self) -> str:
-        """Name of the way in which measurements are evaluated."""
-        kernels = not all(isinstance(one, RowByRow) for one in self.evaluators)
-        return "kernel" if kernels else "pinocchio"
-
     @cached_property
-    def evaluators(self) -> Mapping[Evaluator, Sequence[int]]:
+    def _evaluators(self) -> Mapping[Evaluator, Sequence[int]]:
         """Residuals and derivatives of blocks, with the positions of these."""
-        return prepared(self._prepared, self.sigma, self._large)
+        last = self._shared.evaluated
+        found = evaluated(self.terms, self.blocks, self.sigma, self._large, last)
+        self._shared.evaluated = found
+        return found.evaluators
 
     @cached_property
     def _large(self) -> bool:
@@ -232,11 +307,6 @@ class Problem(Measured):
     def _eliminated(self) -> dict[bytes, Sequence[Station]]:
         """The last elimination, by the parameter values at which it was made."""
         return {}
-
-    @cached_property
-    def known_distances(self) -> KnownDistances:
-        """Known distances and angles between what the instruments know."""
-        return KnownDistances.of(self.setup.known, self.references, self.given.names)
 
     @cached_property
     def _priors(self) -> Priors:
@@ -264,7 +334,7 @@ class Problem(Measured):
         """Positions of the blocks of every station."""
         found: dict[str, list[int]] = {}
         for k, block in enumerate(self.blocks):
-            found.setdefault(block.part.scope.station, []).append(k)
+            found.setdefault(block.term.frames.station, []).append(k)
         return found
 
     def _by_block(
@@ -273,7 +343,7 @@ class Problem(Measured):
         """Values by the evaluators, block after block."""
         found = {
             k: value
-            for one, positions in self.evaluators.items()
+            for one, positions in self._evaluators.items()
             for k, value in zip(positions, evaluate(one), strict=True)
         }
         return [found[k] for k in range(len(found))]
@@ -281,7 +351,7 @@ class Problem(Measured):
     def _stacked(self, found: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
         """Residual and Jacobian by all parameters, block after block."""
         pairs = zip(self.blocks, found, strict=True)
-        parts = [(r, self.spread(block.part, J)) for block, (r, J) in pairs]
+        parts = [(r, self.spread(block.term, J)) for block, (r, J) in pairs]
         if len(parts) == 1:
             return parts[0]
         r, J = zip(*parts, strict=True)
@@ -295,6 +365,42 @@ class Problem(Measured):
             return r, J
         residual, jacobian = self.further.residual(theta), self.further.jacobian(theta)
         return np.concatenate([r, residual]), np.concatenate([J, jacobian])
+
+
+def same_but_weights(data: Observations, other: Observations) -> bool:
+    """Whether observations share all of their arrays but the weights."""
+    if len(data.blocks) != len(other.blocks):
+        return False
+    names = [field.name for field in fields(Measurements) if field.name != "weight"]
+    pairs = zip(data.blocks, other.blocks, strict=True)
+    return all(getattr(a, n) is getattr(b, n) for a, b in pairs for n in names)
+
+
+def measured_count(problem: Problem) -> int:
+    """Number of measured values that count."""
+    return int(np.isfinite(problem.sigma).sum())
+
+
+def known_count(problem: Problem) -> int:
+    """Number of values that are known: measured ones, known distances, priors."""
+    further = problem.further
+    return measured_count(problem) + len(further.distances) + len(further.priors)
+
+
+def evaluator(problem: Problem) -> str:
+    """Name of the way in which measurements are evaluated."""
+    plain = all(isinstance(one, RowByRow) for one in problem._evaluators)
+    return "pinocchio" if plain else "kernel"
+
+
+def tool_points(problem: Problem, theta: Floats) -> list[Floats]:
+    """Tool points of every block in its measurement frame, shape (N, 3)."""
+    return problem._by_block(lambda one: one.points(theta))
+
+
+def absorbed(problem: Problem) -> int:
+    """Number of parameters that are eliminated."""
+    return sum(map(len, problem.own_of_stations.values()))
 
 
 def reweighted(problem: Problem, weight: Floats) -> Problem:
@@ -316,6 +422,19 @@ def error_table(problem: Problem, theta: Floats) -> Floats:
     return problem.layout.table(errors, len(problem.data))
 
 
+def assumed_sigma(term: Term, setup: Setup) -> Floats:
+    """Standard deviations of the components of measurements that state none, (d,)."""
+    return np.concatenate(
+        [
+            np.full(
+                quantity.columns.stop - quantity.columns.start,
+                setup.noise.get(quantity.name, quantity.sigma),
+            )
+            for quantity in term.measurement.quantities
+        ]
+    )
+
+
 def sigma_at(problem: Problem, key: BlockKey, count: int) -> Floats:
     """Standard deviations of measurements of a block that state none, shape (count, d).
 
@@ -324,8 +443,8 @@ def sigma_at(problem: Problem, key: BlockKey, count: int) -> Floats:
         key: The block.
         count: Number of measurements.
     """
-    part = problem.parts[key]
-    sigma = assumed_sigma(part, problem.setup)
+    term = problem.terms[key]
+    sigma = assumed_sigma(term, problem.setup)
     if len(problem.units):
         sigma = sigma * problem.units[problem.layout.of_keys[key]]
     return np.tile(sigma, (count, 1))
@@ -334,8 +453,8 @@ def sigma_at(problem: Problem, key: BlockKey, count: int) -> Floats:
 def station_kinds(problem: Problem) -> Mapping[frozenset[BlockKey], Sequence[str]]:
     """Stations by the blocks that are measured from them, but for their names."""
     blocks: dict[str, list[BlockKey]] = {}
-    for key, part in problem.parts.items():
-        blocks.setdefault(part.scope.station, []).append(key._replace(station=""))
+    for key, term in problem.terms.items():
+        blocks.setdefault(term.frames.station, []).append(key._replace(station=""))
     found: dict[frozenset[BlockKey], list[str]] = {}
     for station, keys in blocks.items():
         found.setdefault(frozenset(keys), []).append(station)
@@ -344,7 +463,7 @@ def station_kinds(problem: Problem) -> Mapping[frozenset[BlockKey], Sequence[str
 
 def representative(problem: Problem) -> list[BlockKey]:
     """Blocks that show the structure; of very many stations some of each kind."""
-    keys = list(problem.parts)
+    keys = list(problem.terms)
     if not problem.own_of_stations:
         return keys
     shown = {
@@ -352,7 +471,7 @@ def representative(problem: Problem) -> list[BlockKey]:
         for alike in station_kinds(problem).values()
         for station in alike[:ALIKE]
     }
-    return [key for key in keys if problem.parts[key].scope.station in shown]
+    return [key for key in keys if problem.terms[key].frames.station in shown]
 
 
 def repeated(problem: Problem) -> NDArray[np.int64]:
@@ -379,9 +498,9 @@ def distinct_values(problem: Problem) -> int:
     counted = np.zeros(len(problem.data), bool)
     counted[rows[first]] = True
     used = counted[problem.layout.row] & np.isfinite(problem.sigma)
-    return int(used.sum()) + problem.count - problem.values - problem.further.priors
+    return int(used.sum()) + len(problem.further.distances)
 
 
 def known_values(problem: Problem) -> int:
     """Distinct values and priors: as many directions as that can be determined."""
-    return distinct_values(problem) + problem.further.priors
+    return distinct_values(problem) + len(problem.further.priors)

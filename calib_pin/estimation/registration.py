@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.layout import alike
-from calib_pin.estimation.measured import Block
 from calib_pin.estimation.problem import SAMPLE, Problem
-from calib_pin.estimation.system import (
+from calib_pin.estimation.terms import (
     FRAME,
-    Part,
+    Block,
+    Term,
     assembled,
     with_shared_references,
 )
@@ -37,7 +37,7 @@ def registered(problem: Problem, theta: Floats) -> Problem:
     """A problem about closed-form frames and instrument references.
 
     A pose in the setup is kept, as known or as a first guess; so is the identity for a
-    frame that is partly fixed, bounded or has a prior. Part by part, each takes over
+    frame that is partly fixed, bounded or has a prior. Term by term, each takes over
     what those before it have located.
 
     Args:
@@ -48,12 +48,12 @@ def registered(problem: Problem, theta: Floats) -> Problem:
     blocks = [trusted(block).sample(SAMPLE) for block in problem.data.blocks]
     few = replace(problem, data=Observations(tuple(blocks)))
     found = Located()
-    for part in few.parts.values():
-        found.state(problem.parameters, part)
-    parts = dict(problem.parts)
+    for term in few.terms.values():
+        found.state(problem.parameters, term)
+    terms = dict(problem.terms)
     for block in _in_turn(few.blocks, found):
-        parts[block.part.key] = found.register(block, theta)
-    return problem.with_parts(found.placed(list(parts.values())))
+        terms[block.term.key] = found.register(block, theta)
+    return problem.with_terms(found.placed(list(terms.values())))
 
 
 @dataclass
@@ -70,68 +70,68 @@ class Located:
     tools: dict[str, pin.SE3] = field(default_factory=dict)
     references: dict[tuple[str, str], ReferenceObject] = field(default_factory=dict)
 
-    def state(self, parameters: ParameterSet, part: Part) -> None:
-        """Take over the frames of a part that a setup states."""
-        scope, ends = part.scope, (part.index[:FRAME], part.of_error[-FRAME:])
+    def state(self, parameters: ParameterSet, term: Term) -> None:
+        """Take over the frames of a term that a setup states."""
+        frames, ends = term.frames, (term.index[:FRAME], term.of_error[-FRAME:])
         base, tool = (
             _given(parameters, frame, own)
-            for frame, own in zip((scope.base, scope.end), ends, strict=True)
+            for frame, own in zip((frames.base, frames.end), ends, strict=True)
         )
         if base is not None:
-            self.bases[scope.station] = base
+            self.bases[frames.station] = base
         if tool is not None:
-            self.tools[scope.tool] = tool
+            self.tools[frames.tool] = tool
 
-    def register(self, block: Block, theta: Floats) -> Part:
+    def register(self, block: Block, theta: Floats) -> Term:
         """Register the part of a block, and remember what that has located."""
-        (part,) = with_shared_references([block.part], self.references)
-        data, scope, of_robot = block.data, part.scope, part.values(theta)[0]
-        F = part.error.tip_poses(data.q, of_robot, data.conditions)
+        (term,) = with_shared_references([block.term], self.references)
+        data, frames, of_robot = block.data, term.frames, term.values(theta)[0]
+        F = term.error.tip_poses(data.q, of_robot, data.conditions)
         if data.start.size:
             begun = data.conditions.at_start
-            F = invert(part.error.tip_poses(data.start, of_robot, begun)) @ F
-        base, tool = self.bases.get(scope.station), self.tools.get(scope.tool)
-        at_end = None if tool is None else tool * scope.offset
-        measurement, base, at_end = part.measurement.register(F, data, base, at_end)
-        self.bases.setdefault(scope.station, base)
-        # A part that sees no tool frame has nothing to say of it.
-        if part.measurement.sees_tool:
-            self.tools.setdefault(scope.tool, at_end * scope.offset.inverse())
+            F = invert(term.error.tip_poses(data.start, of_robot, begun)) @ F
+        base, tool = self.bases.get(frames.station), self.tools.get(frames.tool)
+        at_end = None if tool is None else tool * frames.offset
+        measurement, base, at_end = term.measurement.register(F, data, base, at_end)
+        self.bases.setdefault(frames.station, base)
+        # A term that sees no tool frame has nothing to say of it.
+        if term.measurement.sees_tool:
+            self.tools.setdefault(frames.tool, at_end * frames.offset.inverse())
         for reference in measurement.references:
             if reference.located:
-                self.references.setdefault(scope.place(reference), reference)
-        return replace(part, measurement=measurement)
+                self.references.setdefault(frames.place(reference), reference)
+        return replace(term, measurement=measurement)
 
-    def keep(self, part: Part, theta: Floats) -> None:
-        """Take over everything of a part at parameter values, shape (P,)."""
-        moved, _ = part.rebased(theta[part.index])
-        self.bases[part.scope.station] = moved.error.base
-        self.tools[part.scope.tool] = moved.error.tool * part.scope.offset.inverse()
-        for reference in part.measurement.references:
-            self.references[part.scope.place(reference)] = reference
+    def keep(self, term: Term, theta: Floats) -> None:
+        """Take over everything of a term at parameter values, shape (P,)."""
+        moved = term.rebased(theta)
+        self.bases[term.frames.station] = moved.error.base
+        self.tools[term.frames.tool] = moved.error.tool * term.frames.offset.inverse()
+        for reference in term.measurement.references:
+            self.references[term.frames.place(reference)] = reference
 
-    def placed(self, parts: list[Part]) -> dict[BlockKey, Part]:
-        """Parts about all that has been located."""
+    def placed(self, terms: list[Term]) -> dict[BlockKey, Term]:
+        """Terms about all that has been located."""
         identity = pin.SE3.Identity()
         moved = [
             replace(
-                part,
-                error=part.error.with_frames(
-                    self.bases.get(part.scope.station, identity),
-                    self.tools.get(part.scope.tool, identity) * part.scope.offset,
+                term,
+                error=term.error.with_frames(
+                    self.bases.get(term.frames.station, identity),
+                    self.tools.get(term.frames.tool, identity) * term.frames.offset,
                 ),
             )
-            for part in parts
+            for term in terms
         ]
         return {
-            part.key: part for part in with_shared_references(moved, self.references)
+            term.key: term for term in with_shared_references(moved, self.references)
         }
 
     def knows(self, block: Block) -> bool:
         """Whether targets that stand still tell where a station is."""
         return all(
-            block.part.scope.place(reference) in self.references
-            for reference in block.part.measurement.references
+            block.term.frames.place(reference) in self.references
+            for reference in block.term.measurement.references
         )
 
 
@@ -144,13 +144,13 @@ def relocated(problem: Problem, theta: Floats, station: str) -> Problem:
         station: Owner and kind of the base frame, see `Scope`.
     """
     found, moved = Located(), []
-    for part, _, _, _ in problem.blocks:
-        found.keep(part, theta)
+    for term, _, _, _ in problem.blocks:
+        found.keep(term, theta)
     del found.bases[station]
     for block in _in_turn(problem.blocks, found):
         few = block._replace(data=block.data.sample(SAMPLE))
         moved.append(found.register(few, theta))
-    return problem.with_parts({**problem.parts, **found.placed(moved)})
+    return problem.with_terms({**problem.terms, **found.placed(moved)})
 
 
 def _in_turn(blocks: Sequence[Block], found: Located) -> Iterator[Block]:
@@ -163,14 +163,14 @@ def _in_turn(blocks: Sequence[Block], found: Located) -> Iterator[Block]:
     left = list(blocks)
 
     def turn(block: Block) -> tuple[bool, bool, bool, bool]:
-        station = block.part.scope.station in found.bases
-        still = block.part.key.chain == WORLD
-        external = block.part.measurement.declaration.external
+        station = block.term.frames.station in found.bases
+        still = block.term.key.chain == WORLD
+        external = block.term.measurement.declaration.external
         return (
             still and not station and not found.knows(block),
             still and not station,
             still or not external,
-            not block.part.measurement.sees_tool,
+            not block.term.measurement.sees_tool,
         )
 
     while left:
@@ -233,72 +233,72 @@ def extended(
         InputError: If measurements are of a model, a chain or a tool of which none was
             fitted.
     """
-    if new := [block for block in rows.blocks if block.key not in problem.parts]:
+    if new := [block for block in rows.blocks if block.key not in problem.terms]:
         # Poses are passed on, not poses and what was found about them.
         problem, theta = problem.rebased(theta)
     values = theta.copy()
-    parts = {}
-    for key, part in problem.parts.items():
-        own = part.of_instrument
-        measurement = part.measurement.rebased(theta[own])
-        parts[key], values[own] = replace(part, measurement=measurement), 0.0
+    terms = {}
+    for key, term in problem.terms.items():
+        own = term.of_instrument
+        measurement = term.measurement.rebased(theta[own])
+        terms[key], values[own] = replace(term, measurement=measurement), 0.0
     known = problem
     if new:
-        known, values = _with_stations(problem, parts, values, new)
-        parts = dict(known.parts)
-    there = replace(known, parts=parts, data=rows)
-    for part, data, _, _ in there.blocks:
-        if not part.measurement.references:
+        known, values = _with_stations(problem, terms, values, new)
+        terms = dict(known.terms)
+    there = replace(known, terms=terms, data=rows)
+    for term, data, _, _ in there.blocks:
+        if not term.measurement.references:
             continue
-        T = part.poses(values[part.index], data)
-        measurement = part.measurement.extended(T, data)
-        parts[part.key] = replace(part, measurement=measurement)
-    return _of_parts(there, parts, values)
+        T = term.poses(values, data)
+        measurement = term.measurement.extended(T, data)
+        terms[term.key] = replace(term, measurement=measurement)
+    return _of_parts(there, terms, values)
 
 
 def _with_stations(
     problem: Problem,
-    parts: Mapping[BlockKey, Part],
+    terms: Mapping[BlockKey, Term],
     theta: Floats,
     new: Sequence[Measurements],
 ) -> tuple[Problem, Floats]:
-    """The problem with stations that none of its parts has, registered.
+    """The problem with stations that none of its terms has, registered.
 
     Args:
         problem: The problem.
-        parts: Its parts about their instruments.
+        terms: Its terms about their instruments.
         theta: Parameter values, shape (P,).
         new: Measurements from these stations.
     """
-    every = {**parts}
+    every = {**terms}
     for block in new:
-        every[block.key] = _elsewhere(parts, block, problem.setup)
+        every[block.key] = _elsewhere(terms, block, problem.setup)
     there, values = _of_parts(
         replace(problem, data=Observations(tuple(new))), every, theta
     )
     found = Located()
-    for key in parts:
-        found.keep(there.parts[key], values)
-    for part, _, _, _ in there.blocks:
-        base = _given(there.parameters, part.scope.base, part.index[:FRAME])
+    for key in terms:
+        found.keep(there.terms[key], values)
+    for term, _, _, _ in there.blocks:
+        base = _given(there.parameters, term.frames.base, term.index[:FRAME])
         if base is not None:
-            found.bases.setdefault(part.scope.station, base)
+            found.bases.setdefault(term.frames.station, base)
     own = [found.register(block, values) for block in _in_turn(there.blocks, found)]
     placed = found.placed(own)
     if len(problem.units):
         known = alike(there.layout, problem.layout)
         there = replace(there, units=problem.units[known])
-    return replace(there, parts={**there.parts, **placed}), values
+    return replace(there, terms={**there.terms, **placed}), values
 
 
 def _elsewhere(
-    parts: Mapping[BlockKey, Part], block: Measurements, setup: Setup
-) -> Part:
+    terms: Mapping[BlockKey, Term], block: Measurements, setup: Setup
+) -> Term:
     """The part of measurements from another station than any that was fitted."""
     key = block.key
     fitted = [
-        part
-        for other, part in parts.items()
+        term
+        for other, term in terms.items()
         if other._replace(station="") == key._replace(station="")
     ]
     if not fitted:
@@ -307,38 +307,38 @@ def _elsewhere(
         )
         told = ", ".join(f"{what} '{name}'" for what, name in named if name)
         raise block.error(0, f"nothing of this kind was fitted: {told}")
-    part, owner = fitted[0], key.station or "elsewhere"
+    term, owner = fitted[0], key.station or "elsewhere"
     base = setup.stations.get(key.station, FrameSetup())
-    free = part.measurement.declaration.external
+    free = term.measurement.declaration.external
     if base.estimate is not None:
         free = base.estimate
-    screws = *frame_screws("base", 0, free=free), *part.error.screws[FRAME:]
-    scope = replace(
-        part.scope, station=f"{owner}.station", base=base, outer=f"{owner}/"
+    screws = *frame_screws("base", 0, free=free), *term.error.screws[FRAME:]
+    frames = replace(
+        term.frames, station=f"{owner}.station", base=base, outer=f"{owner}/"
     )
     return replace(
-        part,
+        term,
         key=key,
-        scope=scope,
-        error=replace(part.error, screws=screws),
+        frames=frames,
+        error=replace(term.error, screws=screws),
         measurement=measurement_model(key.model, setup, block.target.distinct),
     )
 
 
 def _of_parts(
-    problem: Problem, parts: Mapping[BlockKey, Part], theta: Floats
+    problem: Problem, terms: Mapping[BlockKey, Term], theta: Floats
 ) -> tuple[Problem, Floats]:
-    """The problem of other parts, and its parameter values: zero for what is new.
+    """The problem of other terms, and its parameter values: zero for what is new.
 
     Args:
         problem: The problem.
-        parts: All of its parts, those of further blocks or with more references.
+        terms: All of its terms, those of further blocks or with more references.
         theta: Values of the parameters that it had, shape (P,).
     """
-    found, given = assembled(list(parts.values()))
+    found, given = assembled(list(terms.values()))
     position = {name: k for k, name in enumerate(given.names)}
     moved = [position[name] for name in problem.given.names]
     values = np.zeros(len(given))
     values[moved] = theta
     held = {moved[k]: value for k, value in problem.held_at.items()}
-    return replace(problem, parts=found, given=given, held_at=held), values
+    return replace(problem, terms=found, given=given, held_at=held), values

@@ -57,7 +57,7 @@ def robot_rows(
     robot = parameters.free & ~parameters.nuisance
     fun, jac = problem.linearize_rows(theta)
     # Priors are the last rows.
-    count = len(fun) - problem.further.priors
+    count = len(fun) - len(problem.further.priors)
     A = jac[:count] * parameters.scales
     system = projected(np.column_stack([A[:, robot], fun[:count]]), A, parameters)
     U, s, Vt = np.linalg.svd(system[:, :-1], full_matrices=False)

@@ -118,35 +118,35 @@ class Priors:
 
 
 @dataclass(frozen=True)
-class Blocks:
-    """Whitened residual rows of several kinds, one behind the other.
+class Further:
+    """The residual rows behind those of measurements, one kind behind the other.
 
     Attributes:
-        blocks: The blocks, none of them empty.
+        distances: Known distances and angles.
+        expected: Expected sizes of the robot's errors; None where there are none.
+        priors: Priors on parameters.
     """
 
-    blocks: Sequence[KnownDistances | Expected | Priors]
+    distances: KnownDistances
+    expected: Expected | None
+    priors: Priors
 
     def __len__(self) -> int:
         """Number p of rows."""
-        return sum(map(len, self.blocks))
-
-    @property
-    def priors(self) -> int:
-        """Number of rows of priors on parameters, the last ones."""
-        return sum(len(block) for block in self.blocks if isinstance(block, Priors))
+        return sum(map(len, self._kinds))
 
     def residual(self, theta: Floats) -> Floats:
         """All rows, (..., P) -> (..., p)."""
-        empty = np.empty((*theta.shape[:-1], 0))
-        rows = [block.residual(theta) for block in self.blocks]
-        return np.concatenate([empty, *rows], axis=-1)
+        return np.concatenate([kind.residual(theta) for kind in self._kinds], axis=-1)
 
     def jacobian(self, theta: Floats) -> Floats:
         """Their derivative, shape (p, P)."""
-        empty = np.empty((0, len(theta)))
-        rows = [block.jacobian(theta) for block in self.blocks]
-        return np.concatenate([empty, *rows])
+        return np.concatenate([kind.jacobian(theta) for kind in self._kinds])
+
+    @cached_property
+    def _kinds(self) -> Sequence[KnownDistances | Expected | Priors]:
+        expected = () if self.expected is None else (self.expected,)
+        return self.distances, *expected, self.priors
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,15 @@ the compiled kernels, and needs no derivative.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from calib_pin.errors import require_known, stated_in
 from calib_pin.estimation.directions import Directions
-from calib_pin.estimation.problem import SAMPLE, Problem
+from calib_pin.estimation.elimination import completed
+from calib_pin.estimation.problem import SAMPLE, Problem, evaluator, known_count
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import states_sigmas
 from calib_pin.progress import Progress
@@ -135,7 +137,7 @@ class Solver:
                 scales * directions.nuisances,
                 scales * directions.robot,
             )
-            return Solution(result, problem.evaluator)
+            return Solution(result, evaluator(problem))
         searches = self.searches and directions.count > 0
         if self.name == "de" and searches:
             return self._evolve(problem, directions, nominal, start)
@@ -193,7 +195,7 @@ def descend(problem: Problem, directions: Directions, start: Floats) -> Solution
     """Gauss-Newton in some directions from a start, shape (P,)."""
     basis = problem.parameters.scales[:, None] * directions.basis
     result = least_squares(problem, start, basis)
-    return Solution(result, problem.evaluator)
+    return Solution(result, evaluator(problem))
 
 
 def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquaresResult:
@@ -208,7 +210,7 @@ def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquare
         # The sample is done in no time and ends a step from the solution.
         few = replace(problem, data=problem.data.sample(SAMPLE))
         start = gauss_newton(
-            few.linearize, few.cost, start, basis, complete=few.completed
+            few.linearize, few.cost, start, basis, complete=_completing(few)
         ).x
     return refine(problem, start, basis)
 
@@ -235,11 +237,16 @@ def refine(
         start,
         basis,
         tolerance=max(tolerance, ENOUGH) if problem.many else tolerance,
-        worthwhile=INVISIBLE / max(problem.count, 1),
+        worthwhile=INVISIBLE / max(known_count(problem), 1),
         max_iterations=most,
         spare=problem.many,
-        complete=problem.completed,
+        complete=_completing(problem),
     )
+
+
+def _completing(problem: Problem) -> Callable[[Floats, Floats], Floats]:
+    """Completes a step from parameter values by what was eliminated there."""
+    return lambda theta, step: completed(problem.stations(theta), step)
 
 
 def _box(problem: Problem, directions: Directions, nominal: Floats) -> Floats:
@@ -273,7 +280,7 @@ def _judged(problem: Problem, found: EvolutionResult, fun: Floats, A: Floats) ->
     step = np.linalg.lstsq(A, fun, rcond=None)[0]
     promised = float(fun @ (A @ step)) / 2.0
     # Where the noise is stated, what lies far below it is nothing to gain either.
-    noise = 0.5 * problem.count if states_sigmas(problem.data) else 0.0
+    noise = 0.5 * known_count(problem) if states_sigmas(problem.data) else 0.0
     if promised <= NEGLIGIBLE * max(found.fun, noise):
         return Status.CONVERGED
     if found.status is Status.CONVERGED:

@@ -27,7 +27,7 @@ from calib_pin.estimation.directions import (
 )
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.nominal import analyze_structure
-from calib_pin.estimation.problem import EXACT, Problem
+from calib_pin.estimation.problem import EXACT, Problem, absorbed, known_count
 from calib_pin.estimation.row_blocks import Expected
 from calib_pin.estimation.shrinkage import Evidence, expected_errors
 from calib_pin.estimation.solve import Solution, Solver, descend, least_squares, refine
@@ -138,8 +138,8 @@ def _judged(problem: Problem, directions: Directions, solution: Solution) -> _St
     triangle = np.linalg.qr(result.jac @ basis, mode="r")
     s = np.linalg.svd(triangle, compute_uv=False)
     rank = int((s > RANK * s.max(initial=0.0)).sum())
-    rank += problem.absorbed
-    dof = problem.count - rank
+    rank += absorbed(problem)
+    dof = known_count(problem) - rank
     sigma0 = float(np.sqrt(2.0 * result.cost / dof)) if dof > 0 else np.nan
     return _Stage(directions, solution, rank, sigma0)
 
@@ -165,8 +165,8 @@ class _Stages:
             r, J = problem.linearize(nominal)
             self._start = J, r
         about = np.zeros(len(parameters))
-        parts = problem.parts.values()
-        if any(part.measurement.declaration.contact for part in parts):
+        terms = problem.terms.values()
+        if any(term.measurement.declaration.contact for term in terms):
             # What is touched must be where the tool can touch it.
             about = np.where(parameters.nuisance, nominal, 0.0)
         self.structure, J = analyze_structure(problem, about, solver.rng)
@@ -224,7 +224,7 @@ class _Stages:
         surprise = SURPRISE * more.shape[1]
         # What they explain no longer counts as noise.
         rest = 2.0 * last.result.cost - promised
-        if promised * (problem.count - last.rank) <= surprise * rest:
+        if promised * (known_count(problem) - last.rank) <= surprise * rest:
             return
         robot = np.column_stack([last.directions.robot, more])
         directions = replace(last.directions, robot=robot, revealed=more.shape[1])
@@ -240,7 +240,7 @@ class _Stages:
     def _chosen(self, sigma0: float | None) -> Directions:
         """The directions that the measurements tell at a deviation of unit weight."""
         J, r = self._start
-        count = self._problem.count - self._problem.absorbed
+        count = known_count(self._problem) - absorbed(self._problem)
         parameters = self._problem.parameters
         return practical_directions(J, r, count, parameters, self._visible, sigma0)
 
@@ -306,7 +306,7 @@ def without_prior(
     """A solution without the rows of an expected size; they stand before priors."""
     if expected is None:
         return found
-    start = len(found.fun) - problem.further.priors - len(expected)
+    start = len(found.fun) - len(problem.further.priors) - len(expected)
     own = np.r_[0:start, start + len(expected) : len(found.fun)]
     fun, jac = found.fun[own], found.jac[own]
     return replace(found, fun=fun, jac=jac, cost=0.5 * float(fun @ fun))

@@ -147,17 +147,17 @@ def _sized(drift: DriftSetup, sizes: Mapping[str, float]) -> DriftSetup:
 def _moving(chains: Chains, still: Problem, setup: Setup) -> Problem:
     """The problem with the drift of a setup, about the references of another one."""
     found = make_problem(chains, still.data, replace(setup, learned=None))
-    parts = {
+    terms = {
         key: replace(
-            part,
-            error=part.error.with_frames(
-                still.parts[key].error.base, still.parts[key].error.tool
+            term,
+            error=term.error.with_frames(
+                still.terms[key].error.base, still.terms[key].error.tool
             ),
-            measurement=still.parts[key].measurement,
+            measurement=still.terms[key].measurement,
         )
-        for key, part in found.parts.items()
+        for key, term in found.terms.items()
     }
-    return replace(found, parts=parts, units=still.units)
+    return replace(found, terms=terms, units=still.units)
 
 
 def _drift_sizes(fitted: Fit, still: Problem, moving: Problem) -> dict[str, float]:

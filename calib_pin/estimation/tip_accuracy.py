@@ -123,15 +123,15 @@ def tip_accuracy(
     if not known or fitted.directions.count == 0:
         return None
     rng = np.random.default_rng(seed)
-    part = problem.moving if chain is None else problem.of_chain(chain)
-    error, own = part.error, part.of_error
+    term = problem.moving if chain is None else problem.of_chain(chain)
+    error, own = term.error, term.of_error
     if len(problem.setup.payloads) > 1 and not error.payload:
         error = error.carrying(next(iter(problem.setup.payloads)))
     q = error.chain.random_configurations(SAMPLES, rng)
     T, J = error.jacobian(q, theta[own])
     # Parameters are deviations from references, and so is their covariance.
     settled = posterior_about(fitted, *fitted.problem.rebased(fitted.theta))
-    twists = settled.twists(replace(part, error=error), q, J)
+    twists = settled.twists(replace(term, error=error), q, J)
     position, orientation = _deviations(twists)
     alone = _deviations(without_frames(twists, J))
     rows = problem.data.sample(ROWS)

@@ -30,9 +30,8 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import InputError, OptionError, OutputError
-from calib_pin.estimation.formulation import make_parts
-from calib_pin.estimation.scopes import BASE, TOOL
-from calib_pin.estimation.system import FRAME, Part, System, assembled
+from calib_pin.estimation.formulation import make_terms
+from calib_pin.estimation.terms import BASE, FRAME, TOOL, Term, Terms, assembled
 from calib_pin.io.files import sha256, write_atomically
 from calib_pin.io.json_text import (
     Json,
@@ -92,26 +91,26 @@ def frame_key(place: str) -> str:
     return {BASE: "base", TOOL: "tool"}.get(place, place)
 
 
-def count_without_instruments(system: System) -> int:
+def count_without_instruments(system: Terms) -> int:
     """Number of parameters of stations, robot and tools; those come first."""
-    return 1 + max(int(part.of_error.max()) for part in system.parts.values())
+    return 1 + max(int(term.of_error.max()) for term in system.terms.values())
 
 
-def _tip_correction(part: Part, theta: Floats) -> pin.SE3:
+def _tip_correction(term: Term, theta: Floats) -> pin.SE3:
     """The error of the tip that the tool carries, since a URDF has no place for it.
 
     Args:
-        part: The part of a block.
+        term: The term of a block.
         theta: Values of all parameters, shape (P,).
     """
-    if part.error.chain.tip_joint is not None:
+    if term.error.chain.tip_joint is not None:
         return pin.SE3.Identity()
-    return part.error.corrections(part.values(theta)[0])[-2]
+    return term.error.corrections(term.values(theta)[0])[-2]
 
 
-def model_name(system: System) -> str:
+def model_name(system: Terms) -> str:
     """Names of the measurement models, joined by plus signs."""
-    return "+".join(dict.fromkeys(key.model for key in system.parts))
+    return "+".join(dict.fromkeys(key.model for key in system.terms))
 
 
 def model_document(model: CalibratedModel, reference: CalibratedModel) -> Json:
@@ -123,7 +122,7 @@ def model_document(model: CalibratedModel, reference: CalibratedModel) -> Json:
         model: The calibrated robot.
         reference: The nominal robot where the fit began.
     """
-    targets = {k: list(p.measurement.targets) for k, p in model.parts.items()}
+    targets = {k: list(p.measurement.targets) for k, p in model.terms.items()}
     about: Json = {
         "model": model_name(model),
         "targets": list(dict.fromkeys(t for own in targets.values() for t in own)),
@@ -152,15 +151,15 @@ def _frames(model: CalibratedModel, reference: CalibratedModel) -> Json:
     """The frames of all stations, then of all tools, each once."""
     stations: Json = {}
     tools: Json = {}
-    for key, part in model.parts.items():
-        error, start = part.error, reference.parts[key]
-        inner, tool = len(error.screws) - FRAME, _carrier(part)
-        tool = _tip_correction(part, model.theta) * tool
+    for key, term in model.terms.items():
+        error, start = term.error, reference.terms[key]
+        inner, tool = len(error.screws) - FRAME, _carrier(term)
+        tool = _tip_correction(term, model.theta) * tool
         for found, place, pose, begun, at, link in (
-            (stations, part.scope.station, error.base, start.error.base, 0, "base"),
-            (tools, part.scope.tool, tool, _carrier(start), inner, "tip"),
+            (stations, term.frames.station, error.base, start.error.base, 0, "base"),
+            (tools, term.frames.tool, tool, _carrier(start), inner, "tip"),
         ):
-            known = not model.given.free[part.index][at : at + FRAME].any()
+            known = not model.given.free[term.index][at : at + FRAME].any()
             stated = frame_setup(pose, known=known), frame_setup(begun, known=True)
             name, entry = frame_key(place), _entry(*stated)
             if name not in ("base", "tool"):
@@ -169,9 +168,9 @@ def _frames(model: CalibratedModel, reference: CalibratedModel) -> Json:
     return stations | tools
 
 
-def _carrier(part: Part) -> pin.SE3:
+def _carrier(term: Term) -> pin.SE3:
     """The tool frame of a part, or that of the tool that its own is known on."""
-    return part.error.tool * part.scope.offset.inverse()
+    return term.error.tool * term.frames.offset.inverse()
 
 
 def _entry(found: Any, start: Any) -> Json:
@@ -197,19 +196,19 @@ def model_of(
     """
     setup, stated = setup_of(document["setup"]), _stated(document, reference)
     blocks = _blocks(document["measurements"])
-    parts, given = assembled(
+    terms, given = assembled(
         [
-            _measured(part, setup, stated, blocks[key])
-            for key, part in make_parts(chains, blocks, setup)[0].items()
+            _measured(term, setup, stated, blocks[key])
+            for key, term in make_terms(chains, blocks, setup)[0].items()
         ]
     )
     values = _values(document["parameters"])
-    count = count_without_instruments(System(chains, parts, given))
+    count = count_without_instruments(Terms(chains, terms, given))
     if tuple(values) not in (given.names, given.names[:count]):
         raise ValueError("the parameters are not those of this chain, in their order")
     theta = given.vector({} if reference else values)
-    parts = {key: _placed(part, stated, theta) for key, part in parts.items()}
-    model = CalibratedModel(chains, parts, given, theta, setup)
+    terms = {key: _placed(term, stated, theta) for key, term in terms.items()}
+    model = CalibratedModel(chains, terms, given, theta, setup)
     places = {place for place in stated if place[0] != "frames"}
     for section, name in places - model.references.keys():
         raise ValueError(f"no measurement refers to '{name}' under '{section}'")
@@ -259,33 +258,33 @@ def _values(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     return values
 
 
-def _measured(part: Part, setup: Setup, stated: Places, targets: Sequence[str]) -> Part:
+def _measured(term: Term, setup: Setup, stated: Places, targets: Sequence[str]) -> Term:
     """A part with its instrument as it was fitted.
 
     Args:
-        part: The part.
+        term: The term.
         setup: The setup.
         stated: Frames and reference objects.
         targets: Targets of the block.
     """
     sections: dict[str, dict[str, Any]] = {}
-    for reference in part.measurement.references:
-        section, name = part.scope.place(reference)
+    for reference in term.measurement.references:
+        section, name = term.frames.place(reference)
         sections.setdefault(section, {})[reference.name] = stated[section, name]
     camera = sections.pop(CAMERA, {}).get(CAMERA)
     fitted: Any = {**sections, "camera": camera}
-    measurement = measurement_model(part.key.model, replace(setup, **fitted), targets)
+    measurement = measurement_model(term.key.model, replace(setup, **fitted), targets)
     if (list(measurement.targets) or [""]) != targets:
         raise ValueError("'measurements' have other targets than their model")
-    return replace(part, measurement=measurement)
+    return replace(term, measurement=measurement)
 
 
-def _placed(part: Part, stated: Places, theta: Floats) -> Part:
+def _placed(term: Term, stated: Places, theta: Floats) -> Term:
     """A part about its station and its tool."""
-    places = frame_key(part.scope.station), frame_key(part.scope.tool)
+    places = frame_key(term.frames.station), frame_key(term.frames.tool)
     base, tool = (frame_pose(stated["frames", name]) for name in places)
-    tool = _tip_correction(part, theta).actInv(tool) * part.scope.offset
-    return replace(part, error=part.error.with_frames(base, tool))
+    tool = _tip_correction(term, theta).actInv(tool) * term.frames.offset
+    return replace(term, error=term.error.with_frames(base, tool))
 
 
 RESIDUAL_MODEL = "residual_model.json"
@@ -305,11 +304,11 @@ def encode_residual_model(
         run: Id of the run that learned it.
     """
     learned, shift = None, np.zeros(count_without_instruments(model))
-    for part in model.parts.values():
-        own = part.error.learned
+    for term in model.terms.values():
+        own = term.error.learned
         if isinstance(own, LearnedCorrection):
             learned = learned or own
-            shift[part.index[: len(own.shift)]] = own.shift
+            shift[term.index[: len(own.shift)]] = own.shift
     if learned is None:
         return None
     chain = model.moving.error.chain
@@ -338,7 +337,7 @@ def reference(data: bytes) -> dict[str, str]:
 
 
 def read_residual_model(
-    data: bytes, system: System, file: str | Path
+    data: bytes, system: Terms, file: str | Path
 ) -> LearnedCorrection:
     """The correction of a residual model, with a shift of all parameters.
 

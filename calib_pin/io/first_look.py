@@ -430,7 +430,7 @@ def _moved(problem: Problem) -> float:
         [
             block.data.values[:, :3]
             if block.data.model in ("position", "pose", "camera")
-            else block.part.error.chain.poses(block.data.q)[:, :3, 3]
+            else block.term.error.chain.poses(block.data.q)[:, :3, 3]
             for block in problem.blocks
         ]
     )

@@ -202,7 +202,7 @@ def _part(
 
 def _quantities(model: CalibratedModel) -> Mapping[str, Sequence[Quantity]]:
     """The quantities of each model that measurements were fitted with."""
-    return {key.model: part.measurement.quantities for key, part in model.parts.items()}
+    return {key.model: term.measurement.quantities for key, term in model.terms.items()}
 
 
 def unknown_errors(model: CalibratedModel, count: int) -> MeasurementErrors:

@@ -17,7 +17,7 @@ from calib_pin.estimation.evidence import rms
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.system import Part
+from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
@@ -175,8 +175,8 @@ def try_robot(study: Study, robot: int) -> tuple[Trial, ...]:
             continue
         rng = study.stream(robot, PREDICTED, count)
         compared = [
-            _compared(study, theta, model, part, rng, trial)
-            for part in model.problem.by_chain.values()
+            _compared(study, theta, model, term, rng, trial)
+            for term in model.problem.by_chain.values()
         ]
         trials.append(max(compared, key=lambda one: one.position))
     return tuple(trials)
@@ -204,26 +204,26 @@ def _compared(
     study: Study,
     theta: Floats,
     model: FittedModel,
-    part: Part,
+    term: Term,
     rng: np.random.Generator,
     trial: Trial,
 ) -> Trial:
     """A trial with the errors of a chain."""
     problem, fitted = model.problem, model.fit
     heaviest = problem.setup.heaviest
-    true = study.truth.by_chain[part.key.chain]
+    true = study.truth.by_chain[term.key.chain]
     true = replace(true, error=true.error.carrying(heaviest))
-    part = replace(part, error=part.error.carrying(heaviest))
+    term = replace(term, error=term.error.carrying(heaviest))
     # The same configurations for all, so that robots can be compared.
-    q = part.error.chain.random_configurations(TESTS, np.random.default_rng(study.seed))
+    q = term.error.chain.random_configurations(TESTS, np.random.default_rng(study.seed))
     A = true.error.poses(q, true.values(theta)[0])
     nominal = true.error.poses(q, 0.0 * true.values(theta)[0])
-    calibrated = part.error.poses(q, part.values(model.theta)[0])
+    calibrated = term.error.poses(q, term.values(model.theta)[0])
     before, _ = _apart(A, nominal)
     position, orientation = _apart(A, calibrated)
     expected = bound = np.nan
     if fitted.noise:
-        found = expected_accuracy(fitted, part, model.theta, q, rng)
+        found = expected_accuracy(fitted, term, model.theta, q, rng)
         expected, bound = found.calibrated.position, found.bound.position
     return replace(
         trial,

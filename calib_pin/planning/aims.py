@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.system import Part
+from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS, MeasurementModel, declared
 from calib_pin.observations import (
@@ -70,7 +70,7 @@ class Look:
             shape (0, 0) where that makes no difference.
     """
 
-    part: Part
+    term: Term
     names: tuple[str, ...]
     at_once: bool
     of_aim: Indices
@@ -103,14 +103,14 @@ class Look:
         Returns:
             True for targets that are seen, shape (N, each).
         """
-        part, shape = self.part, (len(q), len(SWAY), self.each)
-        if type(part.measurement).observable is MeasurementModel.observable:
+        term, shape = self.term, (len(q), len(SWAY), self.each)
+        if type(term.measurement).observable is MeasurementModel.observable:
             return np.ones((len(q), self.each), bool)
-        T = part.error.poses(q[:, part.columns], np.zeros(len(part.error.screws)))
+        T = term.error.poses(q[:, term.columns], np.zeros(len(term.error.screws)))
         swaying = np.repeat((T[:, None] @ SWAY).reshape(-1, 4, 4), self.each, axis=0)
         looked = np.repeat(self.targets(aim), len(SWAY), axis=0).reshape(-1)
-        instrument = np.zeros(len(part.measurement.parameters))
-        visible = part.measurement.observable(
+        instrument = np.zeros(len(term.measurement.parameters))
+        visible = term.measurement.observable(
             swaying, instrument, Labels(self.names, looked)
         )
         return np.asarray(visible.reshape(shape).all(axis=1))
@@ -148,9 +148,9 @@ class Aims:
         """
         places: dict[tuple[str, ...], dict[BlockKey, tuple[str, ...]]] = {}
         for key in keys:
-            part = problem.parts[key]
-            if part.error.chain.joints:
-                names = tuple(part.measurement.targets) or ("",)
+            term = problem.terms[key]
+            if term.error.chain.joints:
+                names = tuple(term.measurement.targets) or ("",)
                 places.setdefault(key[1:], {})[key] = names
         if not places:
             raise OptionError("nothing that is measured moves with the robot")
@@ -175,7 +175,7 @@ class Aims:
             codes = np.full(len(aims), -1)
             codes[list(of_aim)] = list(of_aim.values())
             names, at_once = places[key[1:]][key], declared(key.model).at_once
-            looks.append(Look(problem.parts[key], names, at_once, codes))
+            looks.append(Look(problem.terms[key], names, at_once, codes))
         looks.sort(key=lambda look: not look.at_once)
         sides = sides_tried(problem)
         if not len(sides):
@@ -187,7 +187,7 @@ class Aims:
                 replace(
                     look,
                     of_aim=np.repeat(look.of_aim, len(sides)),
-                    sides=np.tile(sides[:, look.part.columns], (count, 1)),
+                    sides=np.tile(sides[:, look.term.columns], (count, 1)),
                 )
                 for look in looks
             ),

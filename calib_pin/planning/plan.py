@@ -203,9 +203,9 @@ def plan(
     assumed = assumed_tools(problem) if data is None else set()
     # The region is that of the tip, until somebody says where the target sits.
     points = {
-        key: frame_pose(part.scope.end) * part.scope.offset
-        for key, part in problem.parts.items()
-        if part.scope.tool in assumed
+        key: frame_pose(term.frames.end) * term.frames.offset
+        for key, term in problem.terms.items()
+        if term.frames.tool in assumed
     }
     workspace = Workspace.create(
         problem, collisions, distance, Aims.of(problem, keys), points

@@ -22,9 +22,9 @@ from calib_pin.estimation.formulation import (
     require_known,
 )
 from calib_pin.estimation.identifiability import Structure
-from calib_pin.estimation.model import Configured
 from calib_pin.estimation.nominal import register, structure_at
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.tool_poses import Configured
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared, measurement_model
@@ -92,23 +92,23 @@ def planned_problem(
             raise InputError(reason, file=measured.files[0] or None)
         # Rows may reach farther than the window that the setup states.
         reach = setup.ranger.range[1]
-        return found.with_parts(
+        return found.with_terms(
             {
-                key: replace(part, measurement=replace(part.measurement, reach=reach))
-                if isinstance(part.measurement, PlaneDistance)
-                else part
-                for key, part in found.parts.items()
+                key: replace(term, measurement=replace(term.measurement, reach=reach))
+                if isinstance(term.measurement, PlaneDistance)
+                else term
+                for key, term in found.terms.items()
             }
         )
     problem = nominal_problem(chains, keys, setup)
-    require_known(problem.parts.values(), setup)
-    parts, assumed = {}, assumed_tools(problem)
-    for key, part in problem.parts.items():
-        error = part.error.carrying(setup.heaviest)
-        if part.scope.tool in assumed:
-            error = error.with_frames(error.base, ASSUMED_TOOL * part.scope.offset)
-        parts[key] = replace(part, error=error)
-    return problem.with_parts(parts)
+    require_known(problem.terms.values(), setup)
+    terms, assumed = {}, assumed_tools(problem)
+    for key, term in problem.terms.items():
+        error = term.error.carrying(setup.heaviest)
+        if term.frames.tool in assumed:
+            error = error.with_frames(error.base, ASSUMED_TOOL * term.frames.offset)
+        terms[key] = replace(term, error=error)
+    return problem.with_terms(terms)
 
 
 def assumed_tools(problem: Problem) -> set[str]:
@@ -116,16 +116,16 @@ def assumed_tools(problem: Problem) -> set[str]:
 
     At the tip itself, on the last axis, it would tell less than a real target does.
     """
-    parts = [part for part in problem.parts.values() if part.measurement.sees_tool]
+    terms = [term for term in problem.terms.values() if term.measurement.sees_tool]
     known = {
-        part.scope.tool
-        for part in parts
-        if part.scope.end.xyz is not None
-        or part.scope.end.estimate is False
-        or part.measurement.targets
-        or declared(part.key.model).tracks != "point"
+        term.frames.tool
+        for term in terms
+        if term.frames.end.xyz is not None
+        or term.frames.end.estimate is False
+        or term.measurement.targets
+        or declared(term.key.model).tracks != "point"
     }
-    return {part.scope.tool for part in parts} - known
+    return {term.frames.tool for term in terms} - known
 
 
 def identification(
@@ -178,7 +178,7 @@ def _looked_at(
     result: list[Configured] = []
     for look in aims.looks:
         rows, target = look.measured(q, aim)
-        result.append(asked(problem, look.part.key, q[rows], target))
+        result.append(asked(problem, look.term.key, q[rows], target))
     return result
 
 
@@ -203,16 +203,16 @@ class TipTests:
             tests: Test configurations by chain, shape (N, n) [rad, m].
         """
         found = []
-        parts = {key.chain: part for key, part in rows.problem.parts.items()}
+        terms = {key.chain: term for key, term in rows.problem.terms.items()}
         for chain, q in tests.items():
-            part = parts[chain]
+            term = terms[chain]
             # Whatever is measured, the pose of the tool is what counts [m, rad].
             pose = measurement_model(Pose.declaration.name, rows.problem.setup)
-            sides = sides_tried(rows.problem)[:, part.columns]
+            sides = sides_tried(rows.problem)[:, term.columns]
             look = Look(
-                replace(part, measurement=pose), ("",), True, np.zeros(1, int), sides
+                replace(term, measurement=pose), ("",), True, np.zeros(1, int), sides
             )
-            basis = rows.basis[part.of_error]
+            basis = rows.basis[term.of_error]
             aim = np.arange(len(q)) % max(len(sides), 1)
             J = (
                 LookRows(look, basis, np.ones(6))

@@ -23,9 +23,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.estimation.measured import assumed_sigma
-from calib_pin.estimation.model import linearized_at
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, assumed_sigma
+from calib_pin.estimation.tool_poses import linearized_at
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import CurvedModel
 from calib_pin.observations import Indices, Labels
@@ -56,8 +55,8 @@ class LookRows:
 
         Those of joint corrections are not there.
         """
-        part = self.look.part
-        return isinstance(part.measurement, CurvedModel) and part.error.geometric
+        term = self.look.term
+        return isinstance(term.measurement, CurvedModel) and term.error.geometric
 
     def rows(self, q: Floats, aim: Indices) -> Floats:
         """Rows of configurations, shape (N, d, m).
@@ -88,9 +87,9 @@ class LookRows:
         Returns:
             Rows target by target, shape (N, L d, m), and the derivative by all joints.
         """
-        part, each = self.look.part, self.look.each
-        measurement = part.measurement
-        assert isinstance(measurement, CurvedModel) and part.error.geometric
+        term, each = self.look.term, self.look.each
+        measurement = term.measurement
+        assert isinstance(measurement, CurvedModel) and term.error.geometric
         poses, J, measured = self._linear(q, aim)
         of_robot, of_instrument = self._bases
         V = poses.derivative(np.tile(np.eye(6), (len(q), 1, 1)))
@@ -119,19 +118,19 @@ class LookRows:
             ahead = np.concatenate([np.zeros_like(by_place[:, :, :1]), by_place], 2)
             by_joints = e[:, :, None] + ahead[:, :, self._carried]
             result = np.zeros(q.shape)
-            result[:, part.columns] = np.einsum("nck,nck->nk", xi, by_joints)
+            result[:, term.columns] = np.einsum("nck,nck->nk", xi, by_joints)
             return result
 
         return np.asarray(rows), pullback
 
     @property
     def _instrument(self) -> Floats:
-        return np.zeros(len(self.look.part.measurement.parameters))
+        return np.zeros(len(self.look.term.measurement.parameters))
 
     @property
     def _bases(self) -> tuple[Floats, Floats]:
         """Rows of the basis that belong to the error model and to the instrument."""
-        count = len(self.look.part.error.screws)
+        count = len(self.look.term.error.screws)
         return self.basis[:count], self.basis[count:]
 
     @cached_property
@@ -140,7 +139,7 @@ class LookRows:
 
         A joint traversed from child to parent turns before its own placement does.
         """
-        error = self.look.part.error
+        error = self.look.term.error
         places = [screw.frame for screw in error.screws]
         joints = np.arange(1, len(error.chain.joints) + 1)
         return np.searchsorted(places, joints - error.chain.reversed, side="right")
@@ -155,18 +154,18 @@ class LookRows:
             targets out of sight, and the positions of those that are measured,
             counted target by target.
         """
-        part, each, size = self.look.part, self.look.each, len(self.sigma)
-        own = q[:, part.columns]
-        basis = part.error.basis(own, self.look.conditions(aim))
-        poses = part.error.linearize(own, np.zeros(len(part.error.screws)), basis)
+        term, each, size = self.look.term, self.look.each, len(self.sigma)
+        own = q[:, term.columns]
+        basis = term.error.basis(own, self.look.conditions(aim))
+        poses = term.error.linearize(own, np.zeros(len(term.error.screws)), basis)
         # Where only one is measured, `Workspace` allows only what sees it.
         measured = np.arange(len(q))
         if self.look.at_once:
             measured = np.flatnonzero(self.look.seen(q, aim))
         place, names = self._measured(aim, measured)
         linear = linearized_at(
-            part.error.chain,
-            part.measurement,
+            term.error.chain,
+            term.measurement,
             poses.T[place],
             self._instrument,
             own[place],
@@ -257,7 +256,7 @@ class IdentificationRows:
         """The rows of each instrument."""
         setup = self.problem.setup
         return [
-            LookRows(look, self.basis[look.part.index], assumed_sigma(look.part, setup))
+            LookRows(look, self.basis[look.term.index], assumed_sigma(look.term, setup))
             for look in self.aims.looks
         ]
 

@@ -60,26 +60,26 @@ def calibrated_setup(model: CalibratedModel) -> Setup:
     setup, sections = model.setup, dict[str, Any]()
     camera, base, tool = setup.camera, setup.base_frame, setup.tool_frame
     stations, tools = dict(setup.stations), dict(setup.tools)
-    for part in model.parts.values():
-        for reference in part.measurement.references:
+    for term in model.terms.values():
+        for reference in term.measurement.references:
             if isinstance(reference, Camera):
                 camera = reference.stated()
             else:
                 named = sections.setdefault(reference.section, {})
                 named[reference.name] = reference.stated()
-        free = part.error.parameters.free
-        theta = model.theta[part.of_error]
-        mounted = CalibratedChain(part.error, theta, setup).tool
-        stands = frame_setup(part.error.base, known=not free[:6].any())
+        free = term.error.parameters.free
+        theta = model.theta[term.of_error]
+        mounted = CalibratedChain(term.error, theta, setup).tool
+        stands = frame_setup(term.error.base, known=not free[:6].any())
         sits = frame_setup(
-            mounted * part.scope.offset.inverse(), known=not free[-6:].any()
+            mounted * term.frames.offset.inverse(), known=not free[-6:].any()
         )
-        owner, _, kind = part.scope.station.rpartition(".")
+        owner, _, kind = term.frames.station.rpartition(".")
         if kind == "station":
             stations[owner] = stands
         else:
             base = stands
-        owner, _, kind = part.scope.tool.rpartition(".")
+        owner, _, kind = term.frames.tool.rpartition(".")
         if kind == "tool":
             tools[owner] = ToolSetup(sits.xyz, sits.rpy, sits.estimate)
         else:

@@ -120,7 +120,7 @@ class Workspace:
                 allowed="0 or more",
             )
         lower, upper = joint_limits(problem)
-        aims = aims or Aims.of(problem, tuple(problem.parts))
+        aims = aims or Aims.of(problem, tuple(problem.terms))
         return Workspace(
             problem, lower, upper, aims, points or {}, collisions, distance
         )
@@ -211,7 +211,7 @@ class Workspace:
             why = ", ".join(f"{n} {reason}" for reason, n in refused.items() if n)
             allowed = "wider limits, a larger region, or fewer obstacles"
             if refused.get("not measurable") == taken:
-                lacking = lacking_frames(self.problem, self.problem.parts)
+                lacking = lacking_frames(self.problem, self.problem.terms)
                 allowed = f"a setup with {lacking}" if lacking else allowed
             raise InputError(
                 f"none of {taken} configurations within the joint limits can be "
@@ -260,9 +260,9 @@ class Workspace:
         within, region = np.ones(len(q), bool), self.problem.setup.region
         assert region is not None
         for key in dict.fromkeys(one.key for one in self.aims.each):
-            error = self.problem.parts[key].error
+            error = self.problem.terms[key].error
             rows = np.flatnonzero([self.aims.each[k].key == key for k in aim])
-            own = q[rows][:, self.problem.parts[key].columns]
+            own = q[rows][:, self.problem.terms[key].columns]
             F = error.tip_poses(own, np.zeros(len(error.screws)))
             points = F @ self.points.get(key, error.tool).homogeneous
             within[rows] = region.contains(points[:, :3, 3])
@@ -274,7 +274,7 @@ class Workspace:
         chains = self.problem.chains
         moving = np.zeros((len(self.aims.each), len(chains.joints)), bool)
         for row, aim in zip(moving, self.aims.each, strict=True):
-            row[self.problem.parts[aim.key].columns] = True
+            row[self.problem.terms[aim.key].columns] = True
             for name, mimic in chains.mimics.items():
                 if row[chains.joints.index(name)]:
                     row[chains.joints.index(mimic.leader)] = True

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.estimation.system import System
+from calib_pin.estimation.terms import Terms
 from calib_pin.kinematics.joint_columns import drives_of
 from calib_pin.parameterizations import outside_urdf
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
@@ -94,7 +94,7 @@ def subject(result: CalibrationResult) -> Line:
 def taken(result: CalibrationResult) -> Facts:
     """The measurements: of which robot, how, how many, and who took them."""
     system, stated, held_out = result.model, result.model.setup.report, result.held_out
-    scopes = [part.scope for part in system.parts.values()]
+    of_terms = [term.frames for term in system.terms.values()]
     measured = f"{len(result.fitted)} measurements"
     if aside := int((result.fitted.rows.weight == 0.0).sum()):
         measured += f", {aside} of them set aside"
@@ -113,8 +113,7 @@ def taken(result: CalibrationResult) -> Facts:
         *(
             (f"{kind}s", ", ".join(names))
             for kind in ("station", "tool")
-            if len(names := sorted({getattr(scope, kind) or "-" for scope in scopes}))
-            > 1
+            if len(names := sorted({getattr(own, kind) or "-" for own in of_terms})) > 1
         ),
         ("files", ", ".join(result.files)),
         ("operator", stated.operator),
@@ -125,7 +124,7 @@ def taken(result: CalibrationResult) -> Facts:
     return Facts("Measurements", [entry for entry in entries if entry[1]])
 
 
-def chain_words(system: System) -> str:
+def chain_words(system: Terms) -> str:
     """The robot and the ends of its chains, for the line below a verdict."""
     chains = system.chains
     moving = [name for name in chains.names if chains[name].joints]
@@ -136,20 +135,20 @@ def chain_words(system: System) -> str:
     return f"{joints} {' and '.join(ends)}"
 
 
-def _places(system: System) -> str:
+def _places(system: Terms) -> str:
     """Numbers of stations and tools, where there are several."""
-    scopes = [part.scope for part in system.parts.values()]
+    of_terms = [term.frames for term in system.terms.values()]
     counts = {
-        "stations": len({scope.station for scope in scopes}),
-        "tools": len({scope.tool for scope in scopes}),
+        "stations": len({frames.station for frames in of_terms}),
+        "tools": len({frames.tool for frames in of_terms}),
     }
     told = [f"{count} {kind}" for kind, count in counts.items() if count > 1]
     return f" ({', '.join(told)})" if told else ""
 
 
-def model_words(system: System) -> str:
+def model_words(system: Terms) -> str:
     """The measurement models, each once."""
-    return " + ".join(dict.fromkeys(key.model for key in system.parts))
+    return " + ".join(dict.fromkeys(key.model for key in system.terms))
 
 
 def accuracy(result: CalibrationResult, *, details: bool = True) -> Iterator[Block]:

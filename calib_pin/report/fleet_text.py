@@ -173,7 +173,7 @@ def outlook_report(
         limit: What has to be reached.
     """
     yield from _decision(found, limit)
-    instruments = "+".join(dict.fromkeys(key.model for key in study.truth.parts))
+    instruments = "+".join(dict.fromkeys(key.model for key in study.truth.terms))
     setup = study.truth.setup
     yield Facts(
         "Study",

@@ -211,7 +211,7 @@ def report(
         model = result.model
         suggested = suggestions(
             model.chains,
-            tuple(model.parts),
+            tuple(model.terms),
             calibrated_setup(model),
             result,
             seed=result.solver.seed,

@@ -122,8 +122,8 @@ def _chosen_steps(plan: Plan) -> list[Step]:
 
 def _tip(plan: Plan) -> Facts:
     predicted, directions = plan.predicted, plan.predicted.directions
-    parts = plan.problem.parts.values()
-    quantities = {q.name for part in parts for q in part.measurement.quantities}
+    terms = plan.problem.terms.values()
+    quantities = {q.name for term in terms for q in term.measurement.quantities}
     tip = amount(predicted.position, "m")
     # Without measured orientations the tool's orientation is not known anyway.
     if "orientation" in quantities:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib_pin.estimation.system import Part
+from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.shapes import Color, Shape, ball, box, cylinder
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.pinhole import Camera
@@ -85,12 +85,12 @@ def touched_by(rows: Observations, points: Floats) -> Touched:
 
 
 def surroundings(
-    parts: Mapping[BlockKey, Part], touched: Touched, reach: float
+    terms: Mapping[BlockKey, Term], touched: Touched, reach: float
 ) -> list[Thing]:
     """All that is known of what stands around, each once.
 
     Args:
-        parts: The parts of all blocks, about what has been found of frames and
+        terms: The terms of all blocks, about what has been found of frames and
             instruments.
         touched: Measurements, which tell how large planes are to be drawn; may be
             empty.
@@ -98,24 +98,27 @@ def surroundings(
     """
     size = float(np.clip(reach / LARGE, 0.15, 1.0))
     found: dict[tuple[str, str], Thing] = {}
-    for key, part in parts.items():
+    for key, term in terms.items():
         targets, points = touched.get(key, (Labels.of(()), np.zeros((0, 3))))
-        sites = _touched(part, targets, points, size)
-        for thing in (*_instruments(part, size), *sites):
+        sites = _touched(term, targets, points, size)
+        for thing in (*_instruments(term, size), *sites):
             found.setdefault((thing.kind, thing.name), thing)
     return list(found.values())
 
 
-def _instruments(part: Part, size: float) -> Iterator[Thing]:
+def _instruments(term: Term, size: float) -> Iterator[Thing]:
     """The station of a block, or its camera with the board that it looks at."""
-    chain, scope, references = part.error.chain, part.scope, part.measurement.references
-    stands = chain.base, part.error.base.inverse().homogeneous
-    carried = chain.tip, part.error.tool.homogeneous
+    chain, frames = term.error.chain, term.frames
+    references = term.measurement.references
+    stands = chain.base, term.error.base.inverse().homogeneous
+    carried = chain.tip, term.error.tool.homogeneous
     cameras = [r for r in references if isinstance(r, Camera)]
-    if part.measurement.declaration.external and not cameras:
-        yield Thing("station", scope.station, stands[1][:3, 3], _station(*stands, size))
+    if term.measurement.declaration.external and not cameras:
+        yield Thing(
+            "station", frames.station, stands[1][:3, 3], _station(*stands, size)
+        )
     for camera in cameras:
-        ends = (stands, scope.station), (carried, scope.tool)
+        ends = (stands, frames.station), (carried, frames.tool)
         (own, name), (other, of) = ends[::-1] if camera.mount == "hand" else ends
         yield Thing("camera", name, own[1][:3, 3], _camera(*own, size))
         marks = [r.xyz for r in references if isinstance(r, Point)]
@@ -126,12 +129,12 @@ def _instruments(part: Part, size: float) -> Iterator[Thing]:
 
 
 def _touched(
-    part: Part, targets: Labels, points: Floats, size: float
+    term: Term, targets: Labels, points: Floats, size: float
 ) -> Iterator[Thing]:
     """Sockets, planes, spheres and anchors that the measurements of a block name."""
-    stands, link = part.error.base.inverse().homogeneous, part.error.chain.base
+    stands, link = term.error.base.inverse().homogeneous, term.error.chain.base
     sites = [target.rpartition(AT)[2] for target in targets.names]
-    for reference in part.measurement.references:
+    for reference in term.measurement.references:
         if not reference.located or not reference.outer:
             continue
         named = np.array([site in (reference.name, "") for site in sites], bool)
@@ -149,7 +152,7 @@ def _touched(
         else:
             place = _at(_at(stands, reference.xyz), (0.0, 0.0, -0.02 * size))
             shape = Shape(link, place, cylinder(0.024 * size, 0.03 * size), SOCKET)
-        name = part.scope.reference(reference)
+        name = term.frames.reference(reference)
         yield Thing(reference.kind, name, shape.placement[:3, 3], (shape,))
 
 

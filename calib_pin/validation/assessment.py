@@ -32,9 +32,9 @@ from calib_pin.estimation.identifiability import (
     observability,
 )
 from calib_pin.estimation.nominal import analyze_structure
-from calib_pin.estimation.problem import Problem, distinct_values
+from calib_pin.estimation.problem import Problem, absorbed, distinct_values, known_count
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
-from calib_pin.estimation.system import System
+from calib_pin.estimation.terms import Terms
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey
@@ -43,13 +43,13 @@ from calib_pin.parameters import ParameterSet
 from calib_pin.solvers import LeastSquaresResult
 from calib_pin.solvers.status import Status
 from calib_pin.validation.result import (
+    Coefficient,
     Correlation,
     CoupledGroup,
     Identifiability,
     Identification,
     ParameterEstimate,
     RobotError,
-    Term,
 )
 
 CORRELATED = 0.95
@@ -106,7 +106,7 @@ def identify(
         (34, 34)
     """
     problem = nominal_problem(chains, measured, setup_of(setup))
-    require_known(problem.parts.values(), problem.setup)
+    require_known(problem.terms.values(), problem.setup)
     theta = np.zeros(len(problem.parameters))
     found, _ = analyze_structure(problem, theta, np.random.default_rng(seed))
     parameters, groups = estimates(problem.parameters, found)
@@ -161,7 +161,7 @@ def estimates(
             weak.add(number)
         for position, _ in combination.terms:
             member[position].append(number)
-        terms = tuple(Term(parameters[k].name, c) for k, c in combination.terms)
+        terms = tuple(Coefficient(parameters[k].name, c) for k, c in combination.terms)
         formula = combination.expression(parameters.names)
         known = value, sigma, terms
         groups.append(CoupledGroup(number, formula, combination.unit, *known))
@@ -218,7 +218,7 @@ def fitted_ranks(fitted: Fit) -> Identifiability:
     """Ranks and observability of the measurements that were fitted."""
     problem, s = fitted.problem, fitted.singular_values
     rank, weak = fitted.rank, fitted.directions.weak.shape[1]
-    if problem.further.priors:
+    if len(problem.further.priors):
         s = _told(fitted)
         rank += len(s) - fitted.directions.robot.shape[1]
         weak = max(len(fitted.structure.robot) - len(s), 0)
@@ -239,12 +239,12 @@ def fitted_ranks(fitted: Fit) -> Identifiability:
 def _told(fitted: Fit) -> Floats:
     """Singular values of the robot directions that measurements tell without priors."""
     problem, parameters = fitted.problem, fitted.problem.parameters
-    count = len(fitted.result.fun) - problem.further.priors
+    count = len(fitted.result.fun) - len(problem.further.priors)
     fun, jac = fitted.result.fun[:count], fitted.result.jac[:count]
     robot = np.eye(len(parameters))[:, parameters.free & ~parameters.nuisance]
     unit = fitted.unit if np.isfinite(fitted.unit) else 0.0
     told = practical_directions(
-        jac, fun, problem.count - problem.absorbed, parameters, robot, unit
+        jac, fun, known_count(problem) - absorbed(problem), parameters, robot, unit
     )
     return robot_singular_values(told, jac, parameters)
 
@@ -253,8 +253,8 @@ def _ranks(
     problem: Problem, structure: Structure, s: Floats, configurations: int
 ) -> Identifiability:
     """Ranks of a structure, with the singular values s of some configurations."""
-    scopes = [part.scope for part in problem.parts.values()]
-    frames = {scope.station for scope in scopes} | {scope.tool for scope in scopes}
+    of_terms = [term.frames for term in problem.terms.values()]
+    frames = {own.station for own in of_terms} | {own.tool for own in of_terms}
     return Identifiability(
         parameters=int(problem.parameters.free.sum()),
         rank=structure.rank,
@@ -313,7 +313,7 @@ def chi2_interval(dof: int) -> tuple[float, float]:
 
 
 def robot_errors(
-    system: System, structure: Structure, fitted: Estimated | None = None
+    system: Terms, structure: Structure, fitted: Estimated | None = None
 ) -> tuple[RobotError, ...]:
     """The identifiable errors of a robot, each direction once, and those in frames.
 
@@ -381,7 +381,7 @@ def _error(
         sigma,
         "identifiable" if told else "weak",
         expression=expression,
-        terms=tuple(Term(parameters[k].name, c) for k, c in terms),
+        terms=tuple(Coefficient(parameters[k].name, c) for k, c in terms),
     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.system import System
+from calib_pin.estimation.terms import Terms
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
@@ -91,12 +91,12 @@ class CalibratedChain(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class CalibratedModel(Brief, System):
+class CalibratedModel(Brief, Terms):
     """A robot with its calibration: all chains, stations, tools and instruments.
 
     Attributes:
         theta: Values of all parameters, shape (P,), frames and instruments at zero:
-            the parts have these in their references.
+            the terms have these in their references.
         setup: The setup it was fitted with.
     """
 
@@ -111,7 +111,7 @@ class CalibratedModel(Brief, System):
         """
         moved, values = problem.rebased(theta)
         return CalibratedModel(
-            moved.chains, moved.parts, moved.given, values, moved.setup
+            moved.chains, moved.terms, moved.given, values, moved.setup
         )
 
     def of(self, chain: str | BlockKey | None = None) -> CalibratedChain:
@@ -121,11 +121,11 @@ class CalibratedModel(Brief, System):
             chain: Name of the chain, or a block; default the first that moves.
         """
         if isinstance(chain, BlockKey):
-            part = self.parts[chain]
+            term = self.terms[chain]
         else:
-            part = self.moving if chain is None else self.of_chain(chain)
-        theta = self.theta[part.of_error]
-        return CalibratedChain(part.error, theta, self.setup)
+            term = self.moving if chain is None else self.of_chain(chain)
+        theta = self.theta[term.of_error]
+        return CalibratedChain(term.error, theta, self.setup)
 
     @property
     def geometric(self) -> bool:
@@ -138,11 +138,11 @@ class CalibratedModel(Brief, System):
 
         Of a fit that is no use, see `CalibrationResult.geometry`.
         """
-        theta, parts = self.theta.copy(), {}
-        for key, part in self.parts.items():
-            theta[part.index[beyond_urdf(part.error)]] = 0.0
-            parts[key] = replace(part, error=replace(part.error, learned=None))
-        return replace(self, parts=parts, theta=theta)
+        theta, terms = self.theta.copy(), {}
+        for key, term in self.terms.items():
+            theta[term.index[beyond_urdf(term.error)]] = 0.0
+            terms[key] = replace(term, error=replace(term.error, learned=None))
+        return replace(self, terms=terms, theta=theta)
 
     @property
     def measured_chains(self) -> tuple[str, ...]:
@@ -165,4 +165,4 @@ class CalibratedModel(Brief, System):
 
     def problem(self, data: Observations) -> Problem:
         """The problem of other measurements about this calibration."""
-        return Problem(self.chains, self.parts, self.given, data, self.setup)
+        return Problem(self.chains, self.terms, self.given, data, self.setup)

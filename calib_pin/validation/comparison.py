@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.evidence import Finding, PoseErrors
 from calib_pin.estimation.statistics.distributions import chi_square_tail
-from calib_pin.estimation.system import FRAME, Part
+from calib_pin.estimation.terms import FRAME, Term
 from calib_pin.estimation.tip_accuracy import frame_motions
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.observations import BlockKey
@@ -33,10 +33,10 @@ from calib_pin.validation.counterparts import (
 from calib_pin.validation.findings.different_robots import different_robots
 from calib_pin.validation.result import (
     CalibrationResult,
+    Coefficient,
     CoupledGroup,
     ParameterEstimate,
     Printed,
-    Term,
     frames_of,
 )
 from calib_pin.validation.tip_drift import TipDrift, absorbing, tip_drift
@@ -99,7 +99,7 @@ class Difference:
     first: float
     second: float
     sigma: float
-    terms: tuple[Term, ...] = ()
+    terms: tuple[Coefficient, ...] = ()
 
     @property
     def change(self) -> float:
@@ -402,12 +402,12 @@ def _alone(pairs: Iterable[_Pair]) -> tuple[str, ...]:
 def unknown_ends(result: CalibrationResult, chain: str) -> tuple[bool, bool]:
     """Whether something at the base, and at the tool, of a chain was estimated."""
     base = tool = False
-    for part in result.model.parts.values():
-        if part.key.chain == chain:
-            own = part.parameters[len(part.error.screws) :]
-            free = _free(result)[part.of_instrument]
+    for term in result.model.terms.values():
+        if term.key.chain == chain:
+            own = term.parameters[len(term.error.screws) :]
+            free = _free(result)[term.of_instrument]
             outer = np.array([p.outer for p in own], bool)
-            first, last = _estimated(result, part)
+            first, last = _estimated(result, term)
             base |= first or bool((free & outer).any())
             tool |= last or bool((free & ~outer).any())
     return base, tool
@@ -417,9 +417,9 @@ def _free(result: CalibrationResult) -> NDArray[np.bool_]:
     return np.array([p.status != "fixed" for p in result.parameters])
 
 
-def _estimated(result: CalibrationResult, part: Part) -> tuple[bool, bool]:
+def _estimated(result: CalibrationResult, term: Term) -> tuple[bool, bool]:
     """Whether the base frame, and the tool frame, of a part were estimated."""
-    free, ((_, base), (_, tool)) = _free(result), frames_of(part)
+    free, ((_, base), (_, tool)) = _free(result), frames_of(term)
     return bool(free[base].any()), bool(free[tool].any())
 
 
@@ -437,13 +437,13 @@ def _displacements(
     first, second = found.first, found.second
     moved: dict[tuple[bool, str], Displacement] = {}
     chains = partners(first.model, second.model)
-    pairs = product(first.model.parts.items(), second.model.parts.items())
-    for (mine, part), (theirs, other) in pairs:
-        a, b = part.scope, other.scope
+    pairs = product(first.model.terms.items(), second.model.terms.items())
+    for (mine, term), (theirs, other) in pairs:
+        a, b = term.frames, other.frames
         places = [(False, _owner(a.station))] * (a.station == b.station)
         places += [(True, _owner(a.tool))] * (a.tool == b.tool)
         same = chains.get(mine.chain, mine.chain) == theirs.chain
-        if not same or not part.error.chain.joints or set(places) <= set(moved):
+        if not same or not term.error.chain.joints or set(places) <= set(moved):
             continue
         for one in _moved(found, mine, theirs, seed, blurred):
             if (place := (one.of_tool, one.frame)) in places:
@@ -457,11 +457,11 @@ def _moved(
 ) -> Iterator[Displacement]:
     """The displacements of both frames of a part of each calibration."""
     records = (found.first, mine), (found.second, theirs)
-    part = found.first.model.parts[mine]
-    free = [_estimated(record, record.model.parts[key]) for record, key in records]
+    term = found.first.model.terms[mine]
+    free = [_estimated(record, record.model.terms[key]) for record, key in records]
     base, tool = (any(pair) for pair in zip(*free, strict=True))
     rng = np.random.default_rng(seed)
-    q = part.error.chain.random_configurations(SAMPLES, rng)
+    q = term.error.chain.random_configurations(SAMPLES, rng)
     here, there = (record.model.of(key) for record, key in records)
     A, B = here.poses(q), there.poses(q)
     _, L, R = absorbing(A, B, left=base, right=tool)
@@ -479,7 +479,7 @@ def _moved(
         known, steps = slice(0, 6 if told else 3), (tools - A)[:, :3, 3]
         sigma = (np.sqrt(np.trace(C) / 3.0) for C in (own[:3, :3], own[3:, 3:]))
         yield Displacement(
-            frame=_owner(part.scope.tool if k else part.scope.station),
+            frame=_owner(term.frames.tool if k else term.frames.station),
             shift=float(np.linalg.norm(motion[:3, 3])),
             turn=float(np.linalg.norm(twist[3:])) if told else None,
             of_tool=k == 1,
@@ -499,7 +499,7 @@ def _covariance(result: CalibrationResult, key: BlockKey, q: Floats) -> Floats:
 
     NaN where the calibration does not know its own.
     """
-    _, J, C = result.linearized(result.reference.parts[key], q)
+    _, J, C = result.linearized(result.reference.terms[key], q)
     if not np.isfinite(C).all():
         return np.full((12, 12), np.nan)
     squares, V = np.linalg.eigh(C)

@@ -16,11 +16,11 @@ SAME = 1e-9
 
 def partners(first: CalibratedModel, second: CalibratedModel) -> dict[str, str]:
     """Names of the chains of one robot, and of the same chains in another."""
-    others = {_ends(part.error.chain): name for name, part in second.by_chain.items()}
+    others = {_ends(term.error.chain): name for name, term in second.by_chain.items()}
     return {
         name: others[ends]
-        for name, part in first.by_chain.items()
-        if (ends := _ends(part.error.chain)) in others
+        for name, term in first.by_chain.items()
+        if (ends := _ends(term.error.chain)) in others
     }
 
 

@@ -84,7 +84,7 @@ def evaluate(
     outside = 0
     if isinstance(there, CalibratedModel):
         for block in ready.problem.blocks:
-            chain = there.of(block.part.key.chain)
+            chain = there.of(block.term.key.chain)
             outside += int(chain.outside(block.data.q).sum())
     return Evaluation(
         errors=errors,

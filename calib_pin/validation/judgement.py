@@ -17,9 +17,9 @@ import numpy as np
 from calib_pin.estimation.evidence import ExpectedAccuracy, Finding, Gain, PoseErrors
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit, likely_posteriors
-from calib_pin.estimation.problem import distinct_values, known_values
+from calib_pin.estimation.problem import distinct_values, known_count, known_values
 from calib_pin.estimation.statistics.distributions import chi_square_quantile, f_tail
-from calib_pin.estimation.system import Part
+from calib_pin.estimation.terms import Term
 from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -200,8 +200,8 @@ def judge(
     if fitted.noise:
         kept = data.rows(counting)
         accuracies = {
-            name: tool_accuracy(model, part, kept, np.random.default_rng(seed))
-            for name, part in model.problem.by_chain.items()
+            name: tool_accuracy(model, term, kept, np.random.default_rng(seed))
+            for name, term in model.problem.by_chain.items()
         }
     case = Case.of(fitted, chains, validation, progress, others, accuracies)
     found = find(case, seek)
@@ -300,7 +300,7 @@ def _unchecked(grounds: Judgement) -> str:
     """The reason why there is no check; empty where there is one."""
     fitted = grounds.fitted
     values, rank = known_values(fitted.problem), fitted.structure.rank
-    known = "values and priors" if fitted.problem.further.priors else "values"
+    known = "values and priors" if len(fitted.problem.further.priors) else "values"
     if values < rank:
         return (
             f"{values} measured {known} cannot determine {rank} identifiable "
@@ -408,7 +408,7 @@ def _as_nominal(fitted: Fit) -> bool:
     """
     plain = replace(fitted.problem, units=np.zeros(0))
     nuisances = int((plain.parameters.free & plain.parameters.nuisance).sum())
-    left = plain.count - nuisances
+    left = known_count(plain) - nuisances
     if left < REDUNDANT:
         return False
     return 2.0 * plain.cost(fitted.before) < chi_square_quantile(left, LOSS_CHANCE)
@@ -462,16 +462,16 @@ DRAWS = 400
 
 
 def tool_accuracy(
-    model: FittedModel, part: Part, data: Observations, rng: np.random.Generator
+    model: FittedModel, term: Term, data: Observations, rng: np.random.Generator
 ) -> ToolAccuracy:
     """The accuracy to expect of a chain where it was measured and elsewhere."""
-    blocks = tuple(b for b in data.blocks if b.chain == part.key.chain)
-    kept = Observations(blocks).sample(MEASURED).q[:, part.columns] if blocks else None
-    spread = part.error.chain.random_configurations(SAMPLES, rng)
-    loaded = part.error.carrying(model.problem.setup.heaviest)
-    part = replace(part, error=loaded)
+    blocks = tuple(b for b in data.blocks if b.chain == term.key.chain)
+    kept = Observations(blocks).sample(MEASURED).q[:, term.columns] if blocks else None
+    spread = term.error.chain.random_configurations(SAMPLES, rng)
+    loaded = term.error.carrying(model.problem.setup.heaviest)
+    term = replace(term, error=loaded)
     measured, workspace = (
-        None if q is None else expected_accuracy(model.fit, part, model.theta, q, rng)
+        None if q is None else expected_accuracy(model.fit, term, model.theta, q, rng)
         for q in (kept, spread)
     )
     return ToolAccuracy(None, measured, workspace)
@@ -479,7 +479,7 @@ def tool_accuracy(
 
 def expected_accuracy(
     fitted: Fit,
-    part: Part,
+    term: Term,
     theta: Floats,
     q: Floats,
     rng: np.random.Generator,
@@ -494,22 +494,22 @@ def expected_accuracy(
 
     Args:
         fitted: The fit.
-        part: A part of its problem about the solution, of the chain.
+        term: A term of its problem about the solution, of the chain.
         theta: Parameter values about that, shape (P,).
         q: Configurations of the chain, shape (N, n) [rad, m].
         rng: Draws the errors by which the bound is found.
     """
     parameters = fitted.problem.parameters
-    index = part.of_error
+    index = term.of_error
     scales, nuisance = parameters.scales[index], parameters.nuisance[index]
     robot = parameters.free[index] & ~nuisance
-    _, J = part.error.jacobian(q, theta[index])
+    _, J = term.error.jacobian(q, theta[index])
     own = without_frames(J * scales, J)[:, :, robot]
     effects = np.zeros((*J.shape[:2], 0))
     if fitted.effects is not None:
         absorbed = fitted.posterior.by_effects[index]
         absorbed = np.where(nuisance[:, None], 0.0, absorbed)
-        there = fitted.effects.twists(part, q)
+        there = fitted.effects.twists(term, q)
         effects = without_frames(J @ absorbed - there, J)
     mean, own_scales = (theta[index] / scales)[robot], scales[robot, None]
     halves = [
@@ -519,7 +519,7 @@ def expected_accuracy(
     C = np.array([half @ half.T for half in halves])
     sizes = zip(
         *(
-            _sizes(mean, own[:, k], effects[:, k], _scatter(fitted, part, unit), C, rng)
+            _sizes(mean, own[:, k], effects[:, k], _scatter(fitted, term, unit), C, rng)
             for k, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad"))
         ),
         strict=True,
@@ -589,7 +589,7 @@ def _better(mean: Floats, J: Floats, effects: Floats, C: Floats) -> tuple[float,
     return float(chances[-1]), float(np.mean(chances[:-1] >= LIKELY))
 
 
-def _scatter(fitted: Fit, part: Part, unit: str) -> float:
+def _scatter(fitted: Fit, term: Term, unit: str) -> float:
     """Variance of a component that neither noise nor the known effects explain.
 
     Of the first quantity in a unit that the chain of a part is measured by; zero where
@@ -598,7 +598,7 @@ def _scatter(fitted: Fit, part: Part, unit: str) -> float:
     components = {
         k
         for key, of_key in fitted.problem.layout.of_keys.items()
-        if key.chain == part.key.chain
+        if key.chain == term.key.chain
         for k in of_key.tolist()
     }
     for k, noise in enumerate(fitted.noise):

@@ -55,7 +55,7 @@ def learned_left_out(
     parts = [m for m, found in zip(masks, geometries, strict=True) if found]
     rng = np.random.default_rng(seed)
     others = iter(left_out(learned, fit, problem, theta, parts, rng))
-    of_error = np.concatenate([part.of_error for part in problem.parts.values()])
+    of_error = np.concatenate([term.of_error for term in problem.terms.values()])
     result = list[ModelErrors | None]()
     for mask, geometry in zip(masks, geometries, strict=True):
         if geometry is None:

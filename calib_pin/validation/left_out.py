@@ -27,7 +27,7 @@ from calib_pin.estimation.fitted import (
     effect_rows,
     shared_variances,
 )
-from calib_pin.estimation.problem import EXACT, Problem, error_table
+from calib_pin.estimation.problem import EXACT, Problem, error_table, known_count
 from calib_pin.estimation.robust.studentized import by_size, spectrum
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.validation.model_errors import (
@@ -80,7 +80,7 @@ class Linear:
         problem, parameters = fitted.problem, fitted.problem.parameters
         fun, J = fitted.registered
         F = half_covariance(J, visible_nuisances(J, parameters), parameters)
-        unit = float(np.sqrt(fun @ fun / max(problem.count - F.shape[1], 1)))
+        unit = float(np.sqrt(fun @ fun / max(known_count(problem) - F.shape[1], 1)))
         nominal = cls(problem, fitted.before, fun, J, F, J @ F, unit)
         problem, held, moved = fitted.held
         J, F = held.jac, half_covariance(held.jac, moved, parameters)
@@ -246,7 +246,7 @@ def _group(
     """The residual rows that are left out, (M',), and what only they know, (P,)."""
     count = len(own)
     out = np.append(own, np.zeros(len(robot.fun) - count, bool))
-    known = slice(count, count + len(robot.problem.known_distances))
+    known = slice(count, count + len(robot.problem.further.distances))
     seen = robot.jac != 0.0
     elsewhere = ~out
     elsewhere[known] = False

@@ -17,7 +17,7 @@ from calib_pin.estimation.problem import Problem, distinct_values, error_table
 from calib_pin.estimation.registration import extended
 from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.estimation.solve import least_squares
-from calib_pin.estimation.system import FRAME
+from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.setup import DistanceSetup
@@ -156,7 +156,7 @@ def errors_of_registered(
     problem, theta, known = after.problem, after.theta, located_names(model.problem)
     estimated = (*after.refitted, *after.new)
     there = problem, theta
-    if not estimated and model.fit.problem.parts.keys() == problem.parts.keys():
+    if not estimated and model.fit.problem.terms.keys() == problem.terms.keys():
         there = replace(model.fit.problem, data=problem.data), model.fit.theta
     variance = predicted_variance(model.fit, *there, estimated)
     stated = problem.setup.known
@@ -175,9 +175,9 @@ def located_names(problem: Problem) -> tuple[str, ...]:
     """Names of the stations that are estimated, and of all reference objects."""
     free = dict(zip(problem.given.names, problem.parameters.free, strict=True))
     stations = dict.fromkeys(
-        part.scope.station
-        for part in problem.parts.values()
-        if any(free[p.name] for p in part.parameters[:FRAME])
+        term.frames.station
+        for term in problem.terms.values()
+        if any(free[p.name] for p in term.parameters[:FRAME])
     )
     return (
         *(" ".join(reversed(name.rsplit(".", 1))) for name in stations),

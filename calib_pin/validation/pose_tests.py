@@ -18,7 +18,7 @@ from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.registration import extended, registered, relocated
 from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.statistics.distributions import f_tail
-from calib_pin.estimation.system import FRAME
+from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Observations
@@ -194,7 +194,7 @@ def _frames(
     models = {"nominal": robot.reference, "calibrated": robot.model}
     fits = {name: FrameFit.of(model, visits) for name, model in models.items()}
     how, doubts = "base and tool as calibrated", list[str]()
-    if registration or others is not None or visits.keys[0] not in robot.model.parts:
+    if registration or others is not None or visits.keys[0] not in robot.model.terms:
         fits = {name: fitted_station(model, on) for name, model in models.items()}
         said, unlikely = misfit(robot, fits["calibrated"])
         doubts += [said] * unlikely
@@ -322,9 +322,9 @@ def fitted_frames(problem: Problem, theta: Floats) -> FrameFit:
 def fitted_station(model: CalibratedModel, rows: Observations) -> FrameFit:
     """A robot with its tool, whose station is fitted to measurements of one block."""
     problem, theta = extended(model.problem(rows), model.theta, rows)
-    part = problem.parts[rows.only.key]
-    problem = relocated(problem, theta, part.scope.station)
-    free = np.isin(np.arange(len(theta)), part.index[:FRAME])
+    term = problem.terms[rows.only.key]
+    problem = relocated(problem, theta, term.frames.station)
+    free = np.isin(np.arange(len(theta)), term.index[:FRAME])
     basis = np.diag(problem.parameters.scales)[:, free]
     return _fitted(problem, least_squares(problem, theta, basis).x, free)
 
@@ -376,7 +376,7 @@ def misfit(calibration: CalibrationResult, fit: FrameFit) -> tuple[str, bool]:
     own = np.isin(problem.parameters.names, calibration.covariance.rows)
     S = J[:, own] @ C @ J[:, own].T
     S += noise[0].estimate ** 2 * np.eye(len(d))
-    Q = np.linalg.qr(J[:, problem.parts[problem.data.only.key].index[:FRAME]])[0]
+    Q = np.linalg.qr(J[:, problem.terms[problem.data.only.key].index[:FRAME]])[0]
     left = np.eye(len(d)) - Q @ Q.T
     squares = np.maximum(np.linalg.eigvalsh(left @ S @ left), 0.0)
     draws = np.random.default_rng(0).standard_normal((DRAWS, len(d))) ** 2 @ squares

@@ -20,7 +20,7 @@ from calib_pin.estimation.evidence import (
     TipAccuracy,
     VarianceComponent,
 )
-from calib_pin.estimation.system import FRAME, Part
+from calib_pin.estimation.terms import FRAME, Term
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices
 from calib_pin.plugins import upper
@@ -535,15 +535,15 @@ class Frame(NamedTuple):
         return f"the {self.name}" if alone else f"the {self.kind} '{self.name}'"
 
 
-def frames_of(part: Part) -> tuple[tuple[Frame, Indices], tuple[Frame, Indices]]:
+def frames_of(term: Term) -> tuple[tuple[Frame, Indices], tuple[Frame, Indices]]:
     """Station and tool of a part, with the positions of their parameters, (6,)."""
-    scope, count = part.scope, len(part.error.screws)
-    tool = scope.tool.rpartition(".")[0]
-    if not scope.offset.isIdentity():
-        tool = part.key.tool
+    frames, count = term.frames, len(term.error.screws)
+    tool = frames.tool.rpartition(".")[0]
+    if not frames.offset.isIdentity():
+        tool = term.key.tool
     return (
-        (Frame("station", scope.station.rpartition(".")[0]), part.index[:FRAME]),
-        (Frame("tool", tool), part.index[count - FRAME : count]),
+        (Frame("station", frames.station.rpartition(".")[0]), term.index[:FRAME]),
+        (Frame("tool", tool), term.index[count - FRAME : count]),
     )
 
 
@@ -568,8 +568,8 @@ class ParameterEstimate:
     groups: tuple[int, ...]
 
 
-class Term(NamedTuple):
-    """A term of a linear combination of parameters."""
+class Coefficient(NamedTuple):
+    """A parameter of a linear combination, and its coefficient in it."""
 
     parameter: str
     coefficient: float
@@ -584,7 +584,7 @@ class CoupledGroup:
     unit: str
     value: float
     sigma: float | None
-    terms: tuple[Term, ...]
+    terms: tuple[Coefficient, ...]
 
 
 @dataclass(frozen=True)
@@ -615,7 +615,7 @@ class RobotError:
     status: str
     within: tuple[str, ...] = ()
     expression: str = ""
-    terms: tuple[Term, ...] = ()
+    terms: tuple[Coefficient, ...] = ()
 
 
 class Correlation(NamedTuple):
@@ -815,31 +815,31 @@ class Tables(Identification, Breakdown):
         Raises:
             OptionError: If q has another shape.
         """
-        there, part = self.model.of(chain), self.reference.moving
+        there, term = self.model.of(chain), self.reference.moving
         if chain is not None:
-            part = self.reference.of_chain(chain)
+            term = self.reference.of_chain(chain)
         q = as_array("q", q, "N", len(there.chain.joints))
-        T, J, C = self.linearized(part, q)
+        T, J, C = self.linearized(term, q)
         J = np.kron(np.eye(2), T[:, :3, :3]) @ J
         C = J @ C @ J.transpose(0, 2, 1)
-        expected = self.accuracies[part.key.chain].workspace
+        expected = self.accuracies[term.key.chain].workspace
         if expected is not None:
             C += np.diag(np.repeat(np.square(expected.unmodeled) / 3.0, 3))
         return Prediction(there.poses(q), C)
 
-    def linearized(self, part: Part, q: Floats) -> tuple[Floats, Floats, Floats]:
+    def linearized(self, term: Term, q: Floats) -> tuple[Floats, Floats, Floats]:
         """Tool poses of a part, and the errors that they depend on.
 
         Args:
-            part: A part of `reference`.
+            term: A term of `reference`.
             q: Positions of its joints, shape (N, n) [rad, m].
 
         Returns:
             Poses, shape (N, 4, 4), their body twists by the p parameters of its error
             model, (N, 6, p), and the covariance of these, (p, p).
         """
-        own, values = part.of_error, np.array([p.value for p in self.parameters])
-        T, J = part.error.jacobian(q, values[own])
+        own, values = term.of_error, np.array([p.value for p in self.parameters])
+        T, J = term.error.jacobian(q, values[own])
         return T, J, np.asarray(self.covariance)[np.ix_(own, own)]
 
     def figures(self) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, enumerated
 from calib_pin.estimation.robot_rows import robot_rows
 from calib_pin.estimation.statistics.population_prior import RobotEvidence
-from calib_pin.estimation.system import FRAME, System
+from calib_pin.estimation.terms import FRAME, Terms
 from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.parameterizations.base import LENGTH_SCALE, expected_size, owner
@@ -50,7 +50,7 @@ class RobotState:
         file: Where that stands, for messages.
     """
 
-    system: System
+    system: Terms
     values: Floats
     covariance: Floats
     free: NDArray[np.bool_]
@@ -69,7 +69,7 @@ class RobotState:
         return self.free & ~self.system.given.nuisance
 
     def about(
-        self, system: System, robot: NDArray[np.bool_]
+        self, system: Terms, robot: NDArray[np.bool_]
     ) -> tuple[RobotState, Mapping[Frame, list[int]]]:
         """The state about the references of new measurements.
 
@@ -146,15 +146,15 @@ class RobotState:
         )
 
 
-def _frames(system: System) -> Mapping[Frame, tuple[pin.SE3, tuple[str, ...]]]:
+def _frames(system: Terms) -> Mapping[Frame, tuple[pin.SE3, tuple[str, ...]]]:
     """Pose and names of the parameters of every frame."""
     found: dict[Frame, tuple[pin.SE3, tuple[str, ...]]] = {}
-    for part in system.parts.values():
-        names = tuple(p.name for p in part.parameters[: len(part.error.screws)])
-        tool = part.error.tool * part.scope.offset.inverse()
+    for term in system.terms.values():
+        names = tuple(p.name for p in term.parameters[: len(term.error.screws)])
+        tool = term.error.tool * term.frames.offset.inverse()
         for kind, scope, pose, own in (
-            ("base", part.scope.station, part.error.base, names[:FRAME]),
-            ("tool", part.scope.tool, tool, names[-FRAME:]),
+            ("base", term.frames.station, term.error.base, names[:FRAME]),
+            ("tool", term.frames.tool, tool, names[-FRAME:]),
         ):
             name = "" if scope == f"{kind}.frame" else scope.rpartition(".")[0]
             found.setdefault((kind, name), (pose, own))
@@ -183,7 +183,7 @@ class Change:
 
 
 def drifts(
-    system: System, robot: NDArray[np.bool_], sudden: Iterable[Change]
+    system: Terms, robot: NDArray[np.bool_], sudden: Iterable[Change]
 ) -> Mapping[str, Floats]:
     """How errors drift by independent effects, shapes (P, k) in their scales, by name.
 
@@ -204,7 +204,7 @@ def drifts(
     return {"geometry": np.diag(sizes)[:, robot], "joint offsets": alone}
 
 
-def changes(system: System, robot: NDArray[np.bool_]) -> dict[str, Change]:
+def changes(system: Terms, robot: NDArray[np.bool_]) -> dict[str, Change]:
     """The sudden changes that the errors of a robot may show, by name.
 
     Args:
@@ -221,18 +221,18 @@ def changes(system: System, robot: NDArray[np.bool_]) -> dict[str, Change]:
     return found
 
 
-def _offsets(system: System, robot: NDArray[np.bool_]) -> Iterator[Change]:
+def _offsets(system: Terms, robot: NDArray[np.bool_]) -> Iterator[Change]:
     """Offsets of the joints whose motion the errors of the robot hold."""
     found = set[str]()
-    for part in system.parts.values():
-        chain = part.error.chain
+    for term in system.terms.values():
+        chain = term.error.chain
         behind = [*chain.placements, chain.tip_placement]
         for frame, joint in enumerate(chain.joints, 1):
             # Errors in the next frame, as those of a DH matrix, move with the joint.
             to_frame = {frame: np.eye(6), frame + 1: behind[frame].toActionMatrix()}
             of_joint = [
                 (k, to_frame[screw.frame] @ screw.twist * screw.parameter.scale)
-                for screw, k in zip(part.error.screws, part.of_error, strict=True)
+                for screw, k in zip(term.error.screws, term.of_error, strict=True)
                 if screw.parameter.name.rsplit(".", 2)[0] == owner(joint)
                 and screw.frame in to_frame
                 and screw.basis is None

@@ -21,9 +21,8 @@ from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit, likely_posteriors
 from calib_pin.estimation.identifiability import Combination, combinations
-from calib_pin.estimation.measured import Block
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.system import FRAME, Part
+from calib_pin.estimation.terms import FRAME, Block, Term
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices
 from calib_pin.parameterizations.linearization import ordered_screws
@@ -84,14 +83,14 @@ class _Parts:
         """The stations, end 0, or the tools, end 1."""
         problem = self.model.fit.problem
         found: dict[Frame, list[BlockKey]] = {}
-        for key, part in problem.parts.items():
-            found.setdefault(frames_of(part)[end][0], []).append(key)
+        for key, term in problem.terms.items():
+            found.setdefault(frames_of(term)[end][0], []).append(key)
         calibrated = CalibratedModel.create(self.model.problem, self.model.theta)
         for frame, keys in found.items():
-            part, at = problem.parts[keys[0]], calibrated.of(keys[0])
-            T, chain = (at.tool if end else at.error.base), part.error.chain
-            _, index = frames_of(part)[end]
-            screws = part.error.screws[-FRAME:] if end else part.error.screws[:FRAME]
+            term, at = problem.terms[keys[0]], calibrated.of(keys[0])
+            T, chain = (at.tool if end else at.error.base), term.error.chain
+            _, index = frames_of(term)[end]
+            screws = term.error.screws[-FRAME:] if end else term.error.screws[:FRAME]
             theta = self.model.fit.theta[index]
             twists, _ = ordered_screws(screws, theta, screws[0].frame + 1)
             yield FrameSummary(
@@ -112,7 +111,7 @@ class _Parts:
         still = set(still_joints(problem))
         for name in problem.chains.names:
             chain = problem.chains[name]
-            keys = [key for key in problem.parts if key.chain == name]
+            keys = [key for key in problem.terms if key.chain == name]
             yield ChainSummary(
                 name,
                 chain.base,
@@ -127,19 +126,19 @@ class _Parts:
         """The blocks."""
         problem = self.model.fit.problem
         apart, ranks = ties(problem), block_ranks(self.model.fit)
-        for (part, data, _, _), of_block in zip(problem.blocks, ranks, strict=True):
-            (station, _), (tool, _) = frames_of(part)
+        for (term, data, _, _), of_block in zip(problem.blocks, ranks, strict=True):
+            (station, _), (tool, _) = frames_of(term)
             yield BlockSummary(
-                part.key.model,
-                part.key.chain,
+                term.key.model,
+                term.key.chain,
                 station.name,
                 tool.name,
                 len(data),
                 tuple(filter(None, data.target.distinct)),
-                self._errors([part.key]),
-                self._noise([part.key]),
+                self._errors([term.key]),
+                self._noise([term.key]),
                 *of_block,
-                apart[part.key],
+                apart[term.key],
             )
 
     def _count(self, keys: Collection[BlockKey]) -> int:
@@ -210,8 +209,8 @@ def block_ranks(fitted: Fit) -> list[tuple[int, int]]:
     if len(problem.blocks) == 1:
         return [(robot.shape[1], robot.shape[1])]
     parameters, further = problem.parameters, problem.further
-    known = further.jacobian(fitted.theta)[: len(further) - further.priors]
-    indices = [np.unique(block.part.index) for block in problem.blocks]
+    known = further.jacobian(fitted.theta)[: len(further) - len(further.priors)]
+    indices = [np.unique(block.term.index) for block in problem.blocks]
     used = np.bincount(np.concatenate(indices), minlength=len(parameters))
     used[known.any(axis=0)] += 2
     nuisances = parameters.free & parameters.nuisance
@@ -251,15 +250,15 @@ def _factor(
         every: Scaled directions that are looked at, shape (P, k).
         count: Number of measurements that stand for all.
     """
-    problem, theta, part, data = fitted.problem, fitted.theta, block.part, block.data
+    problem, theta, term, data = fitted.problem, fitted.theta, block.term, block.data
     few = min(count, len(data))
     rows = np.linspace(0, len(data) - 1, few).astype(np.int64)
     sigma = block.table(problem.sigma)[rows]
-    J = part.jacobian(theta[part.index], data.rows(rows), sigma)
-    scales = problem.parameters.scales[part.index] * np.sqrt(len(data) / few)
+    J = term.jacobian(theta, data.rows(rows), sigma)
+    scales = problem.parameters.scales[term.index] * np.sqrt(len(data) / few)
     A = J.reshape(-1, J.shape[2]) * scales
-    U = column_space(A[:, own[part.index]])
-    columns = A @ every[part.index]
+    U = column_space(A[:, own[term.index]])
+    columns = A @ every[term.index]
     return np.asarray(np.linalg.qr(columns - U @ (U.T @ columns), mode="r"))
 
 
@@ -294,7 +293,7 @@ def ties(problem: Problem) -> Mapping[BlockKey, tuple[tuple[str, ...], ...]]:
     Blocks with a frame or a reference object in common hang together; what is known is
     one thing.
     """
-    links = {key: list(_links(problem, part)) for key, part in problem.parts.items()}
+    links = {key: list(_links(problem, term)) for key, term in problem.terms.items()}
     nodes = list(dict.fromkeys(node for found in links.values() for node in found))
     whole = len(_groups(nodes, links.values()))
     result = {}
@@ -310,14 +309,14 @@ def ties(problem: Problem) -> Mapping[BlockKey, tuple[tuple[str, ...], ...]]:
     return result
 
 
-def _links(problem: Problem, part: Part) -> Iterator[Frame]:
+def _links(problem: Problem, term: Term) -> Iterator[Frame]:
     """Frames and reference objects of a part; those that are known are one."""
     free = problem.parameters.free
-    for frame, index in frames_of(part):
+    for frame, index in frames_of(term):
         yield frame if free[index].any() else Frame("known", "")
-    for reference in part.measurement.references:
+    for reference in term.measurement.references:
         if reference.parameters:
-            yield Frame(reference.section, part.scope.reference(reference))
+            yield Frame(reference.section, term.frames.reference(reference))
 
 
 def _groups(nodes: list[Frame], links: Iterable[list[Frame]]) -> list[list[Frame]]:
@@ -389,8 +388,8 @@ def coupled_frames(
     pivots, C = combinations(Q[:, count:].T, len(nuisances) - count)
     frame_of = {
         int(k): frame
-        for part in problem.parts.values()
-        for frame, index in frames_of(part)
+        for term in problem.terms.values()
+        for frame, index in frames_of(term)
         for k in index
     }
     found = []

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import known_values
-from calib_pin.estimation.scopes import own_name
+from calib_pin.estimation.terms import own_name
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.observations import AT, Observations, fitted_and_held_out
@@ -232,7 +232,7 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     every = (grouping.spared(fold[grouping.groups] == k) for k in range(count))
     masks = [mask for mask in every if mask.any()]
     # What priors hold counts among what is known and among what is needed.
-    held = fitted.problem.further.priors > 0
+    held = len(fitted.problem.further.priors) > 0
     needed = fitted.rank if held else fitted.structure.rank
     # Only what is estimated must be seen in every part.
     sought = [seen & (grouping.places < 0) for seen in _estimated(fitted, rows)]
@@ -268,9 +268,9 @@ def _estimated(fitted: Fit, rows: Observations) -> Iterator[NDArray[np.bool_]]:
     """
     found: dict[tuple[str, ...], NDArray[np.bool_]] = {}
     for block, part in zip(rows.blocks, rows.slices, strict=True):
-        model = fitted.problem.parts[block.key]
+        model = fitted.problem.terms[block.key]
         free = {
-            reference.name: model.scope.reference(reference)
+            reference.name: model.frames.reference(reference)
             for reference in model.measurement.references
             if any(parameter.free for parameter in reference.parameters)
         }

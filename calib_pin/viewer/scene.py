@@ -18,8 +18,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.estimation.measured import Block
 from calib_pin.estimation.problem import error_table
+from calib_pin.estimation.terms import Block
 from calib_pin.io.measurements import read_configurations, read_names
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf_tree import edit_origins, parse_robot
@@ -299,13 +299,13 @@ def stage_errors(robot: Prepared, link: str) -> StageErrors:
     data, residual = problem.data, problem.errors(theta)
     points, vectors = np.zeros((len(data), 3)), np.full((len(data), 3), np.nan)
     for block in problem.blocks:
-        q, base = data.q[block.rows], block.part.error.base.inverse().homogeneous
+        q, base = data.q[block.rows], block.term.error.base.inverse().homogeneous
         seen = _in_base(block, theta)
-        to_link = base_poses(problem.chains, block.part.key.chain, link, q)
+        to_link = base_poses(problem.chains, block.term.key.chain, link, q)
         points[block.rows] = (to_link @ seen)[:, :3, 3]
         turn = to_link[:, :3, :3] @ base[:3, :3]
         errors = block.table(residual)
-        for quantity in block.part.measurement.quantities:
+        for quantity in block.term.measurement.quantities:
             columns = errors[:, quantity.columns]
             if quantity.unit == "m" and columns.shape[1] == 3:
                 vectors[block.rows] = np.einsum("nij,nj->ni", turn, columns)
@@ -328,15 +328,15 @@ def things_around(robot: Prepared, reach: float) -> list[Thing]:
     """
     problem, theta = robot.problem.rebased(robot.theta)
     touched = {
-        block.part.key: (block.data.target, _in_base(block, theta)[:, :3, 3])
+        block.term.key: (block.data.target, _in_base(block, theta)[:, :3, 3])
         for block in problem.blocks
     }
-    return surroundings(problem.parts, touched, reach)
+    return surroundings(problem.terms, touched, reach)
 
 
 def _in_base(block: Block, theta: Floats) -> Floats:
     """Poses of the tool at the measured points, in the base link, (N, 4, 4)."""
-    base = block.part.error.base.inverse().homogeneous
+    base = block.term.error.base.inverse().homogeneous
     return np.asarray(base @ _tool_poses(block, theta))
 
 
@@ -345,10 +345,10 @@ def _tool_poses(block: Block, theta: Floats) -> Floats:
 
     Of relative measurements as well: where the tool is, not how it has moved.
     """
-    part, data = block.part, block.data
-    error, of_robot = part.error, part.values(theta)[0]
+    term, data = block.term, block.data
+    error, of_robot = term.error, term.values(theta)[0]
     T = error.poses(data.q, of_robot, error.basis(data.q, data.conditions))
-    model = part.measurement
+    model = term.measurement
     if isinstance(model, PointModel):
         label, _ = model.names(data.target, data)
         offsets = [point.at(np.zeros(3)) for point in model.points]
@@ -414,7 +414,7 @@ def make_scene(
     bodies = tuple(bodies_of(chains.robot, link, model))
     skeleton = bodies[0].skeleton
     reach = float(np.ptp(corners(skeleton, shapes.parts, skeleton.neutral), 0).max())
-    things = [] if model is None else surroundings(model.parts, {}, reach)
+    things = [] if model is None else surroundings(model.terms, {}, reach)
     if ready:
         things = things_around(ready[-1], reach)
     title = chains.robot.name

@@ -84,8 +84,8 @@ def _measure(size: int) -> dict[str, object]:
     learned = learned_correction("gaussian-process", fitted, problem, theta, rng)
     end = time.perf_counter(), time.process_time()
     assert learned is not None
-    part = problem.only
-    of_robot, _ = part.split(theta[part.index])
+    term = problem.only
+    of_robot, _ = term.values(theta)
 
     def errors(error: ErrorModel, positions: Floats) -> float:
         unseen, found = q[size:], []
@@ -100,7 +100,7 @@ def _measure(size: int) -> dict[str, object]:
         "learned": end[0] - middle,
         "cpu": end[1] - start[1],
         "memory": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6,
-        "before": errors(part.error, exact),
+        "before": errors(term.error, exact),
         "after": errors(corrected, exact),
         "unseen": errors(corrected, measured),
         "space": learned.space,

@@ -229,7 +229,7 @@ class Study:
         # A beam along the plane has no distance: only what can be measured counts.
         self._new = [
             observable_configurations(self.problem, key, zero, 30, self.rng)
-            for key in self.problem.parts
+            for key in self.problem.terms
         ]
 
     def truth(self, size: float = SIZE) -> Floats:

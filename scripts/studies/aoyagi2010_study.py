@@ -214,7 +214,7 @@ def _rows(noise: float) -> IdentificationRows:
     nominal = nominal_problem(robot(), "position", _geometric(Settings(noise=noise)))
     part = nominal.only
     error = part.error.with_frames(part.error.base, ASSUMED_TOOL)
-    problem = nominal.with_parts({part.key: replace(part, error=error)})
+    problem = nominal.with_terms({part.key: replace(part, error=error)})
     workspace = Workspace.create(problem)
     spread = workspace.candidates(STRUCTURE, np.random.default_rng(0))
     _, rows, _ = identification(problem, workspace.aims, spread)
@@ -267,7 +267,7 @@ def study(settings: Settings, selected: Mapping[int, Selection], seed: int) -> C
     chain, rng = robot(), np.random.default_rng(seed)
     problem, theta = truth(settings, rng)
     unseen = chain.random_configurations(settings.verification, rng)
-    true = problem.only.error.poses(unseen, problem.only.split(theta)[0])[:, :3, 3]
+    true = problem.only.error.poses(unseen, problem.only.values(theta)[0])[:, :3, 3]
     # A smaller random set is the beginning of a larger one.
     drawn = chain.random_configurations(max(settings.counts), rng)
     cases: dict[int, dict[str, Case]] = {}

@@ -123,7 +123,7 @@ def at_test_poses(
     """Calibrate the same stiff robot at planned and at random configurations."""
     design = Design.create(settings)
     problem, theta = truth(rng, settings.length, settings.angle)
-    true = problem.only.error.poses(design.tests, problem.only.split(theta)[0])
+    true = problem.only.error.poses(design.tests, problem.only.values(theta)[0])
     result = {}
     for name, q in (
         (RANDOM, configurations(settings.count, rng)),

@@ -267,7 +267,7 @@ def accuracies(settings: Settings, rng: np.random.Generator) -> dict[int, Accura
         problem, theta, q, rng, noise=settings.noise, repeats=settings.repeats
     )
     unseen = configurations(settings.unseen, rng)
-    true = problem.only.error.poses(unseen, problem.only.split(theta)[0])
+    true = problem.only.error.poses(unseen, problem.only.values(theta)[0])
     result = {}
     for points in range(1, len(POINTS) + 1):
         names = list(POINTS)[:points]

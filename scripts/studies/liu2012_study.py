@@ -332,7 +332,7 @@ def _outcome(
 def _validation(unseen: Problem, truth: Floats, x: Floats) -> Validation:
     """Errors of a solution x, shape (P,), on the validation configurations."""
     true, found = (
-        unseen.only.error.poses(unseen.data.q, unseen.only.split(theta)[0])
+        unseen.only.error.poses(unseen.data.q, unseen.only.values(theta)[0])
         for theta in (truth, x)
     )
     seen = aligned(found, true)

@@ -35,7 +35,7 @@ POSES = 6
 class SpatialTwist(Pose):
     """The pose of the tool, compared as published: a twist in the base frame.
 
-    `residual = -((T_y - T) T^-1)`, its position part and half its skew part, to first
+    `residual = -((T_y - T) T^-1)`, its position term and half its skew term, to first
     order a spatial twist, so that `J_pose = Ad(T)` where T_y = T.
     """
 
@@ -117,14 +117,14 @@ class Arm:
     def rows(self) -> IdentificationRows:
         """Rows of the published matrix, six for each configuration."""
         basis = np.eye(len(self.preset))[:, self.kept]
-        part = replace(self.problem.only, measurement=SpatialTwist())
+        term = replace(self.problem.only, measurement=SpatialTwist())
         unit = dict.fromkeys(("position", "orientation"), 1.0)
         problem = replace(
             self.problem,
-            parts={part.key: part},
+            terms={term.key: term},
             setup=replace(self.problem.setup, noise=unit),
         )
-        return IdentificationRows(problem, basis, 0, Aims.of(problem, [part.key]))
+        return IdentificationRows(problem, basis, 0, Aims.of(problem, [term.key]))
 
     @property
     def bounds(self) -> Floats:
@@ -147,8 +147,8 @@ class Arm:
 
     def poses(self, q: Floats, theta: Floats) -> Floats:
         """Tool poses of the arm with some errors, shape (N, 4, 4)."""
-        part = self.problem.only
-        return part.error.poses(q, part.split(theta)[0])
+        term = self.problem.only
+        return term.error.poses(q, term.values(theta)[0])
 
     def measure(
         self, q: Floats, theta: Floats, noise: Mapping[str, float], seed: int

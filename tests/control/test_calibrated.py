@@ -22,7 +22,7 @@ SEEDS = range(3)
 
 
 def only(result):
-    (key,) = result.model.parts
+    (key,) = result.model.terms
     return key
 
 

@@ -48,14 +48,14 @@ class Job:
 
 def poses(problem: Problem, theta: Floats, q: Floats) -> Floats:
     """Poses of the tool, shape (N, 4, 4)."""
-    part = problem.only
-    return part.error.poses(q, part.split(theta)[0])
+    term = problem.only
+    return term.error.poses(q, term.values(theta)[0])
 
 
 def twists(found: Posterior, q: Floats) -> Floats:
     """Deviations of the tool, shape (N, 6, r + S)."""
-    part = found.problem.only
-    _, J = part.error.jacobian(q, part.split(found.theta)[0])
+    term = found.problem.only
+    _, J = term.error.jacobian(q, term.values(found.theta)[0])
     return found.twists(found.problem.rebased(found.theta)[0].only, q, J)
 
 

@@ -87,10 +87,10 @@ def values_of(problem: Problem, size: float = 1.0) -> Floats:
 def rounding(problem: Problem, theta: Floats) -> Floats:
     """What rounding of poses, of meters and radians, leaves of every error, (M,)."""
     found = []
-    for part, data, _, _ in problem.blocks:
-        instrument = part.values(theta)[1]
-        T = part.poses(theta[part.index], data)
-        J_pose = part.measurement.linearize(T, instrument, data).J_pose
+    for term, data, _, _ in problem.blocks:
+        instrument = term.values(theta)[1]
+        T = term.poses(theta, data)
+        J_pose = term.measurement.linearize(T, instrument, data).J_pose
         found.append(np.maximum(1.0, np.linalg.norm(J_pose, axis=2)).reshape(-1))
     return np.asarray(1e-13 * np.concatenate(found))
 
@@ -112,7 +112,7 @@ def assert_same(problem: Problem, theta: Floats) -> None:
     errors = np.concatenate([e.reshape(-1) for e in chunked.errors(theta)])
     off = np.abs(errors - problem.errors(theta))
     assert (off <= rounding(problem, theta)).all()
-    plain = [one.factorize(theta)[0] for one in problem.evaluators]
+    plain = [one.factorize(theta)[0] for one in problem._evaluators]
     for (r, J), rows in zip(chunked.factorize(theta), plain, strict=True):
         A = np.column_stack([J, r])
         assert len(A) <= A.shape[1]
@@ -204,13 +204,13 @@ def test_what_kernels_do_not_know_goes_row_by_row(
     relative = measured(load_chain("space6"), "relative-distance", ["placement"], 300)
     assert not through_kernels(relative, monkeypatch).many
     plain = measured(load_chain("space6"), "pose", ["placement"], 30)
-    theta, part = values_of(plain), plain.only
-    error = replace(part.error, learned=Nod(np.zeros(len(part.error.screws))))
-    parts = {part.key: replace(part, error=error)}
+    theta, term = values_of(plain), plain.only
+    error = replace(term.error, learned=Nod(np.zeros(len(term.error.screws))))
+    terms = {term.key: replace(term, error=error)}
     few = through_kernels(plain, monkeypatch)
-    learned = few.with_parts(parts)
+    learned = few.with_terms(terms)
     assert few.many and not learned.many
-    expected = plain.with_parts(parts).errors(theta)
+    expected = plain.with_terms(terms).errors(theta)
     np.testing.assert_array_equal(learned.errors(theta), expected)
     assert np.abs(expected - plain.errors(theta)).max() > 1e-3
 
@@ -226,17 +226,17 @@ def test_other_weights_and_references_are_those_of_a_new_problem(
     theta = values_of(problem)
     weight = np.random.default_rng(0).uniform(0.1, 1.0, len(problem.data))
     weight[::7] = 0.0
-    before = problem.products(theta)
+    ((_, before),) = problem.factorize(theta)
     for changed, values in (
         (reweighted(problem, weight), theta),
         problem.rebased(theta),
         (reweighted(reweighted(problem, weight), np.ones(len(weight))), theta),
     ):
-        (found,) = changed.products(values)
-        (expected,) = replace(changed, prepared=None).products(values)
+        ((_, found),) = changed.factorize(values)
+        ((_, expected),) = replace(changed, _known=None).factorize(values)
         np.testing.assert_array_equal(found, expected)
-    np.testing.assert_array_equal(found, before[0])
-    (weighted,) = reweighted(problem, weight).products(theta)
+    np.testing.assert_array_equal(found, before)
+    ((_, weighted),) = reweighted(problem, weight).factorize(theta)
     assert np.abs(weighted - found).max() > 1.0
 
 

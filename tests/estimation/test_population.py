@@ -125,13 +125,13 @@ def test_cameras_on_the_hand_and_beside_the_robot(mount: str) -> None:
 def test_what_no_kernel_knows_is_evaluated_in_a_loop(measured: Measured) -> None:
     """Models without a batch form, what was learned, and places that bend."""
     problem = measured(load_chain("space6"), "position", ["placement"], 40, prior=PRIOR)
-    theta, part = members(problem, 3), problem.only
+    theta, term = members(problem, 3), problem.only
     plain = PopulationCost(problem)(theta)
-    unbatched = problem.with_parts({part.key: replace(part, measurement=Unbatched())})
+    unbatched = problem.with_terms({term.key: replace(term, measurement=Unbatched())})
     found = assert_costs(unbatched, theta, "loop")
     np.testing.assert_allclose(found, plain, rtol=1e-10)
-    learned = replace(part, error=replace(part.error, learned=Bent()))
-    found = assert_costs(problem.with_parts({part.key: learned}), theta, "loop")
+    learned = replace(term, error=replace(term.error, learned=Bent()))
+    found = assert_costs(problem.with_terms({term.key: learned}), theta, "loop")
     assert np.abs(found - plain).min() > 1.0
     bending = measured(load_chain("space6"), "pose", BENDING, 20, payloads=LOAD)
     assert_costs(bending, members(bending, 2), "loop")
@@ -218,9 +218,9 @@ def test_very_many_measurements_that_bend_go_piece_by_piece(
     ]
     monkeypatch.setattr("calib_pin.estimation.problem.MANY", 1)
     pieces = replace(plain)
-    (other,) = pieces.evaluators
+    (other,) = pieces._evaluators
     assert isinstance(other, RowByRow)
-    assert pieces.many and pieces.evaluator == "pinocchio"
+    assert pieces.many
     changed = (pieces, reweighted(pieces, weight), pieces.rebased(theta)[0])
     for many, (errors, cost, r, J) in zip(changed, expected, strict=True):
         np.testing.assert_array_equal(many.errors(theta), errors)

@@ -76,7 +76,7 @@ def test_frames_come_first_and_sites_after(simulated: Simulated, order: int) -> 
     )
     counts = {"fixed-point": 12, "plane-contact": 12, "position": 15}
     problem = make_problem(ARM, together(simulated, setup, counts, order), Setup())
-    assert any(part.measurement.missing for part in problem.parts.values())
+    assert any(term.measurement.missing for term in problem.terms.values())
     found = registered(problem, zero(problem))
     assert largest(found) < 1e-9
     located = found.references
@@ -84,9 +84,9 @@ def test_frames_come_first_and_sites_after(simulated: Simulated, order: int) -> 
     np.testing.assert_allclose(xyz, SOCKETS["s/1"].xyz, atol=1e-9)
     normal = np.array(table.normal) / np.linalg.norm(table.normal)
     np.testing.assert_allclose(located["planes", "table"].normal, normal, atol=1e-9)
-    for part in found.parts.values():
-        np.testing.assert_allclose(part.error.base.translation, BASE.xyz, atol=1e-9)
-        np.testing.assert_allclose(part.error.tool.translation, TOOL.xyz, atol=1e-9)
+    for term in found.terms.values():
+        np.testing.assert_allclose(term.error.base.translation, BASE.xyz, atol=1e-9)
+        np.testing.assert_allclose(term.error.tool.translation, TOOL.xyz, atol=1e-9)
 
 
 @pytest.mark.parametrize("order", [1, -1])
@@ -124,10 +124,10 @@ def test_a_camera_beside_a_tracker() -> None:
     rows = exact(truth, 24, per_configuration=True)
     problem = make_problem(ARM, rows, Setup(targets=board, camera=camera))
     found = registered(problem, zero(problem))
-    for key, part in found.parts.items():
-        known = truth.parts[key].error
-        assert part.error.base.isApprox(known.base, 1e-6)
-        assert part.error.tool.isApprox(known.tool, 1e-6)
+    for key, term in found.terms.items():
+        known = truth.terms[key].error
+        assert term.error.base.isApprox(known.base, 1e-6)
+        assert term.error.tool.isApprox(known.tool, 1e-6)
     assert largest(found) < 1e-3  # A thousandth of a pixel.
 
 
@@ -150,9 +150,9 @@ def test_posts_tell_where_a_station_is() -> None:
     problem = make_problem(chains, exact(truth, 60), Setup())
     found = registered(problem, zero(truth))
     assert largest(found) < 1e-9
-    for key, part in found.parts.items():
+    for key, term in found.terms.items():
         expected = frame_pose(PLACES[key.station]).homogeneous
-        np.testing.assert_allclose(part.error.base.homogeneous, expected, atol=1e-9)
+        np.testing.assert_allclose(term.error.base.homogeneous, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("estimate", [True, False])
@@ -169,8 +169,8 @@ def test_a_tool_on_another(estimate: bool) -> None:
     problem = nominal_problem(ARM, keys, setup)
     problem_of_rows = make_problem(ARM, exact(problem, 20), setup)
     found = registered(problem_of_rows, zero(problem))
-    for key, part in found.parts.items():
-        assert part.error.tool.isApprox(problem.parts[key].error.tool, 1e-11)
+    for key, term in found.terms.items():
+        assert term.error.tool.isApprox(problem.terms[key].error.tool, 1e-11)
     assert largest(found) < 1e-9
 
 
@@ -190,7 +190,7 @@ def test_new_stations_are_located_by_their_measurements() -> None:
     new = wider.given.names[12:18]
     assert all(name.startswith("three.station.") for name in new)
     assert largest(wider, values) < 1e-9
-    base = wider.parts[keys[2]].error.base
+    base = wider.terms[keys[2]].error.base
     np.testing.assert_allclose(
         base.homogeneous, frame_pose(PLACES["three"]).homogeneous, atol=1e-9
     )

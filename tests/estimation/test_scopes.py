@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from calib_pin.estimation.scopes import scopes
+from calib_pin.estimation.terms import frames_of_blocks
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import BlockKey
@@ -84,5 +84,5 @@ def test_names_of_frames(
     tree: Callable[..., Chains],
 ) -> None:
     chains = tree(*dict.fromkeys(key.chain for key in keys))
-    found = scopes(chains, keys, Setup())
+    found = frames_of_blocks(chains, keys, Setup())
     assert [(found[key].station, found[key].tool) for key in keys] == expected

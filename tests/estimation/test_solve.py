@@ -116,10 +116,10 @@ class Unbatched(PlaneDistance):
 
 def test_without_a_kernel_its_poses_do_the_same() -> None:
     problem, _ = ranger_problem(0, count=30)
-    (key, part), *_ = problem.parts.items()
-    assert isinstance(part.measurement, PlaneDistance)
-    unbatched = replace(part, measurement=Unbatched(part.measurement.planes))
-    slow = problem.with_parts({key: unbatched})
+    (key, term), *_ = problem.terms.items()
+    assert isinstance(term.measurement, PlaneDistance)
+    unbatched = replace(term, measurement=Unbatched(term.measurement.planes))
+    slow = problem.with_terms({key: unbatched})
     fast, plain = (solved(each, "de", **FEW) for each in (problem, slow))
     assert (fast.solution.evaluator, plain.solution.evaluator) == ("kernel", "kernel")
     np.testing.assert_allclose(plain.theta, fast.theta, rtol=1e-9, atol=1e-15)

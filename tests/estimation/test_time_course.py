@@ -95,12 +95,12 @@ def test_the_geometry_is_that_of_the_warm_robot() -> None:
     result = calib_pin.calibrate(CHAIN, data, job.problem.setup, validate=False)
     still = fit(make_problem(CHAIN, data, PLAIN), np.random.default_rng(0))
     q = CHAIN.random_configurations(100, np.random.default_rng(9))
-    error, own = job.problem.only.error, job.problem.only.split(job.theta)[0]
+    error, own = job.problem.only.error, job.problem.only.values(job.theta)[0]
     warm, errors = error.poses(q, own)[:, :3, 3], []
-    part = still.problem.only
+    term = still.problem.only
     for found in (
         result.model.of().poses(q),
-        part.error.poses(q, part.split(still.theta)[0]),
+        term.error.poses(q, term.values(still.theta)[0]),
     ):
         off = found[:, :3, 3] - warm
         errors.append(rms(off - off.mean(0)))

@@ -46,7 +46,7 @@ def test_it_is_the_error_that_fits_have() -> None:
         result = fit(rows)
         tip = result.accuracy.tip
         assert tip is not None and tip.of_robot[0] < tip.rms[0]
-        true = problem.only.error.poses(tip.q, problem.only.split(truth)[0])
+        true = problem.only.error.poses(tip.q, problem.only.values(truth)[0])
         found = result.model.of().poses(tip.q)
         turned = so3_log(np.swapaxes(true[:, :3, :3], 1, 2) @ found[:, :3, :3])
         moved = absorbed(true, found, left=True, right=True)

@@ -341,7 +341,7 @@ def simple() -> tuple[CalibrationResult, Path]:
 def predicted(model: CalibratedModel, rows: Observations) -> Any:
     """Tool poses, values and errors."""
     problem, theta = model.problem(rows), model.theta
-    T = [b.part.poses(theta[b.part.index], b.data) for b in problem.blocks]
+    T = [b.term.poses(theta, b.data) for b in problem.blocks]
     values = [problem.predict(theta, block).reshape(-1) for block in rows.blocks]
     return np.concatenate(T), np.concatenate(values), problem.errors(theta)
 
@@ -399,10 +399,10 @@ def test_all_comes_back(case: str) -> None:
     assert found.chains.joints == model.chains.joints
     assert found.given.names == model.given.names
     assert found.given.parameters == model.given.parameters
-    assert found.parts.keys() == model.parts.keys()
-    for there, here in zip(found.parts.values(), model.parts.values(), strict=True):
+    assert found.terms.keys() == model.terms.keys()
+    for there, here in zip(found.terms.values(), model.terms.values(), strict=True):
         assert there.measurement.targets == here.measurement.targets
-        assert there.scope == here.scope
+        assert there.frames == here.frames
         np.testing.assert_array_equal(there.index, here.index)
     assert_predicts_the_same(found, model, rows)
     corrections = model.urdf_corrections()

@@ -172,12 +172,12 @@ def test_rows_are_relative_to_their_start() -> None:
     q, start = (ARM.random_configurations(5, rng) for _ in range(2))
     theta = problem.parameters.vector({"joint_2.placement.x": 1e-3})
     there = exact_problem(problem, theta, q, ("a",) * 5, start).data.only
-    part = problem.only
-    T_q, T_start = (part.error.poses(x, part.split(theta)[0]) for x in (q, start))
+    term = problem.only
+    T_q, T_start = (term.error.poses(x, term.values(theta)[0]) for x in (q, start))
     expected = np.linalg.norm(T_q[:, :3, 3] - T_start[:, :3, 3], axis=1)
     np.testing.assert_allclose(there.values[:, 0], expected, rtol=1e-12)
     T = invert(T_start) @ T_q
-    np.testing.assert_allclose(part.poses(theta, there), T, atol=1e-12)
+    np.testing.assert_allclose(term.poses(theta, there), T, atol=1e-12)
     # Without starts, each row starts at the row before.
     rolled = exact_problem(problem, theta, q, ("a",) * 5)
     np.testing.assert_array_equal(rolled.data.only.start, q[[4, 0, 1, 2, 3]])

@@ -61,8 +61,8 @@ def information(plan: Plan, problem: Problem) -> Floats:
                 continue
             visible = look.seen(q[None], code)[0]
             for k in look.targets(code)[0][visible]:
-                at = asked(problem, look.part.key, q[None], (look.names[k],))
-                sigma = sigma_at(problem, look.part.key, 1)
+                at = asked(problem, look.term.key, q[None], (look.names[k],))
+                sigma = sigma_at(problem, look.term.key, 1)
                 rows.append(problem.jacobian(zero, at, sigma)[0])
     J = np.concatenate(rows) * problem.parameters.scales
     return np.where(problem.parameters.free, J, 0.0)
@@ -97,7 +97,7 @@ def test_instruments_of_one_place_measure_together() -> None:
     setup = Setup(planes=PLANES, targets={n: PointSetup((0, 0, 0.1)) for n in "pq"})
     found = aims_of(setup, tracker, ranger, moved)
     assert found.each == (Aim(tracker, "floor"), Aim(tracker, "wall"), Aim(moved, ""))
-    taken = {look.part.key: look.of_aim.tolist() for look in found.looks}
+    taken = {look.term.key: look.of_aim.tolist() for look in found.looks}
     assert taken == {tracker: [0, 0, -1], moved: [-1, -1, 0], ranger: [0, 1, -1]}
     assert [look.each for look in found.looks] == [2, 2, 1]
 

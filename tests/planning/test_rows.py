@@ -67,7 +67,7 @@ def rows_of_the_problem(of: IdentificationRows, q: Floats, aim: Indices) -> Floa
                 continue
             seen = look.seen(q[here], aim[here])[0] | (not look.at_once)
             names = [look.names[code] for code in look.targets(aim[here])[0][seen]]
-            key, many = look.part.key, np.repeat(q[here], len(names), axis=0)
+            key, many = look.term.key, np.repeat(q[here], len(names), axis=0)
             sigma = sigma_at(of.problem, key, len(names))
             at = asked(of.problem, key, many, names)
             rows.append(of.problem.jacobian(zero, at, sigma).reshape(-1, len(zero)))

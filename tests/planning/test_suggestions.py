@@ -88,13 +88,13 @@ def test_a_fit_is_taken_as_it_found_things() -> None:
     rows = calib_pin.read_measurements(file, chain)
     result = calib_pin.calibrate(chain, rows, setup, validate=False)
     stood = calibrated_setup(result.model)
-    part = result.model.only
-    references = {f.name: f for f in part.measurement.references}
+    term = result.model.only
+    references = {f.name: f for f in term.measurement.references}
     assert stood.targets.keys() == references.keys()
     for name, point in stood.targets.items():
         assert point.xyz == pytest.approx(references[name].stated().xyz)
     base = stood.base_frame
-    assert base.estimate and base.xyz == pytest.approx(part.error.base.translation)
+    assert base.estimate and base.xyz == pytest.approx(term.error.base.translation)
     changes = [r.change for r in suggestions(chain, rows.keys, stood, result)]
     assert any("(targets)" in change for change in changes)
 

@@ -79,7 +79,7 @@ def test_the_noise_floor_is_the_mean_error_of_many_fits() -> None:
     chain, rng = robot(), np.random.default_rng(1)
     problem, theta = truth(SMALL, rng)
     q, unseen = (chain.random_configurations(n, rng) for n in (100, 200))
-    true = problem.only.error.poses(unseen, problem.only.split(theta)[0])[:, :3, 3]
+    true = problem.only.error.poses(unseen, problem.only.values(theta)[0])[:, :3, 3]
     means, floors = [], []
     for _ in range(12):
         rows = calib_pin.simulate(problem, theta, rng, q=q, noise=SMALL.noise)

@@ -147,7 +147,7 @@ def test_one_linear_step_as_published(
 ) -> None:
     """Spatial twists, lengths in m, residual `(T - T~) T~^-1`, 34 kept columns."""
     q = configurations(name)
-    robot, _ = problem.only.split(preset)
+    robot, _ = problem.only.values(preset)
     nominal, J = problem.only.error.jacobian(q, np.zeros(len(robot)))
     links = np.array([".link-transform." in n for n in problem.parameters.names])
     A = (adjoint(nominal) @ J[:, :, links]).reshape(-1, 48)

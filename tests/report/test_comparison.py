@@ -19,7 +19,7 @@ from calib_pin.validation.comparison import (
     Displacement,
     compare,
 )
-from calib_pin.validation.result import Term
+from calib_pin.validation.result import Coefficient
 from tests.report.results import changed
 
 
@@ -180,7 +180,7 @@ def test_what_older_files_and_positions_lack(still):
 
 def test_80_columns_and_no_number_cut(moved):
     long = "left_arm_very_long_" * 3 + "joint.placement.rz"
-    terms = tuple(Term(f"{long}{k}", 1.0) for k in range(3))
+    terms = tuple(Coefficient(f"{long}{k}", 1.0) for k in range(3))
     expression = " + ".join(name for name, _ in terms)
     difference = Difference(expression, "rad", 0.0, -123.456, 1.234, terms)
     file = "a/very/long/path/" * 8 + "calibration.json"

@@ -70,7 +70,7 @@ def page_of(
 ) -> tuple[bytes, dict[str, Any]]:
     model = result.model
     better = suggestions(
-        model.chains, list(model.parts), calibrated_setup(model), result
+        model.chains, list(model.terms), calibrated_setup(model), result
     )
     document = calibration_document(result, PROVENANCE, suggestions=better)
     page = html_report(result, document, figures=figures, suggestions=better)

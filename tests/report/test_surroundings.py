@@ -37,7 +37,7 @@ def around(simulated: Callable[..., Any]) -> Callable[..., dict[str, Thing]]:
         problem, _ = simulated(model, setup, 6)
         rows = problem.data
         points = np.zeros((len(rows), 3)) if near is None else np.asarray(near)
-        found = surroundings(problem.parts, touched_by(rows, points), 1.2)
+        found = surroundings(problem.terms, touched_by(rows, points), 1.2)
         return {f"{thing.kind} {thing.name}": thing for thing in found}
 
     return make

@@ -34,7 +34,7 @@ def test_page_and_figures_from_files_are_the_same_bytes(
     result = KINDS[name](calibrated_robot)
     model = result.model
     better = suggestions(
-        model.chains, list(model.parts), calibrated_setup(model), result
+        model.chains, list(model.terms), calibrated_setup(model), result
     )
 
     def figures(of: CalibrationResult) -> list[Drawn]:

@@ -115,7 +115,7 @@ def test_every_block_has_its_own_base_link_and_columns() -> None:
     np.testing.assert_allclose(errors.points, near, atol=0.05)
     assert errors.displacements is not None
     for block, rows in zip(data.blocks[:2], data.slices, strict=False):
-        base = result.model.parts[block.key].error.base
+        base = result.model.terms[block.key].error.base
         seen = block.values[:, :3] @ base.rotation
         seen -= base.rotation.T @ base.translation
         found = errors.points[rows] - errors.displacements[1][rows]

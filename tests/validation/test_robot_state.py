@@ -20,7 +20,7 @@ def test_an_offset_is_one(name) -> None:
     problem = nominal_problem(chain, "pose", Setup(parameters=(name,)))
     parameters = problem.parameters
     robot = parameters.free & ~parameters.nuisance
-    part, q = problem.only, chain.random_configurations(5, np.random.default_rng(0))
+    term, q = problem.only, chain.random_configurations(5, np.random.default_rng(0))
     found = changes(problem, robot)
     offsets = [change for change in found.values() if change.kind == "offset"]
     assert [change.name for change in offsets] == list(chain.joints)
@@ -28,9 +28,9 @@ def test_an_offset_is_one(name) -> None:
         theta = change.directions[:, 0] * parameters.scales / 1e3
         moved = q.copy()
         moved[:, k] += change.size / 1e3
-        expected = part.error.poses(moved, 0.0 * theta)
+        expected = term.error.poses(moved, 0.0 * theta)
         # Errors apply one after the other: the second order is left.
-        np.testing.assert_allclose(part.error.poses(q, theta), expected, atol=1e-10)
+        np.testing.assert_allclose(term.error.poses(q, theta), expected, atol=1e-10)
 
 
 def test_drifts_and_other_changes() -> None:

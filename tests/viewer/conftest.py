@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.estimation.system import Part, Scope, assembled
+from calib_pin.estimation.terms import Frames, Term, assembled
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -43,7 +43,7 @@ def calibrated() -> Callable[..., CalibratedModel]:
         chains, key = Chains.of(chain), BlockKey(measurement.declaration.name)
         columns, index = chains.columns(""), np.zeros(0, np.intp)
         error = error.with_frames(*frames)
-        part = Part(error, measurement, key, Scope(), columns, index)
+        part = Term(error, measurement, key, Frames(), columns, index)
         parts, given = assembled([part])
         theta = np.append(drawn, np.zeros(len(given) - len(drawn))) * given.scales
         theta[given.nuisance] = 0.0

@@ -10,9 +10,9 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.estimation.model import ToolPoses
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.robust.studentized import Studentized
+from calib_pin.estimation.tool_poses import ToolPoses
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import AT, Observations
 
@@ -179,14 +179,14 @@ def _exchanged(
         labels, codes = found.labels[block.rows], block.data.target.codes
         alike = (codes[i] == codes[j]) & (labels[i] != labels[j])
         i, j = i[alike], j[alike]
-        of_robot, instrument = block.part.values(theta)
-        poses = ToolPoses(block.part.error, block.data.rows(rows))(of_robot)
+        of_robot, instrument = block.term.values(theta)
+        poses = ToolPoses(block.term.error, block.data.rows(rows))(of_robot)
         fits = []
         for a, b in ((i, j), (j, i)):
             T = poses[np.searchsorted(rows, a)]
             there = replace(block.data.rows(a), values=block.data.values[b])
             with np.errstate(invalid="ignore", over="ignore"):
-                r = block.part.measurement.residual(T, instrument, there)
+                r = block.term.measurement.residual(T, instrument, there)
                 size = np.linalg.norm(r / block.table(sigma)[a], axis=1)
             # The parts of wrong values are anywhere in a ball of two pairs of values.
             by_chance = (OPTIONS.chance / max(len(i), 1)) ** (0.5 / r.shape[1])

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import CalibPinError
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, measured_count
 from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.spatial import Floats
 
@@ -61,7 +61,7 @@ def consensus(problem: Problem, rng: np.random.Generator) -> Problem:
         problem: The problem, with the robot at nominal.
         rng: Random generator of the subsets.
     """
-    images = all(b.part.measurement.declaration.separable for b in problem.blocks)
+    images = all(b.term.measurement.declaration.separable for b in problem.blocks)
     count = OPTIONS.corners if images else OPTIONS.measurements
     few = replace(problem, data=problem.data.sample(count))
     things = few.data.things()
@@ -79,7 +79,7 @@ def consensus(problem: Problem, rng: np.random.Generator) -> Problem:
             best, least = about, total
         if agreed >= (OPTIONS.agreements if images else 1):
             break
-    return problem.with_parts(best.parts)
+    return problem.with_terms(best.terms)
 
 
 def _concentrated(
@@ -116,7 +116,7 @@ def _better(squares: Floats, rows: NDArray[np.intp]) -> NDArray[np.intp]:
 def _subset(problem: Problem, targets: int) -> int:
     """Rows of each target in a subset: one more than what is unknown needs."""
     unknown = int((problem.parameters.free & problem.parameters.nuisance).sum())
-    values = max(problem.values / max(len(problem.data), 1), 1.0)
+    values = max(measured_count(problem) / max(len(problem.data), 1), 1.0)
     return max(ceil(unknown / (values * targets)) + 1, 3)
 
 

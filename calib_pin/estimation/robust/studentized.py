@@ -150,7 +150,7 @@ class Studentized:
 def failing(problem: Problem) -> Indices:
     """Labels of rows that fail together, 0 to G - 1, shape (N,)."""
     labels, every = problem.data.groups(), np.arange(len(problem.data))
-    alone = [b for b in problem.blocks if b.part.measurement.declaration.separable]
+    alone = [b for b in problem.blocks if b.term.measurement.declaration.separable]
     if not alone:
         return labels
     labels = labels + len(every)

@@ -36,6 +36,7 @@ from calib_pin.estimation.problem import (
     SAMPLE,
     Problem,
     known_values,
+    measured_count,
     reweighted,
 )
 from calib_pin.estimation.robust.causes import causes
@@ -130,7 +131,7 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
     loss = problem.setup.loss
     require_known("loss", loss, LOSSES)
     # Prepared once: references, weights and units may change.
-    _ = problem.evaluators
+    _ = problem.many
     squared = balanced(problem, solver)
     if not squared.sigma0 > EXACT:
         # Without redundancy, or without errors, every measurement is met.
@@ -265,7 +266,7 @@ def _sought(
     theta, weight = np.zeros(len(parameters)), np.zeros(0)
     # A model of p parameters meets p values exactly, so more than half must count
     # (Rousseeuw and Leroy, Robust regression, 1987, theorem 6 of chapter 3).
-    share = min(0.5 * (1.0 + (rank + 1) / few.values), OPTIONS.largest_share)
+    share = min(0.5 * (1.0 + (rank + 1) / measured_count(few)), OPTIONS.largest_share)
     for _ in range(OPTIONS.steps):
         r, J = few.linearize_rows(theta)
         found = _unfitted(few, r)

@@ -21,7 +21,12 @@ import numpy as np
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.directions import Directions, half_covariance
-from calib_pin.estimation.problem import Problem, known_values, representative
+from calib_pin.estimation.problem import (
+    Problem,
+    known_values,
+    measured_count,
+    representative,
+)
 from calib_pin.estimation.statistics.restricted_likelihood import (
     EXACT,
     Variances,
@@ -30,7 +35,7 @@ from calib_pin.estimation.statistics.variance_components import (
     Groups,
     grouped,
 )
-from calib_pin.estimation.system import Part, assembled
+from calib_pin.estimation.terms import Term, assembled
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
@@ -96,34 +101,34 @@ class Systematic:
         moved, _ = problem.rebased(theta)
         plain = replace(moved.setup, fixed=(), bounds={}, prior={}, parameters=())
         plain = replace(plain, distances=(), angles=())
-        parts, given = assembled(
-            [replace(part, error=self._about(part)) for part in moved.parts.values()]
+        terms, given = assembled(
+            [replace(term, error=self._about(term)) for term in moved.terms.values()]
         )
         there = replace(
-            moved, parts=parts, given=given, setup=plain, held_at={}, expected=None
+            moved, terms=terms, given=given, setup=plain, held_at={}, expected=None
         )
         _, J = there.linearize_rows(np.zeros(len(given)))
         columns = [given.index(name) for name in self.names]
         return np.asarray(J[:, columns] * self.sizes)
 
-    def twists(self, part: Part, q: Floats) -> Floats:
-        """Body twists of the tool of a part by each effect of its size, (N, 6, S).
+    def twists(self, term: Term, q: Floats) -> Floats:
+        """Body twists of the tool of a term by each effect of its size, (N, 6, S).
 
         Args:
-            part: The part about its solution, see `System.rebased`.
+            term: The term about its solution, see `Terms.rebased`.
             q: Positions of its joints, shape (N, n) [rad, m].
         """
-        there, result = self._about(part), np.zeros((len(q), 6, len(self.names)))
+        there, result = self._about(term), np.zeros((len(q), 6, len(self.names)))
         _, J = there.jacobian(q, np.zeros(len(there.screws)))
         place = {name: k for k, name in enumerate(there.parameters.names)}
         own = [k for k, name in enumerate(self.names) if name in place]
         result[:, :, own] = J[:, :, [place[self.names[k]] for k in own]]
         return result * self.sizes
 
-    def _about(self, part: Part) -> ErrorModel:
-        """The effects of the chain of a part about its frames."""
-        error = self.errors[part.key.chain]
-        return error.with_frames(part.error.base, part.error.tool)
+    def _about(self, term: Term) -> ErrorModel:
+        """The effects of the chain of a term about its frames."""
+        error = self.errors[term.key.chain]
+        return error.with_frames(term.error.base, term.error.tool)
 
 
 def with_effects(
@@ -144,7 +149,7 @@ def with_effects(
     """
     fun, jac = sample.linearize_rows(theta)
     measured = fun[: len(effects)]
-    if float(measured @ measured) <= EXACT * sample.values:
+    if float(measured @ measured) <= EXACT * measured_count(sample):
         return None
     X = np.zeros((len(fun), len(kind_of)))
     X[: len(effects)] = effects

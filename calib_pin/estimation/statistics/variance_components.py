@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from calib_pin.estimation.directions import half_covariance
 from calib_pin.estimation.elimination import with_response
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.estimation.problem import Problem, repeated
+from calib_pin.estimation.problem import Problem, measured_count, repeated
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
     chi_square_tail,
@@ -35,7 +35,7 @@ from calib_pin.estimation.statistics.restricted_likelihood import (
     Variances,
     estimate_variances,
 )
-from calib_pin.estimation.system import Part
+from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import LeastSquaresResult
 
@@ -150,7 +150,7 @@ def variance_components(
     found, factors = _tested(problem, groups)
     count = len(problem.layout.row)
     # Of very many values the mean leverage.
-    leverages = np.full(count, half.shape[1] / max(problem.values, 1))
+    leverages = np.full(count, half.shape[1] / max(measured_count(problem), 1))
     if not problem.many:
         leverages = np.sum((result.jac[:count] @ half) ** 2, axis=1)
     pure = pure_errors(problem, result.x, leverages)
@@ -202,16 +202,16 @@ def by_quantity(
     for station in stations:
         settled[station.own, 0] = station.settled
         deviation.update(dict.fromkeys(station.own.tolist(), station))
-    for k, part, K in _by_quantity(problem, theta):
-        change = np.column_stack([half[part.index], settled[part.index]])
+    for k, term, K in _by_quantity(problem, theta):
+        change = np.column_stack([half[term.index], settled[term.index]])
         columns = np.vstack([change, np.eye(1, size, size - 1)])
         products[k] += columns.T @ K @ columns
         # What its station absorbs of measurements is no redundancy.
         for station in {
-            id(s): s for p in part.index if (s := deviation.get(int(p)))
+            id(s): s for p in term.index if (s := deviation.get(int(p)))
         }.values():
-            mine = np.flatnonzero(np.isin(part.index, station.own))
-            root = station.root[np.searchsorted(station.own, part.index[mine])]
+            mine = np.flatnonzero(np.isin(term.index, station.own))
+            root = station.root[np.searchsorted(station.own, term.index[mine])]
             counts[k] -= float(np.sum(root * (K[np.ix_(mine, mine)] @ root)))
     current, further = current_units(problem) ** 2, problem.further
     products *= current[:, None, None]
@@ -219,7 +219,7 @@ def by_quantity(
     return Groups(counts, products, known.T @ known, current)
 
 
-def _by_quantity(problem: Problem, theta: Floats) -> Iterator[tuple[int, Part, Floats]]:
+def _by_quantity(problem: Problem, theta: Floats) -> Iterator[tuple[int, Term, Floats]]:
     """Products of columns of each quantity of each block, by its own parameters."""
     current, of_keys = current_units(problem), problem.layout.of_keys
     firsts = {
@@ -233,11 +233,12 @@ def _by_quantity(problem: Problem, theta: Floats) -> Iterator[tuple[int, Part, F
         if most > 1:
             kept = np.isin(np.arange(len(current)), list(chosen))
             alone = replace(problem, units=np.where(kept, current, np.inf))
-        products = alone.products(theta)
-        for block, K in zip(alone.blocks, products, strict=True):
-            found = firsts[block.part.key]
+        factors = alone.factorize(theta)
+        for block, (r, J) in zip(alone.blocks, factors, strict=True):
+            found = firsts[block.term.key]
             if place < len(found):
-                yield found[place], block.part, K
+                A = np.column_stack([J, r])
+                yield found[place], block.term, A.T @ A
 
 
 def _counts(problem: Problem) -> Floats:

@@ -82,12 +82,12 @@ def places(exported: Exported) -> list[Place]:
     """
     result, found = exported.result, dict[tuple[str, ...], Place]()
     taken = set(result.model.chains.robot.links)
-    for part in result.model.parts.values():
-        chain, (station, tool) = part.error.chain, (f for f, _ in frames_of(part))
-        base, tip = part.error.base.inverse(), result.model.of(part.key).tool
+    for term in result.model.terms.values():
+        chain, (station, tool) = term.error.chain, (f for f, _ in frames_of(term))
+        base, tip = term.error.base.inverse(), result.model.of(term.key).tool
         cameras = {
             "tool" if reference.mount == "hand" else "station": reference
-            for reference in part.measurement.references
+            for reference in term.measurement.references
             if isinstance(reference, Camera)
         }
         for frame, link, pose in ((station, chain.base, base), (tool, chain.tip, tip)):
@@ -95,7 +95,7 @@ def places(exported: Exported) -> list[Place]:
                 continue
             names = NAMES.get(frame.name, (f"{frame.name}_{frame.kind}",))
             if camera := cameras.get(frame.kind):
-                name = part.scope.reference(camera)
+                name = term.frames.reference(camera)
                 names = (name, f"{name}_optical_frame")
             child, unknown = _free_name(names, taken), result.unknown_of(*frame)
             point = frame is tool and camera is None and unknown == TURNS

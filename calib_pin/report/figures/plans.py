@@ -141,9 +141,9 @@ def tool_positions(plan: Plan) -> Floats:
     points = np.zeros((len(plan.q), 3))
     keys = [aim.key for aim in plan.aims]
     for key in dict.fromkeys(keys):
-        own, part = np.array([k == key for k in keys], bool), plan.problem.parts[key]
-        error = part.error
-        T = error.poses(plan.q[own][:, part.columns], np.zeros(len(error.screws)))
+        own, term = np.array([k == key for k in keys], bool), plan.problem.terms[key]
+        error = term.error
+        T = error.poses(plan.q[own][:, term.columns], np.zeros(len(error.screws)))
         points[own] = (error.base.inverse().homogeneous @ T)[:, :3, 3]
     return points
 

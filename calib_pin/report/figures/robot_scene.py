@@ -169,7 +169,7 @@ def scene_of(
     radius = float(np.linalg.norm(seen - middle, axis=1).max())
     drawn = [(s, _muted(s.color, s.link in own)) for s in shapes]
     touched = touched_by(rows, result.fitted.points)
-    for thing in surroundings(result.model.parts, touched, reach):
+    for thing in surroundings(result.model.terms, touched, reach):
         place = T[thing.link][:3, :3] @ thing.origin + T[thing.link][:3, 3]
         # A measurement frame is a place where nothing needs to be.
         if thing.kind == "station" or np.linalg.norm(place - middle) > NEAR * radius:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import permutations, product
 
-from calib_pin.estimation.system import FRAME
+from calib_pin.estimation.terms import FRAME
 from calib_pin.measurement_models import declared
 from calib_pin.setup import AXES, ReadingSetup
 from calib_pin.validation.findings.case import Case
@@ -25,10 +25,10 @@ def axes(case: Case) -> Iterator[Hypothesis]:
     with_axes = [b for b in data.blocks if tuple(declared(b.model).columns)[:3] == AXES]
     if not with_axes:
         return
-    parts, free = case.fit.problem.parts, case.fit.problem.parameters.free
+    terms, free = case.fit.problem.terms, case.fit.problem.parameters.free
     if not any(
         declared(b.model).oriented
-        or (b.key in parts and not free[parts[b.key].index[:FRAME]].all())
+        or (b.key in terms and not free[terms[b.key].index[:FRAME]].all())
         for b in with_axes
     ):
         yield _hypothesis(("x", "y", "-z"), LEFT_HANDED)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.problem import measured_count
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import Quantity
@@ -56,7 +57,7 @@ STEPS = {
 def coarse_values(case: Case) -> Iterator[Finding]:
     """Steps of measured values, and of joint positions, that show in the errors."""
     problem = case.fit.problem
-    used = np.sqrt(max(case.fit.left, 1) / max(problem.values, 1))
+    used = np.sqrt(max(case.fit.left, 1) / max(measured_count(problem), 1))
     errors = case.fit.table
     for quantity in problem.layout.quantities:
         own = errors[:, quantity.columns]

@@ -17,7 +17,7 @@ from calib_pin.estimation.directions import column_space
 from calib_pin.estimation.evidence import Finding, Severity
 from calib_pin.estimation.problem import EXACT, error_table
 from calib_pin.estimation.statistics.distributions import f_tail
-from calib_pin.estimation.system import FRAME
+from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.parameterizations.base import expected_size
@@ -102,13 +102,13 @@ Told = Callable[[Case, Score, Errors], Iterator[Finding]]
 def _drifts(case: Case) -> Iterator[tuple[Told, Floats]]:
     """The kinds of drift: its finding, and the columns of its displacement."""
     fit, problem = case.fit, case.fit.problem
-    parts = [*problem.parts.values()]
-    own, first = parts[0].index[:FRAME], _first_columns(case)
-    if len({part.scope.station for part in parts}) == 1:
+    terms = [*problem.terms.values()]
+    own, first = terms[0].index[:FRAME], _first_columns(case)
+    if len({term.frames.station for term in terms}) == 1:
         if problem.parameters.free[own].all():
             if first == {AXES}:
                 J = fit.linear[1][:, own[:3]] / problem.parameters.scales[own[:3]]
-                yield _of_values, J @ parts[0].error.base.rotation.T
+                yield _of_values, J @ terms[0].error.base.rotation.T
             yield _of_instrument, fit.linear[1][:, own]
         elif first == {("distance",)}:
             yield _of_values, 1.0 / problem.sigma[:, None]

@@ -20,7 +20,7 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.problem import Problem, error_table
+from calib_pin.estimation.problem import Problem, error_table, measured_count
 from calib_pin.measurement_models import declared
 from calib_pin.observations import Observations
 from calib_pin.parameterizations.base import expected_size
@@ -384,7 +384,7 @@ def _redundancy(problem: Problem) -> float:
     """Values of the best part of the measurements beyond the unknowns of frames."""
     parameters = problem.parameters
     unknown = int((parameters.free & parameters.nuisance).sum())
-    return KEPT * problem.values - unknown
+    return KEPT * measured_count(problem) - unknown
 
 
 def _trimmed(problem: Problem, bound: float, scale: float) -> float:

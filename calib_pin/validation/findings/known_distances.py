@@ -50,7 +50,7 @@ def contradicted(
         errors: Errors that are left, rms [unit of the first quantity].
         robust: The one that has set all measurements of an end aside, if it is without.
     """
-    known = fitted.problem.known_distances
+    known = fitted.problem.further.distances
     if not len(known):
         return
     v = known.residual(fitted.theta)

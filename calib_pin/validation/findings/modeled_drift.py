@@ -63,12 +63,12 @@ def modeled_warm_up(case: Case) -> Iterator[Finding]:
     problem, theta = case.fit.problem, case.fit.theta
     thermal, moved = problem.setup.thermal, []
     for block in problem.data.blocks:
-        part = problem.parts[block.key]
-        q, own = block.q[:, part.columns], theta[part.of_error]
+        term = problem.terms[block.key]
+        q, own = block.q[:, term.columns], theta[term.of_error]
         first, none = np.full(len(q), thermal.switched_on[0]), np.zeros(0)
         cold, warm = (
-            part.error.poses(
-                q, own, part.error.basis(q, replace(block.conditions, time=time))
+            term.error.poses(
+                q, own, term.error.basis(q, replace(block.conditions, time=time))
             )
             for time in (first, none)
         )

@@ -51,7 +51,7 @@ def _findings(data: Observations, first: Trial, last: Trial) -> Iterator[Finding
     found = []
     for k in sorted(range(len(last.moves)), key=lambda k: last.moves[k].rank):
         kind, _, at = last.moves[k]
-        one, other = (settled.parts[key] for key in _sides(last, k))
+        one, other = (settled.terms[key] for key in _sides(last, k))
         if kind == "station":
             # Where the instrument stands, in the base link.
             A, B = one.error.base.inverse(), other.error.base.inverse()

@@ -9,12 +9,11 @@ from numpy.typing import NDArray
 
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import FittedModel
-from calib_pin.estimation.problem import Problem, distinct_values
+from calib_pin.estimation.problem import Problem, distinct_values, measured_count
 from calib_pin.estimation.registration import relocated
-from calib_pin.estimation.scopes import BASE
 from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.statistics.distributions import f_tail
-from calib_pin.estimation.system import FRAME
+from calib_pin.estimation.terms import BASE, FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.validation.model_errors import (
     ModelErrors,
@@ -86,8 +85,8 @@ def registered_if_moved(
     """
     found = errors_of_registered(model, before, after, positions)
     rows, findings, kept = after.problem.data, [], np.ones(len(positions), bool)
-    fitted = {part.scope.station for part in model.problem.parts.values()}
-    of_block = [after.problem.parts[key].scope.station for key in rows.keys]
+    fitted = {term.frames.station for term in model.problem.terms.values()}
+    of_block = [after.problem.terms[key].frames.station for key in rows.keys]
     moved = [
         Registered(*there.problem.rebased(there.theta), there.new)
         for there in (before, after)
@@ -128,7 +127,7 @@ def _if_moved(
     if here is None:
         return None, None
     problem = here.problem
-    values, unknowns = problem.values, len(here.refitted)
+    values, unknowns = measured_count(problem), len(here.refitted)
     left = max(values - unknowns, 1)
     as_is = _chi_square(after.problem, after.theta)
     on_itself = _chi_square(problem, here.theta)
@@ -194,10 +193,10 @@ def _elsewhere(there: Registered, station: str) -> Registered | None:
     problem, theta = there.problem, there.theta
     parameters = problem.parameters
     base, outer = np.zeros((2, len(parameters)), bool)
-    for part, _, _, _ in problem.blocks:
-        base[part.index[:FRAME]] = True
+    for term, _, _, _ in problem.blocks:
+        base[term.index[:FRAME]] = True
         # References on the tool stay with the robot.
-        outer[part.index] |= [p.outer for p in part.parameters]
+        outer[term.index] |= [p.outer for p in term.parameters]
     _, J = problem.linearize(theta)
     seen = parameters.nuisance & parameters.free & J.any(axis=0)
     free = np.flatnonzero((base | outer) & seen)

@@ -22,7 +22,7 @@ from calib_pin.errors import CalibPinError
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import EXACT, Problem, error_table
 from calib_pin.estimation.statistics.distributions import f_tail
-from calib_pin.estimation.system import FRAME, Part
+from calib_pin.estimation.terms import FRAME, Term
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices
 from calib_pin.parameterizations.base import expected_size
@@ -127,15 +127,15 @@ class Trial(QuickFit):
     def _frames(self) -> Iterator[tuple[Kind, frozenset[BlockKey], NDArray[np.intp]]]:
         """Frames that may have moved: their blocks and free parameters."""
         for kind in KINDS:
-            found: dict[str, list[Part]] = {}
-            for part in self.problem.parts.values():
-                found.setdefault(getattr(part.scope, kind), []).append(part)
-            for parts in found.values():
-                index, count = parts[0].index, len(parts[0].error.screws)
+            found: dict[str, list[Term]] = {}
+            for term in self.problem.terms.values():
+                found.setdefault(getattr(term.frames, kind), []).append(term)
+            for terms in found.values():
+                index, count = terms[0].index, len(terms[0].error.screws)
                 own = index[:FRAME] if kind == "station" else index[:count][-FRAME:]
                 own = own[self.problem.parameters.free[own]]
                 if len(own):
-                    yield kind, frozenset(part.key for part in parts), own
+                    yield kind, frozenset(term.key for term in terms), own
 
     def _gains(self, Q: Floats, r: Floats, own: Indices, rows: Indices) -> Floats:
         """Squares that another frame from each of some measurements on explains.
@@ -212,7 +212,7 @@ class Trial(QuickFit):
         for side, at in enumerate((int(job.rank.max()) + 1, 0)):
             moves = [*self.moves[:k], move._replace(rank=at), *self.moves[k + 1 :]]
             own, index = job.divided(moves)
-            if any(key not in self.problem.parts for key in own.data.keys):
+            if any(key not in self.problem.terms for key in own.data.keys):
                 return move.rank
             there = replace(self.problem, data=own.data)
             row = there.layout.row

@@ -18,7 +18,7 @@ import numpy as np
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
-from calib_pin.estimation.system import Part
+from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.spatial import Floats, from_quaternion, to_quaternion
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.orientations import numbers_of, quaternions
@@ -118,17 +118,17 @@ class _Located:
     """Where a robot is in the frame of the measurements of a block.
 
     Attributes:
-        part: The part of a problem that positions have located.
+        term: The term of a problem that positions have located.
         tool: Orientation of the tool, a quaternion; None as long as it is unknown.
     """
 
-    part: Part
+    term: Term
     tool: Floats | None = None
 
     def tools(self, reading: OrientationSetup, block: Measurements) -> Floats:
         """The tool as each orientation may have it, quaternions (A, N, 4)."""
-        error = self.part.error
-        tip = error.chain.poses(block.q[:, self.part.columns])[:, :3, :3]
+        error = self.term.error
+        tip = error.chain.poses(block.q[:, self.term.columns])[:, :3, :3]
         to_tip = np.swapaxes(error.base.rotation @ tip, 1, 2)
         found = _possible(reading, block)
         return to_quaternion(to_tip @ from_quaternion(found))
@@ -160,9 +160,9 @@ def _located(case: Case, blocks: Sequence[Measurements]) -> dict[BlockKey, _Loca
     data = Observations(tuple(positions))
     problem = make_problem(case.chains, data, replace(setup, prior={}))
     problem, found = register(problem, np.zeros(len(problem.parameters)))
-    parts = problem.rebased(found.x)[0].parts
+    terms = problem.rebased(found.x)[0].terms
     return {
-        block.key: _Located(parts[block.key._replace(model="position")])
+        block.key: _Located(terms[block.key._replace(model="position")])
         for block in blocks
     }
 

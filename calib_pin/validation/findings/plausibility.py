@@ -219,7 +219,7 @@ def _yardstick(fitted: Fit) -> str:
     """The lengths on which the scale of these measurements rests."""
     problem = fitted.problem
     lengths = []
-    if known := [d for d in problem.known_distances.stated if d.unit == "m"]:
+    if known := [d for d in problem.further.distances.stated if d.unit == "m"]:
         ends = " - ".join(known[0].between)
         more = ", ..." if len(known) > 1 else ""
         lengths.append(f"the known distance {ends}{more}")
@@ -251,7 +251,7 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     place = int(np.argmax(sizes.max(axis=1)))
     expected = _expected_turn(case.setup)
     move, turn = sizes[place] * (LENGTH_SCALE, expected)
-    chains = [part.error.chain for part in fitted.problem.by_chain.values()]
+    chains = [term.error.chain for term in fitted.problem.by_chain.values()]
     names = [(*c.joints, c.tip_joint or c.tip) for c in chains]
     name = [name for of_chain in names for name in of_chain][place]
     said = (
@@ -325,7 +325,7 @@ def _sizes(fitted: Fit, x: Floats) -> Floats:
                 np.linalg.norm(M.translation) / LENGTH_SCALE,
                 np.linalg.norm(pin.log3(M.rotation)) / turn,
             )
-            for part in problem.by_chain.values()
-            for M in part.error.corrections(part.values(theta)[0])[1:-1]
+            for term in problem.by_chain.values()
+            for M in term.error.corrections(term.values(theta)[0])[1:-1]
         ]
     )

@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 
 from calib_pin.estimation.directions import column_space, nuisance_basis
-from calib_pin.estimation.problem import Problem, error_table
+from calib_pin.estimation.problem import Problem, error_table, measured_count
 from calib_pin.estimation.registration import registered
 from calib_pin.estimation.solve import refine
 from calib_pin.estimation.statistics.distributions import f_tail
@@ -55,8 +55,8 @@ def located(problem: Problem, thorough: bool = False) -> Problem:
             off by dozens of pixels where there are few images.
     """
     zero = np.zeros(len(problem.parameters))
-    parts, problem = problem.parts.values(), registered(problem, zero)
-    external = any(part.measurement.declaration.external for part in parts)
+    terms, problem = problem.terms.values(), registered(problem, zero)
+    external = any(term.measurement.declaration.external for term in terms)
     if external and not thorough:
         return problem
     basis = nuisance_basis(problem.parameters)
@@ -74,7 +74,7 @@ def below_sheet(problem: Problem) -> bool:
         return False
     points = np.vstack([block.data.values for block in problem.blocks])
     flat = np.abs(points[:, 2]).max() < FLAT * np.ptp(points[:, :2], axis=0).max()
-    up = [part.error.base.rotation[2, 2] for part in problem.by_chain.values()]
+    up = [term.error.base.rotation[2, 2] for term in problem.by_chain.values()]
     return bool(flat and max(up) < -0.5)
 
 
@@ -155,7 +155,7 @@ class QuickFit:
     def redundant(self) -> bool:
         """Whether the measurements tell errors of the robot from others."""
         free = int(self.problem.parameters.free.sum())
-        return self.problem.values >= REDUNDANCY * free
+        return measured_count(self.problem) >= REDUNDANCY * free
 
     @cached_property
     def linear(self) -> tuple[Floats, Floats]:
@@ -168,7 +168,7 @@ class QuickFit:
     def system(self) -> tuple[Floats, Floats]:
         """Columns of what is free, and residuals, above known distances and sizes."""
         r, J = self.linear
-        parameters, known = self.problem.parameters, self.problem.known_distances
+        parameters, known = self.problem.parameters, self.problem.further.distances
         free = parameters.free & (parameters.nuisance | self.redundant | self.whole)
         robot = ~parameters.nuisance & free
         prior = np.diag(np.where(robot, 1.0 / SIZE, 0.0))[robot]
@@ -194,7 +194,8 @@ class QuickFit:
         if not rows:
             return 0
         R, rounding = np.linalg.qr(A[:rows], mode="r"), rows * np.finfo(float).eps
-        return self.problem.values - int(np.linalg.matrix_rank(R, rtol=rounding))
+        rank = int(np.linalg.matrix_rank(R, rtol=rounding))
+        return measured_count(self.problem) - rank
 
     @cached_property
     def rms(self) -> float:

@@ -21,7 +21,7 @@ def still_joints(problem: Problem) -> tuple[str, ...]:
     """Names of the joints of the chains that no measurement moves."""
     moved = {
         joint
-        for part, data, _, _ in problem.blocks
+        for term, data, _, _ in problem.blocks
         for joint, span in zip(data.joints, np.ptp(data.q, axis=0), strict=True)
         if span > 0.0
     }

@@ -26,7 +26,7 @@ Choice = Callable[[Measurements], NDArray[np.bool_]]
 
 
 @dataclass(frozen=True)
-class Part:
+class Term:
     """Measurements of a data set.
 
     Attributes:
@@ -88,9 +88,9 @@ class DataSet:
     base: str | None
     tip: str
     model: str
-    fitted: Part
-    near: Part | None = None
-    away: tuple[Part, ...] = ()
+    fitted: Term
+    near: Term | None = None
+    away: tuple[Term, ...] = ()
     by_place: bool = False
     statistic: str = "mean"
 
@@ -115,11 +115,11 @@ def _place(name: str, *, elsewhere: bool = False) -> Choice:
     return chosen
 
 
-def _series(letter: str) -> Part:
+def _series(letter: str) -> Term:
     """A series of the UR10, as one that was not fitted."""
     ending = "" if letter == "A" else f"_{letter.lower()}"
     name = f"series {letter}"
-    return Part(name, f"ur10_tmac{ending}", BOTH, registered=True)
+    return Term(name, f"ur10_tmac{ending}", BOTH, registered=True)
 
 
 def _ur10(letter: str, folder: str, others: str) -> DataSet:
@@ -128,8 +128,8 @@ def _ur10(letter: str, folder: str, others: str) -> DataSet:
         f"UR10, series {letter}",
         "laser tracker, T-Mac",
         *("example:ur10_robot", "base_link", "tool0", "position"),
-        Part("train", folder, BOTH[:1]),
-        Part("held out", folder, BOTH[1:]),
+        Term("train", folder, BOTH[:1]),
+        Term("held out", folder, BOTH[1:]),
         tuple(map(_series, others)),
     )
 
@@ -138,8 +138,8 @@ def _tracked(key: str, name: str, robot: str | Path, base: str, tip: str) -> Dat
     folder = f"{key}_tracker"
     return DataSet(
         *(key, name, "laser tracker", robot, base, tip, "position"),
-        Part("grid", folder, BOTH[:1]),
-        Part("random poses", folder, BOTH[1:]),
+        Term("grid", folder, BOTH[:1]),
+        Term("random poses", folder, BOTH[1:]),
     )
 
 
@@ -154,27 +154,27 @@ DATA_SETS: tuple[DataSet, ...] = (
     _tracked("wam", "Barrett WAM", WAM, "base", "tool_plate"),
     DataSet(
         *("panda-1", "Panda 1, front", *PANDA),
-        Part("front", "mukca_panda", ONE, _place("front")),
+        Term("front", "mukca_panda", ONE, _place("front")),
         away=(
-            Part("other places", "mukca_panda", ONE, _place("front", elsewhere=True)),
+            Term("other places", "mukca_panda", ONE, _place("front", elsewhere=True)),
         ),
     ),
     DataSet(
         *("panda-2", "Panda 2", *PANDA),
-        Part("all places", "mukca_panda", TWO),
+        Term("all places", "mukca_panda", TWO),
         by_place=True,
     ),
     DataSet(
         *("talos", "TALOS torso, left arm", MARKER, "example:talos_reduced", None),
         *("gripper_left_base_link", "position"),
-        Part("all", "talos_left_arm", ("measurements.csv",)),
+        Term("all", "talos_left_arm", ("measurements.csv",)),
         statistic="rms",
     ),
     DataSet(
         *("tiago", "TIAGo torso, arm", MARKER, "example:tiago_no_hand", None),
         *("wrist_ft_tool_link", "position"),
-        Part("first day", "tiago", BOTH[:1]),
-        away=(Part("another day", "tiago", BOTH[1:]),),
+        Term("first day", "tiago", BOTH[:1]),
+        away=(Term("another day", "tiago", BOTH[1:]),),
         statistic="rms",
     ),
 )

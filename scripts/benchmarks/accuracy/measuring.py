@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import calib_pin
-from benchmarks.accuracy.data_sets import DataSet, Part
+from benchmarks.accuracy.data_sets import DataSet, Term
 from calib_pin.observations import Observations
 from calib_pin.progress import Stages
 from calib_pin.setup import Setup
@@ -96,7 +96,7 @@ def measure(
     """
     chain, model = data_set.chain(), data_set.model
 
-    def read(part: Part) -> Observations:
+    def read(part: Term) -> Observations:
         return part.read(data, chain, model)
 
     fitted = read(data_set.fitted)
@@ -163,7 +163,7 @@ def _away(
     chain: calib_pin.Chain,
     fitted: Observations,
     setup: Setup,
-    part: Part,
+    part: Term,
     rows: Observations,
     found: Mapping[str, CalibrationResult],
     seed: int,

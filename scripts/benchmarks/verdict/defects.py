@@ -158,12 +158,12 @@ def _moved(number: int) -> Case:
     """The instrument has moved between training and validation."""
     job = draw(number, model=_among(number, ("position", "pose")), multiple=4)
     rng = stream(number, 1)
-    part = job.problem.only
+    term = job.problem.only
     shift = np.concatenate([rng.normal(size=3), 0.3 * rng.normal(size=3)])
-    base = se3_exp(shift) @ part.error.base.homogeneous
-    error = part.error.with_frames(pin.SE3(base), part.error.tool)
-    parts = {part.key: replace(part, error=error)}
-    moved = replace(job, problem=job.problem.with_parts(parts))
+    base = se3_exp(shift) @ term.error.base.homogeneous
+    error = term.error.with_frames(pin.SE3(base), term.error.tool)
+    terms = {term.key: replace(term, error=error)}
+    moved = replace(job, problem=job.problem.with_terms(terms))
     return Case(job, job.measured(rng), job.setup, moved.measured(rng, 30))
 
 

@@ -254,7 +254,7 @@ def calibrated(case: Case) -> Exported:
                     learned=Learned(np.zeros(len(part.error.screws)), case.learned),
                 ),
             )
-            for key, part in model.parts.items()
+            for key, part in model.terms.items()
         }
         model = replace(model, parts=parts)
     names = model.given.names

@@ -1,10 +1,10 @@
-"""A robot with errors before an instrument: tool poses and predictions."""
+"""Tool poses of configurations with their derivatives, and whitened measurements."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Self, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from calib_pin.observations import (
     Measurements,
     Targets,
 )
-from calib_pin.parameterizations.error_model import ErrorModel, varying
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.linearization import PoseLinearization
 
 
@@ -132,101 +132,6 @@ class ToolPoses:
     @cached_property
     def _start_basis(self) -> Floats:
         return self._error.basis(self._at.start, self._at.conditions.at_start)
-
-
-@dataclass(frozen=True)
-class Model:
-    """An error model and a measurement model, about their references.
-
-    A vector theta of parameter values belongs to these references; `rebased` moves
-    both.
-
-    Attributes:
-        error: The error model about its reference frames.
-        measurement: The measurement model about its reference values.
-    """
-
-    error: ErrorModel
-    measurement: MeasurementModel
-
-    @property
-    def components(self) -> int:
-        """Residual components d of a measurement."""
-        return int(self.measurement.quantities[-1].columns.stop)
-
-    def split(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Values of the error model and of the measurement model, (..., P) each."""
-        count = len(self.error.screws)
-        return theta[..., :count], theta[..., count:]
-
-    def poses(self, theta: Floats, at: Configured) -> Floats:
-        """Tool poses as in `ToolLinearization`, shape (N, 4, 4).
-
-        Args:
-            theta: Parameter values, shape (P,).
-            at: The configurations.
-        """
-        return ToolPoses(self.error, at)(self.split(theta)[0])
-
-    def predict(self, theta: Floats, at: Configured) -> Floats:
-        """Noise-free values in the layout of `Measurements.values`, shape (N, D).
-
-        The arguments are as in `poses`.
-        """
-        instrument = self.split(theta)[1]
-        return self.measurement.predict(self.poses(theta, at), instrument, at.target)
-
-    def observable(self, theta: Floats, at: Configured) -> NDArray[np.bool_]:
-        """Whether the instrument can measure at each configuration, shape (N,).
-
-        The arguments are as in `poses`.
-        """
-        instrument = self.split(theta)[1]
-        return self.measurement.observable(self.poses(theta, at), instrument, at.target)
-
-    def jacobian(self, theta: Floats, at: Configured, sigma: Floats) -> Floats:
-        """Whitened Jacobian of noise-free measurements, shape (N, d, P).
-
-        Args:
-            theta: Parameter values, shape (P,).
-            at: The configurations.
-            sigma: Standard deviations of the residual components, shape (N, d).
-        """
-        of_robot, instrument = self.split(theta)
-        tool = ToolPoses(self.error, at).linearize(of_robot)
-        linear = linearized_at(
-            self.error.chain,
-            self.measurement,
-            tool.T,
-            instrument,
-            at.q,
-            at.target,
-            self.predict(theta, at),
-        )
-        return whitened_jacobian(tool, linear, sigma)
-
-    def rebased(self, theta: Floats) -> tuple[Self, Floats]:
-        """The same model about other values of frames and instrument.
-
-        Args:
-            theta: Parameter values, shape (P,).
-
-        Returns:
-            The model with these in its references, and values about them, shape (P,):
-            zero for frames and instrument, those of the robot as they are.
-        """
-        of_robot, instrument = self.split(theta)
-        error, products = self.error, self.error.corrections(of_robot)
-        moved = replace(
-            self,
-            error=error.with_frames(
-                error.base * products[0], error.tool * products[-1]
-            ),
-            measurement=self.measurement.rebased(instrument),
-        )
-        referred = np.append(error.parameters.nuisance, np.ones(len(instrument), bool))
-        referred[varying(error)] = False
-        return moved, np.where(referred, 0.0, theta)
 
 
 def whitened_jacobian(

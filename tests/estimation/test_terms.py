@@ -15,7 +15,7 @@ from calib_pin.estimation.configurations import asked, named_targets
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.population import PopulationCost
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, known_count, measured_count
 from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
@@ -48,7 +48,7 @@ def keys(*models: str) -> list[BlockKey]:
 def anywhere(problem: Problem, theta: Floats, rng: np.random.Generator) -> Problem:
     """Measurements of every target of every block, at random configurations."""
     at = []
-    for key in problem.parts:
+    for key in problem.terms:
         names = named_targets(problem, key)
         q = problem.chains.random_configurations(len(names), rng)
         at.append(asked(problem, key, q, names))
@@ -61,9 +61,9 @@ def several(equipped_problem: Equipped) -> tuple[Problem, Floats]:
     problem, rng = equipped_problem(ARM, keys(*SEVERAL)), np.random.default_rng(0)
     theta = 0.01 * rng.normal(size=len(problem.parameters))
     there, blocks = anywhere(problem, theta, rng), []
-    for part, data, _, _ in there.blocks:
-        noise = 0.1 * rng.normal(size=(len(data), part.components))
-        values = part.measurement.disturb(data.values, noise)
+    for term, data, _, _ in there.blocks:
+        noise = 0.1 * rng.normal(size=(len(data), term.components))
+        values = term.measurement.disturb(data.values, noise)
         blocks.append(replace(data, values=values))
     return replace(there, data=Observations(tuple(blocks))), theta
 
@@ -84,8 +84,8 @@ def test_what_several_blocks_name_is_one_reference(simulated: Simulated) -> None
     theta = np.zeros(len(problem.given))
     theta[-9], theta[-5] = 0.1, 0.2
     moved, _ = problem.rebased(theta)
-    for part in moved.parts.values():
-        ball = part.measurement.references[0]
+    for term in moved.terms.values():
+        ball = term.measurement.references[0]
         np.testing.assert_allclose(ball.xyz, [0.15, 0.08, 0.12])
     np.testing.assert_allclose(moved.references["sockets", "s/0"].xyz[1], 0.5)
 
@@ -154,19 +154,18 @@ def test_residuals_are_those_of_each_block_alone(
     r, J = problem.linearize(theta)
     stop = 0
     for block in problem.blocks:
-        part, data = block.part, block.data
+        term, data = block.term, block.data
         assert block.values.start == stop
         stop = block.values.stop
-        own = theta[part.index]
-        residual = part.measurement.residual(
-            part.poses(own, data), part.split(own)[1], data
+        residual = term.measurement.residual(
+            term.poses(theta, data), term.values(theta)[1], data
         )
         np.testing.assert_array_equal(block.table(errors), residual)
         alone = replace(problem, data=Observations.of(data), setup=problem.setup)
         # Of the only block the same rows, and behind them the known distance.
         _, expected = alone.linearize(theta)
         np.testing.assert_array_equal(J[block.values], expected[:-1])
-        others = np.setdiff1d(np.arange(len(theta)), part.index)
+        others = np.setdiff1d(np.arange(len(theta)), term.index)
         assert not J[block.values][:, others].any()
     assert stop == len(errors) == len(r) - 1
     np.testing.assert_allclose(r[:-1], errors / sigma, rtol=1e-12, atol=1e-9)
@@ -174,13 +173,13 @@ def test_residuals_are_those_of_each_block_alone(
 
 def test_the_cost_is_the_sum_over_blocks(several: tuple[Problem, Floats]) -> None:
     problem, theta = several
-    assert problem.values == len(problem.sigma)
-    assert problem.count == problem.values + 1  # A known distance.
+    assert measured_count(problem) == len(problem.sigma)
+    assert known_count(problem) == measured_count(problem) + 1  # A known distance.
     sigma = {"position": 1e-4, "orientation": 1e-4, "contact": 1e-4, "pixel": 0.5}
     errors = problem.errors(theta)
     cost = 0.5 * float(problem.residual(theta)[-1] ** 2)
     for block in problem.blocks:
-        for quantity in block.part.measurement.quantities:
+        for quantity in block.term.measurement.quantities:
             own = block.table(errors)[:, quantity.columns]
             cost += 0.5 * float(np.sum((own / sigma[quantity.name]) ** 2))
     assert problem.cost(theta) == pytest.approx(cost, rel=1e-10)

@@ -1,0 +1,565 @@
+"""The terms of a calibration job, and the parameters that they share.
+
+A term is what one instrument measures from one station of one chain with one tool: the
+error model of the chain, from the base frame of the station to the frame of the tool,
+and the measurement model. What terms have in common (joints, a station, a tool, a
+reference object) has one name and one parameter. All parameters theta are ordered
+stations, robot, tools, instruments: the order in which linear combinations are told,
+base before joints before tool.
+
+A station is a place of an instrument before one base link, a tool is something mounted
+on one tip. Where there is only one of them it has the base or the tool frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.errors import OptionError
+from calib_pin.estimation.tool_poses import (
+    Configured,
+    ToolPoses,
+    linearized_at,
+    whitened_jacobian,
+)
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import MeasurementModel, declared
+from calib_pin.measurement_models.references import ReferenceObject
+from calib_pin.observations import BlockKey, Indices, Measurements
+from calib_pin.parameterizations import frame_pose
+from calib_pin.parameterizations.error_model import ErrorModel, varying
+from calib_pin.parameters import Parameter, ParameterSet
+from calib_pin.setup import FrameSetup, Setup, ToolSetup
+
+FRAME = 6
+"""Parameters of a frame; an error model begins and ends with those of one."""
+
+BASE, TOOL = "base.frame", "tool.frame"
+"""Names of the frames without names."""
+
+Place = tuple[str, str]
+"""A station or a tool, and the link that it stands before or is mounted on."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The frames of a term: their names among those of all, and what is stated of them.
+
+    Attributes:
+        station: Owner and kind of its base frame, such as `day1.station`.
+        tool: The same of its tool frame, or of the tool that this one is known on.
+        outer: Prefix of the reference objects that stand still, empty where only one
+            station has such.
+        inner: The same of those that the tool carries.
+        base: What the setup states of the base frame.
+        end: The same of the tool frame.
+        offset: Pose of the tool in the tool that it is known on.
+    """
+
+    station: str = BASE
+    tool: str = TOOL
+    outer: str = ""
+    inner: str = ""
+    base: FrameSetup = field(default_factory=FrameSetup)
+    end: FrameSetup = field(default_factory=FrameSetup)
+    offset: pin.SE3 = field(default_factory=pin.SE3.Identity)
+
+    def reference(self, reference: ReferenceObject) -> str:
+        """Name of a reference object among those of all terms."""
+        return (self.outer if reference.outer else self.inner) + reference.name
+
+    def place(self, reference: ReferenceObject) -> tuple[str, str]:
+        """Section and name of a reference object, which tell it from all others."""
+        return reference.section, self.reference(reference)
+
+
+@dataclass(frozen=True)
+class Term:
+    """Measurements of one instrument from one station of one chain with one tool.
+
+    A vector theta of parameter values belongs to its reference frames and to the
+    reference values of its instrument; `rebased` moves both.
+
+    Attributes:
+        error: The error model about its reference frames.
+        measurement: The measurement model about its reference values.
+        key: What its measurements have in common.
+        frames: Its frames, as they are named among all.
+        columns: Position of each joint of its chain among those of all chains, (n,).
+        index: Position of each of its parameters among all, shape (p,).
+    """
+
+    error: ErrorModel
+    measurement: MeasurementModel
+    key: BlockKey
+    frames: Frames
+    columns: Indices
+    index: NDArray[np.intp]
+
+    @cached_property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its parameters by the names that they have among all."""
+        own = self.error.parameters.parameters
+        ends = {0: self.frames.station, len(own) - FRAME: self.frames.tool}
+        result = list(own)
+        for start, name in ends.items():
+            for k in range(start, start + FRAME):
+                component = own[k].name.rpartition(".")[2]
+                result[k] = replace(own[k], name=f"{name}.{component}")
+        for k, screw in enumerate(self.error.screws[FRAME:-FRAME], start=FRAME):
+            if screw.frame == 0:  # Of the instrument, as the frame of its station.
+                station = self.frames.station.rpartition(".")[0]
+                rest = own[k].name.partition(".")[2]
+                result[k] = replace(own[k], name=f"{station}.{rest}")
+        for reference in self.measurement.references:
+            name, length = self.frames.reference(reference), len(reference.name)
+            result += [
+                replace(parameter, name=name + parameter.name[length:])
+                for parameter in reference.parameters
+            ]
+        return tuple(result)
+
+    @property
+    def components(self) -> int:
+        """Residual components d of a measurement."""
+        return int(self.measurement.quantities[-1].columns.stop)
+
+    @property
+    def of_error(self) -> NDArray[np.intp]:
+        """Positions of the parameters of its error model among all."""
+        return self.index[: len(self.error.screws)]
+
+    @property
+    def of_instrument(self) -> NDArray[np.intp]:
+        """Positions of the parameters of its measurement model among all."""
+        return self.index[len(self.error.screws) :]
+
+    def values(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Values of its error model and of its measurement model among all, (..., P).
+
+        Args:
+            theta: Values of all parameters, one vector or many.
+        """
+        return theta[..., self.of_error], theta[..., self.of_instrument]
+
+    def of_chain(self, at: Configured) -> Configured:
+        """Configurations of all joints with those of its chain alone."""
+        if np.array_equal(self.columns, np.arange(at.q.shape[1])):
+            return at
+        own: dict[str, Any] = {
+            "q": at.q[:, self.columns],
+            "start": at.start[:, self.columns] if at.start.size else at.start,
+            "conditions": at.conditions.of_joints(self.columns),
+        }
+        if isinstance(at, Measurements):
+            own["joints"] = self.error.chain.joints
+        return replace(at, **own)
+
+    def poses(self, theta: Floats, at: Configured) -> Floats:
+        """Tool poses as in `ToolLinearization`, shape (N, 4, 4).
+
+        Args:
+            theta: Values of all parameters, shape (P,).
+            at: Configurations of its chain.
+        """
+        return ToolPoses(self.error, at)(self.values(theta)[0])
+
+    def predict(self, theta: Floats, at: Configured) -> Floats:
+        """Noise-free values in the layout of `Measurements.values`, shape (N, D).
+
+        The arguments are as in `poses`.
+        """
+        instrument = self.values(theta)[1]
+        return self.measurement.predict(self.poses(theta, at), instrument, at.target)
+
+    def observable(self, theta: Floats, at: Configured) -> NDArray[np.bool_]:
+        """Whether the instrument can measure at each configuration, shape (N,).
+
+        The arguments are as in `poses`.
+        """
+        instrument = self.values(theta)[1]
+        return self.measurement.observable(self.poses(theta, at), instrument, at.target)
+
+    def jacobian(self, theta: Floats, at: Configured, sigma: Floats) -> Floats:
+        """Whitened Jacobian of noise-free measurements by its parameters, (N, d, p).
+
+        Args:
+            theta: Values of all parameters, shape (P,).
+            at: Configurations of its chain.
+            sigma: Standard deviations of the residual components, shape (N, d).
+        """
+        of_robot, instrument = self.values(theta)
+        tool = ToolPoses(self.error, at).linearize(of_robot)
+        exact = self.measurement.predict(tool.T, instrument, at.target)
+        linear = linearized_at(
+            self.error.chain,
+            self.measurement,
+            tool.T,
+            instrument,
+            at.q,
+            at.target,
+            exact,
+        )
+        return whitened_jacobian(tool, linear, sigma)
+
+    def rebased(self, theta: Floats) -> Self:
+        """The same term about other values of its frames and its instrument.
+
+        Args:
+            theta: Values of all parameters, shape (P,).
+        """
+        of_robot, instrument = self.values(theta)
+        base, *_, tool = self.error.corrections(of_robot)
+        error = self.error.with_frames(self.error.base * base, self.error.tool * tool)
+        measurement = self.measurement.rebased(instrument)
+        return replace(self, error=error, measurement=measurement)
+
+
+class Block(NamedTuple):
+    """A block of measurements with its term.
+
+    Attributes:
+        term: The term.
+        data: The measurements, with the joints of the term's chain.
+        rows: Where they stand among all measurements.
+        values: Where their residual components stand among all.
+    """
+
+    term: Term
+    data: Measurements
+    rows: slice
+    values: slice
+
+    def table(self, flat: Floats) -> Floats:
+        """Components of all measurements as a table of these, (M,) -> (N, d)."""
+        return np.asarray(flat[self.values].reshape(len(self.data), -1))
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The parts of all blocks, about their references.
+
+    A vector theta of parameter values belongs to these references; `rebased` moves
+    both.
+
+    Attributes:
+        chains: The chains that are measured.
+        terms: The term of each block, by what its measurements have in common.
+        given: All parameters, before a setup fixes or bounds any.
+    """
+
+    chains: Chains
+    terms: Mapping[BlockKey, Term]
+    given: ParameterSet
+
+    @property
+    def only(self) -> Term:
+        """The only term; the first of several."""
+        return next(iter(self.terms.values()))
+
+    @property
+    def moving(self) -> Term:
+        """The first term whose chain has joints."""
+        return next(iter(self.by_chain.values()), self.only)
+
+    @property
+    def by_chain(self) -> Mapping[str, Term]:
+        """The first part of each chain that has joints, by the chain's name."""
+        found: dict[str, Term] = {}
+        for key, term in self.terms.items():
+            if term.error.chain.joints:
+                found.setdefault(key.chain, term)
+        return found
+
+    def with_terms(self, terms: Mapping[BlockKey, Term]) -> Self:
+        """The same with terms about other references, and of the same parameters."""
+        return replace(self, terms=terms)
+
+    def of_chain(self, name: str) -> Term:
+        """The first part of a chain."""
+        return next(term for term in self.terms.values() if term.key.chain == name)
+
+    def rebased(self, theta: Floats) -> tuple[Self, Floats]:
+        """The same terms about other values of frames and instruments.
+
+        Args:
+            theta: Parameter values, shape (P,).
+
+        Returns:
+            They with these in its references, and values about them, shape (P,):
+            zero for frames and instruments, those of the robot as they are.
+        """
+        terms = {key: term.rebased(theta) for key, term in self.terms.items()}
+        return self.with_terms(terms), np.where(self.referred, 0.0, theta)
+
+    @cached_property
+    def referred(self) -> NDArray[np.bool_]:
+        """True for frames and instruments, whose values references hold, (P,)."""
+        result = self.given.nuisance.copy()
+        for term in self.terms.values():
+            # How an instrument drifts belongs to no reference.
+            result[term.index[varying(term.error)]] = False
+        return result
+
+    def predict(self, theta: Floats, at: Configured) -> Floats:
+        """Noise-free values in the layout of `Measurements.values`, shape (N, D).
+
+        Args:
+            theta: Parameter values, shape (P,).
+            at: Configurations of one block.
+        """
+        term = self.terms[at.key]
+        return term.predict(theta, term.of_chain(at))
+
+    def observable(self, theta: Floats, at: Configured) -> NDArray[np.bool_]:
+        """Whether an instrument can measure at each configuration, shape (N,).
+
+        Arguments as for `predict`.
+        """
+        term = self.terms[at.key]
+        return term.observable(theta, term.of_chain(at))
+
+    def jacobian(self, theta: Floats, at: Configured, sigma: Floats) -> Floats:
+        """Whitened Jacobian of noise-free measurements of a block, shape (N, d, P).
+
+        Args:
+            theta: Parameter values, shape (P,).
+            at: Configurations of one block.
+            sigma: Standard deviations of the residual components, shape (N, d).
+        """
+        term = self.terms[at.key]
+        return self.spread(term, term.jacobian(theta, term.of_chain(at), sigma))
+
+    def spread(self, term: Term, J: Floats) -> Floats:
+        """Columns of the parameters of a term among those of all, (..., p) -> (..., P).
+
+        Several parameters of a term may be one: those of a mimic joint and its leader.
+        """
+        index, count = term.index, len(self.given)
+        if np.array_equal(index, np.arange(count)):
+            return J
+        result = np.zeros((*J.shape[:-1], count))
+        if len(np.unique(index)) == len(index):
+            result[..., index] = J
+        else:
+            for k, position in enumerate(index):
+                result[..., position] += J[..., k]
+        return result
+
+    @cached_property
+    def references(self) -> Mapping[tuple[str, str], ReferenceObject]:
+        """The reference objects of all terms, by section and name among all."""
+        return {
+            term.frames.place(reference): reference
+            for term in self.terms.values()
+            for reference in term.measurement.references
+        }
+
+
+def assembled(terms: Sequence[Term]) -> tuple[dict[BlockKey, Term], ParameterSet]:
+    """Terms that share what has one name, and all parameters.
+
+    A reference object of several terms has the parameters of all: a point that is known
+    to a camera and estimated by a tracker is estimated.
+
+    Args:
+        terms: The terms; their index is made here.
+
+    Raises:
+        OptionError: If a parameter of a joint means something else in another chain.
+    """
+    terms = with_shared_references(terms)
+    found: list[dict[str, Parameter]] = [{}, {}, {}, {}]
+    twists: dict[tuple[str, str], Floats] = {}
+    for term in terms:
+        inner = len(term.error.screws)
+        ends = (0, FRAME, inner - FRAME, inner, len(term.parameters))
+        for group, start, stop in zip(found, ends[:-1], ends[1:], strict=True):
+            for parameter in term.parameters[start:stop]:
+                group.setdefault(parameter.name, parameter)
+        for screw in term.error.screws[FRAME:-FRAME]:
+            name = screw.parameter.name
+            # Joints that mimic one another each have a motion of their own, and several
+            # may share a parameter that bends them.
+            joint = (*term.error.chain.joints, "")[screw.frame - 1]
+            own = joint in term.error.chain.mimics or screw.basis is not None
+            other = twists.setdefault((name, joint if own else ""), screw.twist)
+            if np.abs(screw.twist - other).max() > 1e-9:
+                raise OptionError(
+                    f"'{name}' is another motion in the chain '{term.key.chain}' than "
+                    "in one before it",
+                    allowed="parameters such as 'placement', which no chain changes",
+                )
+    given = ParameterSet(tuple(p for group in found for p in group.values()))
+    position = {name: k for k, name in enumerate(given.names)}
+    return {
+        term.key: replace(
+            term, index=np.array([position[p.name] for p in term.parameters], np.intp)
+        )
+        for term in terms
+    }, given
+
+
+def with_shared_references(
+    terms: Sequence[Term], found: Mapping[tuple[str, str], ReferenceObject] = {}
+) -> list[Term]:
+    """Terms whose reference objects of one name and section are the same.
+
+    The one with most parameters is taken, of these one that is located.
+
+    Args:
+        terms: The terms.
+        found: Objects that have been located, by section and name; they win.
+    """
+    best: dict[tuple[str, str], ReferenceObject] = {}
+    for term in terms:
+        for reference in term.measurement.references:
+            key = term.frames.place(reference)
+            other = best.setdefault(key, reference)
+            rank = len(reference.parameters), reference.located
+            if rank > (len(other.parameters), other.located):
+                best[key] = reference
+    best |= {key: value for key, value in found.items() if key in best}
+    return [
+        replace(
+            term,
+            measurement=term.measurement.with_references(
+                [
+                    best[term.frames.place(reference)]
+                    for reference in term.measurement.references
+                ]
+            ),
+        )
+        for term in terms
+    ]
+
+
+def frames_of_blocks(
+    chains: Chains, keys: Sequence[BlockKey], setup: Setup
+) -> dict[BlockKey, Frames]:
+    """The names of the frames of blocks of measurements, and what is stated of them.
+
+    Args:
+        chains: The chains that are measured.
+        keys: The blocks.
+        setup: The frames that the user states.
+    """
+    stations = {k: (own_name(k, keys, k.station), chains[k.chain].base) for k in keys}
+    tools = {k: (own_name(k, keys, k.tool), chains[k.chain].tip) for k in keys}
+    default = chains[""] if "" in chains.names else None
+    base = default.base if default else stations[keys[0]][1]
+    bases = _owners(set(stations.values()), base)
+    ends = _owners(set(tools.values()), default.tip if default else "")
+    result = {}
+    for key in keys:
+        station, tool = bases[stations[key]], ends[tools[key]]
+        result[key] = _on_tool(
+            Frames(
+                station=f"{station}.station" if station else BASE,
+                base=_stated(setup.stations, station, key.station, setup.base_frame),
+            ),
+            tool,
+            _stated(setup.tools, tool, key.tool, setup.tool_frame),
+            setup.tools,
+        )
+    return result
+
+
+def prefixed(terms: Iterable[Term]) -> list[Term]:
+    """Terms whose reference objects have names that differ between stations and tools.
+
+    An object is another one at another station, or on another tool, whatever its name;
+    then the station or the tool stands before that.
+    """
+    terms = list(terms)
+    where: dict[tuple[str, str], set[str]] = {}
+    for term in terms:
+        for reference in term.measurement.references:
+            place = term.frames.station if reference.outer else term.frames.tool
+            where.setdefault((reference.section, reference.name), set()).add(place)
+    ambiguous = {
+        place for places in where.values() if len(places) > 1 for place in places
+    }
+
+    def prefix(place: str) -> str:
+        named = place in ambiguous and place not in (BASE, TOOL)
+        return f"{place.rpartition('.')[0]}/" if named else ""
+
+    return [
+        replace(
+            term,
+            frames=replace(
+                term.frames,
+                outer=prefix(term.frames.station),
+                inner=prefix(term.frames.tool),
+            ),
+        )
+        for term in terms
+    ]
+
+
+def own_name(key: BlockKey, keys: Sequence[BlockKey], stated: str) -> str:
+    """Name of a station or a tool, that of the model where it follows nothing.
+
+    A camera among others is at a place of its own and looks at something of its own.
+    """
+    alone = all(other.model == key.model for other in keys)
+    follows = declared(key.model).tracks or not declared(key.model).external
+    return stated or ("" if alone or follows else key.model)
+
+
+def _owners(places: set[Place], default: str) -> dict[Place, str]:
+    """The owner of each frame, empty for the one without a name.
+
+    Args:
+        places: The places.
+        default: The link that need not be named.
+    """
+    if len(places) == 1:
+        return dict.fromkeys(places, "")
+    links: dict[str, set[str]] = {}
+    for name, link in places:
+        links.setdefault(name, set()).add(link)
+    return {
+        (name, link): "/".join(
+            filter(
+                None,
+                (
+                    name,
+                    "" if link == default or (name and len(links[name]) == 1) else link,
+                ),
+            )
+        )
+        for name, link in places
+    }
+
+
+def _stated(
+    frames: Mapping[str, FrameSetup], owner: str, name: str, default: FrameSetup
+) -> FrameSetup:
+    """Frame that a setup states, by its owner or by the name in measurements."""
+    if owner in frames or name in frames:
+        return frames[owner if owner in frames else name]
+    return FrameSetup() if owner else default
+
+
+def _on_tool(
+    frames: Frames, owner: str, stated: FrameSetup, tools: Mapping[str, ToolSetup]
+) -> Frames:
+    """The frames with a tool, which may be known on another one."""
+    offset = pin.SE3.Identity()
+    for _ in tools:
+        if not isinstance(stated, ToolSetup) or stated.on is None:
+            break
+        offset = frame_pose(stated) * offset
+        owner, stated = stated.on, tools.get(stated.on, FrameSetup())
+    name = f"{owner}.tool" if owner else TOOL
+    return replace(frames, tool=name, end=stated, offset=offset)

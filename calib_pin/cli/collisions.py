@@ -87,10 +87,8 @@ def ways_of(option: str, chain: Chain, collisions: Collisions | None) -> Ways:
 
     chains = Chains.of(chain)
     if len(chains.joints) > len(chain.joints):
-        raise OptionError(
-            f"{option} needs the joints that others mimic in the chain",
-            value=chains.joints[-1],
-        )
+        reason = f"{option} needs the joints that others mimic in the chain"
+        raise OptionError(reason, value=chains.joints[-1])
     solid = require_solids(option, chains, collisions)
     return Ways(chains, solid, chain.lower, chain.upper)
 
@@ -104,9 +102,7 @@ def require_solids(
         OptionError: If its URDF describes no solids, which an option needs.
     """
     if collisions is None:
-        raise OptionError(
-            f"{option} needs the solids of the robot, and the URDF has none",
-            file=chains.robot.file,
-            allowed="<collision> in its links",
-        )
+        reason = f"{option} needs the solids of the robot, and the URDF has none"
+        file, allowed = chains.robot.file, "<collision> in its links"
+        raise OptionError(reason, file=file, allowed=allowed)
     return collisions

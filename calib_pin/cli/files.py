@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from calib_pin.cli.printing import Bar, notice, stage
 from calib_pin.errors import (
@@ -17,24 +17,21 @@ from calib_pin.errors import (
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
-    from calib_pin.kinematics.robot import Robot
     from calib_pin.observations import BlockKey, Observations
     from calib_pin.setup import Setup
     from calib_pin.validation.calibrated_model import CalibratedModel
 
 
-def open_setup(
-    file: Path | None,
-    *,
-    base: str | None = None,
-    tip: str | None = None,
-    model: str | None = None,
-    parameters: str | None = None,
-    solver: str | None = None,
-    loss: str | None = None,
-    learned: str | None = None,
-) -> Setup:
+FLAGS = ("base", "tip", "model", "parameters", "solver", "loss", "learned")
+"""What flags state in place of a setup file."""
+
+
+def open_setup(file: Path | None, **flags: Any) -> Setup:
     """The setup file with the flags on top.
+
+    Args:
+        file: The setup file.
+        flags: Values of `FLAGS`, None where a flag is not given.
 
     Raises:
         InputError: If the file cannot be used.
@@ -50,34 +47,31 @@ def open_setup(
     from calib_pin.residual_models import RESIDUAL_MODELS
     from calib_pin.setup import Setup
 
-    for option, value in (("--base", base), ("--tip", tip)):
-        if value is not None and not value.strip():
-            raise OptionError(f"{option} is empty", allowed="the name of a link")
+    given = {key: value for key, value in flags.items() if value is not None}
+    for key in ("base", "tip"):
+        if not given.get(key, key).strip():
+            raise OptionError(f"--{key} is empty", allowed="the name of a link")
     setup = Setup() if file is None else read_setup(file)
-    if parameters is not None:
-        names = tuple(name.strip() for name in parameters.split(","))
+    if "parameters" in given:
+        names = tuple(name.strip() for name in given["parameters"].split(","))
         for name in names:
             require_known("parameterization", name, PARAMETERIZATIONS)
         if len(set(names)) != len(names):
-            raise OptionError("a parameterization is named twice", value=parameters)
-        setup = replace(setup, parameters=names)
-    for kind, given, known in (
-        ("solver", solver, SOLVERS),
-        ("loss", loss, LOSSES),
-        ("residual model", learned, RESIDUAL_MODELS),
+            raise OptionError(
+                "a parameterization is named twice", value=given["parameters"]
+            )
+        given["parameters"] = names
+    asked_models(given.get("model"))
+    for key, kind, known in (
+        ("solver", "solver", SOLVERS),
+        ("loss", "loss", LOSSES),
+        ("learned", "residual model", RESIDUAL_MODELS),
     ):
-        if given is not None:
-            require_known(kind, given, known)
-    asked_models(model)
-    return replace(
-        setup,
-        solver=replace(setup.solver, name=solver or setup.solver.name),
-        loss=loss or setup.loss,
-        learned=learned or setup.learned,
-        base=base or setup.base,
-        tip=tip or setup.tip,
-        model=model or setup.model,
-    )
+        if key in given:
+            require_known(kind, given[key], known)
+    if "solver" in given:
+        given["solver"] = replace(setup.solver, name=given["solver"])
+    return replace(setup, **given)
 
 
 def stated_blocks(setup: Setup, *chains: str) -> tuple[BlockKey, ...]:
@@ -136,14 +130,10 @@ def open_chains(
             file=robot,
             allowed="a URDF file, such as the corrected one",
         )
-    names: tuple[str, ...]
-    if isinstance(measured, str):
-        names = (measured,)
-    elif measured is not None:
-        names = tuple(key.chain for key in measured)
-    else:
-        # A tip that is stated has to be there, whatever else is measured.
-        names = () if setup.tip is None else ("",)
+    # A tip that is stated has to be there, whatever else is measured.
+    names = [] if setup.tip is None else [""]
+    if measured is not None:
+        names = [measured] if isinstance(measured, str) else [k.chain for k in measured]
     chains = load_chains(
         robot,
         base=setup.base,
@@ -152,14 +142,9 @@ def open_chains(
         names=names,
         package_dirs=package_dirs or (),
     )
-    tell_remarks(chains.robot)
+    for remark in chains.robot.remarks:
+        notice(f"{robot}: {remark}")
     return chains
-
-
-def tell_remarks(robot: Robot) -> None:
-    """Tell what is other than in the file of a robot."""
-    for remark in robot.remarks:
-        notice(f"{robot.file}: {remark}")
 
 
 def tell_limits(chains: Chains) -> None:
@@ -200,14 +185,8 @@ def open_calibration(
     known = replace(model.setup, base=chain.base, tip=chain.tip, model=models)
     require_joints_only(file, setup, *also, known=known)
     joints = setup.joints or model.setup.joints
-    columns = setup.columns or model.setup.columns
-    return model, replace(
-        model.setup,
-        model=models,
-        columns=columns,
-        joints=joints,
-        reading=setup.reading,
-    )
+    own = replace(model.setup, model=models, joints=joints, reading=setup.reading)
+    return model, replace(own, columns=setup.columns or model.setup.columns)
 
 
 def require_joints_only(
@@ -233,15 +212,11 @@ def require_joints_only(
     other = dict.fromkeys(
         "frames" if key.endswith("_frame") else key
         for key in (field.name for field in fields(Setup) if field.compare)
-        if key not in keys
-        if all(getattr(setup, key) != getattr(s, key) for s in own)
+        if key not in keys and all(getattr(setup, key) != getattr(s, key) for s in own)
     )
     if other:
-        raise OptionError(
-            f"a calibration has its own {enumerated(other)}",
-            file=file,
-            allowed=", ".join(keys),
-        )
+        reason = f"a calibration has its own {enumerated(other)}"
+        raise OptionError(reason, file=file, allowed=", ".join(keys))
 
 
 def require_file(path: str | Path, other: str = "") -> None:
@@ -338,27 +313,22 @@ def check_outputs(
     from calib_pin.io.urdf import locate_robot
 
     read = [locate_robot(str(file)) for file in inputs if file is not None]
-    written: list[Path] = []
-    for path in outputs:
-        if path is None:
-            continue
+    written = [path for path in outputs if path is not None]
+    for k, path in enumerate(written):
+        whole, others = path.absolute(), [other.absolute() for other in written]
+        reason, allowed = "", None
         if any(_same(path, file) for file in read):
-            raise OptionError(
-                "is an input of this run, and inputs are never changed",
-                file=path,
-                allowed="another file",
-            )
-        if any(path.absolute() == other.absolute() for other in written):
-            raise OptionError("two outputs would go to this file", file=path)
-        if exists(path) and path.is_dir():
-            raise OptionError("is a folder, not a file", file=path)
-        if exists(path) and not force:
-            raise OptionError("exists already; --force replaces it", file=path)
-        written.append(path)
-    for path in written:
-        if any(path.absolute() in other.absolute().parents for other in written):
+            reason = "is an input of this run, and inputs are never changed"
+            allowed = "another file"
+        elif whole in others[:k]:
+            reason = "two outputs would go to this file"
+        elif any(whole in other.parents for other in others):
             reason = "is an output of this run, and cannot be a folder for others"
-            raise OptionError(reason, file=path)
+        elif exists(path):
+            reason = "" if force else "exists already; --force replaces it"
+            reason = "is a folder, not a file" if path.is_dir() else reason
+        if reason:
+            raise OptionError(reason, file=path, allowed=allowed)
 
 
 def _same(first: Path, second: Path) -> bool:

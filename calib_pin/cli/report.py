@@ -17,7 +17,6 @@ from calib_pin.cli.results import (
     draw_calibration,
     figure_contents,
     figure_files,
-    shapes_ahead,
     told_figures,
 )
 
@@ -65,6 +64,7 @@ def report(
         read_suggestions,
         read_written,
     )
+    from calib_pin.io.robot_shapes import robot_shapes
     from calib_pin.report.cover import calibration_cover
     from calib_pin.report.html import html_report, provenance_blocks
     from calib_pin.report.pdf import pdf_report, require_pdf
@@ -88,7 +88,7 @@ def report(
     suggestions = read_suggestions(document)
     with progress_bar(quiet=quiet) as bar:
         robot = result.model.chains.robot
-        shapes = shapes_ahead(robot, package_dir or [])()
+        shapes = robot_shapes(robot, package_dir or []).parts
         drawn = draw_calibration(result, bar, shapes)
         contents = figure_contents(drawn, pictures)
         text = html_report(result, document, figures=drawn, suggestions=suggestions)

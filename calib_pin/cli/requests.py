@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calib_pin.cli.files import (
+    FLAGS,
     check_outputs,
     open_chains,
     open_measurements,
@@ -27,7 +28,6 @@ from calib_pin.cli.results import (
     figure_contents,
     result_contents,
     result_files,
-    shapes_ahead,
 )
 from calib_pin.errors import require_known
 from calib_pin.workers import SERIAL, Workers
@@ -103,8 +103,7 @@ def opened(
 
         require_known("use", request.use, USES)
     asked = vars(request)
-    over = signature(open_setup).parameters.keys() & asked.keys()
-    stated = open_setup(request.setup, **{name: asked[name] for name in over})
+    stated = open_setup(request.setup, **{name: asked[name] for name in FLAGS})
     further = [] if request.validation is None else [request.validation]
     older = open_older(request.start, [*request.measurements, *further])
     stated = as_before(stated, older)
@@ -163,8 +162,6 @@ def calibrated(
 
     request, files, setup = opened.request, opened.files, opened.setup
     shown = (files is not None and page) or bool(pictures)
-    robot = opened.chains.robot
-    shapes = shapes_ahead(robot, request.package_dir or ()) if shown else tuple
     start = time.perf_counter()
     # What `calibrate` calls as the request does is passed on as it is.
     same = signature(calibrate).parameters.keys() & vars(request).keys()
@@ -191,7 +188,12 @@ def calibrated(
         result,
         seed=request.seed,
     )
-    drawn = draw_calibration(result, bar, shapes()) if shown else []
+    drawn = []
+    if shown:
+        from calib_pin.io.robot_shapes import robot_shapes
+
+        shapes = robot_shapes(opened.chains.robot, request.package_dir or ()).parts
+        drawn = draw_calibration(result, bar, shapes)
     contents = drawings = figure_contents(drawn, pictures)
     if files is not None:
         from calib_pin.io.results import provenance

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
@@ -127,13 +127,13 @@ def write_results(
     Files of an earlier run that are not rewritten would pass for a result of this
     one, so they are removed.
     """
-    from calib_pin.io.files import listed, write_folder
+    from calib_pin.io.files import listed, write_files
     from calib_pin.io.results import written_before
 
     folder = files.json.parent
     names = {listed(path, folder) for path in (*contents, files.nominal)}
     old = [p for p in written_before(files.json) if listed(p, folder) not in names]
-    with write_folder(folder, contents, old, force=force):
+    with write_files(contents, force=force, folder=folder, removed=old):
         yield
     for path in old:
         notice(f"removed {path} of an earlier run")
@@ -185,30 +185,6 @@ def figure_files(folder: Path | None, kind: str, of: str) -> list[Path]:
     from calib_pin.report.figures import NAMES
 
     return [folder / f"{name}.{kind}" for name in NAMES[of]]
-
-
-def shapes_ahead(
-    robot: Robot, package_dirs: Sequence[Path] = ()
-) -> Callable[[], Sequence[Shape]]:
-    """Read the shapes of a robot's links while something else is done.
-
-    Meshes are read by a process of their own, for which there is nothing but to wait.
-
-    Args:
-        robot: The robot; it has the meshes that its file names and that are found.
-        package_dirs: Folders of the packages that it names.
-
-    Returns:
-        Gives the shapes, once they are there.
-    """
-    from concurrent.futures import ThreadPoolExecutor
-
-    from calib_pin.io.robot_shapes import robot_shapes
-
-    pool = ThreadPoolExecutor(1)
-    found = pool.submit(robot_shapes, robot, package_dirs)
-    pool.shutdown(wait=False)
-    return lambda: found.result().parts
 
 
 def draw_calibration(

@@ -27,48 +27,35 @@ def robots(
 
     A copy holds robot.urdf, measurements.csv and setup.yaml: a calibration to try.
     """
-    if name is None and output is None:
-        return _listed(json)
-    if name is None or output is None:
-        raise OptionError("name the robot and the folder: robots NAME -o DIR")
-    return _copied(name, output, force, json)
-
-
-def _copied(name: str, folder: Path, force: bool, json: bool) -> int:
-    from calib_pin.cli.printing import say_json, say_written
+    from calib_pin.cli.printing import say_json, say_written, show
     from calib_pin.io.files import read_bytes, write_files
-    from calib_pin.io.urdf import bundled_robots
-
-    known = bundled_robots()
-    require_known("bundled robot", name, known)
-    files = [path for path in sorted(known[name].parent.iterdir()) if path.is_file()]
-    copies = {folder / path.name: read_bytes(path) for path in files}
-    with write_files(copies, force=force):
-        pass
-    if json:
-        say_json({"robot": name}, copies)
-    else:
-        say_written(f"wrote {path}" for path in copies)
-    return 0
-
-
-def _listed(json: bool) -> int:
-    from calib_pin.cli.printing import say_json, show
     from calib_pin.io.urdf import bundled_robots, load_robot
     from calib_pin.kinematics.chain import Chain
     from calib_pin.report.blocks import table
 
+    known = bundled_robots()
+    if (name is None) != (output is None):
+        raise OptionError("name the robot and the folder: robots NAME -o DIR")
+    if name is not None and output is not None:
+        require_known("bundled robot", name, known)
+        files = sorted(path for path in known[name].parent.iterdir() if path.is_file())
+        copies = {output / path.name: read_bytes(path) for path in files}
+        with write_files(copies, force=force):
+            pass
+        if json:
+            say_json({"robot": name}, copies)
+        else:
+            say_written(f"wrote {path}" for path in copies)
+        return 0
     rows, found = [], []
-    for name, path in bundled_robots().items():
-        chain = Chain(load_robot(name))
-        others = sorted(
-            file.name for file in path.parent.iterdir() if file.suffix != ".urdf"
-        )
+    for robot, path in known.items():
+        chain = Chain(load_robot(robot))
+        others = sorted(p.name for p in path.parent.iterdir() if p.suffix != ".urdf")
         joints = list(chain.joints)
         ends = {"base": chain.base, "tip": chain.tip}
-        found.append({"name": name, **ends, "joints": joints, "files": others})
+        found.append({"name": robot, **ends, "joints": joints, "files": others})
         ways = " -> ".join(ends.values())
-        rows.append((name, ways, len(joints), ", ".join(others)))
+        rows.append((robot, ways, len(joints), ", ".join(others)))
     if json:
         say_json({"robots": found})
         return 0

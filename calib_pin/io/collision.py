@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.io.files import TEXT, read_bytes
-from calib_pin.io.robot_shapes import MeshReader
+from calib_pin.io.robot_shapes import read_mesh, shape_of
 from calib_pin.io.urdf_tree import parse_document
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -83,12 +83,11 @@ def load_collisions(
     robot, geometry = chains.robot, pin.GeometryModel()
     model = robot.model
     apart = _adjacent(model) if srdf is None else _disabled(srdf, robot)
-    with MeshReader(robot.file, package_dirs) as meshes:
-        own = _of_links(robot, meshes)
-        if not own:
-            tell("the robot has no collision geometry: no collisions are checked")
-            return None
-        every = own + _of_obstacles(chains, obstacles, file, meshes)
+    own = _of_links(robot, package_dirs)
+    if not own:
+        tell("the robot has no collision geometry: no collisions are checked")
+        return None
+    every = own + _of_obstacles(chains, obstacles, file)
     for number, name, place, solid in every:
         frame = model.frames[number]
         joint, placed = frame.parentJoint, frame.placement * place
@@ -120,12 +119,20 @@ def _as_built(
     # The same pairs come out at every run, whatever the seed of the plan.
     q = chains.random_configurations(SAMPLES, np.random.default_rng(0))
     contacts, clearances = collisions.contacts(q), collisions.clearances.copy()
-    close = _by_design(collisions.pairs, contacts, chains.robot)
-    places = [k for k, pair in enumerate(collisions.pairs) if pair in close]
+    places: dict[tuple[str, str], list[int]] = {}
+    for k, pair in enumerate(collisions.pairs):
+        if set(pair) <= set(chains.robot.links):  # Not an obstacle.
+            places.setdefault(pair, []).append(k)
+
+    def often(found: NDArray[np.bool_], pair: tuple[str, str]) -> bool:
+        return bool(found[:, places[pair]].any(axis=1).mean() >= BY_DESIGN)
+
+    close = [pair for pair in places if often(contacts, pair)]
     # What touches by design does so without any clearance, however large it is.
-    bare = collisions.only(places, np.zeros(len(clearances)))
-    touches = bare.contacts(q)
-    touching = _by_design(bare.pairs, touches, chains.robot)
+    of_close, touches = [k for pair in close for k in places[pair]], contacts.copy()
+    bare = collisions.only(of_close, np.zeros(len(clearances)))
+    touches[:, of_close] = bare.contacts(q)
+    touching = [pair for pair in close if often(touches, pair)]
     left_out = touching if guess else []
     near = [pair for pair in close if pair not in touching]
     for found, words in ((left_out, TOUCH), (near, NEAR)):
@@ -133,22 +140,23 @@ def _as_built(
             named = "; ".join(f"{first} and {second}" for first, second in found[:3])
             count = f"{len(found)} pair{'s' * (len(found) > 1)}"
             tell(f"links that {words}: {count} ({named}{'; ...' * (len(found) > 3)})")
-    for place, touched in zip(places, touches.T, strict=True):
-        if collisions.pairs[place] in near:
-            clearances[place], contacts[:, place] = 0.0, touched
+    for pair in near:
+        clearances[places[pair]] = 0.0
+        contacts[:, places[pair]] = touches[:, places[pair]]
     order = np.argsort(-contacts.mean(axis=0), kind="stable")
     kept = (k for k in order if collisions.pairs[k] not in left_out)
     return collisions.only(kept, clearances)
 
 
-def _of_links(robot: Robot, meshes: MeshReader) -> list[_Solid]:
+def _of_links(robot: Robot, package_dirs: Sequence[str | Path]) -> list[_Solid]:
     """The collision geometry of a URDF."""
     document, found = parse_document(robot.source, robot.file), list[_Solid]()
     links = document.named("link")
     for number, frame in enumerate(robot.model.frames):
         if frame.type == pin.FrameType.BODY:
             for k, element in enumerate(links[frame.name].all("collision")):
-                if (shape := meshes.shape(document, element)) is not None:
+                shape = shape_of(document, element, robot, package_dirs)
+                if shape is not None:
                     kind, values = shape
                     name, place = f"{frame.name}_{k}", document.origin(element)
                     found.append((number, name, place, SOLIDS[kind](*values)))
@@ -179,7 +187,7 @@ _Solid = tuple[int, str, pin.SE3, pin.coal.CollisionGeometry]
 
 
 def _of_obstacles(
-    chains: Chains, obstacles: Sequence[Obstacle], file: str, meshes: MeshReader
+    chains: Chains, obstacles: Sequence[Obstacle], file: str
 ) -> list[_Solid]:
     """Solids that stand still in the base link."""
     base = chains.robot.model.getFrameId(chains.base, pin.FrameType.BODY)
@@ -187,9 +195,9 @@ def _of_obstacles(
     for k, obstacle in enumerate(obstacles, 1):
         numbers = getattr(obstacle, obstacle.kind)
         if obstacle.mesh is not None:
-            path, scale = Path(obstacle.mesh).absolute(), obstacle.scale
+            path, scale = Path(obstacle.mesh).absolute(), obstacle.scale or (1, 1, 1)
             try:
-                numbers = [meshes.read(path, scale or (1.0, 1.0, 1.0))]
+                numbers = [read_mesh(path, chains.robot, scale=scale)]
             except InputError as error:
                 reason = f"the mesh '{path}' of obstacle {k} {error.reason}"
                 raise InputError(reason, file=file or None) from None
@@ -232,18 +240,3 @@ def _disabled(srdf: str | Path, robot: Robot) -> set[frozenset[str]]:
     )
     every = {frozenset((link, other)) for link in links for other in robot.links}
     return pairs("disable_collisions") | every - pairs("enable_collisions")
-
-
-def _by_design(
-    pairs: Sequence[tuple[str, str]], contacts: NDArray[np.bool_], robot: Robot
-) -> list[tuple[str, str]]:
-    """Links that are in contact at nearly every configuration."""
-    together: dict[tuple[str, str], list[int]] = {}
-    for k, pair in enumerate(pairs):
-        if set(pair) <= set(robot.links):  # Not an obstacle.
-            together.setdefault(pair, []).append(k)
-    return [
-        pair
-        for pair, places in together.items()
-        if contacts[:, places].any(axis=1).mean() >= BY_DESIGN
-    ]

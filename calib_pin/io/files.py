@@ -1,9 +1,9 @@
 """Read and write whole files, with errors that name the file and the reason.
 
 What a run writes is complete in a folder of its own, beside the destinations, before
-any of it is put in place. That folder of a set of files becomes the list of what is
-decided, `COMMIT`, in one step: from then on the new set stands, and whoever comes next,
-a reader or a writer, puts in place what the run that decided did not live to.
+any of it is put in place. That folder becomes what is decided, `COMMIT`, in one step:
+from then on the new set stands, and whoever comes next, a reader or a writer, puts in
+place what the run that decided did not live to.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import difflib
 import errno
 import hashlib
-import json
 import os
 import shutil
 import stat
@@ -23,22 +22,28 @@ from uuid import uuid4
 from calib_pin.errors import InputError, OptionError, OutputError
 
 COMMIT = ".calib-pin-commit"
-"""Name of the folder with what a folder is about to hold."""
-
-REMOVED = ".removed"
-"""Name of the list in it of the files that go."""
+"""Name of the folder with what a folder is about to hold; empty files are to go."""
 
 STAGED = ".calib-pin-new-"
 """Begin of the names of folders with what is not decided yet."""
 
 
 @contextmanager
-def write_files(contents: Mapping[Path, bytes], *, force: bool) -> Iterator[None]:
+def write_files(
+    contents: Mapping[Path, bytes],
+    *,
+    force: bool,
+    folder: Path | None = None,
+    removed: Iterable[Path] = (),
+) -> Iterator[None]:
     """Write all files if the block succeeds, and none of them otherwise.
 
     Args:
         contents: Content by file; missing folders are made.
         force: Replace existing files.
+        folder: Folder whose files belong together: of these there are all or none even
+            if the process is killed meanwhile.
+        removed: Files of that folder that go.
 
     Raises:
         OptionError: If one exists and `force` is false.
@@ -53,51 +58,31 @@ def write_files(contents: Mapping[Path, bytes], *, force: bool) -> Iterator[None
         ...     early, file.read_bytes()
         (False, b'x,y')
     """
+    homes: dict[Path, dict[str, bytes]] = {}
+    for path, data in {**dict.fromkeys(removed, b""), **contents}.items():
+        name = path.name if folder is None else listed(path, folder)
+        if folder is None or not inside(name):
+            homes.setdefault(path.parent, {})[path.name] = data
+        else:
+            homes.setdefault(folder, {})[name] = data
     with ExitStack() as stack:
-        staged = dict[Path, Path]()
-        for folder in dict.fromkeys(path.parent for path in contents):
-            own = {p: data for p, data in contents.items() if p.parent == folder}
-            staged[folder] = stack.enter_context(_staged(folder, own, force))
+        staged = {
+            home: stack.enter_context(_staged(home, own, force))
+            for home, own in homes.items()
+        }
         yield
-        for path in contents:
-            with _writing(path):
-                (staged[path.parent] / path.name).replace(path)
-
-
-@contextmanager
-def write_folder(
-    folder: Path,
-    contents: Mapping[Path, bytes],
-    removed: Iterable[Path] = (),
-    *,
-    force: bool,
-) -> Iterator[None]:
-    """As `write_files`, for a folder, and safe if the process is killed meanwhile.
-
-    Args:
-        folder: The folder.
-        contents: As for `write_files`; some may lie outside the folder.
-        removed: Files of the folder to remove.
-        force: Replace existing files.
-
-    Raises:
-        OptionError: If one exists and `force` is false.
-        OutputError: If one cannot be written.
-    """
-    own = {p: data for p, data in contents.items() if inside(listed(p, folder))}
-    others = {p: data for p, data in contents.items() if p not in own}
-    gone = json.dumps([listed(path, folder) for path in removed])
-    with write_files(others, force=force), _staged(folder, own, force) as staged:
-        with _writing(folder):
-            _write(staged / REMOVED, gone.encode())
-        yield
-        with locked(folder), _writing(folder):
-            complete(folder)
-            try:
-                staged.replace(folder / COMMIT)
-                complete(folder)
-            finally:  # Also where a signal comes in between.
-                complete(folder)
+        for home, new in staged.items():
+            with _writing(home), locked(home):
+                if home == folder:
+                    complete(home)
+                    try:
+                        new.replace(home / COMMIT)
+                        complete(home)
+                    finally:  # Also where a signal comes in between.
+                        complete(home)
+                else:
+                    for name in homes[home]:
+                        (new / name).replace(home / name)
 
 
 @contextmanager
@@ -109,10 +94,8 @@ def settled(folder: Path) -> Iterator[None]:
     Raises:
         OutputError: If what was decided on cannot be put in place.
     """
-    if (folder / COMMIT).is_dir():
-        with locked(folder):
-            complete(folder)
-    with locked(folder, shared=True):
+    with locked(folder):
+        complete(folder)
         yield
 
 
@@ -128,18 +111,18 @@ def complete(folder: Path) -> None:
     with _writing(folder):
         for source in sorted(p for p in commit.rglob("*") if p.is_file()):
             path = folder / source.relative_to(commit)
-            if source != commit / REMOVED:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                source.replace(path)
-        if (commit / REMOVED).is_file():
-            for name in json.loads((commit / REMOVED).read_bytes()):
-                if inside(name):
-                    (folder / name).unlink(missing_ok=True)
+            if not inside(listed(path, folder)):  # No run has written that.
+                continue
+            if source.stat().st_size == 0:
+                path.unlink(missing_ok=True)
+                continue
+            path.parent.mkdir(parents=True, exist_ok=True)
+            source.replace(path)
         shutil.rmtree(commit)
 
 
 @contextmanager
-def locked(folder: Path, *, shared: bool = False, wait: bool = True) -> Iterator[bool]:
+def locked(folder: Path, *, wait: bool = True) -> Iterator[bool]:
     """Keep other runs out of a folder.
 
     The lock is one of the system on the folder itself: no file stands for it, and it
@@ -147,28 +130,21 @@ def locked(folder: Path, *, shared: bool = False, wait: bool = True) -> Iterator
 
     Args:
         folder: The folder.
-        shared: Keep out only those that do not share it.
         wait: Wait for other runs.
 
     Yields:
         Whether there is such a lock; some file systems, and Windows, know none.
     """
-    try:
-        import fcntl
-
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except (ImportError, OSError, ValueError):
-        yield False
-        return
-    kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
     held = False
-    try:
-        with suppress(OSError):
-            fcntl.flock(descriptor, kind if wait else kind | fcntl.LOCK_NB)
+    with ExitStack() as stack:
+        with suppress(ImportError, OSError, ValueError):
+            import fcntl
+
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            stack.callback(os.close, descriptor)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
             held = True
         yield held
-    finally:
-        os.close(descriptor)
 
 
 def listed(path: Path, folder: Path) -> str:
@@ -196,38 +172,39 @@ def reason_of(error: Exception) -> str:
 
 
 @contextmanager
-def _staged(
-    folder: Path, contents: Mapping[Path, bytes], force: bool
-) -> Iterator[Path]:
+def _staged(home: Path, contents: Mapping[str, bytes], force: bool) -> Iterator[Path]:
     """A new folder in a folder with complete files, which goes at the end.
 
     So do folders that had to be made, if nothing has come into them.
     """
     with ExitStack() as stack:
-        for path in contents:
+        for path in (home / name for name in contents):
             with _writing(path):
                 if path.is_dir():
                     raise IsADirectoryError(errno.EISDIR, "it is a directory")
                 if path.exists() and not force:
                     reason = "exists already; --force replaces it"
                     raise OptionError(reason, file=path)
-                missing = [above for above in path.parents if not above.exists()]
-                for above in reversed(missing):
+                for above in reversed([p for p in path.parents if not p.exists()]):
                     above.mkdir()
                     stack.callback(_discard, above)
-        with _writing(next(iter(contents), folder)), locked(folder):
-            for left in folder.glob(f"{STAGED}*"):
+        with _writing(home / next(iter(contents), "")), locked(home):
+            for left in home.glob(f"{STAGED}*"):
                 with locked(left, wait=False) as dead:
                     if dead:
                         shutil.rmtree(left, ignore_errors=True)
-            staged = folder / f"{STAGED}{uuid4().hex}"
+            staged = home / f"{STAGED}{uuid4().hex}"
             for _ in range(2):  # A signal may come in the midst of the first.
                 stack.callback(shutil.rmtree, staged, ignore_errors=True)
             staged.mkdir()
             stack.enter_context(locked(staged))
-        for path, data in contents.items():
-            with _writing(path):
-                _write(staged / listed(path, folder), data)
+        for name, data in contents.items():
+            with _writing(home / name):
+                (staged / name).parent.mkdir(parents=True, exist_ok=True)
+                with (staged / name).open("xb") as stream:
+                    stream.write(data)
+                    stream.flush()
+                    os.fsync(stream.fileno())
         yield staged
 
 
@@ -244,14 +221,6 @@ def _writing(path: Path) -> Iterator[None]:
         yield
     except (OSError, ValueError) as error:
         raise OutputError(f"{path}: cannot be written: {reason_of(error)}") from error
-
-
-def _write(path: Path, data: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("xb") as stream:
-        stream.write(data)
-        stream.flush()
-        os.fsync(stream.fileno())
 
 
 DATA = 1 << 30

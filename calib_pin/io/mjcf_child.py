@@ -6,9 +6,9 @@ their limits and reference positions, and inertias are those of the compiled mod
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
 
 import mujoco
 import numpy as np
@@ -17,18 +17,10 @@ import pinocchio as pin
 from calib_pin.errors import RobotError
 from calib_pin.kinematics.spatial import Floats
 
-HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
-SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
-FREE = int(mujoco.mjtJoint.mjJNT_FREE)
-"""Kinds of joints, as a model numbers them."""
-
 FILES = ("meshes", "hfields", "skins", "materials", "textures")
 """Parts of a description that come from files of their own."""
 
 REMARK = "read from MJCF: bodies and sites are links, shapes are not taken over"
-
-EQUAL = int(mujoco.mjtEq.mjEQ_JOINT)
-"""Kind of a coupling of joints."""
 
 FEW_DEGREES = 12.6
 """Ranges of all hinges that are no larger are those of joints in rad: two turns."""
@@ -36,140 +28,148 @@ FEW_DEGREES = 12.6
 LIGHTEST = 1e-12
 """Mass, and inertia, of a body that has none of its own [kg, kg m2]."""
 
+FREE, BALL, SLIDE, HINGE = range(4)
+"""Kinds of joints, as `mjtJoint` numbers them."""
+
 
 class Writer:
     """The URDF of a compiled model.
 
     Args:
         model: The model.
+
+    Attributes:
+        free: Joints whose coupling no URDF can hold.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        """Only the world is written yet."""
+        """Give names to what has none; nothing is written yet."""
         self.model = model
-        name = model.names.partition(b"\0")[0].decode()  # The first is the model's.
-        self.root = ElementTree.Element("robot", name=name or "robot")
-        bodies, joints = range(model.nbody), range(model.njnt)
-        self.bodies = [model.body(b).name or f"body{b}" for b in bodies]
-        self.joints = [model.joint(j).name for j in joints]
-        self.taken, self.names = {*self.bodies, *self.joints}, dict[int, str]()
+        self.bodies = [model.body(b).name or f"body{b}" for b in range(model.nbody)]
+        stated = [model.joint(j).name for j in range(model.njnt)]
+        self.taken = {*self.bodies, *stated}
+        self.joints = [
+            name or self._unused(f"{self.bodies[model.jnt_bodyid[j]]}_joint{j}")
+            for j, name in enumerate(stated)
+        ]
         self.free = list[str]()
-        _add(self.root, "link", name=self.bodies[0])
+        self.lines = [_tag("link", name=self.bodies[0])]
 
-    def write(self) -> bytes:
-        """The bytes of the URDF."""
-        model = self.model
+    def write(self) -> str:
+        """The text of the URDF."""
+        model, mimics = self.model, self._mimics()
         for b, name in enumerate(self.bodies[1:], start=1):
-            parent = self.bodies[model.body_parentid[b]]
-            place = _place(model.body_pos[b], model.body_quat[b])
-            first, shift = model.body_jntadr[b], np.zeros(3)
-            for j in range(first, first + model.body_jntnum[b]):
+            parent, shift = self.bodies[model.body_parentid[b]], np.zeros(3)
+            place, inertia = (
+                _place(model.body_pos[b], model.body_quat[b]),
+                self._inertia(b),
+            )
+            end = model.body_jntadr[b] + model.body_jntnum[b]
+            for j in range(model.body_jntadr[b], end):
                 # From where the joint before it turned about to where this one does.
                 place = place * pin.SE3(np.eye(3), model.jnt_pos[j] - shift)
                 shift = model.jnt_pos[j]
-                last = j == first + model.body_jntnum[b] - 1 and not shift.any()
-                parent = self._moving(j, parent, name if last else "", place)
-                place = pin.SE3.Identity()
+                last = j == end - 1 and not shift.any()
+                child = name if last else self._unused(f"{self.joints[j]}_link")
+                place, kind, more = self._moving(j, place)
+                more += mimics.get(j, "")
+                self._joint(self.joints[j], kind, parent, child, place, more)
+                parent, place = child, pin.SE3.Identity()
             if parent != name:
                 place = place * pin.SE3(np.eye(3), -shift)
-                self._joint(self._free(f"{name}_fixed"), "fixed", parent, name, place)
-            self._inertia(_add(self.root, "link", name=name), b)
+                self._joint(self._unused(f"{name}_fixed"), "fixed", parent, name, place)
+            self.lines.append(_tag("link", inertia, name=name))
         for k in range(model.nsite):
             if name := model.site(k).name:
                 place = _place(model.site_pos[k], model.site_quat[k])
-                site = name if name not in self.bodies else self._free(name)
+                site = name if name not in self.bodies else self._unused(name)
                 body, joint = self.bodies[model.site_bodyid[k]], f"{site}_fixed"
-                self._joint(self._free(joint), "fixed", body, site, place)
-                _add(self.root, "link", name=site)
-        self._couple()
-        ElementTree.indent(self.root)
-        return ElementTree.tostring(self.root) + b"\n"
+                self._joint(self._unused(joint), "fixed", body, site, place)
+        name = model.names.partition(b"\0")[0].decode()  # The first is the model's.
+        return _tag("robot", "\n".join(["", *self.lines, ""]), name=name or "robot")
 
-    def _couple(self) -> None:
-        """Let joints mimic those that they are coupled to, as far as a URDF can."""
-        model = self.model
-        moving = {e.get("name"): e for e in self.root.iter("joint")}
-        for k in np.flatnonzero((model.eq_type == EQUAL) & (model.eq_active0 == 1)):
-            one, other = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
-            offset, factor, *more = map(float, model.eq_data[k, :5])
-            if other < 0 or any(more):
-                self.free.append(self.names[one])
-                continue
-            # Coupled are the distances from the reference positions.
-            zero, leader = (model.qpos0[model.jnt_qposadr[j]] for j in (one, other))
-            about = {"joint": self.names[other], "multiplier": repr(factor)}
-            about["offset"] = repr(float(zero + offset - factor * leader))
-            _add(moving[self.names[one]], "mimic", about)
-
-    def _free(self, name: str) -> str:
+    def _unused(self, name: str) -> str:
         """A name that nothing else has."""
         while name in self.taken:
             name += "_"
         self.taken.add(name)
         return name
 
-    def _inertia(self, link: ElementTree.Element, body: int) -> None:
-        model = self.model
-        if (mass := float(model.body_mass[body])) <= LIGHTEST:
-            return
-        turn = _place(np.zeros(3), model.body_iquat[body]).rotation
-        inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T
-        six = [repr(float(number)) for number in inertia[np.triu_indices(3)]]
-        keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        element = _add(link, "inertial")
-        _add(element, "mass", value=repr(mass))
-        _add(element, "origin", xyz=_words(model.body_ipos[body]))
-        _add(element, "inertia", dict(zip(keys, six, strict=True)))
-
     def _joint(
-        self, name: str, kind: str, parent: str, child: str, place: pin.SE3
-    ) -> ElementTree.Element:
-        joint = _add(self.root, "joint", name=name, type=kind)
-        _add(joint, "parent", link=parent)
-        _add(joint, "child", link=child)
+        self,
+        name: str,
+        kind: str,
+        parent: str,
+        child: str,
+        place: pin.SE3,
+        more: str = "",
+    ) -> None:
+        """Write a joint, and the link that it carries if that is no body."""
         rpy = pin.rpy.matrixToRpy(place.rotation)
-        _add(joint, "origin", xyz=_words(place.translation), rpy=_words(rpy))
-        return joint
+        inside = _tag("parent", link=parent) + _tag("child", link=child)
+        inside += _tag("origin", xyz=place.translation, rpy=rpy) + more
+        self.lines.append(_tag("joint", inside, name=name, type=kind))
+        if child not in self.bodies:
+            self.lines.append(_tag("link", name=child))
 
-    def _moving(self, j: int, parent: str, child: str, place: pin.SE3) -> str:
-        """Write one joint, of a link of its own without another; the link's name."""
-        model, body = self.model, self.model.jnt_bodyid[j]
-        count = j - model.body_jntadr[body]
-        name = self.joints[j] or self._free(f"{self.bodies[body]}_joint{count}")
-        self.names[j] = name
-        if not child:
-            child = self._free(f"{name}_link")
-            _add(self.root, "link", name=child)
-        if model.jnt_type[j] == FREE:
-            self._joint(name, "floating", parent, child, place)
-            return child
-        if model.jnt_type[j] not in (HINGE, SLIDE):
+    def _moving(self, j: int, place: pin.SE3) -> tuple[pin.SE3, str, str]:
+        """Placement, kind, axis and limits of one of MuJoCo's joints."""
+        model, kind = self.model, self.model.jnt_type[j]
+        if kind == BALL:
+            name = self.joints[j]
             raise RobotError(f"joint '{name}' is a ball joint, which no URDF can hold")
+        if kind == FREE:
+            return place, "floating", ""
         # At its reference position the body is where it is drawn.
-        axis, hinge = model.jnt_axis[j], model.jnt_type[j] == HINGE
-        back, none = -model.qpos0[model.jnt_qposadr[j]] * axis, np.zeros(3)
-        place = place * pin.exp6(pin.Motion(*((none, back) if hinge else (back, none))))
+        axis, back = model.jnt_axis[j], np.zeros((2, 3))
+        back[int(kind == HINGE)] = -model.qpos0[model.jnt_qposadr[j]] * axis
         limited = bool(model.jnt_limited[j])
-        kind = ("revolute" if limited else "continuous") if hinge else "prismatic"
-        joint = self._joint(name, kind, parent, child, place)
-        _add(joint, "axis", xyz=_words(axis))
-        ends = map(repr, map(float, model.jnt_range[j])) if limited else ()
-        limits = dict(zip(("lower", "upper"), ends, strict=False))
-        _add(joint, "limit", limits, effort="0", velocity="0")
-        return child
+        ends = zip(("lower", "upper"), model.jnt_range[j], strict=True)
+        limit = _tag("limit", **dict(ends if limited else ()), effort=0.0, velocity=0.0)
+        turning = "revolute" if limited else "continuous"
+        word = turning if kind == HINGE else "prismatic"
+        return place * pin.exp6(pin.Motion(*back)), word, _tag("axis", xyz=axis) + limit
+
+    def _inertia(self, body: int) -> str:
+        model = self.model
+        if (mass := model.body_mass[body]) <= LIGHTEST:
+            return ""
+        x, y, z = model.body_inertia[body]
+        turn = pin.rpy.matrixToRpy(_place(np.zeros(3), model.body_iquat[body]).rotation)
+        inside = _tag("mass", value=mass)
+        inside += _tag("origin", xyz=model.body_ipos[body], rpy=turn)
+        inside += _tag("inertia", ixx=x, iyy=y, izz=z, ixy=0.0, ixz=0.0, iyz=0.0)
+        return _tag("inertial", inside)
+
+    def _mimics(self) -> dict[int, str]:
+        """Elements of joints that follow others, as far as a URDF can hold them."""
+        model, found = self.model, dict[int, str]()
+        couplings = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 == 1)
+        for k in np.flatnonzero(couplings):
+            one, other = int(model.eq_obj1id[k]), int(model.eq_obj2id[k])
+            offset, factor, *more = model.eq_data[k, :5]
+            if other < 0 or any(more):
+                self.free.append(self.joints[one])
+                continue
+            # Coupled are the distances from the reference positions.
+            zero, leader = (model.qpos0[model.jnt_qposadr[j]] for j in (one, other))
+            about = {"multiplier": factor, "offset": zero + offset - factor * leader}
+            found[one] = _tag("mimic", joint=self.joints[other], **about)
+        return found
 
 
-_add = ElementTree.SubElement
+def _tag(tag: str, inside: str = "", /, **about: str | float | Floats) -> str:
+    """An element with attributes, of numbers with all their digits."""
+    for key, value in about.items():
+        if not isinstance(value, str):  # Adding zero turns -0.0 into 0.0.
+            value = " ".join(map(repr, (np.atleast_1d(value) + 0.0).tolist()))
+        tag += f" {key}={quoteattr(value)}"
+    return f"<{tag}>{inside}</{tag.partition(' ')[0]}>"
 
 
 def _place(position: Floats, quaternion: Floats) -> pin.SE3:
     """A placement by MuJoCo's numbers, of which w comes first."""
     return pin.SE3(pin.Quaternion(*map(float, quaternion)).matrix(), position)
-
-
-def _words(numbers: Iterable[float]) -> str:
-    # Adding zero turns -0.0 into 0.0.
-    return " ".join(repr(float(number) + 0.0) for number in numbers)
 
 
 def _compiled(path: str) -> tuple[mujoco.MjModel, str]:
@@ -218,11 +218,11 @@ def _states_angle(file: Path) -> bool:
     return stated or any(_states_angle(file.parent / name) for name in names)
 
 
-def read(file: str) -> tuple[dict[str, object], bytes]:
-    """A sentence about what is not in the URDF of a robot, and the URDF.
+def read(file: str) -> tuple[str, str]:
+    """The URDF of a robot in MuJoCo's language, and a sentence about what it lacks.
 
     Args:
-        file: A file in MuJoCo's language.
+        file: The file.
 
     Raises:
         RobotError: If MuJoCo cannot read it, or no URDF can hold it.
@@ -230,11 +230,11 @@ def read(file: str) -> tuple[dict[str, object], bytes]:
     try:
         model, remark = _compiled(file)
         writer = Writer(model)
-        source = writer.write()
+        urdf = writer.write()
         if writer.free:
             told = f"{', '.join(writer.free)} moves freely"
             remark += f"; a URDF holds couplings by one factor only: {told}"
-        return {"remark": remark}, source
+        return urdf, remark
     except Exception as failure:
         words = " ".join(str(failure).split()) or type(failure).__name__
         raise RobotError(f"this MJCF cannot be used: {words}") from None

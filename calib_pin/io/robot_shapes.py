@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from calib_pin.errors import InputError, RobotError
-from calib_pin.io.children import Reader
 from calib_pin.io.files import read_bytes
 from calib_pin.io.packages import locate_mesh
 from calib_pin.io.urdf import locate_robot
@@ -27,8 +28,11 @@ LARGEST = 1 << 27
 TRIANGLES = 1_000_000
 """Triangles of the largest mesh: collision geometry takes half a kilobyte of each."""
 
+FORMATS = ("dae", "glb", "gltf", "obj", "off", "ply", "stl")
+"""Formats of meshes; not those that are archives, which can swell to any size."""
+
 STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
-"""A triangle of a binary STL file."""
+"""A triangle of a binary STL file, of which most meshes of robots are."""
 
 SIMPLE: Mapping[str, Callable[..., Surface]] = {
     "box": lambda *size: shapes.box(np.array(size)),
@@ -39,92 +43,94 @@ SIMPLE: Mapping[str, Callable[..., Surface]] = {
 """Surfaces by the tag of a shape, from its numbers."""
 
 
-class MeshReader(Reader):
-    """Reads the mesh files of a robot, each once, in a `with` block.
-
-    Files of other formats than binary STL are read in a process of their own.
+def read_mesh(
+    written: str | Path,
+    robot: Robot,
+    package_dirs: Sequence[str | Path] = (),
+    scale: Sequence[float] = (1.0, 1.0, 1.0),
+) -> Surface:
+    """The surface in a mesh file.
 
     Args:
-        robot: Name of the robot, as for `io.urdf.load_robot`.
+        written: Its name in the robot's file.
+        robot: The robot.
         package_dirs: Folders of packages, see `io.packages.locate_mesh`.
+        scale: Factors of the coordinates, shape (3,).
+
+    Raises:
+        InputError: If there is no such file or a surface in it cannot be used.
     """
+    file = Path(robot.file)
+    with suppress(RobotError):  # The package it came from may not be here.
+        file = locate_robot(robot.file).resolve()
+    path = locate_mesh(str(written), file, package_dirs)
+    if path is None:
+        hint = "--package-dir DIR, the folder of its package"
+        if "package://" not in str(written):
+            hint = "a path from the folder of the URDF"
+        raise InputError("does not exist", allowed=hint)
+    return _surface(_corners(path), path, np.array(scale))
 
-    def __init__(self, robot: str, package_dirs: Sequence[str | Path] = ()) -> None:
-        """Nothing is read yet."""
-        super().__init__()
-        self.file, self.package_dirs = Path(robot), package_dirs
-        with suppress(RobotError):  # The package it came from may not be here.
-            self.file = locate_robot(robot).resolve()
-        self._known: dict[tuple[object, ...], Surface] = {}
 
-    def read(
-        self, written: str | Path, scale: Sequence[float] = (1.0, 1.0, 1.0)
-    ) -> Surface:
-        """The surface in a mesh file.
+def shape_of(
+    document: Document,
+    element: Element,
+    robot: Robot,
+    package_dirs: Sequence[str | Path],
+) -> tuple[str, list[Any]] | None:
+    """The shape of a visual or collision element, if it has one.
 
-        Args:
-            written: Its name in the robot's file.
-            scale: Factors of the coordinates, shape (3,).
+    Returns:
+        Its kind, and its numbers or the surface of its mesh.
 
-        Raises:
-            InputError: If there is no such file or a surface in it cannot be used.
-        """
-        path = locate_mesh(str(written), self.file, self.package_dirs)
-        if path is None:
-            hint = "--package-dir DIR, the folder of its package"
-            if "package://" not in str(written):
-                hint = "a path from the folder of the URDF"
-            raise InputError("does not exist", allowed=hint)
-        key = (path, *scale)
-        if key not in self._known:
-            self._known[key] = _surface(self._corners(path), path, np.array(scale))
-        return self._known[key]
+    Raises:
+        InputError: If a mesh cannot be used, or there is no such shape; its value is
+            the name of the mesh.
+    """
+    geometry = element.child("geometry")
+    if geometry is None or not geometry.children:
+        return None
+    shape = geometry.children[0]
+    name = shape.attributes.get("filename", shape.tag)
+    if shape.tag in SIMPLE:
+        sizes = NUMBERS[shape.tag].items()
+        numbers = [document.numbers(shape, key, count) for key, count in sizes]
+        return shape.tag, np.concatenate(numbers).tolist()
+    try:
+        if shape.tag != "mesh":
+            raise InputError("is no shape", allowed=", ".join(SIMPLE))
+        scale = [float(x) for x in shape.attributes.get("scale", "1 1 1").split()]
+        return shape.tag, [read_mesh(name, robot, package_dirs, scale)]
+    except InputError as error:
+        reason = f"the collision mesh '{name}' of {shape.owner} {error.reason}"
+        hint = error.allowed or "another mesh"
+        allowed = f"{hint}, or no check of collisions (plan --ignore-collisions)"
+        raise document.error(shape, reason, value=name, allowed=allowed) from None
 
-    def shape(
-        self, document: Document, element: Element
-    ) -> tuple[str, list[Any]] | None:
-        """The shape of a visual or collision element, if it has one.
 
-        Args:
-            document: The URDF.
-            element: The element.
+def _corners(path: Path) -> Floats:
+    """Corners of the triangles in a file, shape (F, 3, 3)."""
+    data, kind = read_bytes(path, LARGEST), path.suffix[1:].lower()
+    if kind not in FORMATS:
+        raise InputError("is no mesh", file=path, allowed=", ".join(FORMATS))
+    if len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
+        return np.frombuffer(data, STL, offset=84)["corners"].astype(float)
+    import trimesh  # It takes as long to load as Pinocchio.
 
-        Returns:
-            Its kind, and its numbers or the surface of its mesh.
-
-        Raises:
-            InputError: If a mesh cannot be used, or there is no such shape; its value
-                is the name of the mesh.
-        """
-        geometry = element.child("geometry")
-        if geometry is None or not geometry.children:
-            return None
-        shape = geometry.children[0]
-        name = shape.attributes.get("filename", shape.tag)
-        if shape.tag in SIMPLE:
-            sizes = NUMBERS[shape.tag].items()
-            numbers = [document.numbers(shape, key, count) for key, count in sizes]
-            return shape.tag, np.concatenate(numbers).tolist()
-        try:
-            if shape.tag != "mesh":
-                raise InputError("is no shape", allowed=", ".join(SIMPLE))
-            scale = [float(x) for x in shape.attributes.get("scale", "1 1 1").split()]
-            return shape.tag, [self.read(name, scale)]
-        except InputError as error:
-            reason = f"the collision mesh '{name}' of {shape.owner} {error.reason}"
-            hint = error.allowed or "another mesh"
-            allowed = f"{hint}, or no check of collisions (plan --ignore-collisions)"
-            raise document.error(shape, reason, value=name, allowed=allowed) from None
-
-    def _corners(self, path: Path) -> Floats:
-        """Corners of the triangles in a file, shape (F, 3, 3)."""
-        data = read_bytes(path, LARGEST)
-        count = int.from_bytes(data[80:84], "little")
-        if len(data) == 84 + 50 * count:  # It is binary STL.
-            corners = np.frombuffer(data, STL, offset=84)["corners"]
-            return corners.astype(float)
-        _, answer = self.ask("mesh", path)
-        return np.frombuffer(answer, "<f8").reshape(-1, 3, 3)
+    if kind == "dae":  # Where a material is not found, the mesh would be left out.
+        data = re.sub(rb"(?s)<bind_material>.*?</bind_material>", b"", data)
+    beside = trimesh.resolvers.FilePathResolver(path) if kind == "gltf" else None
+    try:
+        mesh = trimesh.load_mesh(
+            BytesIO(data), file_type=kind, resolver=beside, process=False
+        )
+        corners = mesh.triangles
+        if corners.shape[1:] != (3, 3) or mesh.faces.min(initial=0) < 0:
+            raise ValueError("it has a face with a vertex that is not there")
+    except Exception as failure:
+        words = " ".join(str(failure).split()) or type(failure).__name__
+        raise InputError(f"cannot be read: {words}", file=path) from failure
+    return np.asarray(corners, float)
 
 
 def _surface(corners: Floats, path: Path, scale: Floats) -> Surface:
@@ -149,11 +155,7 @@ def _surface(corners: Floats, path: Path, scale: Floats) -> Surface:
     return Surface(vertices, np.argsort(order)[place.ravel()].reshape(-1, 3))
 
 
-def robot_shapes(
-    robot: Robot,
-    package_dirs: Sequence[str | Path] = (),
-    progress: Callable[[float], None] | None = None,
-) -> Shapes:
+def robot_shapes(robot: Robot, package_dirs: Sequence[str | Path] = ()) -> Shapes:
     """The appearance of a robot.
 
     A link looks like its visual elements, or else its collision elements. Where a mesh
@@ -163,45 +165,35 @@ def robot_shapes(
     Args:
         robot: The robot.
         package_dirs: Folders of packages, see `io.packages.locate_mesh`.
-        progress: Told the part that is done, 0 to 1.
     """
     document = parse_document(robot.source)
-    links = document.named("link")
-    colors = {name: _rgb(m) for name, m in document.named("material").items()}
+    materials = document.named("material")
     parts, missing = list[Shape](), dict[str, None]()
-    with MeshReader(robot.file, package_dirs) as meshes:
-        for k, (name, link) in enumerate(links.items()):
-            if progress is not None:
-                progress(k / len(links))
-            found, lost = list[Shape](), dict[str, None]()
-            for element in link.all("visual") or link.all("collision"):
-                try:
-                    if (shape := meshes.shape(document, element)) is not None:
-                        kind, values = shape
-                        simple = SIMPLE[kind](*values) if kind in SIMPLE else None
-                        place = document.origin(element).homogeneous
-                        surface, color = simple or values[0], _color(element, colors)
-                        found.append(Shape(name, place, surface, color))
-                except InputError as error:
-                    lost[str(error.value)] = None
-            missing |= lost
-            parts += stand_ins(robot, name) if lost else found
+    for name, link in document.named("link").items():
+        found, lost = list[Shape](), dict[str, None]()
+        for element in link.all("visual") or link.all("collision"):
+            try:
+                shape = shape_of(document, element, robot, package_dirs)
+            except InputError as error:
+                lost[str(error.value)] = None
+                continue
+            if shape is not None:
+                kind, values = shape
+                surface = SIMPLE[kind](*values) if kind in SIMPLE else values[0]
+                place = document.origin(element).homogeneous
+                found.append(Shape(name, place, surface, _color(element, materials)))
+        missing |= lost
+        parts += stand_ins(robot, name) if lost else found
     return Shapes(tuple(parts or stand_ins(robot)), tuple(missing))
 
 
-def _color(element: Element, colors: Mapping[str, Color | None]) -> Color | None:
+def _color(element: Element, materials: Mapping[str, Element]) -> Color | None:
     """The color of a visual element, of its own or by the name of a material."""
-    material = element.child("material")
-    if material is None:
-        return None
-    return _rgb(material) or colors.get(material.attributes.get("name", ""))
-
-
-def _rgb(material: Element) -> Color | None:
-    """The color that a material has, if it does."""
-    for color in material.all("color"):
-        with suppress(ValueError):
-            words = color.attributes.get("rgba", "").split()
-            red, green, blue, _ = map(float, words)
-            return red, green, blue
+    for stated in element.all("material")[:1]:
+        named = materials.get(stated.attributes.get("name", ""), stated)
+        for color in (*stated.all("color"), *named.all("color")):
+            with suppress(ValueError):
+                words = color.attributes.get("rgba", "").split()
+                red, green, blue, _ = map(float, words)
+                return red, green, blue
     return None

@@ -12,8 +12,15 @@ from pathlib import Path
 
 import pinocchio as pin
 
-from calib_pin.errors import InputError, OptionError, OutputError, RobotError, nearest
-from calib_pin.io.children import Reader
+from calib_pin.errors import (
+    InputError,
+    OptionError,
+    OutputError,
+    RobotError,
+    nearest,
+    require_known,
+)
+from calib_pin.io.children import converted
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.packages import package_folders
 from calib_pin.io.straightening import straightened
@@ -28,6 +35,7 @@ ARGUMENT = re.compile(r"([^\W\d]\w*):=(.*)", re.DOTALL)
 
 _GAP = re.compile(r"\s+(?=[^\W\d]\w*:=)")
 _EXAMPLE = "example:"
+_OTHER = (".xml", ".mjcf", ".sdf")
 
 
 def bundled_robots() -> dict[str, Path]:
@@ -75,22 +83,17 @@ def robot_file(robot: str, name: str) -> Path:
         name: Name of the file, such as `setup.yaml`.
 
     Raises:
-        RobotError: If there is no such robot or file.
+        OptionError: If there is no such robot or file.
 
     Examples:
         >>> robot_file("space7", "setup.yaml").name
         'setup.yaml'
     """
     robots = bundled_robots()
-    if robot not in robots:
-        reason = f"there is no bundled robot '{robot}'{nearest(robot, robots)}"
-        raise RobotError(reason, allowed=", ".join(robots))
-    path = robots[robot].parent / name
-    if not path.is_file():
-        files = sorted(file.name for file in path.parent.iterdir())
-        reason = f"'{robot}' has no file '{name}'{nearest(name, files)}"
-        raise RobotError(reason, allowed=", ".join(files))
-    return path
+    require_known("bundled robot", robot, robots)
+    folder = robots[robot].parent
+    require_known(f"file of '{robot}'", name, sorted(p.name for p in folder.iterdir()))
+    return folder / name
 
 
 def load_chain(
@@ -181,7 +184,7 @@ def load_robot(
         reason = f"{next(iter(arguments))}:= is an argument for a xacro file"
         raise OptionError(reason, file=file, allowed="a file that ends in .xacro")
     try:
-        source = read_bytes(path, TEXT)
+        urdf = source = read_bytes(path, TEXT)
     except InputError as error:
         reason, bundled = error.reason, bundled_robots()
         if reason == "no such file":
@@ -189,22 +192,24 @@ def load_robot(
         names = f" ({', '.join(bundled)})" if bundled else ""
         allowed = f"a URDF or xacro file, a bundled robot{names}, or {_EXAMPLE}NAME"
         raise RobotError(reason, file=name or ".", allowed=allowed) from error
-    urdf, remarks = source, tuple[str, ...]()
-    with Reader() as reader:
-        if is_xacro(path):
-            folders = list(map(str, package_folders(path.absolute(), package_dirs)))
-            about = {"arguments": arguments, "folders": folders}
-            _, urdf = reader.ask("xacro", path, about)
-        elif is_mjcf(path, source, name):
-            head, urdf = reader.ask("MJCF", path)
-            remarks = (head["remark"],)
+    remark = ""
+    if is_xacro(path):
+        folders = list(map(str, package_folders(path.absolute(), package_dirs)))
+        urdf, _ = converted("xacro", path, arguments=arguments, folders=folders)
+    elif path.suffix.lower() in _OTHER:
+        root = parse_document(source, name).root.tag
+        if root == "sdf":
+            reason = "is SDF, which this Pinocchio does not read; convert it to a URDF"
+            raise RobotError(reason, file=name)
+        if root == "mujoco":
+            urdf, remark = converted("MJCF", path)
     try:
         robot = parse_robot(urdf, name)
     except RobotError as error:
         if urdf is source:
             raise
         raise error.within(name) from error  # Its lines are in no file.
-    return straightened(replace(robot, remarks=remarks))
+    return straightened(replace(robot, remarks=(remark,) if remark else ()))
 
 
 def corrected_urdf(
@@ -259,21 +264,6 @@ def is_xacro(path: Path) -> bool:
     return path.suffix.lower() == ".xacro"
 
 
-def is_mjcf(path: Path, source: bytes, name: str) -> bool:
-    """Whether a file is MuJoCo's, by its name and content.
-
-    Raises:
-        RobotError: If it is SDF, or might be MuJoCo's and is no XML.
-    """
-    if path.suffix.lower() not in (".xml", ".mjcf", ".sdf"):
-        return False
-    root = parse_document(source, name).root.tag
-    if root == "sdf":
-        reason = "is SDF, which this Pinocchio does not read; convert it to a URDF"
-        raise RobotError(reason, file=name)
-    return root == "mujoco"
-
-
 def locate_robot(name: str) -> Path:
     """Path of the URDF that a user's word stands for, whether or not it is there.
 
@@ -288,31 +278,22 @@ def locate_robot(name: str) -> Path:
         ('robot.urdf', 'arm.urdf')
     """
     name, _ = split_arguments(name)
-    path = Path(name)
-    bundled = bundled_robots()
-    if name in bundled and not path.is_file():
+    path, bundled = Path(name), bundled_robots()
+    if not (name in bundled or name.startswith(_EXAMPLE)) or path.is_file():
+        return path
+    if name in bundled:
         return bundled[name]
-    if name.startswith(_EXAMPLE) and not path.is_file():
-        return _example(name)
-    return path
-
-
-def _example(name: str) -> Path:
-    """Path of a robot of example-robot-data, by its name among all that are known."""
-    known = {
-        key.removeprefix(_EXAMPLE): path
-        for key, path in known_robots().items()
-        if key.startswith(_EXAMPLE)
-    }
-    stem = name.removeprefix(_EXAMPLE).removesuffix(".urdf")
+    known, stem = known_robots(), name.removesuffix(".urdf")
     if stem in known:
         return known[stem]
-    others = [_EXAMPLE + key for key in known if stem and stem in key]
-    reason = f"example-robot-data has no robot '{stem}'"
-    if not known:
+    examples = [key for key in known if key.startswith(_EXAMPLE)]
+    word = stem.removeprefix(_EXAMPLE)
+    others = [key for key in examples if word and word in key.removeprefix(_EXAMPLE)]
+    reason = f"example-robot-data has no robot '{word}'"
+    if not examples:
         reason = "example robots need a package: pip install 'example-robot-data>=4.4'"
     elif not others:
-        reason += nearest(stem, known)
+        reason += nearest(stem, examples)
     raise RobotError(reason, file=name, allowed=", ".join(others) or None)
 
 

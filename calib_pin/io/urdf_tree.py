@@ -11,10 +11,9 @@ from __future__ import annotations
 import codecs
 import os
 import re
-import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any
 from xml.parsers import expat
@@ -28,11 +27,11 @@ from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.units import as_number
 
-_BYTE_ORDER_MARKS = (
-    (codecs.BOM_UTF8, "utf-8"),
-    (codecs.BOM_UTF16_LE, "utf-16-le"),
-    (codecs.BOM_UTF16_BE, "utf-16-be"),
-)
+_BYTE_ORDER_MARKS = {
+    codecs.BOM_UTF8: "utf-8",
+    codecs.BOM_UTF16_LE: "utf-16-le",
+    codecs.BOM_UTF16_BE: "utf-16-be",
+}
 # Some generators put a blank line or a comment before the declaration.
 _DECLARATION = re.compile(rb"(?>\s++|<!--.*?-->)*+(<\?xml\s.*?\?>)", re.DOTALL)
 _ENCODING = re.compile(rb"""\sencoding\s*=\s*["']([\w.:-]+)["']""")
@@ -168,16 +167,18 @@ def parse_document(source: bytes, file: str | None = None) -> Document:
         RobotError: If the bytes are not well-formed XML in a known encoding, declare
             a DOCTYPE or entities, or are an unexpanded xacro file.
     """
-    mark, codec = next(
-        (known for known in _BYTE_ORDER_MARKS if source.startswith(known[0])),
-        (b"", ""),
-    )
+    mark = next((m for m in _BYTE_ORDER_MARKS if source.startswith(m)), b"")
     body = source[len(mark) :]
     if not re.match(rb"[\s\0]*<", body):
         found = body[:16] if body.strip(b"\0 \t\r\n") else None
         reason = "the file is empty" if found is None else "is not XML"
         raise RobotError(reason, file=file, value=found, allowed="a URDF, as text")
-    codec = codec or _codec(body)
+    declaration = _DECLARATION.match(body)
+    declared = declaration and _ENCODING.search(declaration[1])
+    codec = declared[1].decode() if declared else "utf-8"
+    if body[:2] in (b"<\0", b"\0<"):
+        codec = "utf-16-le" if body[0] else "utf-16-be"
+    codec = _BYTE_ORDER_MARKS.get(mark, codec)
     data = plain = _decode(body, codec, file).encode()
     if stated := _DECLARATION.match(data):
         blank = re.sub(rb"[^\r\n]", b" ", stated[1])
@@ -185,30 +186,21 @@ def parse_document(source: bytes, file: str | None = None) -> Document:
     return Document(file, data, plain, codec, mark, _scan(plain, file))
 
 
-def _codec(body: bytes) -> str:
-    """Encoding of a document without byte order mark."""
-    if body[:2] in (b"<\0", b"\0<"):
-        return "utf-16-le" if body[0] else "utf-16-be"
-    declaration = _DECLARATION.match(body)
-    declared = declaration and _ENCODING.search(declaration[1])
-    return declared[1].decode() if declared else "utf-8"
-
-
 def _decode(body: bytes, codec: str, file: str | None) -> str:
     """Text of the document, if encoding it again gives the same bytes."""
-    line, about = None, f"is not written in its encoding, {codec}"
+    line, reason = None, f"is not written in its encoding, {codec}"
     try:
         text = body.decode(codec)
         # UTF-32, read as UTF-16, is full of NUL characters.
         if text.encode(codec) == body and "\0" not in text[:2]:
             return text
-    except (UnicodeError, LookupError) as error:
-        start = getattr(error, "start", 0)
-        line = body.count(b"\n", 0, start) + 1
-        if isinstance(error, UnicodeDecodeError):
-            about = f"the byte 0x{body[start]:02x} is not {codec}"
+    except UnicodeDecodeError as error:
+        line = body.count(b"\n", 0, error.start) + 1
+        reason = f"the byte 0x{body[error.start]:02x} is not {codec}"
+    except (UnicodeError, LookupError):
+        line = 1
     allowed = "UTF-8, or the encoding that the first line declares"
-    raise RobotError(about, file=file, line=line, allowed=allowed)
+    raise RobotError(reason, file=file, line=line, allowed=allowed)
 
 
 def _scan(data: bytes, file: str | None) -> Element:
@@ -277,12 +269,12 @@ def edit_origins(
     """
     document = parse_document(source, file)
     joints = document.named("joint")
-    for name in corrections:
-        if name not in joints:
-            hint = nearest(name, joints)
-            raise RobotError(f"the robot has no joint '{name}'{hint}", file=file)
-    named = corrections.items()
-    return move_origins(document, [(joints[name], move) for name, move in named])
+    if unknown := next((name for name in corrections if name not in joints), None):
+        reason = f"the robot has no joint '{unknown}'{nearest(unknown, joints)}"
+        raise RobotError(reason, file=file)
+    return move_origins(
+        document, [(joints[k], move) for k, move in corrections.items()]
+    )
 
 
 def move_origins(document: Document, moves: Iterable[tuple[Element, pin.SE3]]) -> bytes:
@@ -403,20 +395,26 @@ def parse_robot(source: bytes, file: str) -> Robot:
     if len(links) > LINKS:
         reason, allowed = "the robot has too many links", f"at most {LINKS}"
         raise document.error(root, reason, value=len(links), allowed=allowed)
-    if nameless := links.get("") or joints.get(""):
-        raise document.error(nameless, f"a {nameless.tag} has no name")
     parents: dict[str, str] = {}
+    for element in (*links.values(), *joints.values()):
+        if not element.attributes.get("name"):
+            raise document.error(element, f"a {element.tag} has no name")
+        _check(document, element)
     for name, joint in joints.items():
-        _check_joint(document, joint)
-        child = joint.link("child")
+        kind, child = joint.attributes.get("type", ""), joint.link("child")
+        if name == "universe" and kind != "fixed":
+            reason = (
+                "a joint cannot be called 'universe', Pinocchio's name of the world"
+            )
+            raise document.error(joint, reason)
+        if kind in (*_SINGLE, "planar"):
+            document.axis(joint)
         if other := parents.get(child):
             reason = (
                 f"link '{child}' is the child of two joints, '{other}' and '{name}'"
             )
             raise document.error(joint, reason)
         parents[child] = name
-    for link in links.values():
-        _check_link(document, link)
     model = _build_model(document, links, joints)
     frames = {f.name for f in model.frames if f.type == pin.FrameType.BODY}
     if lost := [link for link in links if link not in frames]:
@@ -425,6 +423,7 @@ def parse_robot(source: bytes, file: str) -> Robot:
         carrier = joints.get(parents.get(lost[0], ""), links[lost[0]])
         raise document.error(carrier, reason)
     inner = {joint.link("parent") for joint in joints.values()}
+    fixed = {k for k, joint in joints.items() if joint.attributes["type"] == "fixed"}
     mimics, refused = _mimics(joints)
     return Robot(
         name=root.attributes["name"],
@@ -434,42 +433,14 @@ def parse_robot(source: bytes, file: str) -> Robot:
         root=next(link for link in links if link not in parents),
         links=tuple(links),
         leaves=tuple(link for link in links if link not in inner),
-        fixed_parents={
-            child: joint
-            for child, joint in parents.items()
-            if joints[joint].attributes["type"] == "fixed"
-        },
+        fixed_parents={k: joint for k, joint in parents.items() if joint in fixed},
         refused=refused,
         mimics=mimics,
     )
 
 
-def _check_joint(document: Document, joint: Element) -> None:
-    kind = joint.attributes.get("type", "")
-    if joint.attributes.get("name") == "universe" and kind != "fixed":
-        reason = "a joint cannot be called 'universe', Pinocchio's name for the world"
-        raise document.error(joint, reason)
-    document.origin(joint)
-    if kind in (*_SINGLE, "planar"):
-        document.axis(joint)
-    _check_numbers(document, joint)
-
-
-def _check_link(document: Document, link: Element) -> None:
-    _check_numbers(document, link)
-    for inertial in link.all("inertial")[:1]:
-        mass = inertial.child("mass")
-        if mass is None or "value" not in mass.attributes:
-            reason = f"the <inertial> of {link.owner} has no mass value"
-            raise document.error(inertial, reason)
-        if not 0.0 <= document.numbers(mass, "value", 1)[0] <= HEAVIEST:
-            value, allowed = mass.attributes["value"], f"0 to {HEAVIEST:g} kg"
-            reason = f"no link has the mass of {link.owner}"
-            raise document.error(mass, reason, value=value, allowed=allowed)
-
-
-def _check_numbers(document: Document, element: Element) -> None:
-    """Refuse attributes below a link or joint that do not hold their numbers."""
+def _check(document: Document, element: Element) -> None:
+    """Refuse numbers in a link or joint that are none, or which no robot has."""
     for child in element.children:
         for key, count in NUMBERS.get(child.tag, {}).items():
             if key in child.attributes:
@@ -478,7 +449,18 @@ def _check_numbers(document: Document, element: Element) -> None:
                     reason = f"the {child.tag} of {child.owner} is too far away"
                     value = child.attributes[key]
                     raise document.error(child, reason, value=value, allowed="xyz in m")
-        _check_numbers(document, child)
+        _check(document, child)
+    if element.tag == "joint":
+        document.origin(element)
+    for inertial in element.all("inertial")[:1]:
+        mass = inertial.child("mass") or inertial
+        if "value" not in mass.attributes:
+            reason = f"the <inertial> of {element.owner} has no mass value"
+            raise document.error(inertial, reason)
+        if not 0.0 <= document.numbers(mass, "value", 1)[0] <= HEAVIEST:
+            value, allowed = mass.attributes["value"], f"0 to {HEAVIEST:g} kg"
+            reason = f"no link has the mass of {element.owner}"
+            raise document.error(mass, reason, value=value, allowed=allowed)
 
 
 def _mimics(
@@ -520,13 +502,14 @@ def _mimics(
 def _build_model(
     document: Document, links: Mapping[str, Element], joints: Mapping[str, Element]
 ) -> pin.Model:
+    # To XML a tab or line break in numbers is a space; urdfdom chokes on it.
+    text = re.sub(r"[\t\r\n]", " ", document.plain.decode())
+    printed = list[str]()
     try:
-        with captured_stderr() as printed:
-            # To XML a tab or line break in numbers is a space; urdfdom chokes on it.
-            text = re.sub(r"[\t\r\n]", " ", document.plain.decode())
+        with _captured_stderr(printed):
             model = pin.buildModelFromXML(text)
     except Exception as failure:  # Whatever C++ throws.
-        errors = re.search(r"Error:\s+(.*?)\.?\s\s", printed[0], re.DOTALL)
+        errors = re.search(r"Error:\s+(.*?)\.?\s\s", "".join(printed), re.DOTALL)
         said = errors[1] if errors else str(failure)
         # What it names last is what is wrong.
         known, named = {**links, **joints}, re.findall(r"[\['](.*?)[\]']", said)
@@ -539,22 +522,16 @@ def _build_model(
 
 
 @contextmanager
-def captured_stderr() -> Iterator[list[str]]:
+def _captured_stderr(printed: list[str]) -> Iterator[None]:
     """Collect what C++ prints to file descriptor 2, past `sys.stderr`."""
-    printed: list[str] = []
-    if sys.stderr is not None:
-        sys.stderr.flush()
-    try:
-        saved = os.dup(2)
-    except OSError:  # It is closed, so nothing is printed.
-        yield [""]
-        return
-    with tempfile.TemporaryFile() as file:
-        os.dup2(file.fileno(), 2)
+    with tempfile.TemporaryFile() as file, ExitStack() as stack:
+        with suppress(OSError):  # It is closed, so nothing is printed.
+            saved = os.dup(2)
+            stack.callback(os.close, saved)
+            stack.callback(os.dup2, saved, 2)
+            os.dup2(file.fileno(), 2)
         try:
-            yield printed
+            yield
         finally:
-            os.dup2(saved, 2)
-            os.close(saved)
             file.seek(0)
             printed.append(file.read().decode(errors="replace"))

@@ -113,21 +113,12 @@ class Arguments(dict[str, str]):
         return super().__getitem__(name)
 
 
-def _install(given: Mapping[str, str], folders: list[Path]) -> None:
+def _install(folders: list[Path]) -> None:
     """Replace the parts of xacro that come from Python and from ROS.
 
     Args:
-        given: Arguments of the user.
         folders: Folders that are packages or hold some.
     """
-    beside = xacro.abs_filename_spec
-
-    def place(written: str) -> str:
-        """A file beside the one that names it, or the user's in the working folder."""
-        file = Path(beside(written))
-        if written in given.values() and not file.exists() and Path(written).exists():
-            return str(Path(written).absolute())
-        return str(file)
 
     def value(text: str, symbols: Mapping[str, Any], _: object = None) -> Any:
         return evaluate(text, symbols, FUNCTIONS)
@@ -161,7 +152,6 @@ def _install(given: Mapping[str, str], folders: list[Path]) -> None:
 
     for module, name, own in (
         (xacro, "safe_eval", value),
-        (xacro, "abs_filename_spec", place),
         (substitution_args, "_eval", substituted),
         (substitution_args, "_eval_find", find),
         (substitution_args, "_eval_dirname", folder),
@@ -169,13 +159,16 @@ def _install(given: Mapping[str, str], folders: list[Path]) -> None:
         if not hasattr(module, name):
             raise Refused(f"this version of xacro has no {name}")
         setattr(module, name, own)
-    GLOBAL["xacro"]["abs_filename"] = place
 
 
-def _expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> bytes:
+def _expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> str:
     """The URDF, or an exception of any kind."""
-    arguments = Arguments(given)
-    _install(given, folders)
+    _install(folders)
+    beside, arguments = Path(file).parent, Arguments(given)
+    for name, word in given.items():
+        # A file that the user names is in the working folder.
+        if Path(word).suffix and Path(word).is_file() and not (beside / word).exists():
+            arguments[name] = str(Path(word).absolute())
     xacro.init_stacks(file)
     document = xacro.parse(None, file)
     xacro.process_doc(document, mappings=arguments, verbosity=0)
@@ -187,8 +180,7 @@ def _expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> bytes
             if known
             else f"has no arguments, and not '{unknown[0]}'"
         )
-    text: str = document.toprettyxml(indent="  ")
-    return text.encode()
+    return str(document.toprettyxml(indent="  "))
 
 
 def _reason(failure: Any) -> str:
@@ -206,8 +198,8 @@ def _reason(failure: Any) -> str:
 
 def read(
     file: str, arguments: Mapping[str, str], folders: list[str]
-) -> tuple[dict[str, object], bytes]:
-    """The URDF in a xacro file.
+) -> tuple[str, str]:
+    """The URDF in a xacro file, and no remark.
 
     Args:
         file: The file.
@@ -218,7 +210,7 @@ def read(
         RobotError: If it cannot be expanded, with the file and macro that is wrong.
     """
     try:
-        return {}, _expanded(file, arguments, list(map(Path, folders)))
+        return _expanded(file, arguments, list(map(Path, folders))), ""
     except Exception as failure:
         reason = f"xacro cannot expand it: {_reason(failure)}"
     if xacro.macrostack:  # It, or the call of it, is wrong.

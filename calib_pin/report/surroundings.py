@@ -10,16 +10,16 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from calib_pin.estimation.terms import Term
-from calib_pin.kinematics.shapes import Color, Shape, Surface, ball, box, cylinder
+from calib_pin.kinematics.shapes import Color, Shape, ball, box, cylinder
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.pinhole import Camera
 from calib_pin.measurement_models.references import (
     Anchor,
     Plane,
     Point,
-    ReferenceObject,
     Sphere,
 )
 from calib_pin.observations import AT, BlockKey, Labels, Observations
@@ -118,18 +118,14 @@ def _instruments(term: Term, size: float) -> Iterator[Thing]:
             "station", frames.station, stands[1][:3, 3], _station(*stands, size)
         )
     for camera in cameras:
-        hand = camera.mount == "hand"
-        (own, name), (other, of) = (
-            ((carried, frames.tool), (stands, frames.station))
-            if hand
-            else ((stands, frames.station), (carried, frames.tool))
-        )
+        ends = (stands, frames.station), (carried, frames.tool)
+        (own, name), (other, of) = ends[::-1] if camera.mount == "hand" else ends
         yield Thing("camera", name, own[1][:3, 3], _camera(*own, size))
         marks = [r.xyz for r in references if isinstance(r, Point)]
         xyz = np.array([place for place in marks if place is not None]).reshape(-1, 3)
         if len(xyz) > 2:
-            middle = other[1] @ np.append(0.5 * (xyz.min(0) + xyz.max(0)), 1.0)
-            yield Thing("board", of, middle[:3], _board(*other, xyz))
+            middle = _at(other[1], 0.5 * (xyz.min(0) + xyz.max(0)))
+            yield Thing("board", of, middle[:3, 3], _board(other[0], middle, xyz))
 
 
 def _touched(
@@ -142,103 +138,80 @@ def _touched(
         if not reference.located or not reference.outer:
             continue
         named = np.array([site in (reference.name, "") for site in sites], bool)
-        found = _reference(reference, stands, points[named[targets.codes]], size)
-        if found is not None:
-            place, surface, color, opacity = found
-            shape = Shape(link, place, surface, color, opacity)
-            name = term.frames.reference(reference)
-            yield Thing(reference.kind, name, place[:3, 3], (shape,))
+        near = points[named[targets.codes]]
+        if isinstance(reference, Plane):
+            shape = _plane(link, reference, stands, near)
+        elif not isinstance(reference, (Point, Sphere, Anchor)):
+            continue
+        elif isinstance(reference, Sphere):
+            surface = ball(abs(reference.radius or 0.0))
+            shape = Shape(link, _at(stands, reference.xyz), surface, PLANE, CLEAR)
+        elif isinstance(reference, Anchor):
+            surface = box(np.full(3, 0.05 * size))
+            shape = Shape(link, _at(stands, reference.xyz), surface, STATION)
+        else:
+            place = _at(_at(stands, reference.xyz), (0.0, 0.0, -0.02 * size))
+            shape = Shape(link, place, cylinder(0.024 * size, 0.03 * size), SOCKET)
+        name = term.frames.reference(reference)
+        yield Thing(reference.kind, name, shape.placement[:3, 3], (shape,))
 
 
-def _reference(
-    reference: ReferenceObject, stands: Floats, near: Floats, size: float
-) -> tuple[Floats, Surface, Color, float] | None:
-    """Place (4, 4), surface, color and opacity of a reference that is located.
-
-    Args:
-        reference: The reference, in the measurement frame.
-        stands: That frame in the base link, shape (4, 4).
-        near: Tool points that were measured against it, in the base link, (n, 3) [m].
-        size: Of what is drawn as a sign, 1 for a large robot.
-    """
-    if isinstance(reference, Plane):
-        return _plane(reference, stands, near)
-    if not isinstance(reference, (Point, Sphere, Anchor)) or reference.xyz is None:
-        return None
-    place = stands.copy()
-    place[:3, 3] += stands[:3, :3] @ reference.xyz
-    if isinstance(reference, Sphere):
-        assert reference.radius is not None
-        return place, ball(abs(reference.radius)), PLANE, CLEAR
-    if isinstance(reference, Anchor):
-        return place, box(np.full(3, 0.05 * size)), STATION, 1.0
-    place[:3, 3] -= 0.02 * size * place[:3, 2]
-    return place, cylinder(0.024 * size, 0.03 * size), SOCKET, 1.0
+def _at(frame: Floats, xyz: ArrayLike | None) -> Floats:
+    """A frame (4, 4) moved to a point that is stated in it, shape (3,) [m]."""
+    place = frame.copy()
+    place[:3, 3] += frame[:3, :3] @ np.asarray(xyz, float)
+    return place
 
 
-def _plane(
-    plane: Plane, stands: Floats, near: Floats
-) -> tuple[Floats, Surface, Color, float]:
-    """A patch of a plane as large as the points on it are spread."""
+def _plane(link: str, plane: Plane, stands: Floats, near: Floats) -> Shape:
+    """A patch of a plane as large as the points (n, 3) [m] on it are spread."""
     assert plane.normal is not None
-    place, size = np.eye(4), np.array([2.0 * PATCH, 2.0 * PATCH, 1e-3])
+    size = np.array([2.0 * PATCH, 2.0 * PATCH, 1e-3])
+    place = _at(stands, -plane.offset * plane.normal)
     place[:3, :3] = stands[:3, :3] @ np.column_stack([*plane.tangents, plane.normal])
-    normal = place[:3, 2]
-    foot = stands[:3, :3] @ (-plane.offset * plane.normal) + stands[:3, 3]
-    middle = foot
     if len(near):
-        seen = np.einsum("ij,ni->nj", place[:3, :2], near)
+        seen = (near - place[:3, 3]) @ place[:3, :2]
         low, high = seen.min(axis=0), seen.max(axis=0)
         size[:2] = RIM * (high - low) + 0.06
-        middle = place[:3, :2] @ (0.5 * (low + high)) + normal * (normal @ foot)
-    place[:3, 3] = middle
-    return place, box(size), PLANE, CLEAR
+        place = _at(place, [*(0.5 * (low + high)), 0.0])
+    return Shape(link, place, box(size), PLANE, CLEAR)
 
 
 def _station(link: str, frame: Floats, size: float) -> tuple[Shape, ...]:
     """The axes of a measurement frame: nobody knows where its instrument stands."""
     shapes = [Shape(link, frame, ball(0.02 * size), DARK)]
     for k, color in enumerate(AXES):
+        place = _at(frame, 0.1 * size * np.eye(3)[k])
         # The z axis of a cylinder becomes the axis k.
-        place = frame.copy()
         place[:3, :3] = np.roll(frame[:3, :3], 2 - k, axis=1)
-        place[:3, 3] += 0.1 * size * frame[:3, k]
         shapes.append(Shape(link, place, cylinder(0.008 * size, 0.2 * size), color))
     return tuple(shapes)
 
 
 def _camera(link: str, frame: Floats, size: float) -> tuple[Shape, ...]:
     """A box with a lens, which looks along the z axis of its optical frame."""
-    lens, body = frame.copy(), frame.copy()
-    lens[:3, 3] -= 0.0125 * size * frame[:3, 2]
-    body[:3, 3] -= 0.045 * size * frame[:3, 2]
+    lens, body = (_at(frame, (0.0, 0.0, z * size)) for z in (-0.0125, -0.045))
     return (
         Shape(link, body, box(size * np.array([0.08, 0.05, 0.04])), CAMERA),
         Shape(link, lens, cylinder(0.018 * size, 0.025 * size), DARK),
     )
 
 
-def _board(link: str, frame: Floats, xyz: Floats) -> tuple[Shape, ...]:
+def _board(link: str, middle: Floats, xyz: Floats) -> tuple[Shape, ...]:
     """A board with squares, as large as its points (n, 3) [m] are spread."""
-    low, high = xyz.min(axis=0), xyz.max(axis=0)
-    size = np.maximum(high - low, 1e-3)
+    size = np.maximum(np.ptp(xyz, axis=0), 1e-3)
     thin = int(np.argmin(size))
     across, up = (k for k in range(3) if k != thin)
-    step = float(max(size[across], size[up])) / SQUARES
-    margin = np.full(3, 2.0 * step)
-    margin[thin] = 0.0
-    place = frame.copy()
-    place[:3, 3] += frame[:3, :3] @ (0.5 * (low + high))
-    shapes = [Shape(link, place, box(size + margin), WHITE)]
-    square = np.full(3, step)
-    square[thin] = 2.0 * size[thin]
-    counts = [max(1, round(float(size[k]) / step)) for k in (across, up)]
-    for k in range(counts[0]):
-        for j in range(counts[1]):
-            if (k + j) % 2 == 0:
-                spot, middle = place.copy(), np.zeros(3)
-                middle[across] = (k + 0.5 - 0.5 * counts[0]) * step
-                middle[up] = (j + 0.5 - 0.5 * counts[1]) * step
-                spot[:3, 3] += frame[:3, :3] @ middle
-                shapes.append(Shape(link, spot, box(square), DARK))
+    step = float(size.max()) / SQUARES
+    margin, square = np.full(3, 2.0 * step), np.full(3, step)
+    margin[thin], square[thin] = 0.0, 2.0 * size[thin]
+    shapes = [Shape(link, middle, box(size + margin), WHITE)]
+    counts = np.maximum(np.round(size / step), 1.0)
+    for k, j in np.ndindex(int(counts[across]), int(counts[up])):
+        if (k + j) % 2 == 0:
+            spot = np.zeros(3)
+            spot[[across, up]] = step * (
+                np.array([k, j]) + 0.5 - 0.5 * counts[[across, up]]
+            )
+            shapes.append(Shape(link, _at(middle, spot), box(square), DARK))
     return tuple(shapes)

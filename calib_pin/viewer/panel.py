@@ -6,25 +6,98 @@ import html
 import io
 import math
 import re
+import threading
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib import colormaps
 from PIL import Image
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.breakdown import block_names
 from calib_pin.units import DISPLAY
-from calib_pin.viewer.controls import BODIES, STAGES, Controls, put, scale, swatch, text
-from calib_pin.viewer.errors import StageErrors
 from calib_pin.viewer.scene import Plan, Rows, Scene
-from calib_pin.viewer.stage import RowsDrawing, Stage
+from calib_pin.viewer.stage import BODIES, MAP, RGB, STAGES, RowsDrawing, Stage
 
 if TYPE_CHECKING:
     import viser
 
 LAST = 1e9
 """Place of the sliders in the panel: there may be many."""
+
+
+def css(color: tuple[int, ...]) -> str:
+    """A color as style sheets write it."""
+    return f"rgb({', '.join(map(str, color))})"
+
+
+class Controls:
+    """The controls of a window.
+
+    Attributes:
+        gui: Where they are added.
+        lock: Held while something is done: callbacks come from several threads, and
+            a robot's kinematics have one memory.
+    """
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        """Start without controls."""
+        self.gui = gui
+        self.lock = threading.RLock()
+
+    def on(self, control: Any, do: Callable[[Any], None]) -> None:
+        """Do something with the value of a control when a person changes it."""
+
+        def updated(event: viser.GuiEvent[Any]) -> None:
+            if event.client is not None:  # Values that are put there have none.
+                with self.lock:
+                    do(control.value)
+
+        control.on_update(updated)
+
+    def switch(
+        self, label: str, of: Any, on: bool = True, *, instead: Any = None
+    ) -> None:
+        """A checkbox that shows or hides a drawing, and another one instead of it."""
+
+        def show(visible: bool) -> None:
+            of.visible = visible
+            if instead is not None:
+                instead.visible = not visible
+
+        self.on(self.gui.add_checkbox(label, on), show)
+        show(on)
+
+
+def put(control: Any, value: float) -> None:
+    """Set the value of a control, which viser lets nobody see."""
+    control.value = value
+
+
+def text(content: str) -> str:
+    """HTML as it stands between controls."""
+    return f'<div style="font-size: 0.8em; padding: 0 0.8em 0.5em">{content}</div>'
+
+
+def swatch(color: RGB, label: str) -> str:
+    """A colored square with its meaning."""
+    square = f'<span style="color: {css(color)}">&#9632;</span>'
+    return f'<span style="margin-right: 1em">{square} {html.escape(label)}</span>'
+
+
+def scale(sizes: Floats, unit: str) -> str:
+    """The colormap with the least and the largest size at its ends."""
+    if len(sizes) == 0:
+        return text("no measurement has it")
+    ends = f"<span>{sizes.min():.3g} {unit}</span><span>{sizes.max():.3g} {unit}</span>"
+    steps = colormaps[MAP](np.linspace(0.0, 1.0, 9), bytes=True)[:, :3].tolist()
+    gradient = f"linear-gradient(to right, {', '.join(map(css, steps))})"
+    bar = f'<div style="height: 0.8em; background: {gradient}"></div>'
+    return text(
+        f'{bar}<div style="display: flex; justify-content: space-between">{ends}</div>'
+    )
 
 
 class Joints:
@@ -157,35 +230,24 @@ def add_panel(controls: Controls, scene: Scene, stage: Stage) -> Player | None:
         if len(stage.robots) > 1:
             swatches = (swatch(BODIES[name], name) for name in stage.robots)
             controls.gui.add_html(text("".join(swatches)))
-        if stage.things is not None:
+        if scene.things:
             controls.switch("instruments and targets", stage.things.root)
-            controls.switch("their names", stage.things.names, False)
-        _add_picture(controls, scene.title)
+            controls.switch("their names", stage.names.root, False)
+        button = controls.gui.add_button("save picture")
+        button.on_click(lambda event: save_picture(event.client, scene.title))
     joints = Joints(controls, scene, stage)
-    if scene.rows is not None and stage.rows is not None:
-        _add_rows(controls, scene.rows, stage.rows, joints)
+    if stage.rows is not None:
+        _add_rows(controls, stage.rows, joints)
     _add_magnifier(controls, scene, stage)
-    if scene.rows is not None and stage.rows is not None:
-        _add_map(controls, scene.rows, stage.rows)
+    if stage.rows is not None:
+        _add_map(controls, stage.rows)
     if scene.plan is None or stage.path is None:
         return None
     return Player(controls, scene.plan, joints, stage.path)
 
 
-def first_magnification(largest: float, size: float) -> int:
-    """The magnification that makes the largest vector just not too long.
-
-    Args:
-        largest: Its length [m].
-        size: Size of the robot [m].
-    """
-    fitting = [step for step in MAGNIFICATIONS if step * largest <= VISIBLE * size]
-    return fitting[-1] if fitting else MAGNIFICATIONS[0]
-
-
-def _add_rows(
-    controls: Controls, rows: Rows, drawing: RowsDrawing, joints: Joints
-) -> None:
+def _add_rows(controls: Controls, drawing: RowsDrawing, joints: Joints) -> None:
+    rows = drawing.rows
     count = len(rows.data)
     with controls.gui.add_folder("Measurements"):
         slider = controls.gui.add_slider("measurement", 1, max(count, 2), 1, 1)
@@ -205,15 +267,17 @@ def _add_rows(
 
 def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
     """One slider for error vectors and the geometry, if there are any of these."""
-    vectors = {} if stage.rows is None else stage.rows.vectors
-    largest = [scene.largest_move] if len(scene.bodies) > 1 else []
-    if vectors and scene.rows is not None:
-        errors = scene.rows.stages.values()
+    vectors, moving = dict[str, Any](), len(scene.bodies) > 1
+    largest = scene.largest_move
+    if stage.rows is not None and (vectors := stage.rows.vectors):
+        errors = stage.rows.rows.stages.values()
         lengths = [np.linalg.norm(e.vectors, axis=1) for e in errors]
-        largest.append(float(np.nanmax(lengths)))
-    if not largest:
+        largest = max(largest, float(np.nanmax(lengths)))
+    if not (vectors or moving):
         return
-    first = MAGNIFICATIONS.index(first_magnification(max(largest), stage.size))
+    # The one that makes the largest vector just not too long.
+    fitting = [m * largest <= VISIBLE * stage.size for m in MAGNIFICATIONS]
+    first = max(sum(fitting) - 1, 0)
     marks = tuple((k, str(MAGNIFICATIONS[k])) for k in (0, 3, 6, 9))
     with controls.gui.add_folder(
         "Errors, predicted minus measured" if vectors else "Corrections"
@@ -226,7 +290,7 @@ def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
         )
         legend = controls.gui.add_html("")
     what = ["errors, from the measured point"] * bool(vectors)
-    what += ["corrections of the robot"] * (len(scene.bodies) > 1)
+    what += ["corrections of the robot"] * moving
 
     def magnify(value: tuple[int, ...]) -> None:
         factor = MAGNIFICATIONS[value[0]]
@@ -239,33 +303,23 @@ def _add_magnifier(controls: Controls, scene: Scene, stage: Stage) -> None:
     magnify((first,))
 
 
-def _add_picture(controls: Controls, title: str) -> None:
-    """A button that saves the view of whoever presses it as a picture."""
-    button = controls.gui.add_button("save picture")
-
-    @button.on_click
-    def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-        if event.client is not None:
-            save_picture(event.client, title)
-
-
-def save_picture(client: viser.ClientHandle, title: str) -> None:
-    """Have a browser draw its view once more, and save that as a PNG file.
+def save_picture(client: viser.ClientHandle | None, title: str) -> None:
+    """Have the browser of whoever asked draw its view once more, as a PNG file.
 
     Nothing is drawn behind the scene, so that the picture fits on any page.
     """
-    camera = client.camera
-    image = client.get_render(
-        camera.image_height, camera.image_width, transport_format="png", timeout=WAIT
-    )
+    if client is None:
+        return
+    width, height = client.camera.image_width, client.camera.image_height
+    image = client.get_render(height, width, transport_format="png", timeout=WAIT)
     stream = io.BytesIO()
     Image.fromarray(image).save(stream, format="png")
     name = re.sub(r"[^\w.-]+", "_", title) or "robot"
     client.send_file_download(f"{name}.png", stream.getvalue(), save_immediately=True)
 
 
-def _add_map(controls: Controls, rows: Rows, drawing: RowsDrawing) -> None:
-    stages = tuple(rows.stages)
+def _add_map(controls: Controls, drawing: RowsDrawing) -> None:
+    rows, stages = drawing.rows, tuple(drawing.rows.stages)
     quantities = tuple(rows.stages[stages[-1]].quantities)
     with controls.gui.add_folder("Residual map"):
         # Without vectors it is the only view of the errors.
@@ -291,26 +345,18 @@ def _add_map(controls: Controls, rows: Rows, drawing: RowsDrawing) -> None:
 
 def _about(rows: Rows, row: int) -> str:
     """The source of a measurement, its target, and its errors."""
-    lines = [html.escape(Path(rows.data.source(row)).name)]
+    lines = [Path(rows.data.source(row)).name]
     if len(rows.data.blocks) > 1:
-        name = block_names(rows.data.keys)[int(rows.data.block_of[row])]
-        lines.append(html.escape(name))
+        lines.append(block_names(rows.data.keys)[int(rows.data.block_of[row])])
     if rows.data.target[row]:
-        lines.append(f"target {html.escape(rows.data.target[row])}")
+        lines.append(f"target {rows.data.target[row]}")
     for name in next(iter(rows.stages.values())).quantities:
-        found = [
-            f"{stage} {size}"
-            for stage, errors in rows.stages.items()
-            if (size := _size(errors, name, row))
-        ]
+        found = []
+        for stage, errors in rows.stages.items():
+            quantity = errors.quantities[name]
+            unit, factor = DISPLAY[quantity.unit]
+            if quantity.shown[row]:
+                found.append(f"{stage} {factor * quantity.sizes[row]:.3g} {unit}")
         if found:
-            lines.append(f"{html.escape(name)}: {', '.join(found)}")
-    return "<br>".join(lines)
-
-
-def _size(errors: StageErrors, name: str, row: int) -> str:
-    quantity = errors.quantities[name]
-    if not quantity.shown[row]:
-        return ""
-    unit, factor = DISPLAY[quantity.unit]
-    return f"{factor * quantity.sizes[row]:.3g} {unit}"
+            lines.append(f"{name}: {', '.join(found)}")
+    return "<br>".join(map(html.escape, lines))

@@ -9,33 +9,86 @@ place of the tool only.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib_pin.estimation.problem import error_table
+from calib_pin.estimation.terms import Block
+from calib_pin.io.measurements import read_configurations, read_names
+from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf_tree import edit_origins, parse_robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import Shape
-from calib_pin.kinematics.skeleton import Skeleton, base_poses, chain_links
+from calib_pin.kinematics.skeleton import (
+    Skeleton,
+    base_poses,
+    chain_links,
+    corners,
+    drawn_link,
+)
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.tool_point import PointModel
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.report.breakdown import block_names
-from calib_pin.report.surroundings import Thing
+from calib_pin.report.surroundings import Thing, surroundings
+from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
-from calib_pin.viewer.errors import StageErrors
+from calib_pin.validation.evaluation import Prepared, prepared
 
 STEPS = 20
 """Points of the tip's path from one configuration to the next."""
 
 LONGEST = 5000
 """Points from which on a path has fewer between configurations."""
+
+
+@dataclass(frozen=True)
+class ErrorSizes:
+    """Sizes of the errors of one quantity.
+
+    Attributes:
+        unit: `m`, `rad` or `px`.
+        sizes: Size in every measurement, shape (N,); NaN where it does not have
+            the quantity, infinite where it cannot be predicted.
+    """
+
+    unit: str
+    sizes: Floats
+
+    @property
+    def shown(self) -> NDArray[np.bool_]:
+        """The measurements that have a size, shape (N,)."""
+        return np.isfinite(self.sizes)
+
+
+@dataclass(frozen=True)
+class StageErrors:
+    """Errors of N measurements as one robot predicts them, in one of its links.
+
+    Attributes:
+        points: The measured points of its tool, shape (N, 3) [m].
+        vectors: Predicted minus measured position, shape (N, 3) [m]; NaN where none
+            is measured.
+        quantities: Sizes of the errors by the name of the quantity.
+    """
+
+    points: Floats
+    vectors: Floats
+    quantities: Mapping[str, ErrorSizes]
+
+    @property
+    def measured(self) -> Floats:
+        """Measured positions, shape (N, 3) [m]; NaN where none is measured."""
+        return self.points - self.vectors
 
 
 @dataclass(frozen=True)
@@ -107,13 +160,10 @@ class Rows:
     @property
     def blocks(self) -> dict[str, NDArray[np.bool_]]:
         """Masks (N,) of the measurements of each block, by its name, after all."""
+        blocks, names = self.data.block_of, block_names(self.data.keys)
+        found = {name: blocks == k for k, name in enumerate(names)}
         every = {"all": np.ones(len(self.data), bool)}
-        if len(self.data.blocks) == 1:
-            return every
-        return every | {
-            name: self.data.block_of == k
-            for k, name in enumerate(block_names(self.data.keys))
-        }
+        return every | (found if len(names) > 1 else {})
 
 
 @dataclass(frozen=True)
@@ -145,7 +195,7 @@ class Scene:
         title: Name of the robot.
         shapes: Shapes of the links of all bodies.
         bodies: The robot, or the nominal and the corrected one.
-        chains: The chains that measurements and plan move, if there are any.
+        chains: The chains that measurements and plan move; may be none.
         rows: Measurements, if there are any.
         plan: Planned configurations, if there are any.
         things: Instruments and targets that stand around or that the tool carries.
@@ -154,7 +204,7 @@ class Scene:
     title: str
     shapes: tuple[Shape, ...]
     bodies: tuple[Body, ...]
-    chains: Chains | None = None
+    chains: Chains
     rows: Rows | None = None
     plan: Plan | None = None
     things: tuple[Thing, ...] = ()
@@ -162,21 +212,13 @@ class Scene:
     @cached_property
     def highlighted(self) -> frozenset[str]:
         """The links of the chains that measurements and plan move, or all links."""
-        if self.chains is None:
-            return frozenset(self.bodies[0].skeleton.links)
-        return chain_links(self.chains)
+        return chain_links(self.chains) or frozenset(self.bodies[0].skeleton.links)
 
     @property
     def largest_move(self) -> float:
         """How far the origin of any link is moved by corrections at the start [m]."""
-        first, *others = (body.placements(self.start) for body in self.bodies)
-        return max(
-            (
-                float(np.linalg.norm((T - first)[:, :3, 3], axis=1).max())
-                for T in others
-            ),
-            default=0.0,
-        )
+        first, last = (self.bodies[k].placements(self.start) for k in (0, -1))
+        return float(np.linalg.norm((last - first)[:, :3, 3], axis=1).max())
 
     @cached_property
     def moved(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -185,9 +227,8 @@ class Scene:
         The first are their columns in configurations of the chains, the second are
         their places among the joints of the bodies.
         """
-        joints = () if self.chains is None else self.chains.joints
-        own = self.bodies[0].skeleton.joints
-        pairs = [(k, own.index(j)) for k, j in enumerate(joints) if j in own]
+        own, joints = self.bodies[0].skeleton.joints, enumerate(self.chains.joints)
+        pairs = [(k, own.index(joint)) for k, joint in joints if joint in own]
         columns, places = np.array(pairs, np.intp).reshape(-1, 2).T
         return columns, places
 
@@ -250,3 +291,131 @@ def _carrying(model: CalibratedChain, payload: str) -> ErrorModel:
     """The error model with a payload; of several, no name means no payload."""
     several = len(model.setup.payloads) > 1
     return model.error.carrying(payload or (NOTHING if several else ""))
+
+
+def stage_errors(robot: Prepared, link: str) -> StageErrors:
+    """Errors of the measurements that a robot is prepared for, in one of its links."""
+    problem, theta = robot.problem.rebased(robot.theta)
+    data, residual = problem.data, problem.errors(theta)
+    points, vectors = np.zeros((len(data), 3)), np.full((len(data), 3), np.nan)
+    for block in problem.blocks:
+        q, base = data.q[block.rows], block.term.error.base.inverse().homogeneous
+        seen = _in_base(block, theta)
+        to_link = base_poses(problem.chains, block.term.key.chain, link, q)
+        points[block.rows] = (to_link @ seen)[:, :3, 3]
+        turn = to_link[:, :3, :3] @ base[:3, :3]
+        errors = block.table(residual)
+        for quantity in block.term.measurement.quantities:
+            columns = errors[:, quantity.columns]
+            if quantity.unit == "m" and columns.shape[1] == 3:
+                vectors[block.rows] = np.einsum("nij,nj->ni", turn, columns)
+    table = error_table(problem, theta)
+    sizes = {
+        quantity.name: ErrorSizes(
+            quantity.unit, np.linalg.norm(table[:, quantity.columns], axis=1)
+        )
+        for quantity in problem.layout.quantities
+    }
+    return StageErrors(points, vectors, sizes)
+
+
+def things_around(robot: Prepared, reach: float) -> list[Thing]:
+    """Instruments and targets around a robot that is prepared for measurements.
+
+    Args:
+        robot: The robot.
+        reach: Its size [m].
+    """
+    problem, theta = robot.problem.rebased(robot.theta)
+    touched = {
+        block.term.key: (block.data.target, _in_base(block, theta)[:, :3, 3])
+        for block in problem.blocks
+    }
+    return surroundings(problem.terms, touched, reach)
+
+
+def _in_base(block: Block, theta: Floats) -> Floats:
+    """Poses of the tool at the measured points, in the base link, (N, 4, 4)."""
+    base = block.term.error.base.inverse().homogeneous
+    return np.asarray(base @ _tool_poses(block, theta))
+
+
+def _tool_poses(block: Block, theta: Floats) -> Floats:
+    """Poses of the tool at the measured points, in the measurement frame, (N, 4, 4).
+
+    Of relative measurements as well: where the tool is, not how it has moved.
+    """
+    term, data = block.term, block.data
+    error, of_robot = term.error, term.values(theta)[0]
+    T = error.poses(data.q, of_robot, error.basis(data.q, data.conditions))
+    model = term.measurement
+    if isinstance(model, PointModel):
+        label, _ = model.names(data.target, data)
+        offsets = [point.at(np.zeros(3)) for point in model.points]
+        offset = np.array([*offsets, np.zeros(3)])[label]
+        T[:, :3, 3] += np.einsum("nij,nj->ni", T[:, :3, :3], offset)
+    return np.asarray(T)
+
+
+def make_scene(
+    chains: Chains,
+    model: CalibratedModel | None,
+    setup: Setup,
+    read: Callable[..., tuple[Chains, Observations]] | None,
+    plan: Path | None,
+    package_dirs: Sequence[Path],
+    *,
+    tell: Callable[[str], None],
+    stage: Callable[[str], object],
+) -> Scene:
+    """The scene of a robot, or of one nominally and as it was calibrated.
+
+    Args:
+        chains: The chains of the robot.
+        model: The calibration, if there is one.
+        setup: The setup.
+        read: Reads the measurements, as `cli.files.open_measurements` does, if there
+            are any.
+        plan: File of configurations, if there is one.
+        package_dirs: Folders of packages, see `io.packages.locate_mesh`.
+        tell: Called with one line for what may be otherwise than one thinks.
+        stage: Told what begins.
+    """
+    rows, planned, ready = None, None, list[Prepared]()
+    if read is not None:
+        known = {} if model is None else model.references
+        sockets = (reference.name for reference in known.values())
+        measured, data = read(chains, setup, sockets=sockets)
+        chains = measured if model is None else chains
+        stage("errors")
+        ready.append(prepared(chains, data, setup))
+        if reason := ready[0].reason:
+            tell(f"the errors before cannot be trusted: {reason}")
+        ready += [] if model is None else [prepared(model, data)]
+        found = [stage_errors(robot, drawn_link(chains)) for robot in ready]
+        rows = Rows(data, dict(zip(("before", "after"), found, strict=False)))
+    if not chains.names and (plan is not None or setup.base):
+        named = () if plan is None else read_names(plan, "chain").distinct
+        chains = chains.named(named or ("",))
+    link = drawn_link(chains)
+    if plan is not None:
+        q = read_configurations(plan, chains, setup.joints)
+        planned = Plan(q, tip_paths(chains, q, link, model))
+    stage("shapes")
+    shapes = robot_shapes(chains.robot, package_dirs)
+    if shapes.missing:
+        first, *others = shapes.missing
+        count = f"{1 + len(others)} meshes are" if others else "1 mesh is"
+        tell(
+            f"{count} missing or unreadable and replaced by simple shapes: {first}"
+            f"{', ...' if others else ''}; name the folder of its package with "
+            "--package-dir"
+        )
+    bodies = tuple(bodies_of(chains.robot, link, model))
+    skeleton = bodies[0].skeleton
+    reach = float(np.ptp(corners(skeleton, shapes.parts, skeleton.neutral), 0).max())
+    things = [] if model is None else surroundings(model.terms, {}, reach)
+    if ready:
+        things = things_around(ready[-1], reach)
+    title = chains.robot.name
+    return Scene(title, shapes.parts, bodies, chains, rows, planned, tuple(things))

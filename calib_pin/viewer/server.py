@@ -11,9 +11,8 @@ import contextlib
 import hmac
 import io
 import secrets
-import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs, urlencode
@@ -23,8 +22,7 @@ import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from calib_pin.viewer.controls import Controls
-from calib_pin.viewer.panel import add_panel
+from calib_pin.viewer.panel import Controls, add_panel
 from calib_pin.viewer.scene import Scene
 from calib_pin.viewer.stage import Stage
 
@@ -50,7 +48,7 @@ class Window:
 
     Args:
         scene: The scene to show.
-        port: Port that is wanted; a free one if it cannot be used, or for 0.
+        port: Port that is wanted; a free one above if it cannot be used, any for 0.
 
     Attributes:
         port: Port that it is.
@@ -61,7 +59,7 @@ class Window:
         """Start the server and draw the scene."""
         token = secrets.token_urlsafe(16)
         with _unheard(), _guarded(token):
-            self._server = _LocalServer(HOST, _usable(port), verbose=False)
+            self._server = _LocalServer(HOST, port, verbose=False)
         self.port = self._server.get_port()
         self.url = f"http://localhost:{self.port}/?token={token}"
         self._server.gui.set_panel_label(scene.title)
@@ -70,16 +68,13 @@ class Window:
         controls = Controls(self._server.gui)
         self._player = add_panel(controls, scene, Stage(self._server, scene))
 
-    def run(self, once: bool, now: Callable[[], float] = time.monotonic) -> None:
-        """Serve until interrupted or, with `once`, until the last browser has gone.
-
-        The clock `now` is in seconds.
-        """
-        seen, last = False, now()
-        left = last
+    def run(self, once: bool) -> None:
+        """Serve until interrupted or, with `once`, until the last browser has gone."""
+        seen, left = False, time.monotonic()
+        last = left
         while not (once and seen and last - left > GRACE):
             time.sleep(PERIOD)
-            before, last = last, now()
+            before, last = last, time.monotonic()
             if self._player is not None:
                 self._player.tick(last - before)
             if self._server.get_clients():
@@ -148,14 +143,3 @@ def _answer(
 def _unheard() -> contextlib.AbstractContextManager[object]:
     """Suppresses what viser prints at its start and end."""
     return contextlib.redirect_stdout(io.StringIO())
-
-
-def _usable(port: int) -> int:
-    """The port if a server can have it, or else a free one."""
-    for wanted in (port, 0):
-        with (
-            contextlib.suppress(OSError),
-            socket.create_server((HOST, wanted)) as probe,
-        ):
-            return int(probe.getsockname()[1])
-    return port

@@ -2,92 +2,98 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib import colormaps
 from numpy.typing import NDArray
 
-from calib_pin.kinematics.shapes import Surface, creased
+from calib_pin.kinematics.shapes import Shape, creased
 from calib_pin.kinematics.skeleton import corners, floor_height
 from calib_pin.kinematics.spatial import Floats, to_quaternion
-from calib_pin.report.surroundings import Thing
-from calib_pin.viewer.controls import (
-    BODIES,
-    MARK,
-    MEASURED,
-    PATH,
-    ROBOT,
-    STAGES,
-    pale,
-    scaled,
-)
-from calib_pin.viewer.errors import ErrorSizes, StageErrors
-from calib_pin.viewer.scene import Body, Rows, Scene
+from calib_pin.viewer.scene import Body, ErrorSizes, Rows, Scene, StageErrors
 
 if TYPE_CHECKING:
     import viser
+
+RGB = tuple[int, int, int]
+
+STAGES: dict[str, RGB] = {"before": (213, 94, 0), "after": (0, 114, 178)}
+"""Of errors, after Okabe and Ito."""
+
+MARK: RGB = (204, 121, 167)
+"""Of the measurement that is looked at."""
+
+MEASURED: RGB = (40, 40, 40)
+PATH: RGB = (0, 158, 115)
+ROBOT: RGB = (225, 222, 214)
+"""Of a robot whose URDF states none."""
+
+BODIES: dict[str, RGB] = {"nominal": (213, 94, 0), "corrected": (70, 150, 205)}
+"""Of robots beside each other, those of their errors; the second one in more light."""
+
+MAP = "viridis"
+"""Colormap of sizes: perceptually uniform, and of growing lightness."""
+
+
+def scaled(sizes: Floats) -> NDArray[np.uint8]:
+    """Colors of sizes between the least and the largest, shape (N,) -> (N, 3)."""
+    parts = np.zeros(len(sizes))
+    if len(sizes) and np.ptp(sizes) > 0.0:
+        parts = (sizes - sizes.min()) / np.ptp(sizes)
+    return np.asarray(colormaps[MAP](parts, bytes=True)[:, :3])
+
+
+def pale(color: RGB) -> RGB:
+    """A color of a link that is not measured."""
+    red, green, blue = ((part + 2 * 255) // 3 for part in color)
+    return red, green, blue
+
 
 OPACITY, FAINT = 0.35, 0.1
 """Of the nominal robot beside the corrected one, and of what was not measured of it."""
 
 
-class RobotDrawing:
-    """A robot; beside the corrected one the nominal one is a ghost.
+class Group:
+    """Shapes that hang on links of a robot, and move with them.
 
     Attributes:
-        root: Carries all of it.
-        body: The robot; another one of the same links may take its place.
+        root: Carries all of them.
+        frames: The frame of each link that carries something, by its number.
+        placements: Poses of all links as they are drawn, shape (L, 4, 4).
     """
 
-    def __init__(self, api: viser.SceneApi, body: Body, scene: Scene) -> None:
-        """Draw the links; they are not in place yet."""
-        self.body, shapes = body, scene.shapes
-        self._placements = np.zeros((len(body.skeleton.links), 4, 4))
-        name, ghost = f"/{body.name}", body.name == "nominal"
-        self.root = api.add_frame(name, show_axes=False)
+    def __init__(self, api: viser.SceneApi, name: str, links: Iterable[int]) -> None:
+        """Nothing hangs on the links yet, and they are not in place."""
+        self._api, self.root = api, api.add_frame(name, show_axes=False)
         # Names of links may hold slashes, which mean something here.
-        number = {link: k for k, link in enumerate(body.skeleton.links)}
-        self._links = {
-            number[link]: api.add_frame(f"{name}/{number[link]}", show_axes=False)
-            for link in dict.fromkeys(shape.link for shape in shapes)
+        self.frames = {
+            k: api.add_frame(f"{name}/{k}", show_axes=False) for k in {*links}
         }
-        for k, shape in enumerate(shapes):
-            own = shape.link in scene.highlighted
-            color = ROBOT if shape.color is None else _bytes(shape.color)
-            if own and body.name in BODIES:
-                color = BODIES[body.name]
-            color = color if own else pale(color)
-            api.add_mesh_simple(
-                f"{name}/{number[shape.link]}/{k}",
-                *_arrays(shape.surface),
-                color=color,
-                opacity=(OPACITY if own else FAINT) if ghost else None,
-                cast_shadow=not ghost,
-                receive_shadow=not ghost,
-                position=shape.placement[:3, 3],
-                wxyz=_wxyz(shape.placement),
-            )
+        self.placements: Floats = np.zeros((1 + max(self.frames, default=0), 4, 4))
 
-    def pose(self, q: Floats, payload: str) -> None:
-        """Put the links in place; arguments as for `Body.placements`."""
-        placements = self.body.placements(q, payload)
-        moved = (placements != self._placements).any(axis=(1, 2))
-        self._placements = placements
-        for number, link in self._links.items():
-            if moved[number]:  # To tell a browser takes longer than to compute it.
-                link.position = placements[number, :3, 3]
-                link.wxyz = _wxyz(placements[number])
+    def add(self, name: str, link: int, shape: Shape, color: RGB, **more: Any) -> None:
+        """Hang a shape on a link."""
+        sharp = creased(shape.surface)
+        self._api.add_mesh_simple(
+            f"{self.root.name}/{link}/{name}",
+            sharp.vertices.astype(np.float32),
+            sharp.triangles.astype(np.uint32),
+            color=color,
+            position=shape.placement[:3, 3],
+            wxyz=_wxyz(shape.placement),
+            **more,
+        )
 
-    @property
-    def placements(self) -> Floats:
-        """Poses of all links as they are drawn, shape (L, 4, 4)."""
-        return self._placements
-
-    @property
-    def shown(self) -> dict[int, bool]:
-        """Whether each link is drawn, by its number."""
-        return {number: link.visible for number, link in self._links.items()}
+    def put(self, placements: Floats) -> None:
+        """Put the links in place, which have the poses (L, 4, 4)."""
+        for k, frame in self.frames.items():
+            T = placements[k]
+            # To tell a browser takes longer than to compute it.
+            if (self.placements[k] != T).any():
+                frame.position, frame.wxyz = T[:3, 3], _wxyz(T)
+        self.placements = placements
 
     def hide_equal(self, others: Floats, size: float) -> None:
         """Show only links that another robot has elsewhere, as far as one can see.
@@ -98,65 +104,54 @@ class RobotDrawing:
             others: Poses of the links of the other robot, shape (L, 4, 4).
             size: Size of the robot [m].
         """
-        away = np.linalg.norm((others - self._placements)[:, :3, 3], axis=1)
-        turns = np.linalg.norm((others - self._placements)[:, :3, :3], axis=(1, 2))
-        apart = away + LEVER * size * turns > SEEN * size
-        for number, link in self._links.items():
-            if link.visible != apart[number]:
-                link.visible = bool(apart[number])
+        away = np.linalg.norm((others - self.placements)[:, :3, 3], axis=1)
+        turns = np.linalg.norm((others - self.placements)[:, :3, :3], axis=(1, 2))
+        for k, frame in self.frames.items():
+            frame.visible = bool(away[k] + LEVER * size * turns[k] > SEEN * size)
 
 
-class ThingsDrawing:
-    """Instruments and targets, where the last robot carries them.
+def draw_robot(api: viser.SceneApi, body: Body, scene: Scene) -> Group:
+    """The links of a robot; beside the corrected one the nominal one is a ghost."""
+    number = {link: k for k, link in enumerate(body.skeleton.links)}
+    ghost = body.name == "nominal"
+    group = Group(api, f"/{body.name}", (number[shape.link] for shape in scene.shapes))
+    for k, shape in enumerate(scene.shapes):
+        color, opacity = pale(_color(shape)), FAINT
+        if shape.link in scene.highlighted:
+            color, opacity = BODIES.get(body.name, _color(shape)), OPACITY
+        group.add(
+            str(k),
+            number[shape.link],
+            shape,
+            color,
+            opacity=opacity if ghost else None,
+            cast_shadow=not ghost,
+            receive_shadow=not ghost,
+        )
+    return group
 
-    Attributes:
-        root: Carries all of them.
-        names: Carries their names.
-        frames: The frame of each link below either, by the name of that and the link.
-    """
 
-    def __init__(
-        self, api: viser.SceneApi, body: Body, things: Sequence[Thing]
-    ) -> None:
-        """Draw them; they are not in place yet."""
-        self._places = {
-            link: body.skeleton.links.index(link) for link in {t.link for t in things}
-        }
-        roots = [api.add_frame(name, show_axes=False) for name in ("/things", "/names")]
-        self.root, self.names = roots
-        self.frames = {
-            (root.name, link): api.add_frame(f"{root.name}/{k}", show_axes=False)
-            for root in roots
-            for link, k in self._places.items()
-        }
-        for number, thing in enumerate(things):
-            place = self._places[thing.link]
-            label = thing.name.rpartition("/")[2] or thing.kind
-            if thing.kind in NAMED:
-                label = thing.kind
-            api.add_label(f"/names/{place}/{number}", label, position=thing.origin)
-            for k, shape in enumerate(thing.shapes):
-                api.add_mesh_simple(
-                    f"/things/{place}/{number}-{k}",
-                    *_arrays(shape.surface),
-                    color=ROBOT if shape.color is None else _bytes(shape.color),
-                    opacity=None if shape.opacity == 1.0 else shape.opacity,
-                    side="double",
-                    position=shape.placement[:3, 3],
-                    wxyz=_wxyz(shape.placement),
-                )
-
-    def put(self, placements: Floats) -> None:
-        """Put them in place, links having the poses (L, 4, 4)."""
-        for (_, link), frame in self.frames.items():
-            T = placements[self._places[link]]
-            frame.position, frame.wxyz = T[:3, 3], _wxyz(T)
+def draw_things(api: viser.SceneApi, scene: Scene) -> tuple[Group, Group]:
+    """Instruments and targets, and their names, where the last robot carries them."""
+    links = scene.bodies[-1].skeleton.links
+    places = [links.index(thing.link) for thing in scene.things]
+    things, names = (Group(api, name, places) for name in ("/things", "/names"))
+    for n, (k, thing) in enumerate(zip(places, scene.things, strict=True)):
+        label = thing.name.rpartition("/")[2] or thing.kind
+        label = thing.kind if thing.kind in NAMED else label
+        api.add_label(f"/names/{k}/{n}", label, position=thing.origin)
+        for j, shape in enumerate(thing.shapes):
+            opacity = None if shape.opacity == 1.0 else shape.opacity
+            color = _color(shape)
+            things.add(f"{n}-{j}", k, shape, color, opacity=opacity, side="double")
+    return things, names
 
 
 class RowsDrawing:
     """Measured points, error vectors, and the residual map.
 
     Attributes:
+        rows: The measurements.
         behind: Carries the measured points.
         measured: The measured points.
         map: Carries the residual map.
@@ -165,7 +160,7 @@ class RowsDrawing:
 
     def __init__(self, api: viser.SceneApi, rows: Rows, size: float) -> None:
         """Draw them; vectors as long as they are, and a map without points."""
-        self._api, self._rows, self._size = api, rows, size
+        self._api, self.rows, self._size = api, rows, size
         self._last = list(rows.stages.values())[-1]
         measured = self._last.measured
         self.behind = api.add_frame("/behind", show_axes=False)
@@ -196,7 +191,7 @@ class RowsDrawing:
     def magnify(self, factor: float) -> None:
         """Draw the error vectors magnified by a factor."""
         for name, handle in self.vectors.items():
-            handle.points = lines(self._rows.stages[name], factor)
+            handle.points = lines(self.rows.stages[name], factor)
 
     def color_map(self, stage: str, quantity: str, block: str) -> ErrorSizes:
         """Color the tool points of a stage by the error of a quantity.
@@ -204,9 +199,9 @@ class RowsDrawing:
         Returns:
             The sizes of the measurements that are shown, those of a block.
         """
-        errors = self._rows.stages[stage]
+        errors = self.rows.stages[stage]
         found = errors.quantities[quantity]
-        shown = found.shown & self._rows.blocks[block]
+        shown = found.shown & self.rows.blocks[block]
         sizes = found.sizes[shown]
         # Points and colors in one: a browser may draw between two messages.
         self._api.add_point_cloud(
@@ -234,14 +229,10 @@ def lines(errors: StageErrors, factor: float) -> NDArray[np.float32]:
     return ends[np.isfinite(ends).all(axis=(1, 2))].astype(np.float32)
 
 
-def _arrays(surface: Surface) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """Vertices and triangles with sharp edges, as the browser takes them."""
-    sharp = creased(surface)
-    return sharp.vertices.astype(np.float32), sharp.triangles.astype(np.uint32)
-
-
-def _bytes(color: tuple[float, float, float]) -> tuple[int, int, int]:
-    red, green, blue = (round(255 * part) for part in color)
+def _color(shape: Shape) -> RGB:
+    if shape.color is None:
+        return ROBOT
+    red, green, blue = (round(255 * part) for part in shape.color)
     return red, green, blue
 
 
@@ -274,14 +265,15 @@ class Stage:
     Attributes:
         size: Size of the robot [m].
         robots: The robots by name.
-        things: Instruments and targets, if there are any.
+        things: Instruments and targets.
+        names: Their names.
         rows: Measurements, if there are any.
         path: The paths of all tips, if there is a plan.
     """
 
     def __init__(self, server: viser.ViserServer, scene: Scene) -> None:
         """Draw everything."""
-        self._server = server
+        self._server, self._bodies = server, scene.bodies
         skeleton = scene.bodies[0].skeleton
         api, floor = server.scene, floor_height(skeleton, scene.shapes)
         robot = corners(skeleton, scene.shapes, scene.start)
@@ -291,17 +283,13 @@ class Stage:
         if scene.rows is not None:
             seen += [errors.points for errors in scene.rows.stages.values()]
         # A tracker may stand far away.
-        near = [thing.origin for thing in scene.things]
-        near = [spot for spot in near if np.linalg.norm(spot) < CLOSE * size]
-        seen += [np.array(near).reshape(-1, 3)]
+        spots = [thing.origin for thing in scene.things]
+        seen += [spot[None] for spot in spots if np.linalg.norm(spot) < CLOSE * size]
         camera = server.initial_camera
         camera.fov, camera.up = ANGLE, (0.0, 0.0, 1.0)
         camera.position, camera.look_at = sight(np.concatenate(seen))
-        self.robots = {
-            body.name: RobotDrawing(api, body, scene) for body in scene.bodies
-        }
-        last = scene.bodies[-1]
-        self.things = ThingsDrawing(api, last, scene.things) if scene.things else None
+        self.robots = {body.name: draw_robot(api, body, scene) for body in self._bodies}
+        self.things, self.names = draw_things(api, scene)
         self._posture = scene.start, ""
         self.rows = None if scene.rows is None else RowsDrawing(api, scene.rows, size)
         self.path = None
@@ -322,18 +310,18 @@ class Stage:
             payload: Name of what is carried.
         """
         self._posture = q.copy(), payload
+        placements = [body.placements(q, payload) for body in self._bodies]
         with self._server.atomic():
-            for robot in self.robots.values():
-                robot.pose(q, payload)
-            for other in [*self.robots.values()][:-1]:
-                other.hide_equal(robot.placements, self.size)
-            if self.things is not None:
-                self.things.put(robot.placements)
+            *others, last = self.robots.values()
+            for ghost, T in zip(others, placements, strict=False):
+                ghost.put(T)
+                ghost.hide_equal(placements[-1], self.size)
+            for group in (last, self.things, self.names):
+                group.put(placements[-1])
 
     def magnify(self, factor: float) -> None:
         """Magnify error vectors and all corrections of the robot by a factor."""
-        for robot in self.robots.values():
-            robot.body = robot.body.magnified(factor)
+        self._bodies = tuple(body.magnified(factor) for body in self._bodies)
         self.pose(*self._posture)
         if self.rows is not None:
             self.rows.magnify(factor)
@@ -357,12 +345,7 @@ def _light(api: viser.SceneApi, size: float, floor: float) -> None:
     # Its reflections take long where there is no graphics card.
     api.configure_environment_map(None)
     api.configure_default_lights(True, cast_shadow=True)
-    api.add_light_hemisphere("/sky", ground_color=(190, 185, 180), intensity=1.0)
-    api.add_light_point(
-        "/lamp",
-        intensity=7.0 * size**2,
-        position=(2.0 * size, -2.5 * size, floor + 1.5 * size),
-    )
+    api.add_light_hemisphere("/sky", ground_color=(190, 185, 180), intensity=2.5)
     api.add_grid(
         "/floor",
         width=4.0 * size,

@@ -2,47 +2,31 @@
 
 from __future__ import annotations
 
-import importlib.util
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from calib_pin.viewer.scene import Scene
 
-
-def test_without_the_extra(
-    here: Path, monkeypatch: pytest.MonkeyPatch, fails: Callable[..., Any]
-) -> None:
-    find = importlib.util.find_spec
-    monkeypatch.setattr(
-        importlib.util,
-        "find_spec",
-        lambda name: None if name == "viser" else find(name),
-    )
+def test_without_the_extra(here, monkeypatch, fails):
+    monkeypatch.setattr("calib_pin.cli.view.find_spec", lambda _: None)
     fails("view no/robot.urdf", "calib-pin[view]")
 
 
-def test_a_robot_alone(
-    here: Path, run: Callable[..., Any], opened: list[Scene]
-) -> None:
+def test_a_robot_alone(here, run, opened):
     result = run("view arm.urdf --once")
     assert result.status == 0 and "http://localhost:8081/?token=abc" in result.out
     assert result.err.count("\n") == 1 and "8080" in result.err
     (scene,) = opened
     assert scene.title == "arm"
-    assert (scene.chains, scene.rows, scene.plan) == (None, None, None)
+    assert (scene.chains.names, scene.rows, scene.plan) == ((), None, None)
     (body,) = scene.bodies
     assert body.skeleton.joints == ("joint1", "joint2", "joint3", "joint4")
     # Several leaves are no hindrance where nothing is measured.
     assert run("view example:talos_reduced --once --port 5").status == 0
 
 
-def test_a_robot_with_measurements_and_a_plan(
-    here: Path, run: Callable[..., Any], opened: list[Scene]
-) -> None:
+def test_a_robot_with_measurements_and_a_plan(here, run, opened):
     result = run("view arm.urdf rows.csv --setup setup.yaml --plan new.csv --port 5")
     assert (result.status, result.err) == (0, "")
     (scene,) = opened
@@ -51,9 +35,7 @@ def test_a_robot_with_measurements_and_a_plan(
     assert (len(scene.rows.data), len(scene.plan.q)) == (40, 25)
 
 
-def test_a_calibration(
-    here: Path, run: Callable[..., Any], opened: list[Scene]
-) -> None:
+def test_a_calibration(here, run, opened):
     words = "view done/calibration.json new.csv rows.csv --port 5"
     assert run(words).status == 0
     assert run("view done/calibration.json --port 5").status == 0
@@ -67,9 +49,7 @@ def test_a_calibration(
     assert sizes[0] > 5.0 * sizes[1]
 
 
-def test_missing_meshes_are_noted_once(
-    here: Path, run: Callable[..., Any], opened: list[Scene]
-) -> None:
+def test_missing_meshes_are_noted_once(here, run, opened):
     text = Path("arm.urdf").read_text()
     mesh = '<visual><geometry><mesh filename="{}.stl"/></geometry></visual>'
     for k in (1, 2):
@@ -105,12 +85,6 @@ def test_missing_meshes_are_noted_once(
         ("example:talos_reduced rows.csv", "--tip"),
     ],
 )
-def test_bad_input(
-    here: Path,
-    fails: Callable[..., Any],
-    opened: list[Scene],
-    words: str,
-    named: str,
-) -> None:
+def test_bad_input(here, fails, opened, words, named):
     fails(f"view {words}", named)
     assert opened == []

@@ -1,74 +1,60 @@
-"""Processes that read robots: whatever becomes of them costs one line."""
+"""The process that reads foreign robots: whatever becomes of it costs one line."""
 
 from __future__ import annotations
 
-import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from calib_pin.errors import OptionError, RobotError
 from calib_pin.io import children
-from calib_pin.io.children import Reader
+from calib_pin.io.children import converted
 
-ASKED = "import os, sys, time; sys.stdin.readline(); "
-
-
-@pytest.mark.parametrize(
-    ("program", "said"),
-    [
-        ("os.abort()", "crashes"),
-        ("print('{')", "crashes"),
-        ("print('{\"size\": 9}')", "crashes"),
-        ("time.sleep(60)", "1 s"),
-        (
-            'print(\'{"reason": "it is wrong", "file": "", "size": 0}\', flush=True)',
-            "it is wrong",
-        ),
-    ],
-)
-def test_no_answer(
-    tmp_path: Path,
-    refused: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
-    program: str,
-    said: str,
-) -> None:
-    def started() -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-S", "-c", ASKED + program]
-        return subprocess.Popen(command, stdin=-1, stdout=-1, stderr=-3)
-
-    monkeypatch.setattr(children, "started", started)
-    # However busy the machine is, the others end before their time does.
-    monkeypatch.setattr(children, "SECONDS", 1.0 if "sleep" in program else 60.0)
-    file = tmp_path / "arm.xml"
-    file.write_text("<robot/>")
-    with refused(RobotError, said, file=str(file)), Reader() as reader:
-        reader.ask("mesh", file)
+ANSWERS = [
+    ("import os; os.abort()", "crashes"),
+    ("print('{')", "crashes"),
+    ("""print('{"reason": "it is wrong", "file": null}')""", "it is wrong"),
+]
 
 
-def test_an_extra_that_is_missing(
-    tmp_path: Path, refused: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize(("program", "said"), ANSWERS)
+def test_no_urdf(tmp_path, refused, monkeypatch, program, said):
+    script, file = tmp_path / "script.py", tmp_path / "arm.xml"
+    script.write_text(program)
+    monkeypatch.setattr(children, "__file__", str(script))
+    with refused(RobotError, said, file=str(file)):
+        converted("MJCF", file)
+
+
+def test_an_extra_that_is_missing(refused, monkeypatch):
     monkeypatch.setattr(children, "find_spec", lambda _: None)
     for kind, extra in (("MJCF", "mujoco"), ("xacro", "ros")):
-        with refused(OptionError, f"calib-pin[{extra}]"), Reader() as reader:
-            reader.ask(kind, tmp_path)
+        with refused(OptionError, f"calib-pin[{extra}]"):
+            converted(kind, Path("arm"))
+
+
+REPLICAS = """<mujoco><worldbody><body><joint/>
+<replicate count="200000000" offset="1 0 0"><geom size="1"/></replicate>
+</body></worldbody></mujoco>"""
+LIST = '<robot><link name="${list(range(10 ** 10))}"/></robot>'
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits of memory")
-def test_memory_is_limited(tmp_path: Path, refused: Callable[..., Any]) -> None:
+@pytest.mark.parametrize(
+    ("kind", "text", "said"),
+    [("xacro", LIST, "memory"), ("MJCF", REPLICAS, "more than 3 s")],
+)
+def test_what_needs_the_limits(tmp_path, refused, monkeypatch, kind, text, said):
     import resource
 
-    file = tmp_path / "arm.xacro"
-    file.write_text('<robot><link name="${list(range(10 ** 10))}"/></robot>')
-    with Reader() as reader:
-        about = {"arguments": {}, "folders": []}
-        for _ in range(2):  # It goes on after that.
-            with refused(RobotError, "memory", file=str(file)):
-                reader.ask("xacro", file, about)
+    pytest.importorskip("mujoco" if kind == "MJCF" else "xacro")
+    if kind == "MJCF":
+        monkeypatch.setattr(children, "SECONDS", 3.0)
+    file = tmp_path / "arm.xml"
+    file.write_text(text)
+    about = {"arguments": {}, "folders": []} if kind == "xacro" else {}
+    with refused(RobotError, said, file=str(file)):
+        converted(kind, file, **about)
     used = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     assert used < 2_000_000  # In kB; of all processes that this one has waited for.

@@ -91,9 +91,7 @@ def test_links_that_always_touch_are_not_checked(loaded: Callable[..., Any]) -> 
 
 
 @pytest.mark.parametrize("with_srdf", [False, True])
-def test_links_that_are_always_close_are_kept_from_touching(
-    loaded: Callable[..., Any], write: Callable[..., Path], with_srdf: bool
-) -> None:
+def test_links_that_are_always_close_are_kept_from_touching(loaded, write, with_srdf):
     neighbors = "".join(
         f'<disable_collisions link1="link_{k}" link2="link_{k + 1}"/>' for k in range(5)
     )
@@ -118,9 +116,7 @@ def test_links_that_are_always_close_are_kept_from_touching(
     assert np.any(met, axis=0).tolist() == [False, True]
 
 
-def test_obstacles_that_are_always_close_or_touch_are_checked(
-    loaded: Callable[..., Any],
-) -> None:
+def test_obstacles_that_are_always_close_or_touch_are_checked(loaded):
     table = Obstacle(box=(9.0, 9.0, 0.1), xyz=(0.0, 0.0, -0.2))
     around = Obstacle(box=(9.0, 9.0, 9.0))
     for obstacle, clearance, free in (
@@ -145,14 +141,8 @@ def test_obstacles_that_are_always_close_or_touch_are_checked(
     ],
 )
 def test_meshes_are_found(
-    loaded: Callable[..., Any],
-    write: Callable[..., Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    written: str,
-    stored: str,
-    folder: str,
-) -> None:
+    loaded, write, tmp_path, monkeypatch, written, stored, folder
+):
     write(TETRAHEDRON, stored)
     monkeypatch.setenv("ROS_PACKAGE_PATH", f"/nowhere:{tmp_path / 'ros'}")
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "ament"))
@@ -161,14 +151,7 @@ def test_meshes_are_found(
     assert len(collisions.pairs) == 1
 
 
-@pytest.mark.slow
-def test_meshes_that_cannot_be_used(
-    loaded: Callable[..., Any],
-    write: Callable[..., Path],
-    refused: Callable[..., Any],
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture,
-) -> None:
+def test_meshes_that_cannot_be_used(loaded, write, refused, tmp_path, capfd):
     """Missing, no mesh, or with numbers of which no solid can be built."""
     bad = write("no mesh", "ws/src/arm/urdf/a.stl")
     write(TETRAHEDRON, "ws/src/arm/urdf/a.obj")
@@ -186,9 +169,7 @@ def test_meshes_that_cannot_be_used(
     assert capfd.readouterr() == ("", "")
 
 
-def test_meshes_stand_where_they_belong(
-    loaded: Callable[..., Any], write: Callable[..., Path]
-) -> None:
+def test_meshes_stand_where_they_belong(loaded, write):
     """Those of links in the place of their own, and those of obstacles."""
     write(TETRAHEDRON, "ws/src/arm/urdf/a.obj")
     first = f"{sphere(0.01)}</geometry></collision><collision><origin xyz='0 0 1'/>"
@@ -210,25 +191,19 @@ def test_meshes_stand_where_they_belong(
 
 
 def test_an_srdf_disables_what_pinocchio_reads_in_it() -> None:
-    notices: list[str] = []
     chain = load_chain("example:panda", tip="panda_link8")
     path = locate_robot(chain.robot.file).resolve()
     file = path.parents[1] / "srdf" / "panda.srdf"
-    everything = load_collisions(chain, [BALL])
-    collisions = load_collisions(chain, [BALL], srdf=file, notice=notices.append)
-    again = load_collisions(chain, [BALL], srdf=file)
-    assert everything and collisions and again and notices == []
-    assert again.pairs == collisions.pairs  # In the same order every time.
-    model, folders = chain.robot.model, list(map(str, path.parents))
-    geometry = pin.buildGeomFromUrdf(
-        model, str(path), pin.COLLISION, package_dirs=folders
+    everything, collisions = (
+        load_collisions(chain, [BALL], srdf=f) for f in (None, file)
     )
+    model, folders = chain.robot.model, list(map(str, path.parents))
+    geometry = pin.buildGeomFromUrdf(model, str(path), pin.COLLISION, None, folders)
     geometry.addAllCollisionPairs()
     pin.removeCollisionPairs(model, geometry, str(file))
     names = [model.frames[s.parentFrame].name for s in geometry.geometryObjects]
-    left = {
-        frozenset((names[p.first], names[p.second])) for p in geometry.collisionPairs
-    }
+    pairs = geometry.collisionPairs
+    left = {frozenset((names[p.first], names[p.second])) for p in pairs}
     of_robot = {frozenset(pair) for pair in collisions.pairs if pair[1] in names}
     assert of_robot and of_robot <= left
     # What is left and not checked does not move; the rest Pinocchio removed as well.
@@ -237,9 +212,7 @@ def test_an_srdf_disables_what_pinocchio_reads_in_it() -> None:
     assert with_obstacle and with_obstacle <= set(collisions.pairs)
 
 
-def test_with_an_srdf_nothing_else_is_left_out(
-    loaded: Callable[..., Any], write: Callable[..., Path]
-) -> None:
+def test_with_an_srdf_nothing_else_is_left_out(loaded, write):
     disabled = (
         '<disable_collisions link1="link_2" link2="link_1"/>'
         '<disable_collisions link1="link_7" link2="link_8" reason="Never"/>'
@@ -275,13 +248,8 @@ def test_with_an_srdf_nothing_else_is_left_out(
     ],
 )
 def test_what_is_not_the_srdf_of_the_robot(
-    loaded: Callable[..., Any],
-    write: Callable[..., Path],
-    refused: Callable[..., Any],
-    tmp_path: Path,
-    text: str | None,
-    fields: dict[str, Any],
-) -> None:
+    loaded, write, refused, tmp_path, text, fields
+):
     srdf = tmp_path / "missing.srdf" if text is None else write(text, "a.srdf")
     with refused(InputError, file=str(srdf), **fields):
         loaded(["", sphere(0.1)], [BALL], srdf=srdf)

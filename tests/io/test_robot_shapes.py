@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-from calib_pin.io.robot_shapes import robot_shapes
-from calib_pin.io.urdf import load_robot
+from calib_pin.errors import InputError
+from calib_pin.io.robot_shapes import read_mesh, robot_shapes
+from calib_pin.io.urdf import load_robot, locate_robot
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.stand_ins import JOINT
-from tests.kinematics.test_shapes import volume
 
 ARM = """<robot name="arm">
   <material name="red"><color rgba="1 0 0 1"/></material>
@@ -52,22 +56,6 @@ def test_visuals_come_before_collisions(write: Callable[..., Path]) -> None:
     assert np.ptp(second.surface.vertices, axis=0) == pytest.approx(0.2, rel=0.01)
 
 
-@pytest.mark.parametrize("package", ["package:///arm/", "../"])
-def test_meshes_are_read_once(write: Callable[..., Path], package: str) -> None:
-    write(TETRAHEDRON, "arm/meshes/a.obj")
-    mesh = f'<mesh filename="{package}meshes/a.obj" scale="2 2 2"/>'
-    file = write(arm(visual(mesh), visual(mesh)), "arm/urdf/arm.urdf")
-    parts: list[float] = []
-    robot = load_robot(file)
-    shapes = robot_shapes(robot, progress=parts.append)
-    assert shapes.missing == ()
-    first, second = shapes.parts
-    assert first.surface is second.surface
-    assert volume(first.surface) == pytest.approx(0.4**3 / 6)
-    assert len(first.surface.vertices) == 4
-    assert parts == [0.0, 1 / 3, 2 / 3]
-
-
 @pytest.mark.parametrize(
     "bad",
     [
@@ -76,9 +64,7 @@ def test_meshes_are_read_once(write: Callable[..., Path], package: str) -> None:
         "<heap/>",
     ],
 )
-def test_solids_stand_in_for_what_is_missing(
-    write: Callable[..., Path], capfd: pytest.CaptureFixture[str], bad: str
-) -> None:
+def test_solids_stand_in_for_what_is_missing(write, capfd, bad):
     write("v 0 0\nf 1 2 9\n", "broken.obj")
     write(TETRAHEDRON, "a.obj")
     good = visual('<sphere radius="0.1"/>')
@@ -103,3 +89,123 @@ def test_a_robot_without_any_shapes(write: Callable[..., Path]) -> None:
     shapes = robot_shapes(load_robot(write(arm(), "arm.urdf")))
     assert shapes.missing == ()
     assert {shape.link for shape in shapes.parts} == {"base", "upper", "tool"}
+
+
+# Meshes of any format; what is wrong with one costs a line.
+
+CORNERS = ((0.0, 0.0, 0.0), (0.25, 0.0, 0.0), (0.0, 0.25, 0.0))
+
+
+ROBOT = parse_robot(b'<robot name="r"><link name="a"/></robot>', "")
+
+
+def stl(last: str = "0 0.25 0") -> str:
+    points = "".join(f"vertex {p}\n" for p in ("0 0 0", "0.25 0 0", last))
+    facet = f"facet normal 0 0 1\nouter loop\n{points}endloop\nendfacet"
+    return f"solid a\n{facet}\nendsolid a\n"
+
+
+def binary_stl(*triangles: Any) -> bytes:
+    data = [struct.pack("<12fH", 0, 0, 1, *np.ravel(t), 0) for t in triangles]
+    return bytes(80) + struct.pack("<I", len(data)) + b"".join(data)
+
+
+def obj(last: str = "0 0.25 0", face: str = "1 2 3") -> str:
+    return f"v 0 0 0\nv 0.25 0 0\nv {last}\nf {face}\n"
+
+
+def ply(face: str = "0 1 2") -> bytes:
+    points = "\n".join(" ".join(map(str, corner)) for corner in CORNERS)
+    properties = "".join(f"property float {axis}\n" for axis in "xyz")
+    return (
+        f"ply\nformat ascii 1.0\nelement vertex 3\n{properties}element face 2\n"
+        f"property list uchar int vertex_indices\nend_header\n{points}\n3 0 1 2\n"
+        f"3 {face}\n"
+    ).encode()
+
+
+def dae(face: str = "0 1 2") -> str:
+    axes = "".join(f'<param name="{axis}" type="float"/>' for axis in "XYZ")
+    points = " ".join(map(str, np.ravel(CORNERS)))
+    return (
+        '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" '
+        'version="1.4.1"><asset><up_axis>Z_UP</up_axis></asset><library_geometries>'
+        '<geometry id="g"><mesh><source id="s">'
+        f'<float_array id="a" count="9">{points}</float_array><technique_common>'
+        f'<accessor source="#a" count="3" stride="3">{axes}</accessor>'
+        '</technique_common></source><vertices id="v"><input semantic="POSITION" '
+        'source="#s"/></vertices><triangles count="1"><input semantic="VERTEX" '
+        f'source="#v" offset="0"/><p>{face}</p></triangles></mesh></geometry>'
+        '</library_geometries><library_visual_scenes><visual_scene id="w"><node>'
+        '<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>'
+        '<scene><instance_visual_scene url="#w"/></scene></COLLADA>'
+    )
+
+
+def stored(folder: Path, name: str, content: str | bytes) -> Path:
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def test_a_triangle(tmp_path: Path) -> None:
+    files = [("a.stl", stl()), ("b.stl", binary_stl(CORNERS)), ("a.obj", obj())]
+    files += [("a.dae", dae()), ("a.ply", ply())]
+    for name, content in files:
+        path = stored(tmp_path, name, content)
+        surface = read_mesh(path, ROBOT, scale=(4.0, 4.0, 8.0))
+        assert surface.vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+        assert {tuple(t) for t in surface.triangles.tolist()} == {(0, 1, 2)}
+
+
+def test_binary_stl_is_what_pinocchio_reads() -> None:
+    """The file comes from a package that is trusted."""
+    robot = locate_robot("example:ur10_robot").resolve()
+    file = robot.parents[1] / "meshes/ur10/collision/forearm.stl"
+    surface = pin.coal.MeshLoader().load(str(file), np.ones(3))
+    found = read_mesh(file, ROBOT)
+    np.testing.assert_array_equal(found.vertices, surface.vertices())
+    corners = map(surface.tri_indices, range(surface.num_tris))
+    expected = sorted(sorted(t[k] for k in range(3)) for t in corners)
+    assert sorted(map(sorted, found.triangles.tolist())) == expected
+
+
+def test_parts_and_materials(tmp_path: Path) -> None:
+    """Coal joined the parts of a file by wrong triangles; a material matters not."""
+    faces = '<triangles count="1"><input'
+    again = dae()[dae().index("<triangles") : dae().index("</mesh>")]
+    material = '<bind_material><technique_common><instance_material symbol="m" target='
+    material += '"#m"/></technique_common></bind_material>'
+    both = dae().replace(faces, again.replace("0 1 2", "1 0 2") + faces)
+    both = both.replace(' url="#g"/>', f' url="#g">{material}</instance_geometry>')
+    surface = read_mesh(stored(tmp_path, "a.dae", both), ROBOT)
+    assert sorted(map(sorted, surface.triangles.tolist())) == [[0, 1, 2]] * 2
+    assert len(surface.vertices) == 3
+
+
+BAD = [
+    ("a.ply", ply("0 1 -1")),
+    ("a.ply", ply("0 1 200000000")),
+    ("a.ply", b"ply\nformat ascii 1.0\n"),
+    ("a.ply", ply().replace(b"vertex 3", b"point 3")),
+    ("a.obj", obj(face="1 2 4")),
+    ("a.dae", dae("0 1 3")),
+    ("a.stl", stl("0 nan 0")),
+    ("a.obj", obj("0 nan 0")),
+    ("a.obj", obj("0 1e308 0")),
+    ("a.stl", binary_stl(((0, 0, 0), (1, 0, 0), (0, 2e6, 0)))),
+    ("a.stl", binary_stl(((0, 0, 1),) * 3)),
+    ("a.stl", binary_stl()),
+    ("a.stl", "no mesh"),
+    ("a.dae", f'<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]>&x;{dae()}'),
+    ("a.dae", dae() + "<x>" * 100_000),
+    ("a.3mf", b"PK"),
+]
+
+
+@pytest.mark.parametrize(("name", "content"), BAD)
+def test_files_that_could_hurt(tmp_path, refused, capfd, name, content):
+    path = stored(tmp_path, name, content)
+    with refused(InputError, file=str(path)):
+        read_mesh(path, ROBOT)
+    assert capfd.readouterr() == ("", "")

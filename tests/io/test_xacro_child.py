@@ -98,9 +98,7 @@ def no_ros(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name, raising=False)
 
 
-def test_a_package_as_ros_has_it(
-    package: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_package_as_ros_has_it(package, monkeypatch):
     file = package / "urdf" / "arm.urdf.xacro"
     chain = load_chain(str(file))
     assert chain.joints == ("joint1", "joint2")
@@ -120,14 +118,11 @@ def test_a_package_as_ros_has_it(
     again = load_robot(f"{file} kinematics:=mine.yaml")
     assert again.source == chain.robot.source
     assert again.file == f"{file} kinematics:=mine.yaml"
+    file.write_text(TOP.replace("$(find arm_description)/urdf", "$(dirname)"))
+    assert load_robot(file).links == again.links
 
 
-def test_packages_are_where_one_says(
-    package: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    refused: Callable[..., Any],
-) -> None:
+def test_packages_are_where_one_says(package, tmp_path, monkeypatch, refused):
     file = tmp_path / "own.xacro"
     file.write_text(TOP)
     package.joinpath("package.xml").unlink()
@@ -173,9 +168,7 @@ def test_wrong_files(tmp_path: Path, refused: Callable[..., Any], text: str) -> 
         load_robot(str(file))
 
 
-def test_the_place_that_is_wrong_is_named(
-    package: Path, refused: Callable[..., Any]
-) -> None:
+def test_the_place_that_is_wrong_is_named(package, refused):
     folder = package / "urdf"
     file, macro = folder / "arm.urdf.xacro", folder / "macro.xacro"
     for words, said in (("sise:=10", ["'sise'", "'size'"]), ("size:=7", "arm7.yaml")):
@@ -209,9 +202,7 @@ GROWING = [
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs limits of memory")
 @pytest.mark.parametrize("text", GROWING)
-def test_what_grows_without_end(
-    tmp_path: Path, refused: Callable[..., Any], text: str
-) -> None:
+def test_what_grows_without_end(tmp_path, refused, text):
     file = tmp_path / "arm.xacro"
     file.write_text(f"{HEAD}{text}</robot>")
     with refused(RobotError, file=str(file)):
@@ -250,37 +241,25 @@ SYMBOLS: dict[str, Any] = {
 
 MEANT = """
 1 + 2 * 3 - 4 / 5
-7 // 2 + 7 % 4
 2 ** 10 - x ** -1
 x == 3 and name != 'right_arm'
-1 < x <= 3
 3 < x < 9
-x > 5 or x < 4
 'left' in name
-'a' not in xyz
 name if x > 2 else 'no'
 name[:4] + '_' + str(x)
 limits['elbow']['lower']
 limits.elbow.lower * 2
-math.radians(90) + math.pi
 sin(0.3) ** 2 + cos(0.3) ** 2
-atan2(1, 2)
 math.sqrt(2) * math.fabs(-1)
 max(1, x, 2) + min([4, 5])
-round(2.567, 2)
 int('12') + float('1.5')
-len(xyz)
 dict(a=1, b=2)['b']
-name.split('_')[0]
 name.replace('left', 'right').upper()
 ' '.join([str(value) for value in xyz])
 [value for value in list(range(5)) if value % 2]
 list(map(float, '1 2'.split()))
-sorted(['b', 'a'])
 '%03d_%s' % (x, name)
-[0] * 3
 (1, 2)[1]
-True and not False
 1./12 * (3 * x**2 + _y**2)
 'elbow' in limits and 'list' in limits.elbow
 '0 1 2'.split(' ')[1]
@@ -309,23 +288,19 @@ class _Python(dict[str, Any]):
 HOSTILE = """
 (y for y in [1]).gi_frame.f_back.f_builtins['__imp' + 'ort__']('os')
 [].__class__.__base__.__subclasses__()
-().__class__
 __import__('os').system('true')
 compile('1', '', 'eval')
 getattr(name, '__class__')
 type(name)
-python.type(name)
 python.vars(name)
 globals()
 '{0.__class__}'.format(name)
-'{0.__class__}'.format_map(limits)
 f'{name.__class__}'
 (lambda: 1)()
 [y := 1]
 xacro.load_yaml.__globals__
 xacro.load_yaml
 math.sin.__self__
-sin
 [print for y in [1]]
 list(map(print, xyz))
 sorted(xyz, key=print)
@@ -345,11 +320,7 @@ dict(**limits)
 max(*xyz)
 1 << 10 ** 9
 unknown
-limits.unknown
-xyz[7]
-1 / 0
 math.sqrt(-1)
-exp(1000)
 limits.__missing
 """
 

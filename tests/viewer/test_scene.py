@@ -25,12 +25,12 @@ from calib_pin.observations import BlockKey, Conditions
 from calib_pin.setup import ChainSetup, Payload, Setup
 from calib_pin.simulation import simulate
 from calib_pin.validation.evaluation import Prepared, prepared
-from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.scene import (
     Plan,
     Rows,
     Scene,
     bodies_of,
+    stage_errors,
     tip_paths,
 )
 from calib_pin.viewer.stage import sight
@@ -143,7 +143,7 @@ def test_corrections_are_magnified_and_links_hang_together(panda, calibrated):
 def test_the_measured_chain_is_highlighted():
     robot = load_robot("example:talos_reduced")
     bodies = tuple(bodies_of(robot, robot.root, None))
-    alone = Scene("", (), bodies)
+    alone = Scene("", (), bodies, Chains(robot, names=()))
     assert alone.highlighted == {*robot.links} and alone.largest_move == 0.0
     chains = Chains(robot, base="torso_2_link", names=("arm_left_7_link",))
     own = replace(alone, chains=chains).highlighted

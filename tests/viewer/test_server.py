@@ -24,20 +24,20 @@ from calib_pin.cli import main
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.shapes import Shape, Surface
 from calib_pin.measurement_models.position import Position
 from calib_pin.report.surroundings import Thing
 from calib_pin.validation.evaluation import prepared
-from calib_pin.viewer.controls import Controls
-from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.panel import (
     MAGNIFICATIONS,
+    Controls,
     Joints,
     Player,
     add_panel,
     save_picture,
 )
-from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, tip_paths
+from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, stage_errors, tip_paths
 from calib_pin.viewer.stage import Stage, lines
 
 pytestmark = pytest.mark.needs("view")
@@ -163,7 +163,8 @@ def bare() -> Scene:
     """A robot and nothing else."""
     robot = load_robot("space6")
     shapes = robot_shapes(robot).parts
-    return Scene("arm", shapes, tuple(bodies_of(robot, robot.root, None)))
+    bodies = tuple(bodies_of(robot, robot.root, None))
+    return Scene("arm", shapes, bodies, Chains(robot, names=()))
 
 
 @pytest.fixture(scope="module")
@@ -391,8 +392,7 @@ def test_one_slider_magnifies_vectors_and_links(scene, viser_server):
     links = scene.bodies[0].skeleton.links
     tip, base = links.index(scene.shapes[-1].link), links.index("panda_link0")
     # What a link carries moves with it.
-    assert stage.things is not None
-    carried = stage.things.frames["/things", board.link].position
+    carried = stage.things.frames[tip].position
     placed = {1.0: corrected.placements[tip, :3, 3]}
     np.testing.assert_allclose(carried, placed[1.0], atol=1e-6)
     for factor in (0.0, 1.0, 5.0):
@@ -409,6 +409,6 @@ def test_one_slider_magnifies_vectors_and_links(scene, viser_server):
     vectors = drawn[:, 1] - drawn[:, 0]
     np.testing.assert_allclose(vectors, 5.0 * errors.vectors, atol=1e-6)
     # What is in one place is drawn once.
-    assert not ghost.shown[base] and ghost.shown[tip]
+    assert not ghost.frames[base].visible and ghost.frames[tip].visible
     stage.magnify(0.0)
-    assert not any(ghost.shown.values())
+    assert not any(frame.visible for frame in ghost.frames.values())

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 FLAGS = ("base", "tip", "model", "parameters", "solver", "loss", "learned")
-"""What flags state in place of a setup file."""
+"""Settings that flags may state in place of a setup file."""
 
 
 def open_setup(file: Path | None, **flags: Any) -> Setup:

@@ -46,6 +46,7 @@ from calib_pin.validation.findings.orientations import orientations
 from calib_pin.validation.findings.outliers import outliers
 from calib_pin.validation.findings.plausibility import plausibility
 from calib_pin.validation.findings.population import population
+from calib_pin.validation.findings.rehomed import rehomed
 from calib_pin.validation.findings.repetitions import repetitions
 from calib_pin.validation.findings.ripple import ripples
 from calib_pin.validation.findings.robot import robots
@@ -93,6 +94,10 @@ FACTS: tuple[Kind, ...] = (
     modeled_warm_up,
 )
 """Faults in every fit that the measurements show whatever else is wrong."""
+
+CLEARER = 0.8
+"""Part of the errors that moved frames leave, below which another zero is the cause: of
+the first joint and the last one frames explain as much."""
 
 
 @dataclass(frozen=True)
@@ -184,7 +189,11 @@ def _sought(case: Case) -> tuple[Finding, ...]:
     if sure is not None:
         # A nominal robot that is read wrong makes plateaus of its own.
         return tuple(finding(case, sure))
-    in_time = _told(move_findings, case) or _told(drift, case)
+    in_time = _told(move_findings, case)
+    turned = _told(rehomed, case)
+    if turned and _left(turned) < CLEARER * _left(in_time):
+        in_time = turned
+    in_time = in_time or _told(drift, case)
     causes = tuple(found for found in in_time if found.severity == "error")
     if case.doubtful and not _explained(case, causes):
         explanation = _tried(lambda case: explain(case, EXPLANATIONS), case)

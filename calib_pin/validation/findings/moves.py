@@ -56,6 +56,7 @@ class MoveOptions:
         moves: Most moves that are sought.
         tried: Most frames that are tried for each of them.
         rounds: Most corrections of the place of each of them.
+        seen: Part of what a change does that the fit cannot do, below which it is none.
         unknowns: Most parameters of a job that is looked at.
     """
 
@@ -74,6 +75,7 @@ class MoveOptions:
     moves: int = 10
     tried: int = 3
     rounds: int = 4
+    seen: float = 1e-4
     unknowns: int = 500
 
 
@@ -116,7 +118,7 @@ class Trial(QuickFit):
             has = np.array([block.key in keys for block in data.blocks])
             rows = np.flatnonzero(has[data.block_of])
             rows = rows[np.argsort(self.rank[rows])]
-            allowed = _allowed(groups[rows])
+            allowed = divisible(groups[rows])
             if allowed.any():
                 gain = np.where(allowed, self._gains(Q, r, own, rows), 0.0)
                 best = int(np.argmax(gain))
@@ -223,7 +225,7 @@ class Trial(QuickFit):
         # Those before a place have the old frame, the others the new one.
         old, new = squares[:, mine]
         total = np.cumsum(old) - old + np.cumsum(new[::-1])[::-1]
-        allowed = _allowed(job.data.groups()[mine])
+        allowed = divisible(job.data.groups()[mine])
         if not allowed.any():
             return move.rank
         return int(job.rank[mine[np.argmin(np.where(allowed, total, np.inf))]])
@@ -326,7 +328,7 @@ def _settled(plain: Problem, job: Job, moves: tuple[Move, ...]) -> Iterator[Tria
         return
 
 
-def _allowed(labels: Indices) -> NDArray[np.bool_]:
+def divisible(labels: Indices) -> NDArray[np.bool_]:
     """Whether there are enough configurations before each measurement and from it on.
 
     Args:

@@ -69,6 +69,21 @@ def _warming(
     return given(job, replace(rows, q=q), told(rows.joints[joint]))
 
 
+def _rehomed(
+    job: Job, rows: Measurements, rng: np.random.Generator, size: float
+) -> Input:
+    """The zero of a joint is another one from some measurement on."""
+    joint, q = int(rng.integers(1, 4)), rows.q.copy()
+    first = int(rng.integers(len(rows) // 3, 2 * len(rows) // 3))
+    q[first:, joint] += size
+
+    def right(finding: Finding) -> bool:
+        near = abs(int(finding.evidence["line"]) - line(first)) <= 2
+        return near and finding.evidence["joint"] == rows.joints[joint]
+
+    return given(job, replace(rows, q=q), right)
+
+
 def _single(
     job: Job, rows: Measurements, rng: np.random.Generator, size: float, count: int = 1
 ) -> Input:
@@ -219,6 +234,13 @@ DEFECTS = (
         FREE[:3],
         ("robot-drift",),
         _warming,
+    ),
+    Defect(
+        "rehomed",
+        {"1 mrad": 1e-3, "0.5 deg": 0.0087, "3 deg": 0.052},
+        FREE[:3],
+        ("joint-rehomed",),
+        _rehomed,
     ),
     Defect(
         "outlier",

@@ -391,6 +391,7 @@ ELSEWHERE = {
     "gauge-sign": "test_gauge_readings",
     "instrument-moved": "test_moves",
     "tool-remounted": "test_moves",
+    "joint-rehomed": "test_rehomed",
     "instrument-drift": "test_drift",
     "robot-drift": "test_drift",
     "target": "test_targets",

@@ -1,0 +1,148 @@
+"""Joints whose zero is another one from some measurement on.
+
+A servo that was homed again, a motor that was changed, a belt that jumped a tooth: all
+that follows stands a constant angle elsewhere. Every joint and every place in the files
+is tried, to first order, all places together by sums from the end. The best one is
+fitted with the robot, and must leave far less than smooth errors of the same joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.problem import EXACT
+from calib_pin.estimation.statistics.distributions import f_tail
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Observations
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.moves import OPTIONS, divisible
+from calib_pin.validation.findings.quick_fit import QuickFit
+
+STEPS = 6
+"""Most steps in which the size of a change is found."""
+
+SETTLED = 0.1
+"""Change of the size, in its standard deviations, after which no more are taken."""
+
+
+def rehomed(case: Case) -> Iterator[Finding]:
+    """The joint whose zero has changed during the measurements, if there is one."""
+    data = case.fit.problem.data
+    if any(block.start.size for block in data.blocks) or case.fit.rms < EXACT:
+        return
+    # What the fit has set aside may be all that follows.
+    data = data.weighted(np.ones(len(data)))
+    problem = replace(case.fit.problem, data=data, units=np.zeros(0))
+    seen = QuickFit(problem, case.fit.theta, whole=case.informed)
+    found = _likeliest(seen, case)
+    if found is None:
+        return
+    joint, rank = found
+    behind = case.rank >= rank
+    first = fit = QuickFit.of(problem)
+    size, row = 0.0, problem.layout.row
+    for _ in range(STEPS):
+        score = fit.score((fit.by_joints[:, joint] * behind[row])[:, None])
+        size += float(score.values[0])
+        fit = QuickFit.of(replace(problem, data=_shifted(data, joint, behind, size)))
+        if abs(score.values[0]) < SETTLED * score.deviations[0]:
+            break
+    q, time = data.q[row, joint], case.rank[row] / len(case.data)
+    shapes = np.stack([time, time**2, q, np.sin(q), np.cos(q)], axis=1)
+    smooth = first.score(first.by_joints[:, [joint]] * shapes).left
+    if not fit.rms < np.sqrt(min(1.0, smooth)) * first.rms * OPTIONS.left:
+        return
+    name = data.joints[joint]
+    turns = dict(zip(case.chains.joints, case.chains.revolute, strict=True))[name]
+    shown = f"{np.degrees(abs(size)):.2g} deg" if turns else f"{1e3 * abs(size):.2g} mm"
+    place = _place(case, fit, joint, rank, size)
+    at = case.data.in_order[place]
+    file, line = case.data.files[at], int(case.data.lines[at])
+    where = f"line {line} of {file}" if file else f"measurement {place + 1}"
+    yield Finding(
+        "joint-rehomed",
+        "error",
+        f"the zero of joint '{name}' changed by {shown} at {where}",
+        {
+            "joint": name,
+            "file": file,
+            "line": line,
+            "offset": size,
+            "rms_before": first.errors,
+            "rms_after": fit.errors,
+        },
+        "measure anew, or calibrate what was measured before and behind apart",
+        figure="residuals-over-order",
+    )
+
+
+def _likeliest(fit: QuickFit, case: Case) -> tuple[int, int] | None:
+    """The joint and the rank from which another zero explains most; None for chance."""
+    Q, r = fit.unexplained
+    row, total = fit.problem.layout.row, float(r @ r)
+    order = np.argsort(case.rank[row], kind="stable")
+    ranks = case.rank[row][order]
+    starts = np.flatnonzero(np.diff(ranks, prepend=-1))
+    within = divisible(fit.problem.data.groups()[np.argsort(case.rank)])
+    Q, r, every = Q[: len(row)][order], r[: len(row)][order], fit.by_joints[order]
+    best = (0.0, 0, 0)
+    for joint, x in enumerate(every.T):
+        squares = _behind(x**2)
+        norms = squares - np.sum(_behind(x[:, None] * Q) ** 2, axis=1)
+        # What the fit can do already leaves rounding.
+        told = norms > OPTIONS.seen * squares.max(initial=1e-300)
+        gains = _behind(x * r) ** 2 / np.where(told, norms, np.inf)
+        gains = np.where(within, gains[starts], 0.0)
+        k = int(np.argmax(gains))
+        best = max(best, (float(gains[k]), joint, int(ranks[starts[k]])))
+    left, dof = 1.0 - best[0] / max(total, 1e-300), fit.left - 2
+    if dof < 1 or left > OPTIONS.looked_at**2:
+        return None
+    F, tried = dof * (1.0 / max(left, 1e-12) - 1.0), every.shape[1] * len(starts)
+    return best[1:] if f_tail(F, 1, dof) * tried < OPTIONS.chance else None
+
+
+def _behind(values: Floats) -> Floats:
+    """Sums of each value and all behind it."""
+    return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])
+
+
+def _shifted(
+    data: Observations, joint: int, behind: NDArray[np.bool_], size: float
+) -> Observations:
+    """Measurements whose joint stands elsewhere in some of them, shape (N,)."""
+    q = data.q.copy()
+    q[behind, joint] += size
+    pairs = zip(data.blocks, data.slices, strict=True)
+    return Observations(tuple(replace(block, q=q[rows]) for block, rows in pairs))
+
+
+def _place(case: Case, fit: QuickFit, joint: int, rank: int, size: float) -> int:
+    """The place of the first measurement with another zero, in the order of the files.
+
+    It may be one that was not looked at.
+
+    Args:
+        case: The case.
+        fit: The fit of those that were, with the change.
+        joint: The joint.
+        rank: The first of these.
+        size: The change [rad, m].
+    """
+    order = case.data.in_order
+    before = int(case.rank[case.rank < rank].max(initial=0))
+    some = np.sort(order[before : rank + 1])
+    data, squares = case.data.rows(some), []
+    for behind in (np.zeros(len(some), bool), np.ones(len(some), bool)):
+        there = replace(fit.problem, data=_shifted(data, joint, behind, size))
+        r = there.residual(fit.theta)[: len(there.layout.row)]
+        squares.append(np.bincount(there.layout.row, r**2, len(some)).astype(float))
+    # In the order of the files: those before a place have the old zero.
+    old, new = (s[np.argsort(np.argsort(order)[some])] for s in squares)
+    total = np.cumsum(old) - old + _behind(new)
+    return before + int(np.argmin(total))

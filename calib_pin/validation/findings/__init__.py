@@ -185,12 +185,12 @@ def _sought(case: Case) -> tuple[Finding, ...]:
     if better:
         # What one column lags behind another is no lag of its joint.
         return (min(better, key=lambda found: _left([found])),)
+    turned = _told(rehomed, case)
     sure = _tried(joint_motion, case) or _tried(joint_offset, case)
-    if sure is not None:
+    if sure is not None and not _left(turned) < CLEARER * sure.after:
         # A nominal robot that is read wrong makes plateaus of its own.
         return tuple(finding(case, sure))
     in_time = _told(move_findings, case)
-    turned = _told(rehomed, case)
     if turned and _left(turned) < CLEARER * _left(in_time):
         in_time = turned
     in_time = in_time or _told(drift, case)

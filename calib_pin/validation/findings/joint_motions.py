@@ -205,7 +205,7 @@ def joint_motion(case: Case) -> Explanation | None:
         if not abs(part) < LARGEST:
             return None
         data = read_so(case.data, [motion.hypothesis(case, part)]).rows(columns.index)
-        before, fit = fit, _refitted(fit, data)
+        before, fit = fit, refitted(fit, data)
         still = fit.rms > STILL * before.rms
         if still and abs(score.values[0]) < SETTLED * score.deviations[0]:
             break
@@ -225,7 +225,7 @@ def joint_motion(case: Case) -> Explanation | None:
     )
 
 
-def _refitted(fit: QuickFit, data: Observations) -> QuickFit:
+def refitted(fit: QuickFit, data: Observations) -> QuickFit:
     """A fit to the same measurements, read otherwise: one more step."""
     fit = replace(fit, problem=replace(fit.problem, data=data))
     parameters, (A, b) = fit.problem.parameters, fit.system

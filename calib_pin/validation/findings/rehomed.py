@@ -3,7 +3,7 @@
 A servo that was homed again, a motor that was changed, a belt that jumped a tooth: all
 that follows stands a constant angle elsewhere. Every joint and every place in the files
 is tried, to first order, all places together by sums from the end. The best one is
-fitted with the robot, and must leave far less than smooth errors of the same joint.
+fitted with the robot, and must leave less than smooth errors of all joints do.
 """
 
 from __future__ import annotations
@@ -20,11 +20,20 @@ from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.hypotheses import FITTED
+from calib_pin.validation.findings.joint_motions import refitted
 from calib_pin.validation.findings.moves import OPTIONS, divisible
 from calib_pin.validation.findings.quick_fit import QuickFit
 
 STEPS = 6
-"""Most steps in which the size of a change is found."""
+"""Most steps in which the size of a change, and the robot, are found."""
+
+CLEARER = 0.95
+"""Part of what smooth errors of joints leave that it leaves at most."""
+
+WAYS, FEW = 5, 1.0 / 3.0
+"""Shapes of a smooth error, and the part of the redundant values up to which those of
+all joints are tried together."""
 
 SETTLED = 0.1
 """Change of the size, in its standard deviations, after which no more are taken."""
@@ -38,24 +47,23 @@ def rehomed(case: Case) -> Iterator[Finding]:
     # What the fit has set aside may be all that follows.
     data = data.weighted(np.ones(len(data)))
     problem = replace(case.fit.problem, data=data, units=np.zeros(0))
-    seen = QuickFit(problem, case.fit.theta, whole=case.informed)
+    seen = QuickFit(problem, case.fit.theta, whole=True)
     found = _likeliest(seen, case)
     if found is None:
         return
     joint, rank = found
     behind = case.rank >= rank
-    first = fit = QuickFit.of(problem)
-    size, row = 0.0, problem.layout.row
+    first = seen
+    for _ in range(STEPS if case.fit.problem.data.weight.min() == 0.0 else 0):
+        first = refitted(first, data)
+    fit, size, row = first, 0.0, problem.layout.row
     for _ in range(STEPS):
         score = fit.score((fit.by_joints[:, joint] * behind[row])[:, None])
         size += float(score.values[0])
-        fit = QuickFit.of(replace(problem, data=_shifted(data, joint, behind, size)))
+        fit = refitted(fit, _shifted(data, joint, behind, size))
         if abs(score.values[0]) < SETTLED * score.deviations[0]:
             break
-    q, time = data.q[row, joint], case.rank[row] / len(case.data)
-    shapes = np.stack([time, time**2, q, np.sin(q), np.cos(q)], axis=1)
-    smooth = first.score(first.by_joints[:, [joint]] * shapes).left
-    if not fit.rms < np.sqrt(min(1.0, smooth)) * first.rms * OPTIONS.left:
+    if not fit.rms < min(CLEARER * _smoothed(first, case, joint), first.rms):
         return
     name = data.joints[joint]
     turns = dict(zip(case.chains.joints, case.chains.revolute, strict=True))[name]
@@ -66,7 +74,7 @@ def rehomed(case: Case) -> Iterator[Finding]:
     where = f"line {line} of {file}" if file else f"measurement {place + 1}"
     yield Finding(
         "joint-rehomed",
-        "error",
+        "error" if fit.rms < FITTED * first.rms else "warning",
         f"the zero of joint '{name}' changed by {shown} at {where}",
         {
             "joint": name,
@@ -79,6 +87,23 @@ def rehomed(case: Case) -> Iterator[Finding]:
         "measure anew, or calibrate what was measured before and behind apart",
         figure="residuals-over-order",
     )
+
+
+def _smoothed(fit: QuickFit, case: Case, joint: int) -> float:
+    """Errors that smooth errors of joints in time and place leave, as `rms`.
+
+    Of all joints, or of the one that is meant where there are few measurements.
+    """
+    row, data = fit.problem.layout.row, fit.problem.data
+    few = WAYS * data.q.shape[1] > FEW * fit.left
+    own = [joint] if few else slice(None)
+    q, time = data.q[row][:, own], (case.rank / len(case.data))[row, None]
+    shapes = (time, time**2, q, np.sin(q), np.cos(q))
+    columns = np.hstack([fit.by_joints[:, own] * shape for shape in shapes])
+    left = fit.left - columns.shape[1]
+    if left < 1:
+        return 0.0
+    return fit.rms * float(np.sqrt(fit.score(columns).left * fit.left / left))
 
 
 def _likeliest(fit: QuickFit, case: Case) -> tuple[int, int] | None:
@@ -101,7 +126,7 @@ def _likeliest(fit: QuickFit, case: Case) -> tuple[int, int] | None:
         k = int(np.argmax(gains))
         best = max(best, (float(gains[k]), joint, int(ranks[starts[k]])))
     left, dof = 1.0 - best[0] / max(total, 1e-300), fit.left - 2
-    if dof < 1 or left > OPTIONS.looked_at**2:
+    if dof < 1:
         return None
     F, tried = dof * (1.0 / max(left, 1e-12) - 1.0), every.shape[1] * len(starts)
     return best[1:] if f_tail(F, 1, dof) * tried < OPTIONS.chance else None

@@ -1,20 +1,19 @@
-"""Chains whose offsets along parallel axes are absurd, and cancel.
+"""Chains whose offsets along their axes are absurd, and cancel.
 
-Between axes that are nearly parallel nobody can tell where the offset along them is,
-and vendors who fit all DH parameters have ended with 300 m in one joint and -300 m in
-the next: the robot is right, its frames are somewhere. Errors of their placements would
-then be levers of that length.
+Nobody can tell where on its axis the frame of a joint stands, and between axes that are
+nearly parallel vendors who fit all DH parameters have ended with 300 m in one joint and
+-300 m in the next: the robot is right, its frames are somewhere. Errors of their
+placements would then be levers of that length.
 
 A joint's frame may slide along its own axis without changing the robot, if what hangs
 on it goes the other way: a translation along an axis commutes with the rotation about
-it. All but the last of such joints are put at the foot of the perpendicular from the
-frame before them; the last one takes what remains. Links without a joint, as the tip,
-stay where they are.
+it. Those that are far off are put at the foot of the perpendicular from the frame
+before them; the next one takes what remains. Links without a joint, as the tip, stay
+where they are.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
@@ -31,19 +30,13 @@ TURNING = ("revolute", "continuous")
 INSIDE = ("visual", "collision", "inertial")
 """Elements of a link that have an origin."""
 
-PARALLEL = 0.05
-"""Largest angle between axes that are nearly parallel [rad]; factories are off by 0.002
-and designers by more than this."""
-
-LEAST = 1.0
-"""Least offset that is absurd [m], where it is also `TIMES` the way from joint to joint
-that remains without it."""
-
-TIMES = 2.0
+LEAST, TIMES = 1.0, 3.0
+"""Least slide that is made [m], and times the way from joint to joint that must remain
+without them."""
 
 
 def straightened(robot: Robot) -> Robot:
-    """The same robot without offsets along parallel axes that are absurd and cancel.
+    """The same robot without offsets along axes that are absurd and cancel.
 
     Args:
         robot: The robot.
@@ -65,8 +58,8 @@ def straightened(robot: Robot) -> Robot:
         return robot
     origins = (document.origin(joints[name]).translation for name in slides)
     remark = (
-        f"offsets of up to {max(map(np.linalg.norm, origins)):.3g} m along parallel "
-        "axes cancel: straightened, by moving the frames of joints "
+        f"offsets of up to {max(map(np.linalg.norm, origins)):.3g} m along axes "
+        "cancel: straightened, by moving the frames of joints "
         f"{enumerated(map(repr, slides))} along their axes; the forward kinematics are "
         "the same, and the corrected URDF has these frames"
     )
@@ -85,35 +78,53 @@ def straight_source(source: bytes) -> bytes:
 
 
 def _slides(document: urdf_tree.Document) -> dict[str, Floats]:
-    """The slide of each joint that is to be moved, in its own frame, shape (3,) [m]."""
-    every = document.named("joint").items()
-    joints = {name: j for name, j in every if j.attributes["type"] in TURNING}
-    places = {name: document.origin(joint) for name, joint in joints.items()}
-    axes = {name: document.axis(joint) for name, joint in joints.items()}
+    """The slide of each joint that is to be moved, in its own frame, shape (3,) [m].
+
+    Those joints move that must, for the sum of the squares of all offsets to be least.
+    """
+    # What is mounted on a link stays where it is, however far its frame goes.
+    every = document.named("joint")
+    parents = {joint.link("parent") for joint in every.values()}
+    joints = {
+        name: joint
+        for name, joint in every.items()
+        if joint.attributes["type"] != "fixed" or joint.link("child") in parents
+    }
+    turning = {
+        name: joint
+        for name, joint in joints.items()
+        if joint.attributes["type"] in TURNING and joint.link("child") in parents
+    }
+    axes = {name: document.axis(joint) for name, joint in turning.items()}
     axes = {name: np.asarray(a / np.linalg.norm(a)) for name, a in axes.items()}
-    above = {joint.link("child"): name for name, joint in joints.items()}
-    behind = defaultdict[str, list[str]](list)
-    for name, joint in joints.items():
-        if parent := above.get(joint.link("parent")):
-            sine = np.cross(places[name].rotation @ axes[name], axes[parent])
-            if np.linalg.norm(sine) < PARALLEL:
-                behind[parent].append(name)
+    column = {name: k for k, name in enumerate(turning)}
+    above = {joint.link("child"): name for name, joint in turning.items()}
+    offsets, A = np.zeros((len(joints), 3)), np.zeros((len(joints), 3, len(turning)))
+    for k, (name, joint) in enumerate(joints.items()):
+        place, parent = document.origin(joint), above.get(joint.link("parent"))
+        offsets[k] = place.translation
+        if name in turning:
+            A[k, :, column[name]] = place.rotation @ axes[name]
+        if parent is not None:
+            A[k, :, column[parent]] -= axes[parent]
+    slides = np.linalg.lstsq(A.reshape(-1, len(turning)), -offsets.reshape(-1))[0]
+    ways = [np.linalg.norm(o, axis=1).sum() for o in (offsets, offsets + A @ slides)]
+    if ways[0] <= TIMES * ways[1]:
+        return {}
     found = dict[str, Floats]()
-    for first in behind.keys() - {name for names in behind.values() for name in names}:
-        # From the first joint on parallel axes on, with how far its frame has moved.
-        slides, pending, worst, way = {}, [(first, np.zeros(3))], 0.0, 0.0
-        while pending:
-            name, carried = pending.pop()
-            axis = places[name].rotation @ axes[name]
-            worst = max(worst, abs(places[name].translation @ axis))
-            offset = places[name].translation - carried
-            if name in behind:
-                slides[name] = -(offset @ axis) * axes[name]
-                offset = offset - (offset @ axis) * axis
-                pending += [(other, slides[name]) for other in behind[name]]
-            way += float(np.linalg.norm(offset))
-        found |= slides if worst > max(LEAST, TIMES * way) else {}
-    return {name: found[name] for name in joints if name in found}
+
+    def slide(name: str | None) -> Floats:
+        """To the foot of the perpendicular from the frame before, if at all."""
+        if name is None or abs(slides[column[name]]) <= LEAST:
+            return np.zeros(3)
+        if name not in found:
+            joint, place = turning[name], document.origin(turning[name])
+            offset = place.translation - slide(above.get(joint.link("parent")))
+            axis = place.rotation @ axes[name]
+            found[name] = np.asarray(-(offset @ axis) * axes[name])
+        return found[name]
+
+    return {name: slide(name) for name in turning if slide(name).any()}
 
 
 def _moved(

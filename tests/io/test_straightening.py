@@ -1,4 +1,4 @@
-"""Offsets along parallel axes that cancel: the same robot, in frames that fit it."""
+"""Offsets along axes that cancel: the same robot, in frames that fit it."""
 
 from __future__ import annotations
 
@@ -67,6 +67,18 @@ def arm(slides: Mapping[str, float], **about: Mapping[int, str]) -> Robot:
 
 def lengths(robot: Robot) -> list[float]:
     return [float(np.linalg.norm(m.translation)) for m in robot.model.jointPlacements]
+
+
+def test_the_axis_behind_need_not_be_parallel() -> None:
+    """The last of parallel axes, and the first one: what crosses them is far as well."""
+    for slides in ({"wrist_1": 67.0}, {"shoulder": -40.0}, {"wrist_2": 12.0}):
+        wild = arm(slides)
+        found = straightened(wild)
+        assert max(lengths(wild)) > 10.0 and max(lengths(found)) < 0.7
+        chains = [Chain(robot, tip="link6") for robot in (wild, found)]
+        q = chains[0].random_configurations(5, np.random.default_rng(0))
+        old, new = (chain.poses(q) for chain in chains)
+        assert np.abs(old - new).max() < 1e-11
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -70,7 +70,7 @@ def lengths(robot: Robot) -> list[float]:
 
 
 def test_the_axis_behind_need_not_be_parallel() -> None:
-    """The last of parallel axes, and the first one: what crosses them is far as well."""
+    """Of the last of parallel axes, and of the first one."""
     for slides in ({"wrist_1": 67.0}, {"shoulder": -40.0}, {"wrist_2": 12.0}):
         wild = arm(slides)
         found = straightened(wild)

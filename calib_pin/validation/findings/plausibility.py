@@ -23,6 +23,7 @@ from calib_pin.estimation.directions import projected
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.nominal import growth
+from calib_pin.estimation.problem import tool_points
 from calib_pin.estimation.statistics.systematic import sampled
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
@@ -66,6 +67,8 @@ class PlausibilityOptions:
             few configurations, had moved joints by 22 to 46 expected sizes, they grew
             1.6 to 3.3 times.
         measurements: Measurements that are looked at; more do not make it clearer.
+        hidden: By what factor the movement of tool points by another scale may exceed
+            the errors of the nominal robot, whose frames absorb a part of it.
     """
 
     largest_growth: float = 0.0075
@@ -75,6 +78,7 @@ class PlausibilityOptions:
     implausible: float = 25.0
     bought: float = 4.0
     measurements: int = 600
+    hidden: float = 10.0
 
 
 OPTIONS = PlausibilityOptions()
@@ -95,7 +99,7 @@ def plausibility(case: Case) -> tuple[Finding, ...]:
     if not robot.any() or fitted.dof <= 0 or not np.isfinite(fitted.theta).all():
         return ()
     linear = _Linear.of(fitted)
-    grown = tuple(_scale(fitted, linear))
+    grown = tuple(_scale(case, fitted, linear))
     return (
         # One wrong distance among several stretches the robot, too.
         *contradicted(fitted, case.fit.errors),
@@ -195,7 +199,7 @@ class _Linear:
         return self.beside[0] + float(np.sum((self.y - self.s * (self.V.T @ x)) ** 2))
 
 
-def _scale(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
+def _scale(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     """All lengths longer or shorter by one factor, which no robot is."""
     if not fitted.structure.scaled:
         return  # Nothing tells the scale, which is worse and said elsewhere.
@@ -203,6 +207,10 @@ def _scale(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     # The derivative is that of the lengths found, which have grown already.
     part = s / (1.0 - s)
     if abs(s) < max(OPTIONS.doubtful_growth, OPTIONS.significant * deviation):
+        return
+    # Lengths that are so wrong would show in the errors of the nominal robot.
+    spread = max(float(np.linalg.norm(np.std(p, axis=0))) for p in _points(fitted))
+    if abs(s) * spread > OPTIONS.hidden * case.errors_nominal * LENGTH_SCALE:
         return
     longer = "longer" if part > 0.0 else "shorter"
     yield Finding(
@@ -213,6 +221,14 @@ def _scale(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
         {"scale": part, "sigma": deviation, "size": size},
         f"check {_yardstick(fitted)}",
     )
+
+
+def _points(fitted: Fit) -> list[Floats]:
+    """Tool points of every block of measurements, shape (N, 3)."""
+    problem = replace(
+        fitted.problem, data=sampled(fitted.problem, OPTIONS.measurements)
+    )
+    return tool_points(problem, fitted.theta)
 
 
 def _yardstick(fitted: Fit) -> str:

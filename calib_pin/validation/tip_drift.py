@@ -78,7 +78,16 @@ def tip_drift(
     q = first.chain.random_configurations(SAMPLES, np.random.default_rng(seed))
     same = first.setup.payloads == second.setup.payloads
     payload = next(iter(first.setup.payloads), "") if same else NOTHING
-    A, B = (_tools(model, first, q, payload) for model in (first, second))
+    carried = first.error.tool
+
+    def tools(model: CalibratedChain) -> Floats:
+        """Poses of the first robot's tool in the base link, shape (N, 4, 4)."""
+        loaded = replace(model, error=model.error.carrying(payload))
+        exchanged = (loaded.error.tool.inverse() * carried).homogeneous
+        base = loaded.error.base.homogeneous
+        return np.asarray(invert(base) @ loaded.poses(q) @ exchanged)
+
+    A, B = tools(first), tools(second)
     B = absorbed(A, B, left=base, right=tool)
     ends = (("base", base), ("tool", tool))
     return TipDrift(
@@ -130,16 +139,6 @@ def absorbing(
         if np.abs(step).max() < 1e-10:
             break
     return B, L, R_
-
-
-def _tools(
-    model: CalibratedChain, carrier: CalibratedChain, q: Floats, payload: str
-) -> Floats:
-    """Tool poses in the base link with the tool of another robot, (N, 4, 4)."""
-    loaded = replace(model, error=model.error.carrying(payload))
-    base, tool = loaded.error.base, loaded.error.tool
-    exchanged = (tool.inverse() * carrier.error.tool).homogeneous
-    return np.asarray(invert(base.homogeneous) @ loaded.poses(q) @ exchanged)
 
 
 def turns(A: Floats, B: Floats) -> Floats:

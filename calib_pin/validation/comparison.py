@@ -34,6 +34,7 @@ from calib_pin.validation.result import (
     CoupledGroup,
     ParameterEstimate,
     Printed,
+    ToolAccuracy,
     frames_of,
 )
 from calib_pin.validation.tip_drift import TipDrift, absorbing, tip_drift
@@ -206,15 +207,12 @@ class Comparison(Printed):
     @property
     def oriented(self) -> bool:
         """Whether orientations can be compared: the rows of both tell them."""
-        return all(
-            any(error.name in ORIENTED for error in record.errors)
-            for record in (self.first, self.second)
-        )
+        return self.drift.oriented
 
     @property
     def chain(self) -> str:
         """Name of the chain whose tip has drifted most, by what noise explains."""
-        return max(self.drifts, key=self.size)
+        return max(self.drifts, key=lambda name: self.drifts[name].ratio)
 
     @property
     def drift(self) -> TipDrift:
@@ -224,50 +222,19 @@ class Comparison(Printed):
     @property
     def explained(self) -> tuple[float, float] | None:
         """Drift that the noise of both explains, rms [m] and [rad]; None if unknown."""
-        return self.explained_at(self.chain)
+        return self.drift.explained
 
     @property
     def identical(self) -> bool:
         """Whether the tips are at the same places, whatever noise explains."""
-        return all(max(self._sizes(chain)) <= NEGLIGIBLE for chain in self.drifts)
+        return all(max(drift.sizes) <= NEGLIGIBLE for drift in self.drifts.values())
 
     @property
     def drifted(self) -> bool | None:
         """Whether the drift is more than noise explains; None if that is unknown."""
-        chain = self.chain
         if self.explained is None:
             return None
-        return max(self._sizes(chain)) > NEGLIGIBLE and self.size(chain) > EXPLAINED
-
-    def explained_at(self, chain: str) -> tuple[float, float] | None:
-        """The same at the tip of a chain."""
-        tips = [
-            record.accuracies[name].tip if name in record.accuracies else None
-            for record, name in (
-                (self.first, chain),
-                (self.second, partners(self.first.model, self.second.model)[chain]),
-            )
-        ]
-        alone = len(self.drifts[chain].absorbed) == 2
-        sizes = [tip.of_robot if alone else tip.rms for tip in tips if tip is not None]
-        if len(sizes) < len(tips):
-            return None
-        position, orientation = (math.hypot(*pair) for pair in zip(*sizes, strict=True))
-        return position, orientation
-
-    def size(self, chain: str) -> float:
-        """Size of a drift by what noise explains; in meters if that is unknown."""
-        sizes, noise = self._sizes(chain), self.explained_at(chain)
-        # Exact measurements explain nothing.
-        return max(
-            s / max(least, 1e-300)
-            for s, least in zip(sizes, noise or (1.0, math.inf), strict=True)
-        )
-
-    def _sizes(self, chain: str) -> tuple[float, float]:
-        """Drift at a tip [m] and, where it is known, [rad]."""
-        drift = self.drifts[chain]
-        return drift.position.rms, self.oriented * drift.orientation.rms
+        return max(self.drift.sizes) > NEGLIGIBLE and self.drift.ratio > EXPLAINED
 
 
 @serial_blas
@@ -287,11 +254,23 @@ def compare(
     chains = partners(first.model, second.model)
     if not chains:
         raise _incomparable(first, second)
+    oriented = all(
+        any(error.name in ORIENTED for error in record.errors)
+        for record in (first, second)
+    )
     drifts = {}
     for name, other in chains.items():
-        free = _free(first, chain=name) | _free(second, chain=other)
-        models = first.model.of(name), second.model.of(other)
-        drifts[name] = tip_drift(*models, base=free[0], tool=free[1], seed=seed)
+        pair = (first, name), (second, other)
+        base, tool = np.any([_free(r, chain=n) for r, n in pair], axis=0).tolist()
+        models = (record.model.of(n) for record, n in pair)
+        drift = tip_drift(*models, base=base, tool=tool, seed=seed)
+        tips = [record.accuracies.get(n, ToolAccuracy()).tip for record, n in pair]
+        noise = [t.of_robot if base and tool else t.rms for t in tips if t is not None]
+        explained = None
+        if len(noise) == len(tips):
+            position, orientation = map(math.hypot, *noise)
+            explained = position, orientation
+        drifts[name] = replace(drift, explained=explained, oriented=oriented)
     same = same_nominal(first.model, second.model)
     here, there = (_known(record) if same else [] for record in (first, second))
     differences = [
@@ -429,7 +408,7 @@ def same_nominal(first: CalibratedModel, second: CalibratedModel) -> bool:
         return True
     # Joint corrections depend on the masses as well.
     return (first.geometric and second.geometric) and all(
-        np.allclose(*map(_places, (first.of(a), second.of(b))), rtol=0.0, atol=SAME)
+        np.abs(_places(first.of(a)) - _places(second.of(b))).max() <= SAME
         for a, b in partners(first, second).items()
     )
 
@@ -502,7 +481,7 @@ def _moved(
     right = invert(R) if tool else invert(tool_of) @ there.tool.homogeneous
     # As many times more of a drift beyond noise may look like a displacement.
     known = found.explained is not None and not found.identical
-    blurred = max(found.size(found.chain), 1.0) if known else 1.0
+    blurred = max(found.drift.ratio, 1.0) if known else 1.0
     C = blurred**2 * np.sum([_covariance(*record, q) for record in records], axis=0)
     if not (base or tool):
         C = np.full((12, 12), np.nan)

@@ -30,6 +30,8 @@ class TipDrift:
         drift: Distances of the second robot's from these, shape (N,) [m].
         turn: Angles between the orientations of both, shape (N,) [rad].
         absorbed: The frames that were fitted away, of `base` and `tool`.
+        explained: What the noise of both explains, rms [m] and [rad]; None if unknown.
+        oriented: Whether the measurements tell orientations.
     """
 
     q: Floats
@@ -37,6 +39,21 @@ class TipDrift:
     drift: Floats
     turn: Floats
     absorbed: tuple[str, ...]
+    explained: tuple[float, float] | None = None
+    oriented: bool = True
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Root mean squares [m] and, where it is known, [rad]."""
+        return self.position.rms, self.oriented * self.orientation.rms
+
+    @property
+    def ratio(self) -> float:
+        """Size by what noise explains; in meters if that is unknown."""
+        noise = self.explained or (1.0, np.inf)
+        # Exact measurements explain nothing.
+        pairs = zip(self.sizes, noise, strict=True)
+        return max(size / max(least, 1e-300) for size, least in pairs)
 
     @property
     def position(self) -> Accuracy:

@@ -82,6 +82,6 @@ def test_the_tips_of_several_chains():
     assert document["tip"] == document["tips"][document["chain"]]
     for name, tip in document["tips"].items():
         assert tip["position"]["rms"] == both.drifts[name].position.rms > 1e-4
-        assert tip["position"]["explained"] == both.explained_at(name)[0]
+        assert tip["position"]["explained"] == both.drifts[name].explained[0]
         joints = len(chains[name].joints)
         assert len(tip["largest"]["configuration"]) == joints

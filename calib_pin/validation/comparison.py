@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding, PoseErrors
-from calib_pin.estimation.statistics.distributions import chi_square_tail
+from calib_pin.estimation.statistics.population_prior import chance_of
 from calib_pin.estimation.terms import FRAME
 from calib_pin.estimation.tip_accuracy import frame_motions
 from calib_pin.kinematics.chain import Chain
@@ -518,9 +518,5 @@ def _chance(twist: Floats, C: Floats) -> float:
     """Probability that noise of a covariance alone brings as large a twist."""
     if not np.isfinite(C).all():
         return float("nan")
-    squares, V = np.linalg.eigh(C)
-    seen = squares > SEEN**2 * squares.max(initial=0.0)
-    if not seen.any():
-        return float(not twist.any())
-    square = float(np.sum((V[:, seen].T @ twist) ** 2 / squares[seen]))
-    return chi_square_tail(square, int(seen.sum()))
+    least = SEEN**2 * float(np.linalg.norm(C, 2))
+    return chance_of(twist, C, least) if least else float(not twist.any())

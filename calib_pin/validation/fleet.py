@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -198,16 +198,13 @@ def fleet_columns(rows: Iterable[FleetRow]) -> dict[str, list[object]]:
         >>> list(fleet_columns([FleetRow("a")]))[-6:-2]
         ['drift_beyond', 'joint_name', 'joint_spreads', 'joint_significant']
     """
-    tables = [dict(_cells(row)) for row in rows]
-    names = tables[0] if tables else ()
-    return {name: [table[name] for table in tables] for name in names}
-
-
-def _cells(row: FleetRow) -> Iterator[tuple[str, object]]:
-    for column, value in vars(row).items():
-        parts = value._asdict() if hasattr(value, "_asdict") else {"": value}
-        for part, own in parts.items():
-            name = f"{column}_{part}" if part else column
-            unknown = isinstance(own, float) and math.isnan(own)
-            cell = " ".join(own) if isinstance(own, tuple) else own
-            yield name, "" if unknown else cell
+    found: dict[str, list[object]] = {}
+    for row in rows:
+        for column, value in vars(row).items():
+            parts = value._asdict() if hasattr(value, "_asdict") else {"": value}
+            for part, own in parts.items():
+                cell = " ".join(own) if isinstance(own, tuple) else own
+                unknown = isinstance(own, float) and math.isnan(own)
+                cells = found.setdefault(f"{column}_{part}".rstrip("_"), [])
+                cells.append("" if unknown else cell)
+    return found

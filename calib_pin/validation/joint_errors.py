@@ -106,21 +106,19 @@ def joint_errors(
         gained: Joints that have a gain as well.
     """
     columns = JointColumns.of(chains, joints)
-    count = len(columns.names)
     # A column that only moves the joint of another has no offset of its own.
-    free = np.append(
-        [j != "" for j in columns.joints], [j in gained for j in columns.joints]
-    )
-    x = np.zeros(2 * count)
+    moves = [joint != "" for joint in columns.joints]
+    free = np.array([*moves, *(joint in gained for joint in columns.joints)])
+    x = np.zeros(len(free))
     for _ in range(STEPS):
-        found = JointErrors(columns, joints, x[:count], x[count:])
-        parts = [found.equations(one) for one in fitted]
-        A, rhs = (np.concatenate(part) for part in zip(*parts, strict=True))
+        found = JointErrors(columns, joints, *np.split(x, 2))
+        parts = zip(*map(found.equations, fitted), strict=True)
+        A, rhs = (np.concatenate(part) for part in parts)
         step = np.linalg.lstsq(A[:, free], rhs, rcond=None)[0]
         x[free] += step
         if np.abs(step).max(initial=0.0) < SMALL:
             break
-    return JointErrors(columns, joints, x[:count], x[count:])
+    return JointErrors(columns, joints, *np.split(x, 2))
 
 
 def configurations(chain: Chain) -> Floats:

@@ -22,7 +22,7 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError
 from calib_pin.estimation.directions import nuisance_basis
-from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.estimation.evidence import TRUSTED, rms
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.registration import registered
@@ -516,7 +516,7 @@ def _factors(problem: Problem, noise: Sequence[NoiseSize]) -> Floats:
     found = np.ones(len(problem.layout.components))
     for k, component in enumerate(problem.layout.components):
         own = problem.given_sigma[problem.layout.of_components[k]]
-        sigma = sigmas.get(component.quantity.name, 0.0)
-        if sigma > 0.0 and len(own):
-            found[k] = max(sigma / float(np.sqrt(np.mean(own**2))), 1.0)
+        if len(own):
+            sigma = sigmas.get(component.quantity.name, 0.0)
+            found[k] = max(sigma / rms(own), 1.0)
     return found

@@ -57,7 +57,9 @@ def test_numbers(found):
 def test_what_is_unknown_is_null(found):
     (position, _) = found.second.errors
     less = replace(found.second, accuracies={}, errors=(position,))
-    document = comparison_document(replace(found, second=less, displacements=()))
+    document = comparison_document(
+        replace(compare(found.first, less), displacements=())
+    )
     assert document["drifted"] is None
     assert document["tip"]["orientation"] is None
     assert document["tip"]["position"]["explained"] is None

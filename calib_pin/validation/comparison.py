@@ -363,9 +363,10 @@ def _alone(
 
 def _alike(a: _Estimate, b: _Estimate) -> bool:
     """Whether both are of the same terms, whatever their number and order."""
-    if isinstance(a, ParameterEstimate) or isinstance(b, ParameterEstimate):
-        return getattr(a, "name", "a sum") == getattr(b, "name", "another")
-    mine, theirs = dict(a.terms), dict(b.terms)
+    mine, theirs = (
+        dict(one.terms) if isinstance(one, CoupledGroup) else {one.name: 1.0}
+        for one in (a, b)
+    )
     return mine.keys() == theirs.keys() and np.allclose(
         [*mine.values()], [theirs[name] for name in mine], 1e-6, 1e-9
     )

@@ -85,7 +85,7 @@ def _record(record: CalibrationResult) -> Json:
 
 
 def _tip(found: Comparison, chain: str) -> Json:
-    position, orientation = found.explained_at(chain) or (None, None)
+    position, orientation = found.drifts[chain].explained or (None, None)
     drift = found.drifts[chain]
     farthest = drift.farthest
     turned = {**plain(drift.orientation), "explained": orientation}

@@ -172,7 +172,7 @@ def tip_differences(found: Comparison) -> Iterator[Block]:
     """The distance of the tool points, its maximum, and what is no drift."""
     rows = []
     for chain, drift in found.drifts.items():
-        explained = found.explained_at(chain) or (math.nan, math.nan)
+        explained = drift.explained or (math.nan, math.nan)
         stages = [
             ("position", "m", drift.position, explained[0]),
             ("orientation", "rad", drift.orientation, explained[1]),

@@ -28,6 +28,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, repeat
+from typing import NamedTuple
 
 import numpy as np
 
@@ -60,8 +61,7 @@ ENDLESS = 1e6
 """Degrees of freedom of a size that is known."""
 
 
-@dataclass(frozen=True)
-class Interval:
+class Interval(NamedTuple):
     """A value with its interval.
 
     Attributes:
@@ -195,8 +195,9 @@ def acceptance(
     pose, first = ranked(group)
     called = np.arange(1, len(first) + 1) if numbers is None else numbers[first]
     cycles = cycles_in_order(pose) if cycles is None else cycles
-    frames = frames or FrameErrors(np.zeros((len(pose), 6, 0)))
-    before = np.concatenate([[-1], pose[:-1]])
+    errors = attained - commanded
+    errors = errors if angles is None else np.hstack([errors, angles])
+    frames = frames or FrameErrors(np.zeros((*errors.shape, 0)))
     visits = [np.flatnonzero(pose == k) for k in range(len(first))]
     kept = [k for k in np.argsort(called) if len(visits[k]) >= LEAST]
     if not kept:
@@ -206,26 +207,24 @@ def acceptance(
             "visits of one",
             allowed="repeated poses; 'plan --accept --cycles N' asks for them",
         )
-    rng = np.random.default_rng(0)
-    deviations = [attained[visits[k]] - commanded[visits[k]] for k in kept]
+    rng, before = np.random.default_rng(0), np.concatenate([[-1], pose[:-1]])
     poses, distances = [], []
-    for k, own in zip(kept, deviations, strict=True):
-        position, turns = frames.effects[first[k], :3], frames.effects[first[k], 3:]
-        turned = np.zeros((0, len(own))) if angles is None else angles[visits[k]].T
-        accuracy, deviating = UNTESTABLE, (UNTESTABLE,) * len(turned)
-        if not frames.fitted:
-            accuracy = mean_distance(own, rng, position, frames.dof)
-            deviating = tuple(map(mean, turned, turns, repeat(frames.dof)))
+    for k in kept:
+        own, effects = errors[visits[k]], frames.effects[first[k]]
+        means = tuple(map(mean, own.T, effects, repeat(frames.dof)))
+        place = own[:, :3]
         poses.append(
             PoseTest(
                 pose=int(called[k]),
                 visits=len(own),
-                accuracy=accuracy,
-                components=tuple(map(mean, own.T, position, repeat(frames.dof))),
-                repeatability=repeatability(own, rng),
-                angles=deviating,
-                angle_repeatability=tuple(map(three_sigma, turned)),
-                directions=_directions(own, before[visits[k]]),
+                accuracy=UNTESTABLE
+                if frames.fitted
+                else mean_distance(place, rng, effects[:3], frames.dof),
+                components=means[:3],
+                repeatability=repeatability(place, rng),
+                angles=(UNTESTABLE,) * len(means[3:]) if frames.fitted else means[3:],
+                angle_repeatability=tuple(map(three_sigma, own.T[3:])),
+                directions=_directions(place, before[visits[k]]),
             )
         )
     for k, m in combinations(kept, 2):
@@ -241,6 +240,7 @@ def acceptance(
         accuracy = mean(D - D_c, apart[0] @ effect / (D_c[0] or 1.0), frames.dof)
         pair, distance = (int(called[k]), int(called[m])), float(D_c.mean())
         distances.append(DistanceTest(pair, len(D), distance, accuracy, three_sigma(D)))
+    deviations = [errors[visits[k], :3] for k in kept]
     test = Acceptance(tuple(poses), tuple(distances), _drift(deviations))
     if not frames.fitted:
         return test
@@ -465,11 +465,7 @@ def measured(test: Acceptance) -> dict[str, tuple[list[Interval], str]]:
 
 def worst(intervals: Sequence[Interval]) -> Interval:
     """The largest value, and the largest ends: those that decide."""
-    return Interval(
-        max(i.value for i in intervals),
-        max(i.low for i in intervals),
-        max(i.high for i in intervals),
-    )
+    return Interval(*(max(ends) for ends in zip(*intervals, strict=True)))
 
 
 def told(length: float) -> str:

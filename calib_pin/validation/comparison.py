@@ -9,7 +9,7 @@ frame can absorb: with another base, another first joint is the same robot.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -18,18 +18,15 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
+from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding, PoseErrors
-from calib_pin.estimation.statistics.distributions import chi_square_tail
-from calib_pin.estimation.terms import FRAME, Term
+from calib_pin.estimation.statistics.population_prior import chance_of
+from calib_pin.estimation.terms import FRAME
 from calib_pin.estimation.tip_accuracy import frame_motions
+from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.observations import BlockKey
-from calib_pin.validation.counterparts import (
-    SAME,
-    partners,
-    require_comparable,
-    same_nominal,
-)
+from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.findings.different_robots import different_robots
 from calib_pin.validation.result import (
     CalibrationResult,
@@ -37,6 +34,7 @@ from calib_pin.validation.result import (
     CoupledGroup,
     ParameterEstimate,
     Printed,
+    ToolAccuracy,
     frames_of,
 )
 from calib_pin.validation.tip_drift import TipDrift, absorbing, tip_drift
@@ -76,6 +74,8 @@ SAMPLES = 300
 SEEN = 1e-6
 """Part of the largest deviation below which nothing is known of a direction."""
 
+SAME = 1e-9
+"""Largest difference between places of one nominal robot, or of a frame [m, rad]."""
 
 UNKNOWN = PoseErrors(math.nan, math.nan)
 """Sizes that nobody knows."""
@@ -207,15 +207,12 @@ class Comparison(Printed):
     @property
     def oriented(self) -> bool:
         """Whether orientations can be compared: the rows of both tell them."""
-        return all(
-            any(error.name in ORIENTED for error in record.errors)
-            for record in (self.first, self.second)
-        )
+        return self.drift.oriented
 
     @property
     def chain(self) -> str:
         """Name of the chain whose tip has drifted most, by what noise explains."""
-        return max(self.drifts, key=self._size)
+        return max(self.drifts, key=lambda name: self.drifts[name].ratio)
 
     @property
     def drift(self) -> TipDrift:
@@ -225,47 +222,19 @@ class Comparison(Printed):
     @property
     def explained(self) -> tuple[float, float] | None:
         """Drift that the noise of both explains, rms [m] and [rad]; None if unknown."""
-        return self.explained_at(self.chain)
+        return self.drift.explained
 
     @property
     def identical(self) -> bool:
         """Whether the tips are at the same places, whatever noise explains."""
-        return all(max(self._sizes(chain)) <= NEGLIGIBLE for chain in self.drifts)
+        return all(max(drift.sizes) <= NEGLIGIBLE for drift in self.drifts.values())
 
     @property
     def drifted(self) -> bool | None:
         """Whether the drift is more than noise explains; None if that is unknown."""
-        chain = self.chain
         if self.explained is None:
             return None
-        return max(self._sizes(chain)) > NEGLIGIBLE and self._size(chain) > EXPLAINED
-
-    def explained_at(self, chain: str) -> tuple[float, float] | None:
-        """The same at the tip of a chain."""
-        other, sizes = partners(self.first.model, self.second.model)[chain], []
-        for record, name in ((self.first, chain), (self.second, other)):
-            accuracy = record.accuracies.get(name)
-            if accuracy is None or accuracy.tip is None:
-                return None
-            alone, tip = len(self.drifts[chain].absorbed) == 2, accuracy.tip
-            sizes.append(tip.of_robot if alone else tip.rms)
-        position, orientation = (math.hypot(*pair) for pair in zip(*sizes, strict=True))
-        return position, orientation
-
-    def _sizes(self, chain: str) -> tuple[float, float]:
-        """Drift at a tip [m] and, where it is known, [rad]."""
-        drift = self.drifts[chain]
-        return drift.position.rms, self.oriented * drift.orientation.rms
-
-    def _size(self, chain: str) -> float:
-        """Size of a drift by what noise explains; in meters if that is unknown."""
-        sizes, noise = self._sizes(chain), self.explained_at(chain)
-        if noise is None:
-            return sizes[0]
-        # Exact measurements explain nothing.
-        return max(
-            s / max(least, 1e-300) for s, least in zip(sizes, noise, strict=True)
-        )
+        return max(self.drift.sizes) > NEGLIGIBLE and self.drift.ratio > EXPLAINED
 
 
 @serial_blas
@@ -282,47 +251,53 @@ def compare(
     Raises:
         InputError: If they are not of the same joints between the same links.
     """
-    require_comparable(first, second)
-    same = same_nominal(first.model, second.model)
-    drifts = {}
-    for name, other in partners(first.model, second.model).items():
-        ends = zip(unknown_ends(first, name), unknown_ends(second, other), strict=True)
-        base, tool = (any(pair) for pair in ends)
-        models = first.model.of(name), second.model.of(other)
-        drifts[name] = tip_drift(*models, base=base, tool=tool, seed=seed)
-    here, there = (
-        list(_pairs(*pair)) if same else []
-        for pair in ((first, second), (second, first))
+    chains = partners(first.model, second.model)
+    if not chains:
+        raise _incomparable(first, second)
+    oriented = all(
+        any(error.name in ORIENTED for error in record.errors)
+        for record in (first, second)
     )
+    drifts = {}
+    for name, other in chains.items():
+        pair = (first, name), (second, other)
+        base, tool = np.any([_free(r, chain=n) for r, n in pair], axis=0).tolist()
+        models = (record.model.of(n) for record, n in pair)
+        drift = tip_drift(*models, base=base, tool=tool, seed=seed)
+        tips = [record.accuracies.get(n, ToolAccuracy()).tip for record, n in pair]
+        noise = [t.of_robot if base and tool else t.rms for t in tips if t is not None]
+        explained = None
+        if len(noise) == len(tips):
+            position, orientation = map(math.hypot, *noise)
+            explained = position, orientation
+        drifts[name] = replace(drift, explained=explained, oriented=oriented)
+    same = same_nominal(first.model, second.model)
+    here, there = (_known(record) if same else [] for record in (first, second))
     differences = [
         Difference(
-            name,
+            a.expression if isinstance(a, CoupledGroup) else a.name,
             a.unit,
             a.value,
             b.value,
             max(math.hypot(a.sigma, b.sigma), RESOLUTION),
             a.terms if isinstance(a, CoupledGroup) else (),
         )
-        for name, a, b in here
-        if b is not None and a.sigma is not None and b.sigma is not None
+        for a in here
+        for b in there
+        if a.sigma is not None and b.sigma is not None and _alike(a, b)
     ]
+    mine, theirs = _alone(here, there), _alone(there, here)
     found = Comparison(
         first=first,
         second=second,
         same_nominal=same,
         differences=tuple(sorted(differences, key=lambda d: -d.significance)),
-        alone=(_alone(here), _alone(there)),
-        sums_alone=(
-            sum(b is None and isinstance(a, CoupledGroup) for _, a, b in here),
-            sum(b is None and isinstance(a, CoupledGroup) for _, a, b in there),
-        ),
+        alone=(mine[0], theirs[0]),
+        sums_alone=(mine[1], theirs[1]),
         displacements=(),
         drifts=drifts,
     )
-    blurred = 1.0
-    if found.explained is not None and not found.identical:
-        blurred = max(found._size(found.chain), 1.0)
-    return replace(found, displacements=_displacements(found, seed, blurred))
+    return replace(found, displacements=tuple(_displacements(found, seed)))
 
 
 def faults(found: Comparison) -> tuple[Finding, ...]:
@@ -368,130 +343,166 @@ def robot_groups(result: CalibrationResult) -> tuple[CoupledGroup, ...]:
 
 
 _Estimate = ParameterEstimate | CoupledGroup
-_Pair = tuple[str, _Estimate, _Estimate | None]
 
 
-def _pairs(record: CalibrationResult, other: CalibrationResult) -> Iterator[_Pair]:
-    """Known parameters and sums of a robot, and the same in another calibration.
-
-    Parameters are matched by name and sums by their terms, whatever their number.
-    """
-    theirs = {p.name: p for p in other.parameters if p.sigma is not None}
+def _known(record: CalibrationResult) -> list[_Estimate]:
+    """The parameters and sums of a robot that a calibration knows."""
     robot = robot_parameters(record)
-    for p in record.parameters:
-        if p.name in robot and p.sigma is not None:
-            yield p.name, p, theirs.get(p.name)
-    for group in robot_groups(record):
-        mine = dict(group.terms)
-        alike = (
-            partner
-            for partner in robot_groups(other)
-            for terms in [dict(partner.terms)]
-            if mine.keys() == terms.keys()
-            and np.allclose([*mine.values()], [terms[n] for n in mine], 1e-6, 1e-9)
-        )
-        yield group.expression, group, next(alike, None)
+    own = [p for p in record.parameters if p.name in robot and p.sigma is not None]
+    return [*own, *robot_groups(record)]
 
 
-def _alone(pairs: Iterable[_Pair]) -> tuple[str, ...]:
-    """Names of parameters that have no partner."""
-    known = (n for n, a, b in pairs if b is None and isinstance(a, ParameterEstimate))
-    return tuple(known)
+def _alone(
+    known: Sequence[_Estimate], others: Sequence[_Estimate]
+) -> tuple[tuple[str, ...], int]:
+    """Names of parameters, and number of sums, that are not among others."""
+    left = [a for a in known if not any(_alike(a, b) for b in others)]
+    names = tuple(p.name for p in left if isinstance(p, ParameterEstimate))
+    return names, len(left) - len(names)
 
 
-def unknown_ends(result: CalibrationResult, chain: str) -> tuple[bool, bool]:
-    """Whether something at the base, and at the tool, of a chain was estimated."""
-    base = tool = False
-    for term in result.model.terms.values():
-        if term.key.chain == chain:
-            own = term.parameters[len(term.error.screws) :]
-            free = _free(result)[term.of_instrument]
-            outer = np.array([p.outer for p in own], bool)
-            first, last = _estimated(result, term)
-            base |= first or bool((free & outer).any())
-            tool |= last or bool((free & ~outer).any())
-    return base, tool
+def _alike(a: _Estimate, b: _Estimate) -> bool:
+    """Whether both are of the same terms, whatever their number and order."""
+    mine, theirs = (
+        dict(one.terms) if isinstance(one, CoupledGroup) else {one.name: 1.0}
+        for one in (a, b)
+    )
+    return mine.keys() == theirs.keys() and np.allclose(
+        [*mine.values()], [theirs[name] for name in mine], 1e-6, 1e-9
+    )
 
 
-def _free(result: CalibrationResult) -> NDArray[np.bool_]:
-    return np.array([p.status != "fixed" for p in result.parameters])
+def partners(first: CalibratedModel, second: CalibratedModel) -> dict[str, str]:
+    """Names of the chains of one robot, and of the same chains in another."""
+    others = {(*_ends(t.error.chain).values(),): n for n, t in second.by_chain.items()}
+    return {
+        name: others[ends]
+        for name, term in first.by_chain.items()
+        if (ends := (*_ends(term.error.chain).values(),)) in others
+    }
 
 
-def _estimated(result: CalibrationResult, term: Term) -> tuple[bool, bool]:
-    """Whether the base frame, and the tool frame, of a part were estimated."""
-    free, ((_, base), (_, tool)) = _free(result), frames_of(term)
-    return bool(free[base].any()), bool(free[tool].any())
+def _ends(chain: Chain) -> dict[str, str]:
+    """The identity of a chain, its ends and its joints, in words."""
+    joints = ", ".join(
+        f"{joint} ({'turns' if revolute else 'slides'})"
+        for joint, revolute in zip(chain.joints, chain.revolute, strict=True)
+    )
+    ends = {"chain starts at": chain.base, "chain ends at": chain.tip}
+    return ends | {"joints are": joints}
 
 
-def _displacements(
-    found: Comparison, seed: int, blurred: float
-) -> tuple[Displacement, ...]:
-    """How far the frames that two calibrations have stand from where they stood.
+def _incomparable(first: CalibrationResult, second: CalibrationResult) -> InputError:
+    """Why the tips of two robots have nothing in common."""
+    mine, theirs = (_ends(record.model.of().chain) for record in (first, second))
+    what = next(what for what in mine if mine[what] != theirs[what])
+    return InputError(
+        f"cannot be compared with {first.provenance.file or 'the first'}: its {what} "
+        f"{theirs[what]}, there {mine[what]}",
+        file=second.provenance.file or None,
+    )
+
+
+def same_nominal(first: CalibratedModel, second: CalibratedModel) -> bool:
+    """Whether the nominal robots are the same, whatever else their URDFs hold."""
+    if first.chains.robot.source == second.chains.robot.source:
+        return True
+    # Joint corrections depend on the masses as well.
+    return (first.geometric and second.geometric) and all(
+        np.abs(_places(first.of(a)) - _places(second.of(b))).max() <= SAME
+        for a, b in partners(first, second).items()
+    )
+
+
+def _places(of: CalibratedChain) -> Floats:
+    """The axes of a nominal chain, and where its joints and ends are."""
+    chain = of.chain
+    poses = *chain.placements, chain.tip_placement, *chain.ends
+    return np.vstack([chain.axes, *(pose.homogeneous[:3].T for pose in poses)])
+
+
+def _free(
+    record: CalibrationResult, *, chain: str = "", key: BlockKey | None = None
+) -> NDArray[np.bool_]:
+    """Whether anything at base and tool was estimated, shape (2,).
 
     Args:
-        found: Their comparison so far.
-        seed: Seed of the configurations.
-        blurred: Drift of the robot by what noise explains, at least 1: so many times as
-            much of it may look like a displacement.
+        record: The calibration.
+        chain: A chain, of which instruments count as well.
+        key: The part of which the frames alone are asked for.
     """
-    first, second = found.first, found.second
+    free = np.array([p.status != "fixed" for p in record.parameters])
+    found = np.zeros(2, bool)
+    for term in record.model.terms.values():
+        if key == term.key or (key is None and term.key.chain == chain):
+            found |= [free[own].any() for _, own in frames_of(term)]
+        if key is None and term.key.chain == chain:
+            of, own = term.of_instrument, term.parameters[len(term.error.screws) :]
+            outer = np.array([p.outer for p in own], bool)
+            found |= [(free[of] & outer).any(), (free[of] & ~outer).any()]
+    return found
+
+
+def _displacements(found: Comparison, seed: int) -> list[Displacement]:
+    """How far the frames that two calibrations have stand from where they stood."""
+    first, second = found.first.model, found.second.model
     moved: dict[tuple[bool, str], Displacement] = {}
-    chains = partners(first.model, second.model)
-    pairs = product(first.model.terms.items(), second.model.terms.items())
-    for (mine, term), (theirs, other) in pairs:
+    chains = partners(first, second)
+    for term, other in product(first.terms.values(), second.terms.values()):
         a, b = term.frames, other.frames
         places = [(False, _owner(a.station))] * (a.station == b.station)
         places += [(True, _owner(a.tool))] * (a.tool == b.tool)
-        same = chains.get(mine.chain, mine.chain) == theirs.chain
+        same = chains.get(term.key.chain, term.key.chain) == other.key.chain
         if not same or not term.error.chain.joints or set(places) <= set(moved):
             continue
-        for one in _moved(found, mine, theirs, seed, blurred):
+        for one in _moved(found, term.key, other.key, seed):
             if (place := (one.of_tool, one.frame)) in places:
                 moved.setdefault(place, one)
     far = (d for d in moved.values() if max(d.shift, d.turn or 0.0) > SAME)
-    return tuple(sorted(far, key=lambda d: (d.of_tool, d.frame)))
-
-
-def _moved(
-    found: Comparison, mine: BlockKey, theirs: BlockKey, seed: int, blurred: float
-) -> Iterator[Displacement]:
-    """The displacements of both frames of a part of each calibration."""
-    records = (found.first, mine), (found.second, theirs)
-    term = found.first.model.terms[mine]
-    free = [_estimated(record, record.model.terms[key]) for record, key in records]
-    base, tool = (any(pair) for pair in zip(*free, strict=True))
-    rng = np.random.default_rng(seed)
-    q = term.error.chain.random_configurations(SAMPLES, rng)
-    here, there = (record.model.of(key) for record, key in records)
-    A, B = here.poses(q), there.poses(q)
-    _, L, R = absorbing(A, B, left=base, right=tool)
-    stood, tool_of = here.error.base.homogeneous, here.tool.homogeneous
-    left = invert(L) if base else there.error.base.homogeneous @ invert(stood)
-    right = invert(R) if tool else invert(tool_of) @ there.tool.homogeneous
-    C = blurred**2 * np.sum([_covariance(*record, q) for record in records], axis=0)
-    if not (base or tool):
-        C = np.full((12, 12), np.nan)
-    for k, (motion, tools) in enumerate(
-        [(invert(stood) @ left @ stood, left @ A), (right, A @ right)]
-    ):
-        twist, told = pin.log6(pin.SE3(motion)).vector, found.oriented or k == 0
-        own = C[FRAME * k : FRAME * (k + 1), FRAME * k : FRAME * (k + 1)]
-        known, steps = slice(0, 6 if told else 3), (tools - A)[:, :3, 3]
-        sigma = (np.sqrt(np.trace(C) / 3.0) for C in (own[:3, :3], own[3:, 3:]))
-        yield Displacement(
-            frame=_owner(term.frames.tool if k else term.frames.station),
-            shift=float(np.linalg.norm(motion[:3, 3])),
-            turn=float(np.linalg.norm(twist[3:])) if told else None,
-            of_tool=k == 1,
-            sigma=PoseErrors(*map(float, sigma)),
-            chance=_chance(twist[known], own[known, known]),
-            motion=float(np.sqrt(np.mean(np.sum(steps**2, axis=1)))),
-        )
+    return sorted(far, key=lambda d: (d.of_tool, d.frame))
 
 
 def _owner(scope: str) -> str:
     """The station or tool of a frame; `base` and `tool` for the only ones."""
     return scope.rpartition(".")[0]
+
+
+def _moved(
+    found: Comparison, mine: BlockKey, theirs: BlockKey, seed: int
+) -> Iterator[Displacement]:
+    """The displacements of both frames of a part of each calibration."""
+    records = (found.first, mine), (found.second, theirs)
+    here, there = (record.model.of(key) for record, key in records)
+    base, tool = np.any([_free(record, key=key) for record, key in records], axis=0)
+    q = here.chain.random_configurations(SAMPLES, np.random.default_rng(seed))
+    A, B = here.poses(q), there.poses(q)
+    _, L, R = absorbing(A, B, left=base, right=tool)
+    stood, tool_of = here.error.base.homogeneous, here.tool.homogeneous
+    left = invert(L) if base else there.error.base.homogeneous @ invert(stood)
+    right = invert(R) if tool else invert(tool_of) @ there.tool.homogeneous
+    # As many times more of a drift beyond noise may look like a displacement.
+    known = found.explained is not None and not found.identical
+    blurred = max(found.drift.ratio, 1.0) if known else 1.0
+    C = blurred**2 * np.sum([_covariance(*record, q) for record in records], axis=0)
+    if not (base or tool):
+        C = np.full((12, 12), np.nan)
+    frames = found.first.model.terms[mine].frames
+    for k, (motion, tools) in enumerate(
+        [(invert(stood) @ left @ stood, left @ A), (right, A @ right)]
+    ):
+        twist, told = pin.log6(pin.SE3(motion)).vector, found.oriented or k == 0
+        own = C[FRAME * k : FRAME * (k + 1), FRAME * k : FRAME * (k + 1)]
+        seen, steps = slice(0, 6 if told else 3), (tools - A)[:, :3, 3]
+        sigma = (np.sqrt(np.trace(C) / 3.0) for C in (own[:3, :3], own[3:, 3:]))
+        yield Displacement(
+            frame=_owner(frames.tool if k else frames.station),
+            shift=float(np.linalg.norm(motion[:3, 3])),
+            turn=float(np.linalg.norm(twist[3:])) if told else None,
+            of_tool=k == 1,
+            sigma=PoseErrors(*map(float, sigma)),
+            chance=_chance(twist[seen], own[seen, seen]),
+            motion=float(np.sqrt(np.mean(np.sum(steps**2, axis=1)))),
+        )
 
 
 def _covariance(result: CalibrationResult, key: BlockKey, q: Floats) -> Floats:
@@ -500,20 +511,13 @@ def _covariance(result: CalibrationResult, key: BlockKey, q: Floats) -> Floats:
     NaN where the calibration does not know its own.
     """
     _, J, C = result.linearized(result.reference.terms[key], q)
-    if not np.isfinite(C).all():
-        return np.full((12, 12), np.nan)
-    squares, V = np.linalg.eigh(C)
-    motions = frame_motions(J @ (V * np.sqrt(np.maximum(squares, 0.0))), J)
-    return np.asarray(motions @ motions.T)
+    motions = frame_motions(J, J)
+    return np.asarray(motions @ C @ motions.T)
 
 
 def _chance(twist: Floats, C: Floats) -> float:
     """Probability that noise of a covariance alone brings as large a twist."""
     if not np.isfinite(C).all():
         return float("nan")
-    squares, V = np.linalg.eigh(C)
-    seen = squares > SEEN**2 * squares.max(initial=0.0)
-    if not seen.any():
-        return float(not twist.any())
-    square = float(np.sum((V[:, seen].T @ twist) ** 2 / squares[seen]))
-    return chi_square_tail(square, int(seen.sum()))
+    least = SEEN**2 * float(np.linalg.norm(C, 2))
+    return chance_of(twist, C, least) if least else float(not twist.any())

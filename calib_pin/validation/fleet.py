@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -115,14 +115,12 @@ class FleetRow:
     @property
     def urgency(self) -> tuple[int, float]:
         """Small where somebody has to look at it first."""
-        if self.verdict in ORDER:
-            level = ORDER.index(self.verdict)
-        else:
-            stands_out = self.drift.beyond or self.joint.significant
-            level = len(ORDER) + (not stands_out)
+        stands_out = self.drift.beyond or self.joint.significant
+        level = (*ORDER, self.verdict).index(self.verdict)
         # Among equals the robot that is least accurate, and those of which that is
         # unknown before it.
         size = self.expected.calibrated
+        level += level == len(ORDER) and not stands_out
         return level, -math.inf if math.isnan(size) else -size
 
 
@@ -143,24 +141,23 @@ def fleet_row(
     known = [a.workspace for a in result.accuracies.values() if a.workspace]
     worst = max(known, key=lambda one: one.calibrated.position, default=None)
     sizes = (worst.nominal, worst.calibrated, worst.bound) if worst else ()
+    codes = [f.code for f in result.findings if f.severity != "info"]
     return FleetRow(
-        job=job,
-        serial_number=serial_number or about.serial_number,
-        date=date or about.date or "",
-        robot=result.model.chains.robot.name,
-        verdict=result.verdict,
-        reason=result.reason,
-        quantity=error.name,
-        unit=error.unit,
+        job,
+        serial_number or about.serial_number,
+        date or about.date or "",
+        result.model.chains.robot.name,
+        result.verdict,
+        result.reason,
+        error.name,
+        error.unit,
         fitted=len(result.fitted),
         held_out=result.validation.count,
         nominal=before.rms,
         calibrated=after.rms,
         expected=Expected(*(size.position for size in sizes)),
         outliers=len(result.statistics.outliers),
-        findings=tuple(
-            dict.fromkeys(f.code for f in result.findings if f.severity != "info")
-        ),
+        findings=tuple(dict.fromkeys(codes)),
     )
 
 
@@ -172,14 +169,10 @@ def with_drift(row: FleetRow, found: Comparison, previous: str) -> FleetRow:
         found: The comparison of the earlier calibration with its own.
         previous: Name of the earlier one.
     """
-    explained = (math.nan, math.nan) if found.explained is None else found.explained
-    codes = tuple(fault.code for fault in faults(found))
-    size = found.drift.position.rms
-    return replace(
-        row,
-        drift=Drift(previous, size, explained[0], bool(found.drifted)),
-        findings=tuple(dict.fromkeys((*row.findings, *codes))),
-    )
+    size, (explained, _) = found.drift.position.rms, found.explained or (math.nan,) * 2
+    codes = (*row.findings, *(fault.code for fault in faults(found)))
+    drift = Drift(previous, size, explained, bool(found.drifted))
+    return replace(row, drift=drift, findings=tuple(dict.fromkeys(codes)))
 
 
 def with_joint(row: FleetRow, joints: Sequence[JointDeviation]) -> FleetRow:
@@ -205,16 +198,13 @@ def fleet_columns(rows: Iterable[FleetRow]) -> dict[str, list[object]]:
         >>> list(fleet_columns([FleetRow("a")]))[-6:-2]
         ['drift_beyond', 'joint_name', 'joint_spreads', 'joint_significant']
     """
-    tables = [dict(_cells(row)) for row in rows]
-    names = tables[0] if tables else ()
-    return {name: [table[name] for table in tables] for name in names}
-
-
-def _cells(row: FleetRow) -> Iterator[tuple[str, object]]:
-    for column, value in vars(row).items():
-        parts = value._asdict() if hasattr(value, "_asdict") else {"": value}
-        for part, own in parts.items():
-            name = f"{column}_{part}" if part else column
-            unknown = isinstance(own, float) and math.isnan(own)
-            cell = " ".join(own) if isinstance(own, tuple) else own
-            yield name, "" if unknown else cell
+    found: dict[str, list[object]] = {}
+    for row in rows:
+        for column, value in vars(row).items():
+            parts = value._asdict() if hasattr(value, "_asdict") else {"": value}
+            for part, own in parts.items():
+                cell = " ".join(own) if isinstance(own, tuple) else own
+                unknown = isinstance(own, float) and math.isnan(own)
+                cells = found.setdefault(f"{column}_{part}".rstrip("_"), [])
+                cells.append("" if unknown else cell)
+    return found

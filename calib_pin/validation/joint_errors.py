@@ -106,21 +106,19 @@ def joint_errors(
         gained: Joints that have a gain as well.
     """
     columns = JointColumns.of(chains, joints)
-    count = len(columns.names)
     # A column that only moves the joint of another has no offset of its own.
-    free = np.append(
-        [j != "" for j in columns.joints], [j in gained for j in columns.joints]
-    )
-    x = np.zeros(2 * count)
+    moves = [joint != "" for joint in columns.joints]
+    free = np.array([*moves, *(joint in gained for joint in columns.joints)])
+    x = np.zeros(len(free))
     for _ in range(STEPS):
-        found = JointErrors(columns, joints, x[:count], x[count:])
-        parts = [found.equations(one) for one in fitted]
-        A, rhs = (np.concatenate(part) for part in zip(*parts, strict=True))
+        found = JointErrors(columns, joints, *np.split(x, 2))
+        parts = zip(*map(found.equations, fitted), strict=True)
+        A, rhs = (np.concatenate(part) for part in parts)
         step = np.linalg.lstsq(A[:, free], rhs, rcond=None)[0]
         x[free] += step
         if np.abs(step).max(initial=0.0) < SMALL:
             break
-    return JointErrors(columns, joints, x[:count], x[count:])
+    return JointErrors(columns, joints, *np.split(x, 2))
 
 
 def configurations(chain: Chain) -> Floats:
@@ -172,12 +170,11 @@ def encoder_steps(setup: Setup, joints: Sequence[str]) -> Mapping[str, float]:
 
 def told_reversed(columns: JointColumns) -> dict[str, str]:
     """A sentence by joint that turns back as its column goes on."""
-    factors = {j: given.sign * given.gear for j, (_, given) in columns.maps.items()}
     return {
         joint: f"{joint} is reversed: q = -{f'{-factor:g} '.removeprefix('1 ')}"
         "(reading + offset)"
-        for joint, factor in factors.items()
-        if factor < 0.0
+        for joint, (_, given) in columns.maps.items()
+        if (factor := given.sign * given.gear) < 0.0
     }
 
 
@@ -200,19 +197,17 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
         parts = [k for k, j in enumerate(joints) if row[k] and j in known]
         involved, w = [known[joints[k]] for k in parts], row[parts]
         open_ = [one.status for one in involved if one.status != "identifiable"]
-        index = [place(one.name) for one in involved]
+        index, unit = [place(one.name) for one in involved], known[joint].unit
         C = np.asarray(result.covariance)[np.ix_(index, index)]
-        unit = known[joint].unit
+        stepped = unit == "rad" and joint in steps
         found.append(
             FoundOffset(
-                joint=joint,
-                column=column,
-                unit=unit,
+                joint,
+                column,
+                unit,
                 value=float(w @ [one.value for one in involved]),
                 sigma=None if open_ else float(np.sqrt(w @ C @ w)),
-                steps=steps[joint] / (2.0 * np.pi)
-                if unit == "rad" and joint in steps
-                else None,
+                steps=steps[joint] / (2.0 * np.pi) if stepped else None,
                 status=open_[0] if open_ else "identifiable",
                 within=absorbed.get(joint, ()),
                 reverses=reverses.get(joint, ""),

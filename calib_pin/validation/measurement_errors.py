@@ -133,17 +133,15 @@ class MeasurementErrors:
         NaN for rows that have none, or cannot be predicted; None where no row has,
         since it was measured otherwise.
         """
-        found: tuple[Floats, Floats] | None = None
-        for quantity in self.quantities:
-            columns = quantity.columns
-            if quantity.unit != "m" or columns.stop - columns.start != 3:
-                continue
-            if found is None:
-                found = np.full((len(self), 3), np.nan), np.full((len(self), 3), np.nan)
-            for turned, errors in zip(found, (self.before, self.after), strict=True):
-                known = np.where(np.isfinite(errors), errors, np.nan)[:, columns]
-                for part, R in zip(self.rows.slices, self.to_base, strict=True):
-                    # Each measurement has one of the positions.
-                    own = known[part] @ R.T
-                    turned[part] = np.where(np.isnan(own), turned[part], own)
-        return found
+        lengths = [q.columns for q in self.quantities if q.unit == "m"]
+        places = [of for of in lengths if of.stop - of.start == 3]
+        if not places:
+            return None
+        R, found = self.to_base[self.rows.block_of], list[Floats]()
+        for errors in (self.before, self.after):
+            known = np.where(np.isfinite(errors), errors, np.nan)
+            own = [np.einsum("nij,nj->ni", R, known[:, columns]) for columns in places]
+            # Each measurement has one of the positions.
+            none = np.isnan(own).all(axis=0)
+            found.append(np.where(none, np.nan, np.nansum(own, axis=0)))
+        return found[0], found[1]

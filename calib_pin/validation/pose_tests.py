@@ -28,7 +28,6 @@ from calib_pin.validation.acceptance import (
     DRAWS,
     Acceptance,
     FrameErrors,
-    Interval,
     acceptance,
     cycles_in_order,
     ranked,
@@ -49,6 +48,9 @@ ELSEWHERE = "the station is not where it was at the calibration; --register fits
 MOVED = 5.0
 """Errors of a calibration, by those with another station, from which that is told."""
 
+NOW = "calibrated"
+"""The robot that is tested, of a calibration."""
+
 NEAR = 0.1
 """Part of its distance from its own pose within which a visit is at another one."""
 
@@ -68,27 +70,19 @@ class Tested:
 
     def table(self) -> dict[str, Sequence[object]]:
         """A table by robot and pose, in SI units."""
-        rows = [
-            {
-                "robot": name,
-                "pose": pose.pose,
-                "visits": pose.visits,
-                **_cells("AP", pose.accuracy),
-                **_cells("RP", pose.repeatability),
-                "vAP [m]": "" if pose.directions is None else pose.directions,
-            }
-            for name, test in self.tests.items()
-            for pose in test.poses
-        ]
-        return {key: [row[key] for row in rows] for key in rows[0]}
-
-
-def _cells(name: str, found: Interval) -> dict[str, float]:
-    return {
-        f"{name} [m]": found.value,
-        f"{name}_low [m]": found.low,
-        f"{name}_high [m]": found.high,
-    }
+        poses = [(name, pose) for name, t in self.tests.items() for pose in t.poses]
+        found: dict[str, Sequence[object]] = {
+            "robot": [name for name, _ in poses],
+            "pose": [pose.pose for _, pose in poses],
+            "visits": [pose.visits for _, pose in poses],
+        }
+        for title, of in (("AP", "accuracy"), ("RP", "repeatability")):
+            for k, end in enumerate(("", "_low", "_high")):
+                ends = [getattr(pose, of)[k] for _, pose in poses]
+                found[f"{title}{end} [m]"] = ends
+        known = (pose.directions for _, pose in poses)
+        found["vAP [m]"] = ["" if size is None else size for size in known]
+        return found
 
 
 @serial_blas
@@ -129,43 +123,43 @@ def tested(
     visits, others = rows, None
     if rows.validate.any() and not rows.validate.all():
         visits, others = rows.rows(rows.validate), rows.rows(~rows.validate)
-    order = visits.in_order
-    if len(time := visits.conditions.time):
-        order = np.lexsort((visits.lines, time, visits.files.codes))
-    group, _ = ranked(visits.groups()[order])
-    number, cycle, missing = _named(visits, order, group, named or {})
-    attained = visits.only.values[order, :3]
-    bad = bad_visits(attained, group)
-    good = ~np.isin(np.arange(len(order)), bad)
-    places = [f"{visits.source(k)} (P{p})" for k, p in zip(order, number, strict=True)]
-    doubts = [*doubts, *missing, *_misplaced(attained, number, good, places)]
-    moved = moved_after(attained[good], group[good])
+    time = visits.conditions.time if len(visits.conditions.time) else visits.lines
+    order = np.lexsort((visits.lines, time, visits.files.codes))
+    visits = Observations((visits.only.rows(order),))
+    group, _ = ranked(visits.groups())
+    number, cycle, missing = _named(visits, group, named or {})
+    x = visits.only.values[:, :3]
+    good = ~np.isin(np.arange(len(x)), bad_visits(x, group))
+    places = [f"{visits.source(k)} (P{p})" for k, p in enumerate(number)]
+    doubts = [*doubts, *missing, *_misplaced(x, number, good, places)]
+    visits, x, group = visits.rows(good), x[good], group[good]
+    moved = moved_after(x, group)
     if moved is not None:
         at = places[np.flatnonzero(good)[moved]]
         doubts += [f"the instrument was moved before {at}; test both parts alone"]
-    kept = visits.rows(np.sort(order[good]))
-    frames, fitted, how, further = _frames(robot, kept, others, setup, registration)
-    doubts += further
+    frames, fitted, how, further = _frames(robot, visits, others, setup, registration)
     tests = {}
     for name, fit in frames.items():
-        fit = fit.unknown if fitted else fit
         there = registered_on(fit.problem, fit.theta, visits)
-        errors = error_table(there.problem, there.theta)[order][good]
-        effects = derivatives(there.problem, there.theta)[order][good] @ fit.known
+        errors = error_table(there.problem, there.theta)
+        known = fit.unknown if fitted else fit.known
         test = acceptance(
-            attained[good],
-            attained[good] + errors[:, :3],
-            group[good],
+            x,
+            x + errors[:, :3],
+            group,
             -errors[:, 3:6] if errors.shape[1] > 3 else None,
             number[good],
             cycle[good],
-            FrameErrors(effects, fit.dof, fitted),
+            FrameErrors(
+                derivatives(there.problem, there.theta) @ known,
+                np.inf if fitted else fit.dof,
+                fitted,
+            ),
         )
-        tests[name] = replace(test, moved=moved is not None, doubts=tuple(doubts))
-    chains = robot if isinstance(robot, Chains) else robot.model.chains
-    about = (
-        f"{chains.robot.name}: {len(kept)} visits of {len(test.poses)} poses; {how}."
-    )
+        said = (*doubts, *further)
+        tests[name] = replace(test, moved=moved is not None, doubts=said)
+    name = (robot if isinstance(robot, Chains) else robot.model.chains).robot.name
+    about = f"{name}: {len(x)} visits of {len(test.poses)} poses; {how}."
     return Tested(tests, about)
 
 
@@ -180,40 +174,46 @@ def _frames(
 
     Registered frames come before stated ones.
     """
-    on, fitted, own = others or visits, "", "fitted to these visits"
+    on, own, doubts = visits, "fitted to these visits", list[str]()
     if others is not None:
-        own = f"registered on {len(others)} other measurements"
+        on, own = others, f"registered on {len(others)} other measurements"
     if isinstance(robot, Chains):
         fit = frames_alone(robot, on, setup)
         if others is None and np.isfinite(fit.known).all():
-            return {"robot": fit}, "", "base and tool as stated", []
-        fit = fitted_frames(fit.problem, fit.theta)
-        if others is None or fit.dof == 0:
-            fitted = f"base and tool were {own}"
-        return {"robot": fit}, fitted, f"base and tool {own}", []
-    models = {"nominal": robot.reference, "calibrated": robot.model}
-    fits = {name: FrameFit.of(model, visits) for name, model in models.items()}
-    how, doubts = "base and tool as calibrated", list[str]()
-    if registration or others is not None or visits.keys[0] not in robot.model.terms:
-        fits = {name: fitted_station(model, on) for name, model in models.items()}
-        said, unlikely = misfit(robot, fits["calibrated"])
-        doubts += [said] * unlikely
-        if others is None or fits["calibrated"].dof == 0:
-            fitted = f"the station was {own}"
-        how = f"tool as calibrated, station {own}; {said}"
+            return {"robot": fit}, "", "base and tool as stated", doubts
+        problem, found = register(fit.problem, fit.theta)
+        nuisance = problem.parameters.free & problem.parameters.nuisance
+        fits = {"robot": _fitted(problem, found.x, nuisance)}
+        what, how = "base and tool were", f"base and tool {own}"
     else:
-        pair = fits["calibrated"], fitted_station(robot.model, visits)
-        sizes = [np.linalg.norm(error_table(f.problem, f.theta)) for f in pair]
-        doubts += [ELSEWHERE] * bool(sizes[0] > MOVED * sizes[1])
-    how += " (nominal robot: as registered on the calibration's measurements)"
-    return fits, fitted, how, doubts
+        what, how = "", "base and tool as calibrated"
+        models = {"nominal": robot.reference, "calibrated": robot.model}
+        if (
+            registration
+            or others is not None
+            or visits.keys[0] not in models[NOW].terms
+        ):
+            fits = {name: fitted_station(model, on) for name, model in models.items()}
+            said, unlikely = misfit(robot, fits[NOW])
+            doubts += [said] * unlikely
+            what, how = "the station was", f"tool as calibrated, station {own}; {said}"
+        else:
+            none = np.zeros((len(robot.model.theta), 0))
+            fits = {
+                name: FrameFit(model.problem(visits), model.theta, none)
+                for name, model in models.items()
+            }
+            pair = fits[NOW], fitted_station(robot.model, visits)
+            sizes = [np.linalg.norm(error_table(f.problem, f.theta)) for f in pair]
+            doubts += [ELSEWHERE] * bool(sizes[0] > MOVED * sizes[1])
+        how += " (nominal robot: as registered on the calibration's measurements)"
+    *_, fit = fits.values()
+    untold = what and (others is None or fit.dof == 0)
+    return fits, f"{what} {own}" if untold else "", how, doubts
 
 
 def _named(
-    visits: Observations,
-    order: Indices,
-    group: Indices,
-    named: Names,
+    visits: Observations, group: Indices, named: Names
 ) -> tuple[Indices, Indices, list[str]]:
     """Number of the pose and cycle of each visit in their order, and what is missing.
 
@@ -221,7 +221,7 @@ def _named(
         InputError: If a configuration has two names, or a name two configurations, or a
             pose has two visits in a cycle.
     """
-    places = [(visits.files[k], int(visits.lines[k])) for k in order]
+    places = [*zip(visits.files, visits.lines.tolist(), strict=True)]
     given = (named.get(column, {}) for column in ("pose", "cycle"))
     pose, turn = (of if all(p in of for p in places) else {} for of in given)
     number = np.array([pose[p] for p in places]) if pose else group + 1
@@ -230,7 +230,7 @@ def _named(
     if max(poses) <= 2 * len(poses):
         poses |= {*range(1, max(poses))}
     seen: dict[tuple[object, ...], tuple[int, int]] = {}
-    for row, g, p, c in zip(order.tolist(), group, number, cycle, strict=True):
+    for row, (g, p, c) in enumerate(zip(group, number, cycle, strict=True)):
         for column, key, value, said in (
             ("pose", (g,), p, f"the configuration of P{p} has another name"),
             ("pose", (p, "P"), g, f"P{p} has another configuration"),
@@ -242,7 +242,7 @@ def _named(
                 raise visits.error(row, reason, column=column)
     if len({*zip(group, cycle, strict=True)}) < len(cycle):
         # Every file counts its own cycles.
-        cycle = cycle + visits.files.codes[order] * int(cycle.max())
+        cycle = cycle + visits.files.codes * int(cycle.max())
         cycles = {*cycle}
     missing = [
         f"P{p} lacks {len(gone)} of {len(cycles)} cycles: {enumerated(map(str, gone))}"
@@ -285,18 +285,11 @@ class FrameFit(NamedTuple):
     known: Floats
     dof: float = np.inf
 
-    @staticmethod
-    def of(model: CalibratedModel, rows: Observations) -> FrameFit:
-        """A model's own frames."""
-        none = np.zeros((len(model.theta), 0))
-        return FrameFit(model.problem(rows), model.theta, none)
-
     @property
-    def unknown(self) -> FrameFit:
+    def unknown(self) -> Floats:
         """The same where nothing tells by how much they are off."""
-        free = self.known.any(axis=1)
         scales = np.diag(self.problem.parameters.scales)
-        return self._replace(known=scales[:, free], dof=np.inf)
+        return np.asarray(scales[:, self.known.any(axis=1)])
 
 
 def frames_alone(chains: Chains, rows: Observations, setup: Setup) -> FrameFit:
@@ -310,13 +303,6 @@ def frames_alone(chains: Chains, rows: Observations, setup: Setup) -> FrameFit:
     theta, parameters = np.zeros(len(names)), problem.parameters
     known = np.diag(parameters.priors)[:, parameters.free]
     return FrameFit(registered(problem, theta), theta, known)
-
-
-def fitted_frames(problem: Problem, theta: Floats) -> FrameFit:
-    """A robot with all of its frames fitted to the measurements of a problem."""
-    problem, found = register(problem, theta)
-    parameters = problem.parameters
-    return _fitted(problem, found.x, parameters.free & parameters.nuisance)
 
 
 def fitted_station(model: CalibratedModel, rows: Observations) -> FrameFit:

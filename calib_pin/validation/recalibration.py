@@ -22,7 +22,7 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError
 from calib_pin.estimation.directions import nuisance_basis
-from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.estimation.evidence import TRUSTED, rms
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.registration import registered
@@ -303,7 +303,9 @@ class Innovations:
         measured: Noise of the measurements in the rows, shape (r, m).
         known: The noise as it is known.
         sudden: What may have changed at once, by name.
-        drifting: How the parameters drift, shape (P, k), by the names of drifts.
+        causes: The same as they show in the rows, by name.
+        drifting: How the parameters drift, shape (P, k), and how that shows in the
+            rows, (r, k), by the names of drifts.
         wrong: What may be wrong of the measurements.
     """
 
@@ -331,28 +333,37 @@ class Innovations:
             given[k] = replace(given[k], nuisance=False, scale=scale)
         units = _factors(problem, noise)
         problem = replace(problem, given=ParameterSet(tuple(given)), units=units)
-        self.parameters = problem.parameters
+        self.known, self.parameters = tuple(noise), problem.parameters
         scales, known = self.parameters.scales, np.diag(self.state.covariance) > 0.0
         told = robot_rows(problem, theta, ())
-        count = len(told.values)
+        count, every = len(told.values), np.eye(len(scales))
         below = np.diag(scales / KNOWN)[~self.parameters.free & known]
-        self.rows = np.vstack([np.zeros((count, len(scales))), below])
-        self.rows[:count, told.robot] = told.rows
+        self.rows = np.vstack([told.rows @ every[told.robot], below])
         self.measured = np.eye(len(self.rows))[:, :count]
         self.values = self.measured @ told.values
-        self.known = tuple(noise)
         self.sudden = changes(problem, robot)
-        self.drifting = drifts(problem, robot, self.sudden.values())
+        drifting = drifts(problem, robot, self.sudden.values())
+        self.drifting = {name: (own, self.rows @ own) for name, own in drifting.items()}
         for (kind, name), own in frames.items():
-            change = Change(name, kind, np.eye(len(scales))[:, own])
-            self.sudden[f"{kind} {name}"] = change
+            self.sudden[f"{kind} {name}"] = Change(name, kind, every[:, own])
+        counts = Counter(change.kind for change in self.sudden.values())
+        self.causes = {
+            name: Sparse(
+                name,
+                self.rows @ change.directions,
+                FAR if change.kind in FRAMES else SIZES,
+                CHANCES[change.kind] / counts[change.kind],
+            )
+            for name, change in self.sudden.items()
+        }
         groups = problem.data.groups()
-        labels = np.unique(groups).tolist()
-        along = [told.along[:, groups[problem.layout.row] == k] for k in labels]
-        self.wrong = tuple(
-            Sparse(f"measurement {k}", self.measured @ own, WRONG, 1.0 / len(labels))
-            for k, own in zip(labels, along, strict=True)
-        )
+        labels, of_value = np.unique(groups).tolist(), groups[problem.layout.row]
+        along = self.measured @ told.along
+        chance = 1.0 / len(labels)
+        self.wrong = [
+            Sparse(f"measurement {k}", along[:, of_value == k], WRONG, chance)
+            for k in labels
+        ]
 
     def explained(
         self, start: CalibrationResult, process_noise: float | None, count: int
@@ -397,7 +408,7 @@ class Innovations:
             wider = np.sqrt(part * worth / np.maximum(worth - 2.0, 1.0))
             found = calm if still > 0.0 else found
         effects = [
-            (by * drift.size, self.drifting[drift.name])
+            (by * drift.size, self.drifting[drift.name][0])
             for by, drift in zip(wider.tolist(), sizes, strict=True)
         ]
         sudden, jumps = [c for c in sparse if c.name in self.sudden], list[Jump]()
@@ -423,49 +434,29 @@ class Innovations:
         )
         # Beside what all have shown, as much more as these show by chance.
         more = max(found.square / len(self.values), 1.0) ** 0.5
-        return (
-            step,
-            effects,
-            more * next(c.size for c in found.causes if c.name == NOISE),
-        )
+        grown = next(c.size for c in found.causes if c.name == NOISE)
+        return step, effects, more * grown
 
     def _explanation(self, expected: Sequence[DriftSize]) -> Explanation:
         """The innovations, with drift and noise as they are expected."""
-        scales = self.parameters.scales
         # In scales, of which frames that have been free had others.
-        W, M = self.rows / scales, self.measured
+        W, M = self.rows / self.parameters.scales, self.measured
         known = W @ self.state.covariance @ W.T + np.eye(len(W)) - M @ M.T
-        drifting = (
-            Cause(
-                d.name,
-                self.rows @ self.drifting[d.name],
-                d.size,
-                d.worth,
-                max(MOST.get(d.name, 0.0), d.size),
-            )
+        causes = [
+            Cause(d.name, self.drifting[d.name][1], d.size, d.worth, most)
             for d in expected
-        )
+            for most in [max(MOST.get(d.name, 0.0), d.size)]
+        ]
         worth = min(max(sum(one.worth for one in self.known), 1.0), KNOWN_NOISE)
-        noise = Cause(NOISE, M, 1.0, worth, np.inf)
-        return Explanation(
-            self.values - W @ self.state.values, known, (*drifting, noise)
-        )
+        causes.append(Cause(NOISE, M, 1.0, worth))
+        values = self.values - W @ self.state.values
+        return Explanation(values, known, tuple(causes))
 
-    def _sparse(self, kinds: Collection[str]) -> tuple[Sparse, ...]:
+    def _sparse(self, kinds: Collection[str]) -> list[Sparse]:
         """Causes of some kinds that are there or not, and wrong measurements."""
-        counts = Counter(change.kind for change in self.sudden.values())
-        of_robot = (
-            Sparse(
-                name,
-                self.rows @ change.directions,
-                FAR if change.kind in FRAMES else SIZES,
-                CHANCES[change.kind] / counts[change.kind],
-            )
-            for name, change in self.sudden.items()
-            if change.kind in kinds
-        )
-        noisier = Sparse(NOISE_GREW, self.measured, NOISIER)
-        return (*of_robot, *self.wrong, *([noisier] if NOISE_GREW in kinds else []))
+        own = [of for n, of in self.causes.items() if self.sudden[n].kind in kinds]
+        grown = [Sparse(NOISE_GREW, self.measured, NOISIER)] * (NOISE_GREW in kinds)
+        return [*own, *self.wrong, *grown]
 
     def _others(
         self, found: Explanation, cause: Cause, sudden: Sequence[Cause]
@@ -474,16 +465,15 @@ class Innovations:
 
         And offsets of joints that would not show beside a frame that has moved.
         """
-        kind, E = self.sudden[cause.name].kind, cause.effects
         instead, beside = list[str](), list[str]()
-        without = found.without({cause.name})
+        without, E = found.without({cause.name}), cause.effects
         limit = without.misfit(E) + CLOSE
-        taken = {other.name for other in sudden}
-        for name, change in self.sudden.items():
-            moved = self.rows @ change.directions
+        left = {*self.sudden} - {other.name for other in sudden}
+        for name in (name for name in self.sudden if name in left):
+            moved = self.causes[name].effects
+            kinds = {self.sudden[n].kind for n in (name, cause.name)}
             # Nothing that is measured now depends on where a known frame has stood.
-            seen = (self.measured.T @ moved).any()
-            if name in taken or not (seen and {kind, change.kind} <= set(SIMPLE)):
+            if not (self.measured.T @ moved).any() or not kinds <= {*SIMPLE}:
                 continue
             rest = moved - E @ np.linalg.lstsq(E, moved, rcond=None)[0]
             if without.misfit(moved) <= limit:
@@ -526,7 +516,7 @@ def _factors(problem: Problem, noise: Sequence[NoiseSize]) -> Floats:
     found = np.ones(len(problem.layout.components))
     for k, component in enumerate(problem.layout.components):
         own = problem.given_sigma[problem.layout.of_components[k]]
-        sigma = sigmas.get(component.quantity.name, 0.0)
-        if sigma > 0.0 and len(own):
-            found[k] = max(sigma / float(np.sqrt(np.mean(own**2))), 1.0)
+        if len(own):
+            sigma = sigmas.get(component.quantity.name, 0.0)
+            found[k] = max(sigma / rms(own), 1.0)
     return found

@@ -30,6 +30,8 @@ class TipDrift:
         drift: Distances of the second robot's from these, shape (N,) [m].
         turn: Angles between the orientations of both, shape (N,) [rad].
         absorbed: The frames that were fitted away, of `base` and `tool`.
+        explained: What the noise of both explains, rms [m] and [rad]; None if unknown.
+        oriented: Whether the measurements tell orientations.
     """
 
     q: Floats
@@ -37,6 +39,21 @@ class TipDrift:
     drift: Floats
     turn: Floats
     absorbed: tuple[str, ...]
+    explained: tuple[float, float] | None = None
+    oriented: bool = True
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Root mean squares [m] and, where it is known, [rad]."""
+        return self.position.rms, self.oriented * self.orientation.rms
+
+    @property
+    def ratio(self) -> float:
+        """Size by what noise explains; in meters if that is unknown."""
+        noise = self.explained or (1.0, np.inf)
+        # Exact measurements explain nothing.
+        pairs = zip(self.sizes, noise, strict=True)
+        return max(size / max(least, 1e-300) for size, least in pairs)
 
     @property
     def position(self) -> Accuracy:
@@ -78,7 +95,16 @@ def tip_drift(
     q = first.chain.random_configurations(SAMPLES, np.random.default_rng(seed))
     same = first.setup.payloads == second.setup.payloads
     payload = next(iter(first.setup.payloads), "") if same else NOTHING
-    A, B = (_tools(model, first, q, payload) for model in (first, second))
+    carried = first.error.tool
+
+    def tools(model: CalibratedChain) -> Floats:
+        """Poses of the first robot's tool in the base link, shape (N, 4, 4)."""
+        loaded = replace(model, error=model.error.carrying(payload))
+        exchanged = (loaded.error.tool.inverse() * carried).homogeneous
+        base = loaded.error.base.homogeneous
+        return np.asarray(invert(base) @ loaded.poses(q) @ exchanged)
+
+    A, B = tools(first), tools(second)
     B = absorbed(A, B, left=base, right=tool)
     ends = (("base", base), ("tool", tool))
     return TipDrift(
@@ -130,16 +156,6 @@ def absorbing(
         if np.abs(step).max() < 1e-10:
             break
     return B, L, R_
-
-
-def _tools(
-    model: CalibratedChain, carrier: CalibratedChain, q: Floats, payload: str
-) -> Floats:
-    """Tool poses in the base link with the tool of another robot, (N, 4, 4)."""
-    loaded = replace(model, error=model.error.carrying(payload))
-    base, tool = loaded.error.base, loaded.error.tool
-    exchanged = (tool.inverse() * carrier.error.tool).homogeneous
-    return np.asarray(invert(base.homogeneous) @ loaded.poses(q) @ exchanged)
 
 
 def turns(A: Floats, B: Floats) -> Floats:

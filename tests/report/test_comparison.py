@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.evidence import PoseErrors
 from calib_pin.report.comparison import comparison_report
 from calib_pin.report.tables import significant
 from calib_pin.report.terminal import plain_text
@@ -54,12 +53,12 @@ def second(found: Comparison, **changes: Any) -> Comparison:
     if "hashes" in changes:
         hashes = changes.pop("hashes")
         changes["provenance"] = replace(result.provenance, hashes=hashes)
+    drift = replace(found.drift, oriented="errors" not in changes)
     if "size" in changes:
-        changes["tip"] = None
-        if (size := changes.pop("size")) is not None:
-            sizes = PoseErrors(size, size)
-            changes["tip"] = replace(result.accuracy.tip, of_robot=sizes, rms=sizes)
-    return replace(found, second=changed(result, **changes))
+        size = changes.pop("size")
+        drift = replace(drift, explained=None if size is None else (size, size))
+    later = changed(result, **changes)
+    return replace(found, second=later, drifts={"": drift})
 
 
 # --- the verdict -------------------------------------------------------------------

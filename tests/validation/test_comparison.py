@@ -34,12 +34,10 @@ def record(chain, recorded):
     """Calibrations of one robot, each made once."""
 
     @cache
-    def make(seed, model="pose", changes=(), parameters=("placement",)):
+    def make(seed, changes=(), parameters=("placement",)):
+        # The robot is the same, however it is described.
         setup = Setup(parameters=parameters)
-        if parameters == ("placement",):
-            return recorded(chain, model, seed, dict(changes))
-        # The robot is the same, only described in another way.
-        return recorded(chain, model, seed, setup=setup, truth=Setup())
+        return recorded(chain, "pose", seed, dict(changes), setup=setup, truth=Setup())
 
     return make
 
@@ -209,9 +207,9 @@ def at(shift=0.0, tool=0.0) -> Setup:
 def measured(recorded, chain):
     """Calibrations by tracker, tool and robot that were changed."""
 
-    def make(seed, truth=None, changes=(), parameters=("placement",)):
-        setup, truth = Setup(parameters=parameters), truth or at()
-        return recorded(chain, "pose", seed, dict(changes), setup=setup, truth=truth)
+    def make(seed, truth=None, changes=()):
+        truth = truth or at()
+        return recorded(chain, "pose", seed, changes, setup=Setup(), truth=truth)
 
     return make
 

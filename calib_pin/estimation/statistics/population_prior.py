@@ -256,7 +256,7 @@ def joint_deviations(
         for joint in joints:
             own = np.flatnonzero(owners == joint)
             far = int(own[np.argmax(np.abs(u[own]))])
-            chance = _chance(u[own], C[np.ix_(own, own)])
+            chance = chance_of(u[own], C[np.ix_(own, own)])
             found.append((joint, names[far], float(u[far]), chance))
     flags = discoveries(np.array([chance for *_, chance in found])).tolist()
     every = [JointDeviation(*o, flag) for o, flag in zip(found, flags, strict=True)]
@@ -284,10 +284,16 @@ def discoveries(chances: Floats, rate: float = RATE) -> NDArray[np.bool_]:
     return result
 
 
-def _chance(u: Floats, covariance: Floats) -> float:
-    """Probability of so large deviations, along what the measurements tell of them."""
+def chance_of(u: Floats, covariance: Floats, least: float = TOLD) -> float:
+    """Probability of so large deviations, along what is known of them.
+
+    Args:
+        u: The deviations, shape (n,).
+        covariance: Their covariance, shape (n, n).
+        least: Variance below which nothing is known of a direction.
+    """
     values, vectors = np.linalg.eigh(covariance)
-    told = values > TOLD
+    told = values > least
     square = float(np.sum((vectors[:, told].T @ u) ** 2 / values[told]))
     return chi_square_tail(square, int(told.sum())) if told.any() else 1.0
 

@@ -24,10 +24,14 @@ from calib_pin.errors import OptionError, require_known
 
 if TYPE_CHECKING:
     from calib_pin.control.calibrated import Frame, Point
+    from calib_pin.control.compensation import Compensation
     from calib_pin.io.targets import Targets
     from calib_pin.kinematics.chain import Chain
     from calib_pin.kinematics.spatial import Floats
     from calib_pin.observations import BlockKey, Indices
+    from calib_pin.planning.ways import Ways
+    from calib_pin.progress import Progress
+    from calib_pin.report.blocks import Block
     from calib_pin.setup import Setup
     from calib_pin.validation.calibrated_model import CalibratedChain
     from calib_pin.validation.result import CalibrationResult
@@ -97,8 +101,6 @@ def compensate(asked: Commands, context: typer.Context) -> int:
 
     from calib_pin.cli.documents import compensation_document
     from calib_pin.control.calibrated import block_of, model_errors, with_payload
-    from calib_pin.control.compensation import compensate as run
-    from calib_pin.control.compensation import follow
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.exchange.motions import paced
     from calib_pin.io.results import read_result, written_before
@@ -135,29 +137,7 @@ def compensate(asked: Commands, context: typer.Context) -> int:
         collisions = asked.collisions(model.chain, obstacles, said_in)
         ways = ways_of("--avoid-collisions", model.chain, collisions)
     with progress_bar(quiet=asked.quiet) as bar:
-        free = None if ways is None else ways.collisions.free
-        told = stage(bar, "compensate")
-        if targets.T is None:
-            assert targets.q is not None
-            told_by_all = len(targets.columns.tells) >= 6
-            found = follow(
-                model,
-                targets.q,
-                orientation=told_by_all and not asked.position,
-                free=free,
-                progress=told,
-            )
-        else:
-            found = run(
-                model,
-                targets.T,
-                targets.q,
-                frame=cast("Frame", asked.frame or "measuring"),
-                point=cast("Point", asked.point or "tool"),
-                orientation=targets.oriented and not asked.position,
-                free=free,
-                progress=told,
-            )
+        found = _found(asked, model, targets, ways, stage(bar, "compensate"))
         (rows,) = np.nonzero(found.good)
         passage = Passage.straight(found.q[rows])
         if ways is not None:
@@ -177,7 +157,14 @@ def compensate(asked: Commands, context: typer.Context) -> int:
         contents[asked.output] = _encoded(
             asked, model.chain, targets, passage.q, row, times, [comment]
         )
-    accuracy = model_errors(result)
+    accuracy, numbers = model_errors(result), lines.tolist()
+    said: list[Block] = [judged(doubt), Line("")] if doubt else []
+    said += compensation_report(
+        found, model.chain, motion=motion, file=str(asked.targets), lines=numbers
+    )
+    if ways is not None:
+        said += ways_report(found, passage, numbers, shut)
+    said += [*hasty_lines(hasty), *accuracy_lines(accuracy)]
     asked.give(
         contents,
         lambda: compensation_document(
@@ -190,23 +177,7 @@ def compensate(asked: Commands, context: typer.Context) -> int:
             None if ways is None else (passage.vias, shut),
             hasty,
         ),
-        [
-            *([judged(doubt), Line("")] if doubt else []),
-            *compensation_report(
-                found,
-                model.chain,
-                motion=motion,
-                file=str(asked.targets),
-                lines=lines.tolist(),
-            ),
-            *(
-                []
-                if ways is None
-                else ways_report(found, passage, lines.tolist(), shut)
-            ),
-            *hasty_lines(hasty),
-            *accuracy_lines(accuracy),
-        ],
+        said,
         [f"wrote {asked.output}" if contents else "wrote nothing"],
     )
     if asked.quiet and not asked.json and doubt:
@@ -314,6 +285,36 @@ def _remarks(
     known = ends_known(result, key, *ends)
     if known:
         yield known
+
+
+def _found(
+    asked: Commands,
+    model: CalibratedChain,
+    targets: Targets,
+    ways: Ways | None,
+    progress: Progress | None,
+) -> Compensation:
+    """The commands for targets, or for a motion of the nominal robot."""
+    from calib_pin.control.compensation import compensate as run
+    from calib_pin.control.compensation import follow
+
+    free = None if ways is None else ways.collisions.free
+    if targets.T is None:
+        assert targets.q is not None
+        oriented = not asked.position and len(targets.columns.tells) >= 6
+        return follow(
+            model, targets.q, orientation=oriented, free=free, progress=progress
+        )
+    return run(
+        model,
+        targets.T,
+        targets.q,
+        frame=cast("Frame", asked.frame or "measuring"),
+        point=cast("Point", asked.point or "tool"),
+        orientation=targets.oriented and not asked.position,
+        free=free,
+        progress=progress,
+    )
 
 
 def _encoded(

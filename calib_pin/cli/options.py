@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 ARGUMENTS = {"robot", "measurements", "calibration", "targets", "first", "second"}
 """Fields of requests that are arguments; all others are options."""
 
-ANSWER = {"force", "quiet", "json"}
-"""Options of nearly all commands."""
+ANSWER = ("force", "quiet", "json")
+"""Options of nearly all commands, the last ones of their help."""
 
 
 def option(
@@ -102,8 +102,9 @@ def spread(function: Callable[..., int]) -> Callable[..., int]:
         if isinstance(told, Told):
             made = declared(name, told, texts.get(name, ""))
             hints[name] = Annotated[get_args(hint)[0], made]
-    # What is said of every answer comes last.
-    fields = sorted(signature(kind).parameters.values(), key=lambda p: p.name in ANSWER)
+    names = [*(name for name in hints if name not in ANSWER), *ANSWER]
+    given = signature(kind).parameters
+    fields = [given[name] for name in names if name in hints]
     options = [p.replace(annotation=hints[p.name], kind=only) for p in fields]
     options += [p.replace(kind=only) for p in own]
 

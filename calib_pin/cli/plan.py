@@ -92,12 +92,16 @@ def plan(asked: PlanRequest, context: typer.Context) -> int:
             keys,
             asked.wanted(),
             stated,
+            criterion=asked.criterion,
+            method=asked.method,
             measured=rows,
             collisions=collisions,
+            candidates=asked.candidates,
+            distance=asked.distance,
             tests=poses,
+            seed=asked.seed,
             progress=progress,
             workers=several,
-            **asked.passed_on(),
         )
         figures = figure_contents(
             draw("plan", bar, found) if pictures else [], pictures

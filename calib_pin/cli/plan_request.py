@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import calib_pin.cli.options as options
 from calib_pin.cli.collisions import Untouched
@@ -26,9 +26,12 @@ def added(text: str) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class Search:
-    """How configurations of a plan are looked for.
+    """The configurations of a plan, and how they are looked for.
 
     Attributes:
+        count: Number of configurations.
+        add: Number of configurations to add to the measurements of --to.
+        to: Measurements that exist already; may be repeated.
         criterion: prediction (default; the predicted tool-point uncertainty),
             condition, or O1 to O5.
         method: auto (default; exchange, then gradient), exchange, greedy, pso, ga or
@@ -39,55 +42,14 @@ class Search:
             joint [rad, m].
     """
 
+    count: Annotated[int | None, Told("N", "Plan", COUNT)] = None
+    add: Annotated[int | None, Told("[N]", "Plan", added)] = None
+    to: Annotated[list[Path] | None, Told("CSV", "Plan")] = None
     criterion: Annotated[str, Told("NAME", "Plan")] = "prediction"
     method: Annotated[str, Told("NAME", "Plan")] = "auto"
     candidates: Annotated[int, Told("N", "Plan", CANDIDATES)] = 1000
     seed: Annotated[int, Told("N", "Plan", SEED)] = 0
     distance: Annotated[float, Told("D", "Constraints", DISTANCE)] = 0.0
-
-    def passed_on(self) -> dict[str, Any]:
-        """The arguments of `calib_pin.plan` that are called as they are here."""
-        return {field.name: getattr(self, field.name) for field in fields(Search)}
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlanRequest(Search, Untouched, options.OfRobot):
-    """A plan as it is asked for.
-
-    Attributes:
-        output: File of configurations to write.
-        count: Number of configurations.
-        add: Number of configurations to add to the measurements of --to.
-        to: Measurements that exist already; may be repeated.
-        start: Plan for a calibration that goes on from this older one.
-        accept: Plan an acceptance test instead: five poses of a cube, and its schedule.
-        cycles: Visits of each pose of an acceptance test; default 30.
-        tests: Configurations where the robot is to be accurate; by default everywhere.
-        limits: Narrower joint limits, such as 'joint_*=-2:2' or
-            'elbow=-120:120 [deg]'; may be repeated.
-        ignore_collisions: Check no collisions.
-        motion: File of the whole motion to write: the configurations, with via
-            configurations where the straight way collides.
-    """
-
-    output: Annotated[Path, Told("CSV", "Output")]
-    chain: options.ChainName = None
-    parameters: options.Parameters = None
-    count: Annotated[int | None, Told("N", "Plan", COUNT)] = None
-    add: Annotated[int | None, Told("[N]", "Plan", added)] = None
-    to: Annotated[list[Path] | None, Told("CSV", "Plan")] = None
-    start: Annotated[Path | None, Told("CALIBRATION", "Plan")] = None
-    accept: Annotated[bool, Told("", "Plan")] = False
-    cycles: Annotated[int | None, Told("N", "Plan", CYCLES)] = None
-    tests: Annotated[Path | None, Told("CSV", "Plan")] = None
-    workers: WorkerCount = None
-    cluster: ClusterAddress = None
-    limits: Annotated[list[str] | None, Told("JOINT=A:B", "Constraints")] = None
-    ignore_collisions: Annotated[bool, Told("", "Constraints")] = False
-    motion: Annotated[Path | None, Told("CSV", "Output")] = None
-    figures: Figures = None
-    figure_format: FigureFormat = "png"
-    degrees: options.Degrees = False
 
     def wanted(self) -> int:
         """Number of configurations: `--count N`, or `--add N --to CSV`."""
@@ -102,6 +64,40 @@ class PlanRequest(Search, Untouched, options.OfRobot):
         if not (self.add or self.count):
             raise OptionError("say how many configurations to plan with --count N")
         return self.add or self.count or 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanRequest(Search, Untouched, options.OfRobot):
+    """A plan as it is asked for.
+
+    Attributes:
+        output: File of configurations to write.
+        start: Plan for a calibration that goes on from this older one.
+        accept: Plan an acceptance test instead: five poses of a cube, and its schedule.
+        cycles: Visits of each pose of an acceptance test; default 30.
+        tests: Configurations where the robot is to be accurate; by default everywhere.
+        limits: Narrower joint limits, such as 'joint_*=-2:2' or
+            'elbow=-120:120 [deg]'; may be repeated.
+        ignore_collisions: Check no collisions.
+        motion: File of the whole motion to write: the configurations, with via
+            configurations where the straight way collides.
+    """
+
+    output: Annotated[Path, Told("CSV", "Output")]
+    chain: options.ChainName = None
+    parameters: options.Parameters = None
+    start: Annotated[Path | None, Told("CALIBRATION", "Plan")] = None
+    accept: Annotated[bool, Told("", "Plan")] = False
+    cycles: Annotated[int | None, Told("N", "Plan", CYCLES)] = None
+    tests: Annotated[Path | None, Told("CSV", "Plan")] = None
+    workers: WorkerCount = None
+    cluster: ClusterAddress = None
+    limits: Annotated[list[str] | None, Told("JOINT=A:B", "Constraints")] = None
+    ignore_collisions: Annotated[bool, Told("", "Constraints")] = False
+    motion: Annotated[Path | None, Told("CSV", "Output")] = None
+    figures: Figures = None
+    figure_format: FigureFormat = "png"
+    degrees: options.Degrees = False
 
     def check(self) -> None:
         """Refuse options that exclude one another, and names that do not exist."""

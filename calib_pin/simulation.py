@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError, OptionError, require_known
+from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.configurations import (
     asked,
     brought_to_contact,
@@ -24,6 +24,7 @@ from calib_pin.observations import (
     AT,
     UNSTATED,
     BlockKey,
+    Booleans,
     Conditions,
     Labels,
     Measurements,
@@ -67,9 +68,9 @@ def simulate(
     theta: Floats,
     rng: np.random.Generator,
     *,
-    key: BlockKey | None = None,
     q: Floats | None = None,
     target: Targets = (),
+    places: Mapping[str, Labels] = {},
     conditions: Conditions = UNSTATED,
     count: int | None = None,
     per_configuration: bool = False,
@@ -83,13 +84,15 @@ def simulate(
         problem: Chains, frames and instruments; its data only name the targets.
         theta: True parameter values, shape (P,).
         rng: Random generator.
-        key: The block that is measured; default all blocks of the problem.
         q: Configurations, shape (K, n) [rad, m], from which a tool that must touch
             something is brought there. Of several blocks each measures those that its
             instrument can measure. Or else
-        target: The target of each of them, for a single block; default all targets in
-            turn. Relative distances of one name start at its first configuration, which
-            is no measurement.
+        target: The target of each of them; default all targets in turn. Relative
+            distances of one name start at its first configuration, which is no
+            measurement.
+        places: Chain, station and tool of each of them, as far as that is stated; by
+            default they are of all blocks. Where targets or places are stated, every
+            configuration has to be measured.
         conditions: What holds at each of them; by default the payloads are carried in
             turn, and joints come as from one to the next.
         count: Number K of random configurations at which an instrument can measure,
@@ -106,10 +109,9 @@ def simulate(
         The measurements, with their standard deviations.
 
     Raises:
-        OptionError: If a number is out of range, there is no such block, or targets are
-            given for several.
+        OptionError: If a number is out of range.
         InputError: If the only instrument cannot measure at a configuration, or one of
-            several at none.
+            several at none; or if a configuration is of no block.
 
     Examples:
         >>> import numpy as np, calib_pin
@@ -125,9 +127,6 @@ def simulate(
     theta = as_array("theta", [theta], 1, len(problem.parameters))[0]
     q = q if q is None else as_array("q", q, "K", len(problem.data.joints))
     keys = problem.data.keys
-    if key is not None:
-        require_known("block", str(key), map(str, keys))
-        keys = (key,)
     for name, number, least in (("count", count, len(keys)), ("repeats", repeats, 1)):
         if number is not None and number < least:
             allowed = f"{least} or more"
@@ -136,11 +135,8 @@ def simulate(
         raise OptionError("noise is out of range", value=noise, allowed="0 or more")
     if (q is None) == (count is None):
         raise OptionError("give either configurations or their count")
-    if len(keys) > 1 and len(target):
-        raise OptionError(
-            "targets are those of a single block; say which one",
-            allowed="; ".join(map(str, keys)),
-        )
+    strict = len(keys) == 1 or bool(len(target) or places)
+    of = _of_blocks(keys, places, 0 if q is None else len(q))
     found = []
     for number, one in enumerate(keys):
         declared = problem.terms[one].measurement.declaration
@@ -150,16 +146,19 @@ def simulate(
             share = len(range(number, count, len(keys)))
             at = _drawn(problem, theta, one, share, every, rng)
         else:
-            looked = Labels.of(target if len(target) else _in_turn(problem, one, q))
-            held = conditions
+            own, held = q[of[one]], conditions.rows(of[one])
+            if not len(own):
+                continue
+            turn = () if len(target) else _in_turn(problem, one, own)
+            looked = Labels.of(turn or Labels.of(target)[of[one]])
             if not len(held.payload):
-                names = Labels.of(_carried(problem, one, len(q), every))
+                names = Labels.of(_carried(problem, one, len(own), every))
                 held = replace(held, payload=names)
-            at = asked(problem, one, q, looked, held)
+            at = asked(problem, one, own, looked, held)
             if not every:
-                at = _measurable(problem, theta, at, strict=len(keys) == 1)
+                at = _measurable(problem, theta, at, strict)
         if every:
-            at = _everything_seen(problem, theta, at, strict=len(keys) == 1)
+            at = _everything_seen(problem, theta, at, strict)
         if declared.relative:
             at = _relative(at)
         elif "direction" in needed_conditions(problem.setup.parameters):
@@ -167,6 +166,28 @@ def simulate(
             at = replace(at, conditions=replace(at.conditions, source="columns"))
         found.append(_measured(problem, theta, at, rng, noise, repeats, average))
     return Observations.of(*found)
+
+
+def _of_blocks(
+    keys: Sequence[BlockKey], places: Mapping[str, Labels], count: int
+) -> dict[BlockKey, Booleans]:
+    """Which of some configurations each block measures, shape (count,).
+
+    Raises:
+        InputError: If one is of no block.
+    """
+    of = {key: np.ones(count, bool) for key in keys}
+    for kind, labels in places.items():
+        for key, own in of.items():
+            own &= labels.where(getattr(key, kind))
+    left = ~np.any([*of.values()], axis=0)
+    if left.any():
+        raise InputError(
+            f"configuration {int(left.argmax()) + 1} is of no chain, station and tool "
+            "that the setup states",
+            allowed="; ".join(map(str, keys)),
+        )
+    return of
 
 
 def exact_problem(

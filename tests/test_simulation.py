@@ -13,7 +13,13 @@ from calib_pin.estimation.configurations import asked
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_chains
-from calib_pin.observations import BlockKey, Conditions, Measurements, Observations
+from calib_pin.observations import (
+    BlockKey,
+    Conditions,
+    Labels,
+    Measurements,
+    Observations,
+)
 from calib_pin.setup import (
     CameraSetup,
     FrameSetup,
@@ -348,17 +354,28 @@ def test_a_block_by_itself_and_all_of_them_at_configurations() -> None:
     at = (asked(problem, key, q, ("",) * 4) for key in keys)
     exact = exact_at(problem, theta, *at)
     for block, one, key in zip(every.blocks, exact.data.blocks, keys, strict=True):
-        alone = simulate(problem, theta, rng, key=key, q=q, noise=0.0).only
+        stated = {"chain": key.chain, "station": key.station}
+        named = {kind: Labels.all(name, 4) for kind, name in stated.items()}
+        alone = simulate(problem, theta, rng, places=named, q=q, noise=0.0).only
         np.testing.assert_array_equal(alone.values, block.values)
         np.testing.assert_array_equal(one.values, block.values)
-    for options in (
-        # Targets are those of a single block; some block; a row for each block.
-        {"q": q, "target": ("",) * 4},
-        {"q": q, "key": BlockKey("pose")},
-        {"count": 4},
-    ):
-        with pytest.raises(OptionError):
-            simulate(problem, theta, rng, **options)
+    with pytest.raises(OptionError):  # A row for each block.
+        simulate(problem, theta, rng, count=4)
+
+
+def test_places_say_which_block_measures_a_configuration() -> None:
+    problem, keys = arms()
+    theta, rng = errors(problem), np.random.default_rng(1)
+    q = problem.chains.random_configurations(3, rng)
+    chain, day = keys[0].chain, Labels.of(["day 2", "day 1", "day 2"])
+    places = {"chain": Labels.all(chain, 3), "station": day}
+    found = simulate(problem, theta, rng, q=q, places=places, noise=0.0)
+    assert [key.station for key in found.keys] == ["day 1", "day 2"]
+    for block, rows in zip(found.blocks, ([1], [0, 2]), strict=True):
+        np.testing.assert_array_equal(block.q, q[rows])
+    places["station"] = Labels.of(["day 2", "day 3", "day 2"])
+    with pytest.raises(InputError, match="configuration 2 "):
+        simulate(problem, theta, rng, q=q, places=places)
 
 
 def test_what_is_carried_takes_turns():

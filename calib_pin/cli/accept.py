@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
-
-import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import (
     check_outputs,
     exists,
     open_calibration,
-    open_chains,
     open_measurements,
-    open_setup,
     require_distinct,
     require_file,
 )
 from calib_pin.cli.options import dated
-from calib_pin.cli.printing import notice, progress_bar, say_json, say_written, show
+from calib_pin.cli.printing import notice, progress_bar
+from calib_pin.cli.request import Told
 from calib_pin.errors import stated_in
 
 if TYPE_CHECKING:
@@ -31,45 +29,27 @@ if TYPE_CHECKING:
 PDF = "acceptance.pdf"
 
 
-def accept(
-    robot: options.RobotOrCalibration,
-    measurements: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="MEASUREMENTS...",
-            help="CSV files with the visits of poses, in their order.",
-        ),
-    ],
-    output: Annotated[
-        Path | None,
-        options.output(
-            "-o --output DIR",
-            "Folder for acceptance.json, .csv, .html and .pdf; without it the test "
-            "is only printed.",
-        ),
-    ] = None,
-    package_dir: options.PackageDirs = None,
-    setup: options.SetupFile = None,
-    model: options.Model = None,
-    base: options.Base = None,
-    tip: options.Tip = None,
-    register: Annotated[
-        bool,
-        options.robot(
-            "--register",
-            "Fit the station of a calibration anew, never its tool.",
-        ),
-    ] = False,
-    path: Annotated[
-        bool,
-        options.robot(
-            "--path", "The poses are points of a path, measured in every cycle: AT, RT."
-        ),
-    ] = False,
-    force: options.Force = False,
-    quiet: options.Quiet = False,
-    json: options.Json = False,
-) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Accept(options.QuietAnswer, options.OfRobot):
+    """An acceptance test as it is asked for.
+
+    Attributes:
+        measurements: CSV files with the visits of poses, in their order.
+        output: Folder for acceptance.json, .csv, .html and .pdf; without it the test is
+            only printed.
+        register: Fit the station of a calibration anew, never its tool.
+        path: The poses are points of a path, measured in every cycle: AT, RT.
+    """
+
+    robot: options.RobotOrCalibration
+    measurements: Annotated[list[Path], Told("MEASUREMENTS...")]
+    output: Annotated[Path | None, Told("DIR", "Output")] = None
+    register: Annotated[bool, Told("", "Robot")] = False
+    path: Annotated[bool, Told("", "Robot")] = False
+
+
+@options.spread
+def accept(asked: Accept) -> int:
     """Test how accurately and repeatably a robot reaches poses, as ISO 9283 has it.
 
     Measurements of the same configuration are visits of one pose; columns 'pose' and
@@ -81,10 +61,7 @@ def accept(
     those of the calibration. A certified test needs the standard itself. Exit status 2:
     a limit is not reached, or the test does not decide.
     """
-    from dataclasses import replace
-
     from calib_pin.cli.documents import acceptance_document
-    from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import encode_table
     from calib_pin.io.results import read_result
@@ -97,14 +74,15 @@ def accept(
     from calib_pin.validation.acceptance import judged
     from calib_pin.validation.pose_tests import tested
 
-    stated = open_setup(setup, base=base, tip=tip, model=model)
+    stated, robot, measurements = asked.stated(), asked.robot, asked.measurements
+    output, path = asked.output, asked.path
     limit, entries = stated.limit, stated.report
     subject: Chains | CalibrationResult
     doubts: list[str] = []
     require_file(robot, ", or a robot")
     if robot.endswith(".json"):
         calibrated, used = open_calibration(
-            robot, setup, stated, doubts.append, "limit", "report"
+            robot, asked.setup, stated, doubts.append, "limit", "report"
         )
         subject, chains = read_result(robot), calibrated.chains
         if limit == LimitSetup():
@@ -116,7 +94,7 @@ def accept(
             )
     else:
         used = stated
-        chains = open_chains(robot, stated, package_dirs=package_dir)
+        chains = asked.chains(stated)
     require_distinct(measurements)
     files = []
     if output is not None:
@@ -124,17 +102,22 @@ def accept(
         files = [
             output / name for name in (*names, *([PDF] if can_write_pdf() else []))
         ]
-    check_outputs(files, [robot, setup, *measurements], force)
-    with progress_bar(quiet=quiet) as bar:
+    check_outputs(files, [robot, asked.setup, *measurements], asked.force)
+    with progress_bar(quiet=asked.quiet) as bar:
         measured, rows = open_measurements(
-            measurements, chains, used, quiet=quiet, bar=bar
+            measurements, chains, used, quiet=asked.quiet, bar=bar
         )
         if not robot.endswith(".json"):
             subject = measured
         with stated_in(str(measurements[0])):
             named = _named(measurements, used.columns)
             found = tested(
-                subject, rows, used, registration=register, named=named, doubts=doubts
+                subject,
+                rows,
+                used,
+                registration=asked.register,
+                named=named,
+                doubts=doubts,
             )
     for doubt in doubts:
         notice(doubt)
@@ -163,13 +146,13 @@ def accept(
                 f"; {old} is not from this test" if exists(old := output / PDF) else ""
             )
             notice(f"no {PDF} is written: {MISSING}{stays}")
-    with write_files(contents, force=force):
-        if json:
-            say_json(acceptance_document(found.tests, limit), files)
-        elif not quiet:
-            show(blocks)
-    if files and not quiet and not json:
-        say_written([f"wrote {file}" for file in files])
+    written = {"written": [*map(str, files)]} if files else {}
+    asked.give(
+        contents,
+        lambda: acceptance_document(found.tests, limit) | written,
+        blocks,
+        [f"wrote {file}" for file in files],
+    )
     *_, last = found.tests.values()
     passed = all(status == "pass" for _, status, *_ in judged(last, limit))
     return 0 if passed and not last.doubts else 2

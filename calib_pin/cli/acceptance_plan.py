@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from pathlib import Path
 from typing import TYPE_CHECKING
-
-import typer
 
 from calib_pin.cli.collisions import ways_of
 from calib_pin.cli.printing import say, say_written
@@ -15,6 +12,7 @@ from calib_pin.errors import OptionError
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from calib_pin.cli.plan_request import PlanRequest
     from calib_pin.kinematics.chains import Chains
     from calib_pin.kinematics.collision import Collisions
     from calib_pin.setup import Setup
@@ -23,52 +21,21 @@ CYCLES = 30
 """Cycles of an acceptance test."""
 
 
-OTHERS = (
-    *("model", "count", "add", "to", "criterion", "method", "candidates", "tests"),
-    *("seed", "distance", "motion", "parameters", "figures", "figure_format", "json"),
-)
-"""Options of plans that an acceptance test has no use for."""
-
-
-def refuse_others(context: typer.Context) -> None:
-    """Refuse options that mean nothing to an acceptance test.
-
-    Raises:
-        OptionError: If one is given.
-    """
-    for name in OTHERS:
-        source = context.get_parameter_source(name)
-        if source is not None and source.name == "COMMANDLINE":
-            option = name.replace("_", "-")
-            raise OptionError(f"--accept plans an acceptance test, without --{option}")
-
-
 def plan_acceptance(
+    asked: PlanRequest,
     chains: Chains,
     setup: Setup,
     collisions: Collisions | None,
-    cycles: int,
-    accept: list[str],
-    output: Path,
     command: str,
-    *,
-    degrees: bool,
-    force: bool,
-    quiet: bool,
 ) -> int:
     """Find the poses of an acceptance test, write its visits, print its schedule.
 
     Args:
+        asked: What is asked for.
         chains: The robot, of a single chain.
         setup: The setup, with limits, region and tool.
         collisions: Collisions to avoid.
-        cycles: Number of cycles.
-        accept: Words of the command line that evaluates the test.
-        output: File to write.
         command: The command line that asks for it.
-        degrees: Whether angles are in degrees.
-        force: Whether an existing file is replaced.
-        quiet: Whether nothing is printed.
 
     Raises:
         OptionError: If there are several chains, or no cube is found.
@@ -110,20 +77,26 @@ def plan_acceptance(
         speeds = speed_limits(chain, 1.0)
     except CalibPinError:
         speeds = None
-    typed = shlex.join(["calib-pin", "accept", *accept])
+    words = ["calib-pin", "accept", asked.robot, str(asked.output)]
+    for name in ("setup", "base", "tip"):
+        if (value := getattr(asked, name)) is not None:
+            words += [f"--{name}", str(value)]
+    cycles = asked.cycles or CYCLES
     robot = chains.robot.name
-    schedule = list(acceptance_schedule(found, robot, cycles, speeds, [typed]))
+    schedule = list(
+        acceptance_schedule(found, robot, cycles, speeds, [shlex.join(words)])
+    )
     q, poses, each = found.cycles(cycles)
-    shown = shown_columns(q, JointColumns.of(chain, setup.joints), degrees)
+    shown = shown_columns(q, JointColumns.of(chain, setup.joints), asked.degrees)
     columns: dict[str, Sequence[object]] = {
         name: column.tolist() for name, column in shown.items()
     }
     columns |= {"cycle": each, "pose": [f"P{pose}" for pose in poses]}
     columns |= {f"{axis} [mm]": [""] * len(q) for axis in "xyz"}  # To be filled in.
     text = encode_table(columns, [f"planned by: {command}", "", *schedule])
-    with write_files({output: text}, force=force):
-        if not quiet:
+    with write_files({asked.output: text}, force=asked.force):
+        if not asked.quiet:
             say("".join(f"{line}\n" for line in schedule))
-    if not quiet:
-        say_written([f"wrote {len(found.q) * cycles} visits to {output}"])
+    if not asked.quiet:
+        say_written([f"wrote {len(found.q) * cycles} visits to {asked.output}"])
     return 0

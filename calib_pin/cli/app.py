@@ -46,6 +46,9 @@ COMMANDS: dict[Callable[..., int | None], str] = {
     robots: "List the bundled robots.",
 }
 
+ORDER = dict(Arguments=0, Robot=1, Constraints=3, Workers=4, Output=5, Other=6)
+"""Place of the headings of `--help`; those of a single command stand between."""
+
 
 def application(words: Sequence[str]) -> typer.Typer:
     """The application, as far as a command line needs it.
@@ -130,7 +133,7 @@ class Command(TyperCommand):
             elif record := param.get_help_record(ctx):
                 topic = getattr(param, "rich_help_panel", None) or "Other"
                 topics.setdefault(topic, []).append((record[0], _filled(record[1])))
-        for topic, rows in topics.items():
+        for topic, rows in sorted(topics.items(), key=lambda t: ORDER.get(t[0], 2)):
             with formatter.section(topic):
                 formatter.write_dl(rows)
 

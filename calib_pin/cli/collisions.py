@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import calib_pin.cli.options as options
-from calib_pin.cli.files import require_folders
 from calib_pin.cli.printing import notice
+from calib_pin.cli.request import Told, number
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
@@ -18,62 +19,49 @@ if TYPE_CHECKING:
     from calib_pin.planning.ways import Ways
     from calib_pin.setup import Obstacle
 
-Srdf = Annotated[
-    Path | None,
-    options.constraints(
-        "--srdf FILE", "SRDF file of the pairs of links that need no collision check."
-    ),
-]
-Clearance = Annotated[
-    float | None,
-    options.constraints(
-        "--clearance S",
-        "Least distance from obstacles and between links [m]; default 0.01.",
-        options.number(float, "--clearance", "0 to 1 m", 0.0, 1.0),
-    ),
-]
+CLEARANCE = number(float, "--clearance", "0 to 1 m", 0.0, 1.0)
 
 
-def check_options(
-    checked: bool,
-    srdf: Path | None,
-    package_dir: Sequence[Path] | None,
-    clearance: float | None,
-    reason: str,
-) -> None:
-    """Refuse folders that are none, and options of checks that are not made.
+@dataclass(frozen=True, kw_only=True)
+class Untouched(options.QuietAnswer):
+    """The collisions that a command looks after, as they are asked for.
 
-    Raises:
-        OptionError: If so, with the reason.
+    Attributes:
+        srdf: SRDF file of the pairs of links that need no collision check.
+        clearance: Least distance from obstacles and between links [m]; default 0.01.
     """
-    require_folders(package_dir or [])
-    if not checked and (srdf is not None or package_dir or clearance is not None):
-        package = ", --package-dir" if package_dir else ""
-        raise OptionError(f"{reason} --srdf{package} and --clearance")
 
+    srdf: Annotated[Path | None, Told("FILE", "Constraints")] = None
+    clearance: Annotated[float | None, Told("S", "Constraints", CLEARANCE)] = None
+    package_dir: options.PackageDirs = None
 
-def open_collisions(
-    chain: Chain | Chains,
-    obstacles: Sequence[Obstacle],
-    srdf: Path | None,
-    package_dir: Sequence[Path] | None,
-    clearance: float | None,
-    *,
-    file: str,
-    quiet: bool,
-) -> Collisions | None:
-    """The collisions of a robot; none if its URDF describes no solids."""
-    from calib_pin.io.collision import CLEARANCE, load_collisions
+    def refuse_unused(
+        self, reason: str, package_dir: Sequence[Path] | None = None
+    ) -> None:
+        """Refuse options of checks that are not made.
 
-    return load_collisions(
-        chain,
-        obstacles,
-        srdf=srdf,
-        package_dirs=package_dir or [],
-        clearance=CLEARANCE if clearance is None else clearance,
-        notice=None if quiet else notice,
-        file=file,
-    )
+        Raises:
+            OptionError: If there is one, with the reason.
+        """
+        if self.srdf is not None or package_dir or self.clearance is not None:
+            package = ", --package-dir" if package_dir else ""
+            raise OptionError(f"{reason} --srdf{package} and --clearance")
+
+    def collisions(
+        self, chain: Chain | Chains, obstacles: Sequence[Obstacle], file: str
+    ) -> Collisions | None:
+        """The collisions of a robot; none if its URDF describes no solids."""
+        from calib_pin.io.collision import CLEARANCE, load_collisions
+
+        return load_collisions(
+            chain,
+            obstacles,
+            srdf=self.srdf,
+            package_dirs=self.package_dir or [],
+            clearance=CLEARANCE if self.clearance is None else self.clearance,
+            notice=None if self.quiet else notice,
+            file=file,
+        )
 
 
 def ways_of(option: str, chain: Chain, collisions: Collisions | None) -> Ways:

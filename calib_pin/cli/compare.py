@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, require_distinct, require_file
-from calib_pin.cli.printing import say, say_written, show
+from calib_pin.cli.request import SEED, Told
 from calib_pin.cli.results import (
     FigureFormat,
     Figures,
@@ -20,27 +19,25 @@ from calib_pin.cli.results import (
 )
 
 
-def compare(
-    first: Annotated[
-        Path, typer.Argument(metavar="A.json", help="A calibration of a robot.")
-    ],
-    second: Annotated[
-        Path,
-        typer.Argument(
-            metavar="B.json", help="A later one, or another model of the robot."
-        ),
-    ],
-    seed: Annotated[
-        int,
-        options.seed(
-            "Workspace", "Random seed of the configurations that are compared."
-        ),
-    ] = 0,
-    figures: Figures = None,
-    figure_format: FigureFormat = "png",
-    force: options.Force = False,
-    json: options.Json = False,
-) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Compare(options.Answer):
+    """A question for the difference of two calibrations.
+
+    Attributes:
+        first: A calibration of a robot.
+        second: A later one, or another model of the robot.
+        seed: Random seed of the configurations that are compared.
+    """
+
+    first: Annotated[Path, Told("A.json")]
+    second: Annotated[Path, Told("B.json")]
+    seed: Annotated[int, Told("N", "Workspace", SEED)] = 0
+    figures: Figures = None
+    figure_format: FigureFormat = "png"
+
+
+@options.spread
+def compare(asked: Compare) -> int:
     """Print the difference between two calibrations, beyond their uncertainty.
 
     Tool points are compared in the base link. Where base and tool were estimated, a
@@ -51,31 +48,27 @@ def compare(
     """
     from calib_pin.cli.documents import comparison_document
     from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.files import write_files
-    from calib_pin.io.json_text import encode
     from calib_pin.io.results import read_result
     from calib_pin.report.comparison import comparison_report
     from calib_pin.validation.comparison import compare as run
     from calib_pin.validation.comparison import faults
 
-    files = (first, second)
+    files = (asked.first, asked.second)
     for file in files:
         require_file(file)
     require_distinct(files)
-    pictures = figure_files(figures, figure_format, "comparison")
-    check_outputs(pictures, files, force)
+    pictures = figure_files(asked.figures, asked.figure_format, "comparison")
+    check_outputs(pictures, files, asked.force)
     A, B = map(read_result, files)
-    found = run(A, B, seed=seed)
+    found = run(A, B, seed=asked.seed)
     drawn = draw("comparison", None, found.drift) if pictures else []
     contents = figure_contents(drawn, pictures)
-    with write_files(contents, force=force):
-        if json:
-            say(encode(comparison_document(found)).decode())
-        else:
-            show(comparison_report(found))
-    pictured = told_figures(contents, pictures)
-    if not json:
-        say_written(pictured)
+    asked.give(
+        contents,
+        lambda: comparison_document(found),
+        comparison_report(found),
+        told_figures(contents, pictures),
+    )
     trusted = {A.verdict, B.verdict} <= set(TRUSTED)
     different = any(fault.severity == "error" for fault in faults(found))
     return 0 if trusted and not different else 2

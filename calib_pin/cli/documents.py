@@ -188,7 +188,7 @@ def compensation_document(
     found: Compensation,
     chain: Chain,
     asked: Targets,
-    doubts: Sequence[str],
+    doubt: str,
     output: Path | None,
     accuracy: Mapping[str, Mapping[str, object]],
     ways: tuple[int, Sequence[int]] | None = None,
@@ -200,7 +200,7 @@ def compensation_document(
         found: The commands.
         chain: The nominal chain.
         asked: The targets.
-        doubts: Why the calibration must not be trusted; empty where it may.
+        doubt: Why the calibration must not be trusted; empty where it may.
         output: File that the commands were written to; None for none.
         accuracy: Accuracy of the calibration, by quantity.
         ways: Number of via configurations, and lines to which no way is free; None
@@ -218,8 +218,8 @@ def compensation_document(
     return {
         **format_keys("calib-pin/compensation"),
         "verdict": {
-            "status": "untrusted" if doubts else "good",
-            "reason": doubts[0] if doubts else "",
+            "status": "untrusted" if doubt else "good",
+            "reason": doubt,
         },
         "kind": "motion" if motion else "targets",
         "rows": len(found),

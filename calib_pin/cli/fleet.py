@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -15,9 +15,6 @@ from calib_pin.cli.printing import (
     Bar,
     notice,
     progress_bar,
-    say_json,
-    say_written,
-    show,
 )
 from calib_pin.cli.request import SEED, Told
 from calib_pin.cli.workforce import ClusterAddress, WorkerCount, asked_workers
@@ -41,8 +38,8 @@ setup.
 """
 
 
-@dataclass(frozen=True)
-class Fleet:
+@dataclass(frozen=True, kw_only=True)
+class Fleet(options.QuietAnswer):
     """Many calibrations as they are asked for.
 
     Attributes:
@@ -75,9 +72,6 @@ def fleet(
     ] = None,
     workers: WorkerCount = None,
     cluster: ClusterAddress = None,
-    force: options.Force = False,
-    quiet: options.Quiet = False,
-    json: options.Json = False,
 ) -> int:
     """Calibrate a fleet of robots, or simulate one.
 
@@ -94,27 +88,18 @@ def fleet(
     patience = None if jobs is None else 0.0
     with (
         asked_workers(workers, cluster, patience) as several,
-        progress_bar(quiet=quiet) as bar,
+        progress_bar(quiet=request.quiet) as bar,
     ):
         if jobs is None:
             from calib_pin.cli.monte_carlo import simulated
 
-            return simulated(
-                cast(Path, study),
-                output,
-                several,
-                seed=request.seed,
-                resume=request.resume,
-                force=force,
-                quiet=quiet,
-                json=json,
-                bar=bar,
-            )
+            seed, resume = request.seed, request.resume
+            file = cast(Path, study)
+            return simulated(file, output, request, several, bar, seed, resume)
         from calib_pin.cli.fleet_jobs import Orders
 
         orders = Orders(Path.cwd(), output, not request.no_pages, request.resume)
-        rows, populations = _calibrated(jobs, orders, force, several, bar)
-    from calib_pin.io.files import write_files
+        rows, populations = _calibrated(jobs, orders, request.force, several, bar)
     from calib_pin.io.json_text import plain
     from calib_pin.io.measurements import encode_table
     from calib_pin.report.fleet_text import MANY, fleet_report
@@ -128,16 +113,17 @@ def fleet(
         output / PAGE: blocks_page("Calibrations of a fleet", page, [], TABLE),
         **priors(output, populations),
     }
-    with write_files(contents, force=True):
-        if json:
-            cells = zip(*(plain(list(c)) for c in columns.values()), strict=True)
-            listed = [dict(zip(columns, row, strict=True)) for row in cells]
-            say_json({"jobs": listed}, contents)
-        elif not quiet:
-            show(fleet_report(rows, populations))
-    if not quiet and not json:
-        written = [f"wrote {sum(row.fitted > 0 for row in rows)} folders to {output}"]
-        say_written([*written, *(f"wrote {file}" for file in contents)])
+
+    def listed() -> dict[str, object]:
+        cells = zip(*(plain(list(c)) for c in columns.values()), strict=True)
+        jobs = [dict(zip(columns, row, strict=True)) for row in cells]
+        return {"jobs": jobs, "written": [*map(str, contents)]}
+
+    written = [f"wrote {sum(row.fitted > 0 for row in rows)} folders to {output}"]
+    written += [f"wrote {file}" for file in contents]
+    # Its own files were looked for before the work.
+    answer = replace(request, force=True)
+    answer.give(contents, listed, fleet_report(rows, populations), written)
     return 0 if all(row.trusted for row in rows) else 2
 
 

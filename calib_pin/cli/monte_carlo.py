@@ -14,7 +14,8 @@ from calib_pin.cli.files import (
     stated_blocks,
     tell_limits,
 )
-from calib_pin.cli.printing import Bar, say_json, say_written, show
+from calib_pin.cli.options import QuietAnswer
+from calib_pin.cli.printing import Bar
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
@@ -30,18 +31,14 @@ FILES = ("monte-carlo.json", "monte-carlo.html")
 def simulated(
     file: Path,
     output: Path,
+    answer: QuietAnswer,
     workers: Workers,
-    *,
+    bar: Bar | None,
     seed: int,
     resume: bool,
-    force: bool,
-    quiet: bool,
-    json: bool,
-    bar: Bar | None,
 ) -> int:
     """Simulate the robots of a study; returns the exit status."""
     from calib_pin.cli.documents import outlook_document
-    from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.setup import read_setup
     from calib_pin.io.trials import kept, read_trials
@@ -53,7 +50,8 @@ def simulated(
     stated = read_setup(file)
     study, name = _study(file, stated, seed)
     trials, files = output / TRIALS, [output / name for name in FILES]
-    check_outputs([trials, *files], [file, stated.monte_carlo.plan], force or resume)
+    replaced = answer.force or resume
+    check_outputs([trials, *files], [file, stated.monte_carlo.plan], replaced)
     robots = stated.monte_carlo.robots
     known: list[tuple[Trial, ...]] = []
     if resume and exists(trials):
@@ -63,22 +61,19 @@ def simulated(
     found = outlooks((trial for own in done for trial in own), stated.limit)
     blocks = [*outlook_report(study, found, stated.limit)]
     title = f"Expected accuracy of {study.chains.robot.name}"
+    document = outlook_document(study, found, stated.limit)
+    figures = [*drawn("outlook", Foreseen(found, stated.limit))]
     contents = {
-        files[0]: encode(outlook_document(study, found, stated.limit)),
-        files[1]: blocks_page(
-            title,
-            blocks,
-            [*drawn("outlook", Foreseen(found, stated.limit))],
-            files[0].name,
-        ),
+        files[0]: encode(document),
+        files[1]: blocks_page(title, blocks, figures, files[0].name),
     }
-    with write_files(contents, force=True):
-        if json:
-            say_json(outlook_document(study, found, stated.limit), (trials, *files))
-        elif not quiet:
-            show(blocks)
-    if not quiet and not json:
-        say_written([f"wrote {path}" for path in (trials, *files)])
+    made = [str(path) for path in (trials, *files)]
+    replace(answer, force=True).give(
+        contents,
+        lambda: {**document, "written": made},
+        blocks,
+        [f"wrote {path}" for path in made],
+    )
     return 0
 
 

@@ -4,23 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import calib_pin.cli.options as options
 from calib_pin.errors import InputError
 
 if TYPE_CHECKING:
     from calib_pin.setup import Setup
     from calib_pin.validation.result import CalibrationResult
-
-PlannedStart = Annotated[
-    Path | None,
-    options.option(
-        "Plan",
-        "--start CALIBRATION",
-        "Plan for a calibration that goes on from this older one.",
-    ),
-]
 
 
 def open_older(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial, wraps
 from inspect import Parameter, Signature, cleandoc, signature
 from pathlib import Path
@@ -12,14 +13,24 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 import typer
 
 from calib_pin.cli.completion import completed, robots
-from calib_pin.cli.request import SEED, Request
+from calib_pin.cli.files import FLAGS, open_chains, open_setup
+from calib_pin.cli.printing import say, say_written, show
+from calib_pin.cli.request import Request, Told
 from calib_pin.cli.request import number as number
 from calib_pin.errors import OptionError
 from calib_pin.units import as_number
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
-    from calib_pin.setup import ReportSetup
+    from calib_pin.observations import BlockKey
+    from calib_pin.report.blocks import Block
+    from calib_pin.setup import ReportSetup, Setup
+
+ARGUMENTS = {"robot", "measurements", "calibration", "targets", "first", "second"}
+"""Fields of requests that are arguments; all others are options."""
+
+ANSWER = ("force", "quiet", "json")
+"""Options of nearly all commands, the last ones of their help."""
 
 
 def option(
@@ -62,16 +73,21 @@ def meanings(cls: type) -> dict[str, str]:
     return found
 
 
-def asked(name: str, kind: Any = Request) -> Any:
+def asked(name: str) -> Any:
+    """The argument or the option for a field of the request of a calibration."""
+    (told,) = get_type_hints(Request, include_extras=True)[name].__metadata__
+    return declared(name, told, meanings(Request)[name])
+
+
+def declared(name: str, told: Told, meaning: str) -> Any:
     """The argument or the option for a field of a request."""
-    (told,) = get_type_hints(kind, include_extras=True)[name].__metadata__
-    meaning = meanings(kind).get(name, "")
-    if name in ("robot", "measurements"):
+    if name in ARGUMENTS:
         completion = robots if name == "robot" else None
         return typer.Argument(
             metavar=told.word, help=meaning, autocompletion=completion
         )
-    usage = f"--{name.replace('_', '-')} {told.word}"
+    short = "-o " if name == "output" else ""
+    usage = f"{short}--{name.replace('_', '-')} {told.word}"
     then = listed if name == "model" else None
     return option(told.heading, usage, meaning, told.parse, then)
 
@@ -80,26 +96,28 @@ def spread(function: Callable[..., int]) -> Callable[..., int]:
     """A command whose first argument, a request, is made from options of its own."""
     first, *own = signature(function, eval_str=True).parameters.values()
     kind, only = first.annotation, Parameter.KEYWORD_ONLY
-    hints = get_type_hints(kind, include_extras=True)
-    of = {
-        name: Annotated[get_args(h)[0], asked(name, kind)] for name, h in hints.items()
-    }
-    fields = signature(kind).parameters.values()
-    declared = [p.replace(annotation=of[p.name], kind=only) for p in fields]
-    declared += [p.replace(kind=only) for p in own]
+    hints, texts = get_type_hints(kind, include_extras=True), meanings(kind)
+    for name, hint in hints.items():
+        told = hint.__metadata__[0]
+        if isinstance(told, Told):
+            made = declared(name, told, texts.get(name, ""))
+            hints[name] = Annotated[get_args(hint)[0], made]
+    names = [*(name for name in hints if name not in ANSWER), *ANSWER]
+    given = signature(kind).parameters
+    fields = [given[name] for name in names if name in hints]
+    options = [p.replace(annotation=hints[p.name], kind=only) for p in fields]
+    options += [p.replace(kind=only) for p in own]
 
     @wraps(function)
     def run(**given: Any) -> int:
         return function(kind(**{name: given.pop(name) for name in hints}), **given)
 
-    run.__signature__ = Signature(declared)  # type: ignore[attr-defined]
-    run.__annotations__ = {p.name: p.annotation for p in declared}
+    run.__signature__ = Signature(options)  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in options}
     return run
 
 
-robot, fit, constraints, output = (
-    partial(option, heading) for heading in ("Robot", "Fit", "Constraints", "Output")
-)
+robot, output = (partial(option, heading) for heading in ("Robot", "Output"))
 
 
 def listed(model: str | None) -> str | None:
@@ -140,12 +158,6 @@ ChainName = Annotated[
 ]
 
 
-def seed(heading: str, meaning: str = "Random seed.") -> Any:
-    """The option `--seed`."""
-    return option(heading, "--seed N", meaning, SEED)
-
-
-Seed = Annotated[int, seed("Fit")]
 Force = Annotated[bool, output("--force", "Replace existing output.")]
 Quiet = Annotated[bool, output("--quiet", "Print nothing but errors.")]
 Degrees = Annotated[
@@ -156,6 +168,73 @@ Details = Annotated[
     bool,
     output("--details", "Print statistics, all parameters and formulae as well."),
 ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfRobot:
+    """The robot that a command is for, as it is asked for."""
+
+    robot: RobotName
+    package_dir: PackageDirs = None
+    setup: SetupFile = None
+    model: Model = None
+    base: Base = None
+    tip: Tip = None
+
+    def stated(self) -> Setup:
+        """The setup file with the options on top; errors as of `open_setup`."""
+        own = {name: value for name, value in vars(self).items() if name in FLAGS}
+        return open_setup(self.setup, **own)
+
+    def chains(
+        self, setup: Setup, measured: Sequence[BlockKey] | str | None = None
+    ) -> Chains:
+        """The chains of the robot; all else as for `open_chains`."""
+        return open_chains(self.robot, setup, measured, self.package_dir)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """How a command answers."""
+
+    force: Force = False
+    json: Json = False
+
+    quiet = False
+
+    def give(
+        self,
+        contents: Mapping[Path, bytes],
+        document: Callable[[], Mapping[str, Any]],
+        blocks: Iterable[Block] = (),
+        written: Iterable[str] = (),
+    ) -> None:
+        """Write files, and print what is found; neither if one of both fails.
+
+        Args:
+            contents: The files.
+            document: Makes what is printed as JSON.
+            blocks: The report that is printed else.
+            written: Lines on the files that are in place.
+        """
+        from calib_pin.io.files import write_files
+        from calib_pin.io.json_text import encode
+
+        told = not (self.json or self.quiet)
+        with write_files(contents, force=self.force):
+            if self.json:
+                say(encode(document()).decode())
+            elif told and (shown := [*blocks]):
+                show(shown)
+        if told:
+            say_written(written)
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuietAnswer(Answer):
+    """The same, of a command that may say nothing."""
+
+    quiet: Quiet = False
 
 
 def parse_limits(

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
-
-import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, require_folders
 from calib_pin.cli.options import dated
-from calib_pin.cli.printing import notice, progress_bar, say_json, say_written, show
+from calib_pin.cli.printing import notice, progress_bar
+from calib_pin.cli.request import Told
 from calib_pin.cli.results import (
     FigureFormat,
     Figures,
@@ -21,31 +21,26 @@ from calib_pin.cli.results import (
 )
 
 
-def report(
-    calibration: Annotated[
-        Path,
-        typer.Argument(
-            metavar="DIR|CALIBRATION", help="Folder of the results, or its .json file."
-        ),
-    ],
-    output: Annotated[
-        Path | None,
-        options.output(
-            "-o --output PAGE",
-            "The page; default report.html of the folder, which is replaced.",
-        ),
-    ] = None,
-    pdf: Annotated[
-        Path | None,
-        options.output("--pdf FILE", "Write a PDF for a customer as well."),
-    ] = None,
-    figures: Figures = None,
-    figure_format: FigureFormat = "png",
-    package_dir: options.PackageDirs = None,
-    force: options.Force = False,
-    quiet: options.Quiet = False,
-    json: options.Json = False,
-) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Report(options.QuietAnswer):
+    """A report as it is asked for.
+
+    Attributes:
+        calibration: Folder of the results, or its .json file.
+        output: The page; default report.html of the folder, which is replaced.
+        pdf: Write a PDF for a customer as well.
+    """
+
+    calibration: Annotated[Path, Told("DIR|CALIBRATION")]
+    output: Annotated[Path | None, Told("PAGE", "Output")] = None
+    pdf: Annotated[Path | None, Told("FILE", "Output")] = None
+    figures: Figures = None
+    figure_format: FigureFormat = "png"
+    package_dir: options.PackageDirs = None
+
+
+@options.spread
+def report(asked: Report) -> int:
     """Write the page and the figures of a calibration again, from its files alone.
 
     calibration.json, measurements.csv and the robot are all that it takes. The robot is
@@ -56,7 +51,6 @@ def report(
     it is. Exit status 2: the calibration must not be trusted.
     """
     from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.files import write_files
     from calib_pin.io.measurement_errors import MEASUREMENTS
     from calib_pin.io.results import (
         REPORT,
@@ -70,25 +64,25 @@ def report(
     from calib_pin.report.pdf import pdf_report, require_pdf
     from calib_pin.report.text import report as blocks
 
+    pdf, folders = asked.pdf, asked.package_dir or []
     if pdf is not None:
         require_pdf()
-    require_folders(package_dir or [])
-
-    file = document_file(calibration)
+    require_folders(folders)
+    file = document_file(asked.calibration)
     result, document = read_written(file)
-    page = output or file.parent / REPORT
-    own = output is None and REPORT in document.get("files", {})
-    pictures = figure_files(figures, figure_format, "calibration")
+    page = asked.output or file.parent / REPORT
+    own = asked.output is None and REPORT in document.get("files", {})
+    pictures = figure_files(asked.figures, asked.figure_format, "calibration")
     inputs: list[str | Path | None] = [file, file.parent / MEASUREMENTS]
     inputs.append(result.model.chains.robot.file)
-    check_outputs([page, pdf, *pictures], inputs, force or own)
-    check_outputs([pdf], inputs, force)
+    check_outputs([page, pdf, *pictures], inputs, asked.force or own)
+    check_outputs([pdf], inputs, asked.force)
     if MEASUREMENTS not in document.get("files", {}):
         notice(f"{file} has no {MEASUREMENTS}: nothing is known of single measurements")
     suggestions = read_suggestions(document)
-    with progress_bar(quiet=quiet) as bar:
+    with progress_bar(quiet=asked.quiet) as bar:
         robot = result.model.chains.robot
-        shapes = robot_shapes(robot, package_dir or []).parts
+        shapes = robot_shapes(robot, folders).parts
         drawn = draw_calibration(result, bar, shapes)
         contents = figure_contents(drawn, pictures)
         text = html_report(result, document, figures=drawn, suggestions=suggestions)
@@ -102,15 +96,14 @@ def report(
                     *provenance_blocks(document),
                 ],
             )
-    with write_files({page: text, **contents}, force=force or own):
-        if json:
-            say_json(document)
-        elif not quiet:
-            show(blocks(result, suggestions))
     made = [page] if pdf is None else [page, pdf]
     told = told_figures([path for path in pictures if path in contents], pictures)
-    if not quiet and not json:
-        say_written([*(f"wrote {file}" for file in made), *told])
-    elif result.verdict not in TRUSTED:
+    replace(asked, force=asked.force or own).give(
+        {page: text, **contents},
+        lambda: document,
+        blocks(result, suggestions),
+        [*(f"wrote {file}" for file in made), *told],
+    )
+    if (asked.quiet or asked.json) and result.verdict not in TRUSTED:
         notice(f"{result.verdict}: {result.reason}")
     return 0 if result.verdict in TRUSTED else 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from calib_pin.observations import UNSTATED, BlockKey, Conditions, Signs
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.units import DISPLAY
-from calib_pin.validation.calibrated_model import CalibratedChain
+from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.result import REMEDY, CalibrationResult, frames_of
 
 NOTHING_LEFT = 1e-9
@@ -85,6 +85,45 @@ def _ends(error: ErrorModel, q: Floats) -> tuple[Floats, Floats]:
     if (weight == 1.0).all():
         return shifted
     return interpolate(base, shifted[0], weight), interpolate(tool, shifted[1], weight)
+
+
+def block_of(
+    model: CalibratedModel,
+    chain: str | None = None,
+    station: str | None = None,
+    tool: str | None = None,
+) -> BlockKey:
+    """The first block of a calibration of a chain, a station and a tool.
+
+    Raises:
+        OptionError: If a name is not among those that were measured, or there are
+            several chains and none is named.
+    """
+    if chain is None and len(model.measured_chains) > 1:
+        raise OptionError(
+            "the calibration is of several chains; say which one with --chain",
+            allowed=", ".join(model.measured_chains),
+        )
+    found = [key for key in model.terms if key.chain in model.measured_chains]
+    for kind, name in (("chain", chain), ("station", station), ("tool", tool)):
+        if name is not None:
+            require_known(kind, name, dict.fromkeys(getattr(k, kind) for k in found))
+            found = [key for key in found if getattr(key, kind) == name]
+    return found[0]
+
+
+def model_errors(result: CalibrationResult) -> dict[str, dict[str, Any]]:
+    """Errors of a calibration on its validation measurements [m, rad], by quantity."""
+    return {
+        error.name: {
+            "unit": error.unit,
+            "mean": error.validation_after.mean,
+            "max": error.validation_after.max,
+            "method": result.validation.method,
+        }
+        for error in result.errors
+        if error.validation_after is not None and error.unit in ("m", "rad")
+    }
 
 
 def with_payload(

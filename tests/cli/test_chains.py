@@ -151,8 +151,6 @@ def test_commands_of_one_chain(
     write("targets.csv", "x,y,z", positions.tolist())
     compensate = "compensate both/calibration.json targets.csv -o commands.csv"
     refuses(compensate, allowed="left, right")
-    refuses(f"{compensate} --chain rihgt", reason="'rihgt'")
-    refuses(f"{compensate} --chain right --tool lmp", reason="'lmp'")
     assert run(f"{compensate} --chain right --position").status == 0
     names = arm.chain.joints
     found = np.array([column("commands.csv", joint) for joint in names], float).T

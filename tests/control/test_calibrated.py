@@ -1,16 +1,18 @@
-"""How exactly the frame and the point of targets are known."""
+"""The block that is meant, and how exactly its frame and point are known."""
 
 from __future__ import annotations
 
 import re
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from calib_pin.control.calibrated import ends_known, kinematics
+from calib_pin.control.calibrated import block_of, ends_known, kinematics
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.chain import Chain
+from calib_pin.observations import BlockKey
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
 
@@ -19,6 +21,34 @@ FRAMES = Setup(
     tool_frame=FrameSetup((0.1, 0.05, 0.2)),
 )
 SEEDS = range(3)
+
+LEFT = [BlockKey("position", "left", day, "probe") for day in ("day 1", "day 2")]
+RIGHT = [BlockKey("position", "right", "day 2", tool) for tool in ("probe", "ball")]
+POST = BlockKey("position", "world", "day 1")
+
+
+@pytest.mark.parametrize(
+    ("named", "found"),
+    [
+        (("left",), LEFT[0]),
+        (("left", "day 2"), LEFT[1]),
+        (("right", None, "ball"), RIGHT[1]),
+        # Several chains; none of this name; not measured at this station.
+        ((), "--chain"),
+        (("rihgt",), "'rihgt'"),
+        (("right", "day 1"), "'day 1'"),
+        (("right", None, "bal"), "'bal'"),
+        (("world",), "'world'"),
+    ],
+)
+def test_names_say_which_block_is_meant(named, found):
+    terms = dict.fromkeys([POST, *LEFT, *RIGHT])
+    model = SimpleNamespace(terms=terms, measured_chains=("left", "right"))
+    if isinstance(found, BlockKey):
+        assert block_of(model, *named) == found
+    else:
+        with pytest.raises(OptionError, match=found):
+            block_of(model, *named)
 
 
 def only(result):

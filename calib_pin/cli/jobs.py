@@ -161,8 +161,13 @@ def _of_yaml(path: str | Path) -> Iterator[Row]:
             place = (JOBS, number, key) if key in own else (key,)
             lines[key], several = tree.line(place), isinstance(value, list)
             places = [(*place, k) for k in range(len(value))] if several else [place]
-            if key != JOBS and value is not None:
-                texts[key] = [str(tree.written(at)) for at in places]
+            if key == JOBS or value is None:
+                continue
+            cells = value if several else [value]
+            if any(isinstance(cell, dict | list) for cell in cells):
+                reason = f"'{key}' cannot have this value"
+                raise tree.error(reason, place, allowed="a single value, or a list")
+            texts[key] = [str(tree.written(at)) for at in places]
         yield lines, texts
 
 

@@ -87,7 +87,9 @@ def decoded(
         raise InputError(f"not a {what} of calib-pin", file=file)
     found = document.get("version")
     if type(found) is not int or found != version:
-        reason = f"a {what} of another version: calibrate again"
+        newer = type(found) is int and found > version
+        remedy = "update calib-pin" if newer else "calibrate again"
+        reason = f"a {what} of another version: {remedy}"
         raise InputError(reason, file=file, value=found, allowed=str(version))
     return document
 

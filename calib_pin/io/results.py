@@ -338,7 +338,7 @@ def _read_model(path: Path) -> tuple[Json, Document, CalibratedModel]:
     with reading(path):
         record, verdict = typed(Document, document), document["verdict"]
         if verdict["status"] not in VERDICTS or not isinstance(verdict["reason"], str):
-            raise ValueError(f"{verdict} is no verdict")
+            raise ValueError(f"{verdict['status']!r} is no verdict")
     robot = find_robot(record.robot.source, path)
     with reading(path):
         model = model_of(record.model, _chains(record, robot))

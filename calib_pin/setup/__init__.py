@@ -840,7 +840,7 @@ class JointMap(Section):
     """
 
     joint: Text
-    sign: Annotated[int, Value("", -1, 1), OneOf((1, -1))] = 1
+    sign: Annotated[int, Value(), OneOf((1, -1))] = 1
     gear: Factor = 1.0
     offset: Annotated[float, Value("rad, m")] = 0.0
     coupled: Mapping[str, Annotated[float, Value()]] = empty()

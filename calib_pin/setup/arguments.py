@@ -264,7 +264,11 @@ class Taker:
         names = found if listed else found.split(mark.joined or None)
         wrong = [k for k, n in enumerate(names) if n not in known or n in names[:k]]
         if wrong or not names:
-            allowed = f"{', '.join(known)}, each at most once"
+            allowed = ", ".join(known)
+            if mark.joined:
+                allowed += f", or several of them with a {mark.joined} between"
+            if mark.joined or listed:
+                allowed += ", each at most once"
             raise Refused((*path, *wrong[: listed * 1]), allowed)
 
     def _one_of(self, value: Any, hints: Sequence[Any], path: Path) -> Any:
@@ -324,7 +328,9 @@ class Taker:
         if kind is not tuple or inner[-1] is ...:
             hints = [inner[0]] * len(values)
         if len(values) != len(hints):
-            raise ValueError(f"{len(hints)} values")
+            marks = getattr(hints[0], "__metadata__", ())
+            each = [m.allowed(get_args(hints[0])[0]) for m in marks if type(m) is Value]
+            raise ValueError(" of ".join([f"{len(hints)} values", *each]))
         places = [path if one else (*path, k) for k in range(len(values))]
         found = tuple(map(self.taken, values, hints, places))
         return found if kind is tuple or one else values

@@ -190,6 +190,10 @@ TABLES = [
     ("jobs.yaml", "# none yet\n", "jobs.yaml:1"),
     ("jobs.yaml", "robto: a\njobs: [{robot: a, measurements: b}]\n", "jobs.yaml:1"),
     ("jobs.yaml", "robot: a\njobs:\n  - {measurements: b}\n  - {}\n", "jobs.yaml:4"),
+    *(
+        ("jobs.yaml", f"jobs:\n  - robot: a\n    {wrong}\n", "jobs.yaml:3: '")
+        for wrong in ("setup: {tip: a}", "measurements: [[a]]", "measurements: [{}]")
+    ),
     (
         "jobs.yaml",
         "jobs:\n  - robot: a.urdf\n    measurements: b.csv\n    seed: 1.5\n",

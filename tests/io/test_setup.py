@@ -102,10 +102,21 @@ WRONG = [
     ("reading: {inverted: %s}", "reading.inverted", "true, false", "1|one|'true'|[]"),
     ("fixed: %s", "fixed", "a list in square brackets", "{a: b}"),
     ("fixed: [a, %s]", "fixed[1]", TEXT, "12|[a]|''"),
-    ("loss: %s", "loss", f"{', '.join(LOSSES)}, each at most once", "one|''"),
+    ("loss: %s", "loss", ", ".join(LOSSES), "one|''"),
     ("loss: %s", "loss", TEXT, "1"),
+    (
+        *("model: %s", "model"),
+        f"{', '.join(MEASUREMENT_MODELS)}, or several of them with a + between, "
+        "each at most once",
+        "one|pose+pose",
+    ),
     ("camera: {mount: %s}", "camera.mount", "hand, world", "one|1|[hand]"),
-    ("joints: {a: {joint: b, sign: %s}}", "joints.a.sign", "1, -1", "0"),
+    ("joints: {a: {joint: b, sign: %s}}", "joints.a.sign", "1, -1", "0|2|-3"),
+    (
+        *("region: {box: %s}", "region.box"),
+        "2 values of 3 finite numbers [m], at least -100, at most 100",
+        "[[0, 0, 0]]|1",
+    ),
     ("planes: %s", "planes", "a mapping of names to values", "12|[a]|true|one"),
     ("planes: {a: %s}", "planes.a", "a mapping of keys to values", "12|[a]|true"),
     ("frames: %s", "frames", "a mapping of names to values", "12|[a]|true"),

@@ -54,6 +54,7 @@ def views(points: Floats, values: Floats, label: str) -> tuple[Figure, Any]:
         view.locator_params(nbins=5)
     place = (0.35, 0.5 / figure.get_figheight(), 0.5, 0.04)
     scale = figure.colorbar(drawn, figure.add_axes(place), orientation="horizontal")
+    scale.ax.locator_params(nbins=5)
     scale.outline.set_visible(False)
     scale.set_label(f"{label}{', more at the end' if values.max() > high else ''}")
     return figure, axes

@@ -22,7 +22,7 @@ from calib_pin.report.figures import (
 )
 from calib_pin.report.figures import drawn as draw_all
 from calib_pin.report.figures.canvas import drawing
-from calib_pin.report.figures.workspace import criterion_by_count
+from calib_pin.report.figures.workspace import criterion_by_count, views
 from calib_pin.setup import LimitSetup
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.tip_drift import TipDrift
@@ -101,6 +101,13 @@ def test_of_a_calibration_and_a_plan(planned, drawn, draw):
     rest = draw(criterion_by_count, replace(planned, criterion="O1"))
     assert told([*drawn, rest]) == []
     assert {f.name for f in drawn} == {*NAMES["calibration"], *NAMES["plan"]}
+
+
+def test_of_colors_with_long_numbers():
+    values = np.linspace(0.0030, 0.0051, 20)
+    with drawing():
+        figure, _ = views(np.outer(300 * values, np.ones(3)), values, "one [mm]")
+    assert [*faults(figure)] == []
 
 
 def scaled(result: CalibrationResult, factor: float) -> CalibrationResult:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError, OptionError
+from calib_pin.errors import InputError, OptionError, require_known
 from calib_pin.estimation.configurations import (
     asked,
     brought_to_contact,
@@ -68,6 +68,7 @@ def simulate(
     theta: Floats,
     rng: np.random.Generator,
     *,
+    key: BlockKey | None = None,
     q: Floats | None = None,
     target: Targets = (),
     places: Mapping[str, Labels] = {},
@@ -84,6 +85,7 @@ def simulate(
         problem: Chains, frames and instruments; its data only name the targets.
         theta: True parameter values, shape (P,).
         rng: Random generator.
+        key: The block that is measured; default all blocks of the problem.
         q: Configurations, shape (K, n) [rad, m], from which a tool that must touch
             something is brought there. Of several blocks each measures those that its
             instrument can measure. Or else
@@ -127,6 +129,9 @@ def simulate(
     theta = as_array("theta", [theta], 1, len(problem.parameters))[0]
     q = q if q is None else as_array("q", q, "K", len(problem.data.joints))
     keys = problem.data.keys
+    if key is not None:
+        require_known("block", str(key), map(str, keys))
+        keys = (key,)
     for name, number, least in (("count", count, len(keys)), ("repeats", repeats, 1)):
         if number is not None and number < least:
             allowed = f"{least} or more"

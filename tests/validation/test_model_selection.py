@@ -139,10 +139,10 @@ def test_what_a_robot_has_is_kept(
     assert not any(rung.reason for rung in selected.selection.candidates)
     # As good as the noise, and what it was before is seen.
     assert found.score == pytest.approx(1.0, abs=0.3)
-    ((quantity, unit, mean),) = found.errors
-    assert (quantity, unit) == ("position", "m")
+    (error,) = found.errors
+    assert (error.name, error.unit) == ("position", "m")
     # The mean length of three components of unit deviation is 1.6.
-    assert mean == pytest.approx(1.6 * NOISE * found.score, rel=0.1)
+    assert error.mean == pytest.approx(1.6 * NOISE * found.score, rel=0.1)
     assert selected.model.fit.rank == found.rank
     assert set(selected.model.problem.setup.parameters) == set(parameters)
 

@@ -25,7 +25,7 @@ def result() -> calib_pin.CalibrationResult:
 @pytest.mark.slow
 def test_figures_by_name(result) -> None:
     figures = result.figures()
-    assert set(figures) < set(NAMES["calibration"])
+    assert set(figures) <= set(NAMES["calibration"])
     assert {"errors-per-measurement", "residuals-by-joint"} < set(figures)
     assert all(isinstance(figure, Figure) for figure in figures.values())
 

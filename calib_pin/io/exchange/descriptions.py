@@ -54,7 +54,7 @@ def mjcf(exported: Exported, _: Path | None) -> Encoded:
             SubElement(body, "joint", moves)
             without += [] if stated else [link]
             stated = stated or LEAST
-        if stated:
+        if stated and body.tag == "body":  # MuJoCo's world has no inertia.
             SubElement(body, "inertial", stated)
         pending += [(body, j.link("child"), j) for j in below.get(link, [])]
     if robot.mimics:

@@ -44,10 +44,11 @@ def rehomed(case: Case) -> Iterator[Finding]:
     data = case.fit.problem.data
     if any(block.start.size for block in data.blocks) or case.fit.rms < EXACT:
         return
-    # What the fit has set aside may be all that follows.
-    data = data.weighted(np.ones(len(data)))
-    problem = replace(case.fit.problem, data=data, units=np.zeros(0))
-    seen = QuickFit(problem, case.fit.theta, whole=True)
+    seen = case.fit
+    if (data.weight != 1.0).any():  # What was set aside may be all that follows.
+        data = data.weighted(np.ones(len(data)))
+        problem = replace(case.fit.problem, data=data, units=np.zeros(0))
+        seen = QuickFit(problem, case.fit.theta, whole=True)
     found = _likeliest(seen, case)
     if found is None:
         return
@@ -56,7 +57,7 @@ def rehomed(case: Case) -> Iterator[Finding]:
     first = seen
     for _ in range(STEPS if case.fit.problem.data.weight.min() == 0.0 else 0):
         first = refitted(first, data)
-    fit, size, row = first, 0.0, problem.layout.row
+    fit, size, row = first, 0.0, seen.problem.layout.row
     for _ in range(STEPS):
         score = fit.score((fit.by_joints[:, joint] * behind[row])[:, None])
         size += float(score.values[0])

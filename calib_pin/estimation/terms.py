@@ -198,16 +198,8 @@ class Term:
         """
         of_robot, instrument = self.values(theta)
         tool = ToolPoses(self.error, at).linearize(of_robot)
-        exact = self.measurement.predict(tool.T, instrument, at.target)
-        linear = linearized_at(
-            self.error.chain,
-            self.measurement,
-            tool.T,
-            instrument,
-            at.q,
-            at.target,
-            exact,
-        )
+        chain, model = self.error.chain, self.measurement
+        linear = linearized_at(chain, model, tool.T, instrument, at.q, at.target)
         return whitened_jacobian(tool, linear, sigma)
 
     def rebased(self, theta: Floats) -> Self:
@@ -245,7 +237,7 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True)
 class Terms:
-    """The parts of all blocks, about their references.
+    """The terms of all blocks, about their references.
 
     A vector theta of parameter values belongs to these references; `rebased` moves
     both.

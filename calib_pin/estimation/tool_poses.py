@@ -178,7 +178,6 @@ def linearized_at(
     instrument: Floats,
     q: Floats,
     target: Targets,
-    exact: Floats | None = None,
 ) -> Linearization:
     """Linearization of a measurement model where it measures what it predicts.
 
@@ -189,16 +188,13 @@ def linearized_at(
         instrument: Instrument parameters, shape (K,).
         q: Joint positions, shape (N, n) [rad, m].
         target: Target of each measurement.
-        exact: The values that it predicts, shape (N, D), where they are known.
     """
-    if exact is None:
-        exact = measurement.predict(T, instrument, target)
     # Derivatives are those of residuals, so a model is told what was measured.
     data = Measurements(
         joints=chain.joints,
         q=q,
         model=measurement.name,
-        values=exact,
+        values=measurement.predict(T, instrument, target),
         target=Labels.of(target),
     )
     return measurement.linearize(T, instrument, data)

@@ -311,12 +311,13 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
         return ""
     before, after = _both(quantity)
     noise, problem = _noise(grounds, quantity), grounds.fitted.problem
+    if after <= max(LEFT * before, NOISY * (noise or 0.0)):
+        return ""
     reach = max(
         float(np.linalg.norm(term.error.chain.poses(data.q)[:, :3, 3], axis=1).max())
         for term, data, _, _ in problem.blocks
     )
-    limit = (coarse if noise is None else LARGE) * reach
-    if after <= max(LEFT * before, NOISY * (noise or 0.0), limit):
+    if after <= (coarse if noise is None else LARGE) * reach:
         return ""
     times = "" if noise is None else f", {after / noise:.2g} times the noise"
     known = "" if noise else ", state the 'noise' if the instrument is so coarse"

@@ -157,7 +157,7 @@ class Trial(QuickFit):
 
         def after(values: Floats) -> Floats:
             summed = np.add.reduceat(values, first)
-            return np.asarray(np.cumsum(summed[::-1], axis=0)[::-1])
+            return sums_behind(summed)
 
         g = after(B * r[some, None])
         C = after(Q[some][:, :, None] * B[:, None, :])
@@ -224,7 +224,7 @@ class Trial(QuickFit):
         mine = self.concerned(k, job)
         # Those before a place have the old frame, the others the new one.
         old, new = squares[:, mine]
-        total = np.cumsum(old) - old + np.cumsum(new[::-1])[::-1]
+        total = np.cumsum(old) - old + sums_behind(new)
         allowed = divisible(job.data.groups()[mine])
         if not allowed.any():
             return move.rank
@@ -326,6 +326,11 @@ def _settled(plain: Problem, job: Job, moves: tuple[Move, ...]) -> Iterator[Tria
         yield trial
     except (CalibPinError, np.linalg.LinAlgError):
         return
+
+
+def sums_behind(values: Floats) -> Floats:
+    """Sums of each value and all behind it, along the first axis."""
+    return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])
 
 
 def divisible(labels: Indices) -> NDArray[np.bool_]:

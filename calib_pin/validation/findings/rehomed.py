@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.problem import EXACT
 from calib_pin.estimation.statistics.distributions import f_tail
-from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.hypotheses import FITTED
 from calib_pin.validation.findings.joint_motions import refitted
-from calib_pin.validation.findings.moves import OPTIONS, divisible
+from calib_pin.validation.findings.moves import OPTIONS, divisible, sums_behind
 from calib_pin.validation.findings.quick_fit import QuickFit
 
 STEPS = 6
@@ -118,11 +117,11 @@ def _likeliest(fit: QuickFit, case: Case) -> tuple[int, int] | None:
     Q, r, every = Q[: len(row)][order], r[: len(row)][order], fit.by_joints[order]
     best = (0.0, 0, 0)
     for joint, x in enumerate(every.T):
-        squares = _behind(x**2)
-        norms = squares - np.sum(_behind(x[:, None] * Q) ** 2, axis=1)
+        squares = sums_behind(x**2)
+        norms = squares - np.sum(sums_behind(x[:, None] * Q) ** 2, axis=1)
         # What the fit can do already leaves rounding.
         told = norms > OPTIONS.seen * squares.max(initial=1e-300)
-        gains = _behind(x * r) ** 2 / np.where(told, norms, np.inf)
+        gains = sums_behind(x * r) ** 2 / np.where(told, norms, np.inf)
         gains = np.where(within, gains[starts], 0.0)
         k = int(np.argmax(gains))
         best = max(best, (float(gains[k]), joint, int(ranks[starts[k]])))
@@ -131,11 +130,6 @@ def _likeliest(fit: QuickFit, case: Case) -> tuple[int, int] | None:
         return None
     F, tried = dof * (1.0 / max(left, 1e-12) - 1.0), every.shape[1] * len(starts)
     return best[1:] if f_tail(F, 1, dof) * tried < OPTIONS.chance else None
-
-
-def _behind(values: Floats) -> Floats:
-    """Sums of each value and all behind it."""
-    return np.asarray(np.cumsum(values[::-1], axis=0)[::-1])
 
 
 def _shifted(
@@ -170,5 +164,5 @@ def _place(case: Case, fit: QuickFit, joint: int, rank: int, size: float) -> int
         squares.append(np.bincount(there.layout.row, r**2, len(some)).astype(float))
     # In the order of the files: those before a place have the old zero.
     old, new = (s[np.argsort(np.argsort(order)[some])] for s in squares)
-    total = np.cumsum(old) - old + _behind(new)
+    total = np.cumsum(old) - old + sums_behind(new)
     return before + int(np.argmin(total))

@@ -73,12 +73,12 @@ def simulate(asked: Simulation, context: typer.Context) -> int:
     from calib_pin.io.calibrated_model import encode_urdf
     from calib_pin.io.measurements import (
         encode_table,
+        measurement_columns,
         read_configurations,
         read_held,
         read_names,
     )
     from calib_pin.io.setup import read_true_errors
-    from calib_pin.io.written_columns import measurement_columns
     from calib_pin.simulation import draw_errors
     from calib_pin.simulation import simulate as run
     from calib_pin.validation.calibrated_model import CalibratedModel

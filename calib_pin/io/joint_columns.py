@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib_pin.errors import InputError
+from calib_pin.errors import InputError, OutputError
 from calib_pin.io.columns import ANGLE, ELSEWHERE, LENGTH, Floats, Kind, split_header
 from calib_pin.io.measured_columns import reserved
-from calib_pin.io.table import Table, found_numbers
-from calib_pin.io.written_columns import column_name
+from calib_pin.io.table import Table
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.joint_columns import JointColumns, advice, drives_of
@@ -93,28 +92,26 @@ def read_positions(
         InputError: If a column is missing, its values cannot be in their unit, or a
             joint is not where the one that it mimics takes it.
     """
-    chains, own = Chains.of(chain), zip(columns.joints, columns.names, strict=True)
-    lacking = [joint for joint, name in own if joint and name not in table]
-    table.require(
-        columns.names,
-        "no joint column",
-        table.columns.keys() - {*columns.names, *reserved(), *chains.robot.model.names},
-        (lacking and advice(chains[chains.names[0]], lacking)) or ELSEWHERE,
-    )
+    chains, there = Chains.of(chain), table.columns.keys()
+    drives = zip(columns.joints, columns.names, strict=True)
+    lacking = [joint for joint, name in drives if joint and name not in there]
+    hint = advice(chains[chains.names[0]], lacking) if lacking else ""
+    known = {*columns.names, *reserved(), *chains.robot.model.names}
+    table.require(columns.names, "no joint column", there - known, hint or ELSEWHERE)
     q, stated = np.zeros((len(table.lines), len(chains.joints))), {}
     for i, joint in enumerate(chains.joints):
         names = kinds_of(columns, joint).keys()
-        if names <= table.columns.keys():
-            rows = np.ones(len(q), bool)
-            if chain_of is not None:
-                needs = [joint in drives_of(chains[name]) for name in chain_of.names]
-                blank = [table.columns[name].missing() for name in names]
-                rows = np.array(needs)[chain_of.codes] | ~np.any(blank, axis=0)
-            stated[joint] = rows
-            some = slice(None) if rows.all() else np.flatnonzero(rows)
-            if rows.any():
-                part = table.rows(some, table.columns)
-                q[some, i] = _positions(part, chains, columns, i)
+        if not names <= there:
+            continue
+        rows = np.ones(len(q), bool)
+        if chain_of is not None:
+            needs = [joint in drives_of(chains[name]) for name in chain_of.names]
+            blank = [table.columns[name].missing() for name in names]
+            rows = np.array(needs)[chain_of.codes] | ~np.any(blank, axis=0)
+        stated[joint] = rows
+        if rows.any():
+            part = table if rows.all() else table.rows(np.flatnonzero(rows))
+            q[rows, i] = _positions(part, chains, columns, i)
     followed = chains.follow(q)
     for joint in chains.mimics.keys() & stated.keys():
         i, leader = chains.joints.index(joint), chains.mimics[joint].leader
@@ -146,17 +143,16 @@ def _positions(table: Table, chains: Chains, columns: JointColumns, i: int) -> F
             q = q + sum(factor * parts[name] for name, factor in given.coupled.items())
             q = given.sign * given.gear * q + given.offset
         why = f"as mapped to joint '{joint}', offset {given.offset:g} {kind.si}"
-    most, free = LONGEST_TRAVEL, FREE_TRAVEL
-    if kind is ANGLE:
-        most, free = kind.largest, np.pi
+    angle = kind is ANGLE
+    most, free = (ANGLE.largest, np.pi) if angle else (LONGEST_TRAVEL, FREE_TRAVEL)
     # A turntable may be allowed more turns than any threshold would guess.
     most = max(most, 2.0 * abs(lower), 2.0 * abs(upper))
     table.check(column, q, replace(kind, largest=most), why)
     unit = table.columns[column].unit or kind.si
     # The chain gives free limits to joints without any, which may go further.
-    if (lower, upper) != (-free, free) and unit in kind.smaller:
+    if (lower, upper) != (-free, free) and (smaller := kind.smaller(unit)):
         excess = np.maximum(lower - q, q - upper)
-        ratio = kind.units[kind.smaller[unit]] / kind.units[unit]
+        ratio = kind.units[smaller[0]] / kind.units[unit]
         if lower <= ratio * q[np.argmax(excess)] <= upper:
             # A meter or radian of grace: limits are often narrower than the robot's.
             grace = replace(kind, largest=max(upper - lower, 1.0))
@@ -192,6 +188,17 @@ def shown_columns(
             header = f"{header} [{unit}]"
         shown[header] = values / kind.units[unit] if unit else values
     return shown
+
+
+def column_name(joint: str) -> str:
+    """The name of a column of joint positions.
+
+    Raises:
+        OutputError: If it would not read back.
+    """
+    if joint != joint.strip() or joint in reserved():
+        raise OutputError(f"joint '{joint}' cannot be the name of a column")
+    return joint
 
 
 def spare_columns(
@@ -233,17 +240,14 @@ def spare_positions(
     model, found = chains.robot.model, dict[tuple[str, str], Floats]()
     for joint in [*model.names][1:]:
         if joint not in chains.joints:
-            own = found_numbers(table, joint, ANGLE if turns(model, joint) else LENGTH)
+            own = table.found(joint, ANGLE if turns(model, joint) else LENGTH)
             found |= {} if own is None else {(joint, joint): own}
-    for name in spare:
+    for name in (name for name in spare if name not in reserved()):
         near, nearest = NEAR, dict[tuple[str, str], Floats]()
-        for i, joint in enumerate(chains.joints if name not in reserved() else ()):
+        for i, joint in enumerate(chains.joints):
             column, given = columns.maps[joint]
             kind = kind_of(columns, column)
-            own, other = (
-                found_numbers(table, column, kind),
-                found_numbers(table, name, kind),
-            )
+            own, other = table.found(column, kind), table.found(name, kind)
             if own is None or other is None:
                 continue
             with np.errstate(over="ignore"):  # What means something else.

@@ -2,24 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from calib_pin.errors import OptionError
-from calib_pin.io.columns import (
-    ANGLE,
-    ELSEWHERE,
-    KINDS,
-    LENGTH,
-    PIXEL,
-    PURE,
-    Floats,
-    Kind,
-)
-from calib_pin.io.table import Table, found_numbers
+from calib_pin.io.columns import ANGLE, ELSEWHERE, KINDS, LENGTH, PURE, Floats, Kind
+from calib_pin.io.table import Table
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.measurement_models.declaration import DIAL
@@ -47,8 +38,8 @@ STROKE = replace(LENGTH, largest=0.1)
 """Readings of gauges."""
 
 SIGMAS = {
-    kind.si: replace(kind, largest=size, least=1e-12 * size)
-    for kind, size in ((LENGTH, 1.0), (ANGLE, 1.0), (PIXEL, 1e3))
+    unit: replace(KINDS[unit], largest=size, least=1e-12 * size)
+    for unit, size in (("m", 1.0), ("rad", 1.0), ("px", 1e3))
 }
 """Standard deviations that can be meant, by unit."""
 
@@ -56,10 +47,8 @@ DIRECTION = ".direction"
 """End of the name of a column with the direction in which a joint was approached."""
 
 CONDITIONS = {
-    "temperature": Kind("degC", {"degC": 1.0}, {}, 1e3),
-    "time": Kind(
-        "s", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}, {}, 1e12
-    ),
+    "temperature": Kind("degC", {"degC": 1.0}, np.inf),
+    "time": Kind("s", {"s": 1, "ms": 1e-3, "us": 1e-6, "min": 60, "h": 3600}, np.inf),
 }
 """Columns that are read where they hold numbers throughout."""
 
@@ -72,9 +61,10 @@ def needed(model: str) -> dict[str, Kind]:
     return {name: KINDS[unit] for name, unit in declared(model).columns.items()}
 
 
-def optional(model: str) -> dict[str, Kind]:
-    """The deviations that a model reads where there are any."""
-    return {name: STROKE for ways in declared(model).readings for name in ways}
+def optional(*models: str) -> dict[str, Kind]:
+    """The deviations that models read where there are any; default those of all."""
+    ways = [way for m in models or MEASUREMENT_MODELS for way in declared(m).readings]
+    return {name: STROKE for names in ways for name in names}
 
 
 def measured(*models: str) -> dict[str, Kind]:
@@ -86,18 +76,13 @@ def measured(*models: str) -> dict[str, Kind]:
     return found
 
 
-def gauges() -> frozenset[str]:
-    """Columns that hold deviations of some contact."""
-    return frozenset(name for name, kind in measured().items() if kind is STROKE)
-
-
 def sigmas(model: str) -> dict[str, tuple[str, ...]]:
     """Columns of a standard deviation, by residual component; the last one counts."""
-    stated = declared(model)
-    ways: Sequence[tuple[str, ...]] = stated.readings or [()] * len(stated.components)
+    components, readings = declared(model).components, declared(model).readings
+    ways: Sequence[tuple[str, ...]] = readings or [()] * len(components)
     return {
-        name: ("sigma", *(f"sigma_{way}" for way in (name, *others)))
-        for name, others in zip(stated.components, ways, strict=True)
+        name: ("sigma", f"sigma_{name}", *(f"sigma_{other}" for other in others))
+        for name, others in zip(components, ways, strict=True)
     }
 
 
@@ -113,12 +98,6 @@ def reserved() -> frozenset[str]:
     return read | {f"sigma_{name}" for name in measured()}
 
 
-def read_kinds(table: Table, kinds: Iterable[tuple[str, Kind]]) -> Floats:
-    """Columns side by side, shape (N, k), of values that can be meant."""
-    columns = [table.check(n, table.numbers(n, kind), kind) for n, kind in kinds]
-    return np.column_stack([np.zeros((len(table.lines), 0)), *columns])
-
-
 def orientation_columns(table: Table) -> str:
     """The one way in which a file states orientations, one of `STATED`."""
     first = {
@@ -126,9 +105,9 @@ def orientation_columns(table: Table) -> str:
     }
     if len(first) != 1:
         found = " and ".join(first.values()) or "none"
-        ways = " or ".join(",".join(names) for names in STATED.values())
         reason = f"model 'pose' needs one orientation, the file has {found}"
-        raise table.error(reason, [*first.values(), None][-2 if first else 0], ways)
+        ways = " or ".join(",".join(names) for names in STATED.values())
+        raise table.error(reason, [None, *first.values()][-1], ways)
     (way,) = first
     table.require(STATED[way], f"the orientation {', '.join(STATED[way])} lacks")
     return way
@@ -145,14 +124,14 @@ def read_quaternions(
         reading: How they are to be read.
     """
     kinds = [(name, ORIENTATION[name]) for name in STATED[way]]
-    given = quaternions(read_kinds(table, kinds), way, reading)
+    given = quaternions(table.values(kinds), way, reading)
     with np.errstate(over="ignore"):
         norm = np.linalg.norm(given, axis=1)
     off = abs(norm - 1.0)
     if off[row := int(np.argmax(off))] > 1e-2:
         cells = ", ".join(table.columns[name].text(row) for name in STATED[way])
         reason = f"the norm of the quaternion '{cells}' is {norm[row]:.6g}"
-        raise table.cell_error(reason, STATED[way][-1], row, "0.99 to 1.01")
+        raise table.error(reason, STATED[way][-1], "0.99 to 1.01", row)
     # Dividing a unit quaternion once more may change its last bit, and a file that was
     # written from here must read back as it was.
     norm[off < 1e-14] = 1.0
@@ -182,21 +161,21 @@ def read_values(
         InputError: If a column is missing, or a value cannot be; of the deviations of
             contacts, if only some components have one, or one has two.
     """
-    kinds, ways = needed(model), declared(model).readings
+    about, kinds = declared(model), needed(model)
     unknown = {*spare} - reserved()
     table.require(kinds, f"model '{model}' needs the missing", unknown)
-    there = sorted(gauges() & table.columns.keys()) if ways else []
+    there = {*optional()} & table.columns.keys() if about.contact else set()
     if there:
-        found = [name for names in ways for name in names if name in there]
-        once = all(len({*names} & {*there}) == 1 for names in ways)
-        if len(there) != len(ways) or not once:
-            needs = ", ".join(map(" or ".join, ways))
+        found = [name for names in about.readings for name in names if name in there]
+        once = all(len({*names} & there) == 1 for names in about.readings)
+        if {*found} != there or not once:
             reason = f"of a gauge '{model}' needs every column once, and no other"
-            raise table.error(reason, there[-1], needs)
-        values = read_kinds(table, [(name, STROKE) for name in found])
+            needs = ", ".join(map(" or ".join, about.readings))
+            raise table.error(reason, max(there), needs)
+        values = table.values((name, STROKE) for name in found)
         return tuple(found), values * [-1.0 if DIAL in n else 1.0 for n in found]
-    values = read_kinds(table, kinds.items())
-    if not declared(model).oriented:
+    values = table.values(kinds.items())
+    if not about.oriented:
         return tuple(kinds), values
     way = orientation_columns(table)
     turned = read_quaternions(table, way, orientation)
@@ -219,29 +198,20 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
             guessed, or a value cannot be.
     """
     stated, ways = declared(model), sigmas(model)
-    odd = {*measured(model)}
-    if stated.contact:
-        # Beside its own column it is of something that is not read either.
-        odd |= {name for name in measured() if name not in table}
-    odd = {f"sigma_{name}" for name in odd} - read_by(model)
+    # Beside its own column that of a contact is of something that is not read either.
+    odd = {n for n in measured() if n not in table} if stated.contact else set()
+    odd = {f"sigma_{name}" for name in odd | {*measured(model)}} - read_by(model)
     odd |= {"sigma"} if len({*stated.units.values()}) > 1 else set()
     for name in (name for name in table.columns if name in odd):
         reason = f"model '{model}' has no component of this standard deviation"
         raise table.error(reason, name, ", ".join(f"sigma_{of}" for of in ways))
-    found = {
-        component: name
-        for component, names in ways.items()
-        for name in names
-        if name in table
-    }
+    found = {of: name for of, names in ways.items() for name in names if name in table}
     if not found:
         return {}, None
-    table.require(
-        [f"sigma_{name}" for name in ways if name not in found],
-        "a sigma is needed for every component or for none; missing:",
-    )
-    kinds = [SIGMAS[unit] for unit in stated.units.values()]
-    return found, read_kinds(table, zip(found.values(), kinds, strict=True))
+    reason = "a sigma is needed for every component or for none; missing:"
+    table.require([f"sigma_{name}" for name in ways if name not in found], reason)
+    kinds = map(SIGMAS.__getitem__, stated.units.values())
+    return found, table.values(zip(found.values(), kinds, strict=True))
 
 
 def place_of(target: str) -> str:
@@ -326,22 +296,20 @@ def read_conditions(
     stated: dict[str, Any] = {
         name: numbers
         for name, kind in CONDITIONS.items()
-        if (numbers := found_numbers(table, name, kind)) is not None
+        if (numbers := table.found(name, kind)) is not None
     }
-    names = [joint + DIRECTION for joint in joints]
-    used = {name for name in names if name in table}
+    used = [joint + DIRECTION for joint in joints if joint + DIRECTION in table]
     columns = np.zeros((len(table.lines), len(joints)), np.int8)
     for name in used:
         column = table.columns[name]
         signs = np.where(column.missing(), 0.0, column.numbers)
-        wrong, allowed = (
-            ~np.isin(signs, (-1, 0, 1)),
-            "1, -1, or 0 where it is not known",
-        )
+        allowed = "1, -1, or 0 where it is not known"
+        wrong = ~np.isin(signs, (-1, 0, 1))
         table.refuse(wrong, "not the sign of a joint's last motion", name, allowed)
-        columns[:, names.index(name)] = signs
+        columns[:, joints.index(name.removesuffix(DIRECTION))] = signs
+    read = frozenset({*used, *stated})
     stated |= {"direction": columns, "source": "columns"} if used else {}
-    return Conditions(**stated), frozenset(used | CONDITIONS.keys() & stated.keys())
+    return Conditions(**stated), read
 
 
 def asked_models(model: str | None) -> tuple[str, ...]:
@@ -380,19 +348,19 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
     # No instrument repeats all of its digits.
     turned = [table.columns[name].numbers for name in ORIENTED & there]
     oriented = any(len(n) < FEW or bool(np.ptp(n) != 0.0) for n in turned)
-    told, fitting = list[str](), list[str]()
-    for name in names:
-        stated = declared(name)
-        whole, named = needs[name] <= there, stated.naming.required == "every"
+
+    def fits(name: str) -> bool:
+        about = declared(name)
+        if about.oriented and not oriented:
+            return False
+        if about.contact:
+            return not partly and ("target" in there or not _names(name))
         # What is there in part is told as missing; `u` alone may mean something else.
-        if not asked and stated.inference and not stated.inference.complete:
-            whole = name in partly or stated.oriented
-        if stated.contact:
-            whole = not partly and ("target" in there or not named)
-        if whole and (oriented or not stated.oriented):
-            fitting.append(name)
-        about = ["orientation"] * stated.oriented + ["target"] * named
-        told.append(f"{name} ({', '.join([*needed(name), *about]) or 'nothing'})")
+        if not asked and about.inference and not about.inference.complete:
+            return name in partly or about.oriented
+        return needs[name] <= there
+
+    fitting = [name for name in names if fits(name)]
     fuller = [needs[name] for name in fitting if declared(name).oriented]
     fitting = [
         name
@@ -401,8 +369,20 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
     ]
     if len(fitting) == 1 or (partly and not fitting and not asked):
         return [*fitting, *partly][0]
-    reason = f"no measured columns for {', '.join(told)}; contacts need --model"
     if fitting:
         reason = f"the columns allow {' and '.join(fitting)}; name what is measured "
         reason += "with --model, or row by row in a column 'model'"
-    raise table.error(reason + ELSEWHERE * (not fitting))
+        raise table.error(reason)
+    told = ", ".join(f"{name} ({_columns_of(name)})" for name in names)
+    reason = f"no measured columns for {told}; contacts need --model"
+    raise table.error(reason + ELSEWHERE)
+
+
+def _names(model: str) -> bool:
+    """Whether every measurement has to name a target."""
+    return declared(model).naming.required == "every"
+
+
+def _columns_of(model: str) -> str:
+    about = ["orientation"] * declared(model).oriented + ["target"] * _names(model)
+    return ", ".join([*needed(model), *about]) or "nothing"

@@ -453,7 +453,7 @@ def test_what_is_written(tmp_path, chain, refused):
         "# made by a test\n#\n# two\n# lines\n"
         "lift,elbow,wrist,x,y,z,qx,qy,qz,qw,sigma_x,sigma_y,sigma_z,"
         "sigma_rx,sigma_ry,sigma_rz,target,set\n"
-        f"0.1,-0.0,1e-07,1.0,2.0,3.0,0.0,0.0,0.0,1.0,{sigma}ball,train\n"
+        f"0.1,-0.0,1e-7,1.0,2.0,3.0,0.0,0.0,0.0,1.0,{sigma}ball,train\n"
         f'0.25,2.0,3.0,0.1,0.2,0.3,0.0,0.6,0.0,0.8,{sigma}"a, ""b""",validate\n'
     )
     assert same(data, read(file, chain))

@@ -95,9 +95,9 @@ def test_numbers_are_texts_as_well(monkeypatch, table):
     assert found.texts(["name", "note"]) == {"name": ("01", "1e0", "3")}
     some = found.rows(np.array([2, 1]), ["name", "x", "y"])
     assert some.texts(["name"]) == {"name": ("3", "1e0")}
-    assert some.cells(["x"]) == {"x": ["7", "2.50"]}
+    assert some.columns["x"].texts() == ("7", "2.50")
     assert some.numbers("x", LENGTH).tolist() == [7e-3, 2.5e-3]
-    error = some.cell_error("too large", "x", 1)
+    error = some.error("too large", "x", row=1)
     assert (error.line, error.value) == (5, "2.50")
     # Of many that differ there are the numbers alone, and the other texts.
     monkeypatch.setattr(table_module, "TEXTS", 2)

@@ -125,7 +125,7 @@ def simulate(asked: Simulation, context: typer.Context) -> int:
             with stated_in(str(file)):
                 rows = measure(q=q, target=target, places=named, conditions=held)
         comment = f"simulated by: {told_command(context)}"
-        columns = dict(measurement_columns(rows))
+        columns = measurement_columns(rows)
         table = encode_table(columns, [comment], stage(bar, "write"))
     contents = {asked.output: table}
     told = [f"wrote {len(rows)} measurements to {asked.output}"]

@@ -233,21 +233,20 @@ def find_starts(table: Table, distance: Floats, q: Floats) -> Indices:
         InputError: If a start is not one, nothing starts there, or a row cannot be
             measured from it.
     """
-    target, payload = table.labels("target"), table.labels("payload")
-    _, first, which = np.unique(target.codes, return_index=True, return_inverse=True)
-    start = np.asarray(first[which])
+    target, payload = table.labels("target").codes, table.labels("payload").codes
+    _, first, which = np.unique(target, return_index=True, return_inverse=True)
+    start: Indices = first[which]
     begins = start == np.arange(len(start))
-    alone = np.bincount(start, minlength=len(start)) == 1
-    still = ~begins & (q == q[start]).all(axis=1)
-    wrong = (begins != (distance == 0.0)) | (distance < 0.0)
     of = "the first row of a target is its start"
-    table.refuse(wrong, f"{of}, and only there the distance is 0", "distance")
     named = "target" if "target" in table else "distance"
-    table.refuse(alone, f"{of}, and no other row is measured from it", named)
-    table.refuse(still, "the joint positions are those of the start", "distance")
-    if "payload" in table:
-        other = payload.codes != payload.codes[start]
-        table.refuse(other, "the payload is not that of the start", "payload")
+    for column, wrong, reason in (
+        ("distance", begins != (distance == 0.0), f"{of}, where alone distance is 0"),
+        ("distance", distance < 0.0, "a distance from a start is not negative"),
+        (named, np.bincount(start)[start] == 1, f"{of}, and no other row is of it"),
+        ("distance", ~begins & (q == q[start]).all(axis=1), "the joints did not move"),
+        ("payload", payload != payload[start], "the payload is not that of the start"),
+    ):
+        table.refuse(wrong, reason, column)
     return start
 
 

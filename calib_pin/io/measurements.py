@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -594,44 +594,39 @@ def write_measurements(
         ...     file.read_text().split()[-2:]
         ['lift,distance', '0.25,1.5']
     """
-    columns = dict(measurement_columns(measurements))
-    data = encode_table(columns, comments, progress)
+    data = encode_table(measurement_columns(measurements), comments, progress)
     write_atomically(Path(path), data, force=force)
 
 
 def measurement_columns(
     measurements: Measurements | Observations,
-) -> Iterator[tuple[str, Sequence[object] | NDArray[Any]]]:
-    """Names and cells of the columns that hold measurements.
+) -> dict[str, Labels | NDArray[Any]]:
+    """Cells of the columns that hold measurements, by name.
 
     Raises:
         OptionError: If there is no measurement model of a name.
         OutputError: If a name or a relative distance would not read back.
     """
     data = _with_starts(Observations.of(measurements))
-    order = data.in_order
-    for name, column in zip(data.joints, data.q[order].T, strict=True):
-        yield joint_columns.column_name(name), column
+    names, held = map(joint_columns.column_name, data.joints), data.conditions
+    columns = dict[str, Any](zip(names, data.q.T, strict=True))
     for field in BlockKey._fields:
         of_block = Labels.of([getattr(block, field) for block in data.blocks])
         if len(of_block.distinct) > 1 or (field != "model" and any(of_block)):
-            yield field, _writable(field, of_block[data.block_of[order]])
-    for name, column in _measured(data).items():
-        yield name, column[order]
+            columns[field] = _writable(field, of_block[data.block_of])
+    columns |= _measured(data)
     for field in ("target", "payload"):
-        names = getattr(data, field)
-        if any(names.distinct):
-            yield field, _writable(field, names[order])
-    held = data.conditions
+        if any((labels := getattr(data, field)).distinct):
+            columns[field] = _writable(field, labels)
     # Directions that follow from the order of rows, or from their time, do so again.
     if held.source == "columns":
-        for name, column in zip(data.joints, held.direction[order].T, strict=True):
-            yield name + DIRECTION, column
-    for name in ("temperature", "time"):
-        if len(column := getattr(held, name)):
-            yield name, column[order]
+        ends = (joint + DIRECTION for joint in data.joints)
+        columns |= zip(ends, held.direction.T, strict=True)
+    stated = {name: getattr(held, name) for name in ("temperature", "time")}
+    columns |= {name: column for name, column in stated.items() if len(column)}
     if data.validate.any():
-        yield "set", Labels(("train", "validate"), data.validate[order].astype(int))
+        columns["set"] = Labels(("train", "validate"), data.validate.astype(int))
+    return {name: column[data.in_order] for name, column in columns.items()}
 
 
 def _measured(data: Observations) -> dict[str, Floats]:

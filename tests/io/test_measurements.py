@@ -310,53 +310,42 @@ TEXT = st.text(
 
 # What a target has to be so that a row of the model can be read.
 NAMED = TEXT.filter(lambda name: name.rpartition("@")[2] != "")
+FREE = ("position", "pose", "plane-distance", "relative-distance")
 
 
 @st.composite
-def measurements(draw, key=None, chains=None):
+def measurements(draw, key, chains):
     """Measurements of one block, which keep to what the reader checks."""
-    key = key or BlockKey(draw(st.sampled_from(list(MEASUREMENT_MODELS))))
-    joints = chains.joints if chains else ("lift", "elbow", "wrist")
-    model, n = key.model, len(joints)
-    stated = declared(model)
-    width, components = len(stated.values), len(stated.components)
-    gauged = draw(st.booleans()) and not chains
-    width = width or (len(stated.readings) if gauged else 0)
-    count = draw(st.integers(1, 5))
+    model, n, stated = key.model, len(chains.joints), declared(key.model)
+    count, width = draw(st.integers(1, 5)), len(stated.values)
     # Within the unit checks of the reader: 0 to 0.5 m, about a turn.
     q = draw(arrays(float, (count, n), elements=st.floats(-0.4, 0.4)))
     values = draw(arrays(float, (count, width), elements=st.floats(-2, 2)))
-    values = 0.04 * values if stated.readings else values
     if model == "pose":
         quaternion = draw(arrays(float, (count, 4), elements=st.floats(0.1, 1)))
         quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
         values[:, 3:] = quaternion * [-1, 1, -1, 1]
     sizes = st.floats(1e-8, 1e3) if model == "camera" else SIGMA
-    sigma = draw(st.none() | arrays(float, (count, components), elements=sizes))
-    named = model not in ("position", "pose", "plane-distance", "relative-distance")
-    named |= key.chain == "world"
-    names = st.lists(NAMED if named else TEXT, min_size=count, max_size=count)
-    if model in ("point-distance", "plane-contact", "sphere-contact"):
-        # Those of one model and station name all of their targets, or none.
-        names = st.just([""] * count) if key.chain != "world" and not chains else names
-    target = draw(names)
+    shape = (count, len(stated.components))
+    sigma = draw(st.none() | arrays(float, shape, elements=sizes))
+    names = TEXT if model in FREE and key.chain != "world" else NAMED
+    target = draw(st.lists(names, min_size=count, max_size=count))
     payload = draw(st.lists(TEXT, min_size=count, max_size=count))
     start = np.zeros((0, 0))
     if model == "relative-distance":
         values = np.abs(values) + 1e-6
-        size = 0.4 if chains else 3.0
-        begins = [0.45, *draw(arrays(float, n - 1, elements=st.floats(-size, size)))]
         first = [target.index(name) for name in target]
         payload = [payload[k] for k in first]
-        start = np.array([begins] * count) - 0.01 * np.array(first)[:, None]
+        begins = [0.45, *draw(arrays(float, n - 1, elements=st.floats(-0.4, 0.4)))]
+        start = chains.follow(np.array([begins] * count) - 0.01 * np.c_[first])
     return Measurements(
-        joints=joints,
-        q=chains.follow(q) if chains else q,
+        joints=chains.joints,
+        q=chains.follow(q),
         values=values,
         sigma=sigma,
         target=target,
         conditions=Conditions(payload),
-        start=chains.follow(start) if chains and start.size else start,
+        start=start,
         validate=draw(arrays(bool, count)),
         **key._asdict(),
     )
@@ -366,28 +355,18 @@ def measurements(draw, key=None, chains=None):
 def mixtures(draw, tree):
     """Measurements of several blocks, in any order within a file."""
     # Of a model and a chain either all measurements name a station, or none.
-    models = draw(
-        st.lists(
-            st.sampled_from(list(MEASUREMENT_MODELS)),
-            min_size=2,
-            max_size=4,
-            unique=True,
-        )
-    )
+    every = st.sampled_from(list(MEASUREMENT_MODELS))
+    models = draw(st.lists(every, min_size=1, max_size=4, unique=True))
     places = st.sampled_from([("", ""), ("", "probe"), ("day 1", ""), ("2", "1")])
     keys = {}
     for model in models:
         for chain in draw(st.sets(st.sampled_from(CHAINS), min_size=1, max_size=2)):
-            if (model, chain) == ("relative-distance", "world"):
-                continue
             station, tool = draw(places)
-            keys[BlockKey(model, chain, station, tool)] = None
-            if station and draw(st.booleans()):
-                keys[BlockKey(model, chain, "b", tool)] = None
-    chains = tree.named(tuple({key.chain for key in keys} or {""}))
+            if (model, chain) != ("relative-distance", "world"):
+                keys[BlockKey(model, chain, station, tool)] = None
+    keys = keys or {BlockKey("pose"): None}
+    chains = tree.named(tuple({key.chain for key in keys}))
     blocks = [draw(measurements(key, chains)) for key in keys]
-    if not blocks:
-        blocks = [draw(measurements(BlockKey("pose"), chains))]
     order = draw(st.permutations(range(sum(map(len, blocks)))))
     lines = np.split(np.array(order), np.cumsum([len(b) for b in blocks])[:-1])
     blocks = [
@@ -415,16 +394,15 @@ def same(data, again):
 
 @settings(max_examples=40, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(drawn=st.data(), comments=st.lists(TEXT, max_size=3))
-def test_written_files_read_back_bit_by_bit(tmp_path, chain, tree, drawn, comments):
-    data = drawn.draw(measurements() | mixtures(tree))
-    file = tmp_path / "written.csv"
+def test_written_files_read_back_bit_by_bit(tmp_path, tree, drawn, comments):
+    data, file = drawn.draw(mixtures(tree)), tmp_path / "written.csv"
     write_measurements(file, data, comments, force=True)
-    several = isinstance(data, Observations)
-    options = {"notice": pytest.fail, "sockets": sockets(data)}
-    (model, *others) = Observations.of(data).models
-    if not others and model not in ("position", "pose", "plane-distance", "camera"):
-        options["model"] = model
-    again = read_measurements(file, tree if several else chain, **options)
+    # Of all sockets, so that one row is enough for each.
+    sockets = {name.rpartition("@")[2] for name in data.target}
+    options = {"notice": pytest.fail, "sockets": sockets}
+    if len(data.models) == 1:
+        (options["model"],) = data.models
+    again = read_measurements(file, tree, **options)
     assert same(data, again)
     first = file.read_bytes()
     write_measurements(file, again, comments, force=True)
@@ -432,29 +410,18 @@ def test_written_files_read_back_bit_by_bit(tmp_path, chain, tree, drawn, commen
     assert b"\r" not in first
 
 
-def sockets(data):
-    """All of them, so that one row is enough for each."""
-    return {name.rpartition("@")[2] for name in Observations.of(data).target}
-
-
 def test_what_is_written(tmp_path, chain, refused):
+    file, q = tmp_path / "out.csv", np.array([[0.1, -0.0, 1e-7], [0.25, 2.0, 3.0]])
+    about = {"values": q[:, :1], "sigma": np.array(1e-4), "target": ("ball", 'a, "b"')}
     data = Measurements(
-        joints=("lift", "elbow", "wrist"),
-        q=np.array([[0.1, -0.0, 1e-7], [0.25, 2.0, 3.0]]),
-        model="pose",
-        values=np.array([[1, 2, 3, 0, 0, 0, 1], [0.1, 0.2, 0.3, 0, 0.6, 0, 0.8]]),
-        sigma=np.full((2, 6), 1e-4),
-        target=("ball", 'a, "b"'),
-        validate=np.array([False, True]),
+        chain.joints, q, "plane-distance", validate=np.array([False, True]), **about
     )
-    file, sigma = tmp_path / "out.csv", "0.0001," * 6
     write_measurements(file, data, ["made by a test", "", "two\nlines"])
     assert file.read_text(encoding="utf-8") == (
         "# made by a test\n#\n# two\n# lines\n"
-        "lift,elbow,wrist,x,y,z,qx,qy,qz,qw,sigma_x,sigma_y,sigma_z,"
-        "sigma_rx,sigma_ry,sigma_rz,target,set\n"
-        f"0.1,-0.0,1e-7,1.0,2.0,3.0,0.0,0.0,0.0,1.0,{sigma}ball,train\n"
-        f'0.25,2.0,3.0,0.1,0.2,0.3,0.0,0.6,0.0,0.8,{sigma}"a, ""b""",validate\n'
+        "lift,elbow,wrist,distance,sigma_distance,target,set\n"
+        "0.1,-0.0,1e-7,0.1,0.0001,ball,train\n"
+        '0.25,2.0,3.0,0.25,0.0001,"a, ""b""",validate\n'
     )
     assert same(data, read(file, chain))
     with refused(OptionError, file=str(file)):
@@ -483,31 +450,23 @@ VECTOR = f"{J},x,y,z,rx,ry,rz"
 # A file, then line, column and value of the error, and what else tells it from others.
 REFUSED = [
     # Not such a file at all.
-    ("", None, None, None),
     (f"# c\n{J},distance\n# c\n", None, None, None),
-    ("# c\nlift;elbow;wrist;distance\n0,1;2;3;4,5\n0;2;3;1.5\n", 4, "distance", "1.5"),
-    ("lift;elbow;wrist;x\n0,1;2;3,4\n", 2, None, None, "3 cells for 4"),
     # Rows that do not fit.
     (f"{R}\n0,0,0\n", 4, None, None, "3 cells for 4"),
-    (f"{R}0,0,0,1,abc\n", 3, None, None, "5 cells for 4"),
     (f"{J},distance\n0,0,0,0,0,0,1,5\n", 2, None, None, "decimal"),
-    (f'{J},distance\n0,0,0,"1\n0,0,0,1\n', 2, None, None),
     # Cells that are not numbers.
     *(
         (f"{R}# c\n0,{cell},0,1\n", 4, "elbow", cell.strip())
-        for cell in ("abc", "-Inf", "1e999", "1_0", "90deg")
+        for cell in ("abc", "1e999", "1_0")
     ),
     (f'{R}0,"1,5",0,1\n', 3, "elbow", "1,5", "decimal"),
     # Columns that are missing, doubled or have a wrong unit.
     ("lift,elbow_joint,wrist,distance\n0,0,0,1\n", 1, "elbow", None, "'elbow_joint'"),
     ("lift,elbow (deg),distance\n0,0,1\n", 1, "elbow", None, "'elbow (deg)'"),
-    (f"{J},elbow,distance\n0,0,0,0,1\n", 1, "elbow", None),
     (f"{J},x,x [mm],y,z\n0,0,0,0,1,0,0\n", 1, "x", None, "'x [mm]'"),
     ("lift,elbow [mm],wrist,distance\n0,0,0,1\n", 1, "elbow", None, "'mm'"),
     (f"{J},x,y,z,qx [m],qy,qz,qw\n0,0,0,0,0,0,0,0,0,1", 1, "qx", None),
-    (f"{J},distance,sigma [deg]\n0,0,0,1,1\n", 1, "sigma", None, "'deg'"),
     ("lift,elbow [ticks],wrist,distance\n0,0,0,1\n", 1, "elbow", None, "'ticks'"),
-    (f"{STEPS}0,-5,0,1\n", 2, "elbow", "-5", "turn"),
     (f"{STEPS}0,9,0,1\n0,4097,0,1\n", 3, "elbow", "4097", "turn"),
     ("lift,elbow,wrist,distance\n0,2917,9,1\n", 2, "elbow", "2917", "[steps/4096]"),
     ("lift,elbow,wrist,distance\n0,-100,9,1\n", 2, "elbow", "-100", "[steps/N@0]"),
@@ -533,7 +492,6 @@ REFUSED = [
     ),
     (f"{J},x,y,z,sigma_x,sigma_z\n0,0,0,1,2,3,1,1\n", 1, "sigma_y", None),
     (f"{VECTOR},sigma\n0,0,0,1,2,3,0,0,0,1\n", 1, "sigma", None),
-    (f"{VECTOR},sigma_qw\n0,0,0,1,2,3,0,0,0,1\n", 1, "sigma_qw", None),
     (f"{J},distance,elbow.direction\n0,0,0,1,up\n", 2, "elbow.direction", "up"),
     # Sets.
     (f"{J},distance,set\n0,0,0,1,train\n0,0,0,1,test\n", 3, "set", "test"),
@@ -542,17 +500,14 @@ REFUSED = [
     (f"{J},distance\n0,1,0,1\n0,90,0,1\n0,45,0,1\n", 3, "elbow", "90", "'elbow [deg]'"),
     (f"{R}0,-9,0,1\n", 3, "elbow", "-9", "'elbow [deg]'"),
     ("lift,elbow [deg],wrist,distance\n0,2000,0,1\n", 2, "elbow", "2000", "[mrad]'"),
-    (f"{VECTOR}\n0,0,0,1,1,2,0,90,0\n", 2, "ry", "90", "'ry [deg]'"),
     # Lengths in millimeters.
     (f"{J},distance\n15,0,0,1\n", 2, "lift", "15", "'lift [mm]'"),
-    (f"{J},distance\n0,0,0,101\n", 2, "distance", "101", "'distance [mm]'"),
     (f"{J},x,y,z\n0,0,0,900000,1,2\n", 2, "x", "900000", "'x [um]'"),
     (f"{J},x,y,z\n0,0,0,1,1,2\n0,0,0,1,2,2\n0,0,0,1,30,2\n", 4, "y", "30", "'y [mm]'"),
     (f"{J},distance,sigma\n0,0,0,1,1.5\n", 2, "sigma", "1.5", "'sigma [mm]'"),
 ]
 
 FAR = "plane-distance\n0,0,0,"
-POSES = "position\n0,0,0,1,2,3,0,0,0,1,,,pose"
 BOTH = "distance,target,model\n0,0,0,"
 
 # The same after the model that is asked for, without the columns of the joints.
@@ -572,7 +527,6 @@ REFUSED_BY_MODEL = [
     # Numbers that cannot be.
     ("camera", "u,v,target\n0,0,0,1,-2e5,m\n", 2, "v", "-2e5"),
     ("camera", "u,v,target,sigma\n0,0,0,1,1,m,1e-10\n", 2, "sigma", "1e-10"),
-    ("camera", "u,v,target,sigma\n0,0,0,1,1,m,1001\n", 2, "sigma", "1001"),
     ("camera", "u,v,target,sigma [mm]\n0,0,0,1,1,m,1\n", 1, "sigma", None, "'mm'"),
     ("plane-contact", "sigma_x,sigma_y,sigma_z\n0,0,0,1,1,1\n", 1, "sigma_x", None),
     ("sphere-contact", "sigma_contact [rad]\n0,0,0,1\n", 1, "sigma_contact", None),
@@ -582,7 +536,6 @@ REFUSED_BY_MODEL = [
     ("plane-contact", "dial,deviation\n0,0,0,0,0\n", 1, "dial", None, "once"),
     ("sphere-contact", "dial_x\n0,0,0,0\n", 1, "dial_x", None, "once"),
     ("sphere-contact", "Messuhr [mm]\n0,0,0,1\n", 1, "Messuhr", None, "dial: "),
-    ("plane-contact", "test indicator\n0,0,0,0.1\n", 1, "test indicator", None, ""),
     # Relative distances: starts that are none.
     *(
         ("relative-distance", f"distance,target,payload\n{rows}", *about)
@@ -599,13 +552,11 @@ REFUSED_BY_MODEL = [
     # Several models in a file.
     (None, "distance,model\n0,0,0,1,posee\n", 2, "model", "posee", "'pose'"),
     (None, "distance,model\n0,0,0,1,\n", 2, "model", ""),
-    (None, "distance,model [m]\n0,0,0,1,pose\n", 1, "model", None),
     (None, f"x,y,z,{BOTH},,,1,,{FAR}1,2,3,4,,position", 3, "distance", "4"),
     (None, f"u,v,sigma_u,{BOTH},,0.5,1,,{FAR}1,1,2,,m,camera", 2, "sigma_u", "0.5"),
     (None, f"u,v,{BOTH},,,,{FAR}1,,,m,camera", 2, "v", ""),
     (None, f"u,{BOTH},1,,{FAR}1,,m,camera", 1, "v", None),
     (None, f"u,v,sigma,{BOTH}1,1,1,,m,camera\n0,0,0,1,1,,,m,camera", 3, "sigma", ""),
-    (None, f"x,y,z,rx,ry,rz,sigma,{BOTH}1,2,3,,,,1,,,{POSES}", 1, "sigma", None),
 ]
 
 
@@ -685,16 +636,9 @@ def test_limits_of_many_turns_are_believed(write, chain_of):
     assert read(file, chain_of(xml, tip="c")).q[0, 1] == 59.0
 
 
-@pytest.mark.parametrize(
-    ("model", "names"),
-    [
-        ("position+camra", ("'camra'", "'camera'")),
-        ("position+", "''"),
-        ("camera+position+camera", ()),
-    ],
-)
-def test_model_names(write, chain, refused, model, names):
-    with refused(OptionError, names):
+@pytest.mark.parametrize("model", ["position+camra", "position+", "camera+camera"])
+def test_model_names(write, chain, refused, model):
+    with refused(OptionError, "'camera'" if "camra" in model else ()):
         read(write("lift\n0\n"), chain, model=model)
 
 
@@ -805,10 +749,7 @@ def test_conditions_are_read_and_written(write, tmp_path, chain):
 
 def test_stated_directions_are_written(write, tmp_path, chain):
     ends = ",".join(f"{joint}.direction" for joint in chain.joints)
-    file, again = (
-        write(f"{J},distance,{ends}\n0,0,0,1,1,-1,1\n"),
-        tmp_path / "again.csv",
-    )
+    file, again = write(f"{J},distance,{ends}\n0,0,0,1,1,-1,1\n"), tmp_path / "a.csv"
     write_measurements(again, read(file, chain, notice=pytest.fail))
     held = read(again, chain).conditions
     assert (held.direction.tolist(), held.source) == ([[1, -1, 1]], "columns")
@@ -866,23 +807,6 @@ def relative(**changes):
         "start": np.zeros((3, 3)),
     }
     return Measurements(**{**fields, **changes})
-
-
-@pytest.mark.parametrize(
-    ("about", "lifts"),
-    [
-        ({"target": ("a", "b", "a"), "start": np.eye(3)[[0, 1, 0]]}, "1 .1 0 .2 .3"),
-        ({"lines": np.array([7, 3, 5]), "files": ["m.csv"] * 3}, "0 .2 .3 .1"),
-    ],
-)
-def test_starts_are_written_before_their_rows(tmp_path, about, lifts):
-    file = tmp_path / "out.csv"
-    write_measurements(file, relative(**about))
-    header, *rows = file.read_text().splitlines()
-    assert header == f"{J},distance" + ",target" * ("target" in about)
-    assert [float(row.split(",")[0]) for row in rows] == [*map(float, lifts.split())]
-    if "target" in about:
-        assert rows[2:4] == ["0.0,1.0,0.0,0.0,b", "0.2,0.0,0.0,0.2,b"]
 
 
 @pytest.mark.parametrize(
@@ -1046,12 +970,14 @@ def test_sockets_count_over_all_files(write, chain, refused):
     assert len(data) == 1
 
 
-def test_touches_beside_readings_are_exact(write, chain):
+def test_touches_beside_readings_are_exact(write, chain, tmp_path):
     """A row without a reading is left out, a file without any holds touches."""
     read_off = write(f"{J},dial [mm]\n0,0,0,1\n0.1,0,0,\n0.2,0,0,2\n", "a.csv")
     touched = write(f"{J}\n0.3,0,0\n", "b.csv")
-    data = read_measurements([touched, read_off], chain, model="plane-contact").only
+    data = read([touched, read_off], chain, model="plane-contact")
     np.testing.assert_allclose(data.values[:, 0], [0.0, -1e-3, -2e-3])
+    write_measurements(tmp_path / "out.csv", data)
+    assert same(data, read(tmp_path / "out.csv", chain, model="plane-contact"))
     counted = write(f"{J},reading\n0,0,0,1\n0.1,0,0,2\n", "c.csv")
     assert read(counted, chain, model="plane-contact").values.shape == (2, 0)
 
@@ -1115,35 +1041,38 @@ def test_importing_does_not_load_scipy():
 
 # --- real files --------------------------------------------------------------------
 
-SOCKETS = {"model": "fixed-point"}
-REAL = ("train", "validate", "measurements", "panda_1", "panda_2")
+
+TOOL = "tool_position"
 
 
 @pytest.mark.parametrize(
-    ("name", "tip", "folder", "options", "counts", "ignored"),
+    ("name", "tip", "folder", "model", "counts", "ignored"),
     [
-        ("ur10_robot", "tool0", "ur10_tmac", {}, (500, 2000), "temperature_C"),
-        ("tiago_no_hand", "wrist_ft_tool_link", "tiago", {}, (37, 62), ""),
-        ("talos_reduced", "arm_left_7_link", "talos_left_arm", {}, (61,), "time_s"),
-        *(
-            ("panda", "panda_link8", "mukca_panda", SOCKETS, counts, "tool_position")
-            for counts in ((182, 559),)
+        ("ur10_robot", "tool0", "ur10_tmac", None, (500, 2000), "temperature_C"),
+        ("tiago_no_hand", "wrist_ft_tool_link", "tiago", None, (37, 62), ""),
+        ("talos_reduced", "arm_left_7_link", "talos_left_arm", None, (61,), "time_s"),
+        (
+            "panda",
+            "panda_link8",
+            "mukca_panda",
+            "fixed-point",
+            (182, 559),
+            "tool_position",
         ),
     ],
 )
-def test_real_files(tmp_path, data_folder, name, tip, folder, options, counts, ignored):
-    chain = load_chain(f"example:{name}", tip=tip)
-    files = [path for path in (data_folder / folder).glob("*.csv") if path.stem in REAL]
-    files.sort()
-    notices: list[str] = []
-    data = read(files, chain, notice=notices.append, **options)
+def test_real_files(tmp_path, data_folder, name, tip, folder, model, counts, ignored):
+    chain, again = load_chain(f"example:{name}", tip=tip), tmp_path / "again.csv"
+    names = ("train", "validate", "measurements", "panda_1", "panda_2")
+    files = sorted(p for p in (data_folder / folder).glob("*.csv") if p.stem in names)
+    notices = list[str]()
+    data = read(files, chain, notice=notices.append, model=model)
     assert [data.files.count(str(file)) for file in files] == list(counts)
     assert told(notices) == [(file, ignored) for file in files if ignored]
     # Millimeters became meters: no target is farther than a room.
     assert np.abs(data.values[:, :3]).max(initial=0.0) < 3.0
-    write_measurements(tmp_path / "again.csv", data)
-    again = read(tmp_path / "again.csv", chain, **options)
-    assert same(data, again)
+    write_measurements(again, data)
+    assert same(data, read(again, chain, model=model))
     assert read_configurations(files[0], chain).shape == (counts[0], len(chain.joints))
 
 

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import calib_pin.io.joint_columns as joint_columns
 import calib_pin.io.measured_columns as measured_columns
 from calib_pin.errors import InputError, OutputError, RobotError, nearest
 from calib_pin.io.columns import NO_READING, Column, Floats, closest
@@ -240,16 +239,16 @@ class _Reader:
         """
         chain_of = table.labels("chain").map(lambda name: name or self.unnamed)
         chains = self._chains(table, chain_of)
-        table, columns = joint_columns.own_columns(table, chains, self.joints)
+        table, columns = measured_columns.own_columns(table, chains, self.joints)
         table = self._of_sheet(table)
         keys = self._keys(table, chain_of)
         kept = _with_readings(table, chains, columns, keys)
         if not kept.all():
             some = with_readings(table, kept, "measurements", self.notice)
             return self.blocks(some)
-        q = joint_columns.read_positions(table, chains, columns, chain_of)
-        spare = joint_columns.spare_columns(table, chains, self.joints)
-        further = joint_columns.spare_positions(table, chains, columns, q, spare)
+        q = measured_columns.read_positions(table, chains, columns, chain_of)
+        spare = measured_columns.spare_columns(table, chains, self.joints)
+        further = measured_columns.spare_positions(table, chains, columns, q, spare)
         held, used = measured_columns.read_conditions(table, chains.joints)
         steps = {
             joint: turn[0]
@@ -384,7 +383,7 @@ def _with_readings(
         optional = measured_columns.optional(key.model)
         read = {*measured_columns.measured(key.model)}
         for joint in drives_of(chains[key.chain]):
-            read |= joint_columns.kinds_of(columns, joint).keys()
+            read |= measured_columns.kinds_of(columns, joint).keys()
         for name in (name for name in table.columns if name in read):
             missing = table.columns[name].missing()[rows]
             if missing.any() and not (missing.all() and name in optional):
@@ -491,8 +490,8 @@ def read_configurations(
         [[0.0, 0.0, 0.0, 0.5, 0.0, 0.0]]
     """
     table = read_table(path, columns=columns)
-    table, own = joint_columns.own_columns(table, chain, joints)
-    return joint_columns.read_positions(table, chain, own)
+    table, own = measured_columns.own_columns(table, chain, joints)
+    return measured_columns.read_positions(table, chain, own)
 
 
 def read_names(
@@ -550,7 +549,7 @@ def encode_configurations(
         calib_pin.errors.OutputError: target 'wall\n' would not read back
     """
     columns: dict[str, Floats | Sequence[str] | Sequence[int]] = {
-        **joint_columns.shown_columns(q, JointColumns.of(chain, joints), degrees)
+        **measured_columns.shown_columns(q, JointColumns.of(chain, joints), degrees)
     }
     columns |= {joint + DIRECTION: column for joint, column in sides.items()}
     named = {**places, "target": target}
@@ -608,7 +607,7 @@ def measurement_columns(
         OutputError: If a name or a relative distance would not read back.
     """
     data = _with_starts(Observations.of(measurements))
-    names, held = map(joint_columns.column_name, data.joints), data.conditions
+    names, held = map(measured_columns.column_name, data.joints), data.conditions
     columns = dict[str, Any](zip(names, data.q.T, strict=True))
     for field in BlockKey._fields:
         of_block = Labels.of([getattr(block, field) for block in data.blocks])

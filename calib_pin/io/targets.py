@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import calib_pin.io.joint_columns as joint_columns
 import calib_pin.io.measured_columns as measured_columns
 from calib_pin.control.joints import Joints
 from calib_pin.errors import OutputError
@@ -92,7 +91,7 @@ def read_target_file(
         ([0.9, 0.0, 0.25], False)
     """
     table = read_table(path, columns=columns)
-    table, own = joint_columns.own_columns(table, chain, joints)
+    table, own = measured_columns.own_columns(table, chain, joints)
     oriented = bool(measured_columns.ORIENTED & table.columns.keys())
     has_targets = oriented or bool({*measured_columns.POSITION} & table.columns.keys())
     has_joints = bool({*own.names} & table.columns.keys())
@@ -103,11 +102,11 @@ def read_target_file(
         )
     q = None
     if has_joints:
-        q = joint_columns.read_positions(table, chain, own)
+        q = measured_columns.read_positions(table, chain, own)
         q = Joints.of(chain).continued(q)
     if not has_targets:
         return Targets(table, own, q, None, False)
-    spare = joint_columns.spare_columns(table, chain, joints)
+    spare = measured_columns.spare_columns(table, chain, joints)
     spare = [name for name in spare if name not in own.names]
     model = (Pose if oriented else Position).declaration.name
     used, values = measured_columns.read_values(table, model, spare)
@@ -201,7 +200,7 @@ def _command_columns(
     """
     own, columns = targets.columns, targets.table.columns
     if targets.q is None:
-        shown = joint_columns.shown_columns(q, own, degrees)
+        shown = measured_columns.shown_columns(q, own, degrees)
         return {header: column.tolist() for header, column in shown.items()}
     before = targets.q[rows]
     # Columns that are only coupled stay.
@@ -214,7 +213,7 @@ def _command_columns(
     for name in columns if targets.T is None else {**dict.fromkeys(own.names), **moved}:
         column = columns[name]
         if name in moved:
-            kind = joint_columns.kind_of(own, name)
+            kind = measured_columns.kind_of(own, name)
             change = moved[name] / kind.units[column.unit or kind.si]
             result[column.header] = (column.numbers[rows] + change).tolist()
         else:

@@ -367,46 +367,36 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
     if len(asked) == 1:
         return asked[0]
     names = asked or [name for name in MEASUREMENT_MODELS if declared(name).inference]
-    there, needs = {*table.columns}, {name: {*needed(name)} for name in names}
-    partly = any(needs[name] & there for name in names)
     # No instrument repeats all of its digits.
-    turned = [table.columns[name].numbers for name in ORIENTED & there]
-    oriented = any(len(n) < FEW or bool(np.ptp(n) != 0.0) for n in turned)
-    names = [name for name in names if oriented or not declared(name).oriented]
-
-    def idle(name: str) -> bool:
-        """Whether it is of a contact, and the file is of something else."""
-        unnamed = _names(name) and "target" not in there
-        return declared(name).contact and (partly or unnamed)
-
-    fitting = [n for n in names if needs[n] <= there and not idle(n)]
-    full = {
-        n: needs[n] | (ORIENTED if declared(n).oriented else set()) for n in fitting
-    }
-    fitting = [
-        n for n in fitting if not any(full[n] < other for other in full.values())
-    ]
-    if not fitting and not asked:  # What is there in part is told as missing.
-        fitting = [name for name in names if needs[name] & there][:1]
+    numbers = [table.columns[name].numbers for name in ORIENTED & table.columns.keys()]
+    turned = any(len(n) < FEW or bool(np.ptp(n) != 0.0) for n in numbers)
+    there = {*table.columns, *["orientation"] * turned}
+    about = {name: declared(name) for name in names}
+    needs = {n: {*needed(n), *["orientation"] * about[n].oriented} for n in names}
+    partly = [name for name in names if needs[name] & there]
+    lacking = {n for n in names if about[n].naming.required == "every"}
+    lacking = set() if "target" in there else lacking
+    idle = {n for n in names if about[n].contact and (partly or n in lacking)}
+    fitting = [n for n in names if needs[n] <= there and n not in idle]
+    fitting = [n for n in fitting if not any(needs[n] < needs[m] for m in fitting)]
+    if partly and not fitting and not asked:  # What else it needs is told as missing.
+        fitting = [min(partly, key=lambda name: len(needs[name] - there))]
     if len(fitting) == 1:
         return fitting[0]
     if fitting:
         reason = f"the columns allow {' and '.join(fitting)}; name what is measured "
         reason += "with --model, or row by row in a column 'model'"
         raise table.error(reason)
-    told = ", ".join(f"{name} ({_columns_of(name)})" for name in asked or names)
+    told = ", ".join(f"{name} ({_columns_of(name)})" for name in names)
     reason = f"no measured columns for {told}; contacts need --model"
     raise table.error(reason + ELSEWHERE)
 
 
-def _names(model: str) -> bool:
-    """Whether every measurement has to name a target."""
-    return declared(model).naming.required == "every"
-
-
 def _columns_of(model: str) -> str:
-    about = ["orientation"] * declared(model).oriented + ["target"] * _names(model)
-    return ", ".join([*needed(model), *about]) or "nothing"
+    about = declared(model)
+    others = ["orientation"] * about.oriented
+    others += ["target"] * (about.naming.required == "every")
+    return ", ".join([*needed(model), *others]) or "nothing"
 
 
 def own_columns(

@@ -306,11 +306,10 @@ class _Reader:
         if "model" not in table:
             model = measured_columns.infer_model(table, self.asked)
             models = Labels.all(model, len(table.lines))
-        allowed = ", ".join(MEASUREMENT_MODELS)
-        for name in models.distinct:
-            if name not in MEASUREMENT_MODELS:
-                reason = f"unknown measurement model{nearest(name, MEASUREMENT_MODELS)}"
-                table.refuse(models.where(name), reason, "model", allowed)
+        for name in (n for n in models.distinct if n not in MEASUREMENT_MODELS):
+            reason = f"unknown measurement model{nearest(name, MEASUREMENT_MODELS)}"
+            allowed = ", ".join(MEASUREMENT_MODELS)
+            table.refuse(models.where(name), reason, "model", allowed)
         station = table.labels("station", self.station)
         columns = (models, chain_of, station, table.labels("tool"))
         code = np.zeros(len(table.lines), np.int64)
@@ -350,8 +349,8 @@ class _Reader:
         of_sigma, sigma = measured_columns.read_sigma(table, key.model)
         sets = table.labels("set", "train")
         validate = sets.where("validate")
-        other = ~(validate | sets.where("train"))
-        table.refuse(other, "unknown set", "set", "train, validate")
+        wrong = ~validate & ~sets.where("train")
+        table.refuse(wrong, "unknown set", "set", "train, validate")
         ways = (way for way, columns in STATED.items() if {*columns} <= {*read})
         part = Measurements(
             joints=chains.joints,
@@ -378,18 +377,18 @@ def _with_readings(
     Raises:
         InputError: If none has.
     """
-    kept, lacking = np.ones(len(table.lines), bool), list[str]()
+    kept, lacking = np.ones(len(table.lines), bool), set[str]()
     for key, rows in keys.items():
         optional = measured_columns.optional(key.model)
         read = {*measured_columns.measured(key.model)}
         for joint in drives_of(chains[key.chain]):
             read |= measured_columns.kinds_of(columns, joint).keys()
-        for name in (name for name in table.columns if name in read):
+        for name in read & table.columns.keys():
             missing = table.columns[name].missing()[rows]
             if missing.any() and not (missing.all() and name in optional):
                 kept[rows] &= ~missing
-                lacking.append(name)
-    for name in [] if kept.any() else [n for n in table.columns if n in lacking]:
+                lacking.add(name)
+    for name in () if kept.any() else (n for n in table.columns if n in lacking):
         table.refuse(table.columns[name].missing(), NO_READING, name)
     return kept
 

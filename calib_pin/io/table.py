@@ -39,7 +39,7 @@ from calib_pin.io.columns import (
     split_header,
 )
 from calib_pin.io.dialects import Heading, heading, reading, side_by_side
-from calib_pin.io.dialects.base import Lines, cells_of
+from calib_pin.io.dialects.base import cells_of
 from calib_pin.io.files import read_blocks
 from calib_pin.observations import Booleans, Indices, Labels
 from calib_pin.progress import Progress
@@ -639,12 +639,29 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     ]
     if found := heading(lines):
         return found
-    plain = [one for one in lines if not _is_comment(one[1])]
+    plain = [line for _, line in lines if not _is_comment(line)]
     if not plain:
         raise InputError("the file is empty, it needs a header and rows", file=file)
-    separator = _separator([text for _, text in plain])
-    line, names = _header(lines, plain, separator, file)
-    return Heading(separator, names, line, "")
+    mark = _separator(plain)
+    # What stands behind the sign of a comment comes last.
+    cut = [(n, cells_of(line, mark)) for n, line in lines if not _is_comment(line)]
+    signs = ((n, line.lstrip(" \t#%/")) for n, line in lines if _is_comment(line))
+    bare = [(n, cells_of(line, mark)) for n, line in signs]
+    rows = [one for one in cut if _is_row(one[1], mark)]
+    if not rows:
+        return Heading(mark, cut[0][1], cut[0][0], "")
+    ((width, _),) = Counter(len(cells) for _, cells in rows).most_common(1)
+    first = next(number for number, cells in rows if len(cells) == width)
+    above = [one for one in cut if one[0] < first]
+    for number, names in above + bare:
+        if number < first and len(names) == width and not _is_row(names, mark):
+            return Heading(mark, names, number, "")
+    number, names = max(above, key=lambda one: len(one[1]), default=(0, []))
+    if 2 * len(names) >= width:
+        return Heading(mark, names, number, "")
+    reason = "the first row holds numbers, a header with the names of the columns is "
+    allowed = f"{width} names above it, such as {mark.join(_names(width))}"
+    raise InputError(reason + "missing", file=file, line=first, allowed=allowed)
 
 
 def _is_comment(line: str) -> bool:
@@ -661,36 +678,6 @@ def _separator(lines: Sequence[str]) -> str:
         if width > 1 and 2 * often >= len(lines) and rows:
             return mark
     return ","
-
-
-def _header(
-    lines: Lines, plain: Lines, separator: str, file: str
-) -> tuple[int, list[str]]:
-    """Line and cells of the header.
-
-    Args:
-        lines: The first lines with their numbers.
-        plain: Those that are no comments.
-        separator: Separator of two cells.
-        file: The file, for messages.
-    """
-    cut = [(number, cells_of(line, separator)) for number, line in plain]
-    rows = [one for one in cut if _is_row(one[1], separator)]
-    if not rows:
-        return cut[0]
-    ((width, _),) = Counter(len(cells) for _, cells in rows).most_common(1)
-    first = next(number for number, cells in rows if len(cells) == width)
-    above = [one for one in cut if one[0] < first]
-    bare = [(n, cells_of(line.lstrip(" \t#%/"), separator)) for n, line in lines]
-    for number, cells in above + [one for one in bare if one[0] < first]:
-        if len(cells) == width and not _is_row(cells, separator):
-            return number, cells
-    longest = max(above, key=lambda one: len(one[1]), default=(0, []))
-    if 2 * len(longest[1]) >= width:
-        return longest
-    reason = "the first row holds numbers, a header with the names of the columns is "
-    allowed = f"{width} names above it, such as {separator.join(_names(width))}"
-    raise InputError(reason + "missing", file=file, line=first, allowed=allowed)
 
 
 def _is_row(cells: Sequence[str], separator: str) -> bool:

@@ -651,17 +651,17 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     if not rows:
         return Heading(mark, cut[0][1], cut[0][0], "")
     ((width, _),) = Counter(len(cells) for _, cells in rows).most_common(1)
-    first = next(number for number, cells in rows if len(cells) == width)
-    above = [one for one in cut if one[0] < first]
+    top = next(number for number, cells in rows if len(cells) == width)
+    above = [one for one in cut if one[0] < top]
     for number, names in above + bare:
-        if number < first and len(names) == width and not _is_row(names, mark):
+        if number < top and len(names) == width and not _is_row(names, mark):
             return Heading(mark, names, number, "")
     number, names = max(above, key=lambda one: len(one[1]), default=(0, []))
     if 2 * len(names) >= width:
         return Heading(mark, names, number, "")
     reason = "the first row holds numbers, a header with the names of the columns is "
     allowed = f"{width} names above it, such as {mark.join(_names(width))}"
-    raise InputError(reason + "missing", file=file, line=first, allowed=allowed)
+    raise InputError(reason + "missing", file=file, line=top, allowed=allowed)
 
 
 def _is_comment(line: str) -> bool:

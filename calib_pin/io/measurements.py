@@ -434,25 +434,18 @@ def _refuse_targets(
         raise rows.error(row, reason, column="target", allowed=allowed)
 
 
-def read_held(
-    path: str | Path,
-    joints: Sequence[str],
-    q: Floats,
-    columns: Mapping[str, str] = {},
-) -> Conditions:
-    """Read only the conditions at the configurations of a CSV file.
+def read_held(table: Table, joints: Sequence[str], q: Floats) -> Conditions:
+    """The conditions at the configurations of a file.
 
     Args:
-        path: CSV file.
+        table: The file.
         joints: Names of the joints.
         q: The configurations, shape (N, n) [rad, m]; directions that the file does not
             state are those from one to the next.
-        columns: What columns with foreign names are, ours to theirs.
 
     Raises:
-        InputError: If it is not such a file.
+        InputError: If a direction is none.
     """
-    table = read_table(path, columns=columns)
     held, _ = measured_columns.read_conditions(table, joints)
     if not held.direction.size:
         held = replace(held, direction=approached(q), source="order")
@@ -491,23 +484,6 @@ def read_configurations(
     table = read_table(path, columns=columns)
     table, own = measured_columns.own_columns(table, chain, joints)
     return measured_columns.read_positions(table, chain, own)
-
-
-def read_names(
-    path: str | Path, column: str, columns: Mapping[str, str] = {}
-) -> Labels:
-    """Read only a column of names of a CSV file; empty where it has none.
-
-    Args:
-        path: CSV file.
-        column: Name of the column, such as `target`.
-        columns: What columns with foreign names are, ours to theirs.
-
-    Raises:
-        InputError: If it is not such a file.
-    """
-    table = read_table(path, columns=columns)
-    return table.labels(column) if column in table else Labels.none()
 
 
 def encode_configurations(

@@ -15,8 +15,8 @@ from calib_pin.errors import OutputError
 from calib_pin.io.measurements import (
     encode_configurations,
     read_configurations,
-    read_names,
 )
+from calib_pin.io.table import read_table
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.setup import JointMap
 
@@ -34,10 +34,10 @@ def test_files_read_back_bit_by_bit(tmp_path: Path) -> None:
     lines = write_configurations(file, CHAIN, Q, comments=["one\ntwo", ""])
     assert lines[:4] == ["# one", "# two", "#", ",".join(CHAIN.joints)]
     assert read_configurations(file, CHAIN).tobytes() == Q.tobytes()
-    assert read_names(file, "target") == ()
+    assert "target" not in read_table(file)
     assert lines[3:] == write_configurations(file, CHAIN, Q, [""] * 7)
     write_configurations(file, CHAIN, Q, names)
-    assert read_names(file, "target") == names
+    assert read_table(file).labels("target") == names
     assert read_configurations(file, CHAIN).tobytes() == Q.tobytes()
 
 

@@ -317,22 +317,20 @@ def read_conditions(
     Raises:
         InputError: If a direction of approach is none of -1, 0 and 1, or blank.
     """
-    stated: dict[str, Any] = {
-        name: numbers
-        for name, kind in CONDITIONS.items()
-        if (numbers := table.found(name, kind)) is not None
-    }
-    used = [joint + DIRECTION for joint in joints if joint + DIRECTION in table]
-    columns = np.zeros((len(table.lines), len(joints)), np.int8)
+    found = ((name, table.found(name, kind)) for name, kind in CONDITIONS.items())
+    stated: dict[str, Any] = {name: own for name, own in found if own is not None}
+    directions = np.zeros((len(table.lines), len(joints)), np.int8)
+    ends = {joint + DIRECTION: k for k, joint in enumerate(joints)}
+    used = [name for name in ends if name in table]
     for name in used:
         column = table.columns[name]
         signs = np.where(column.missing(), 0.0, column.numbers)
-        allowed = "1, -1, or 0 where it is not known"
         wrong = ~np.isin(signs, (-1, 0, 1))
+        allowed = "1, -1, or 0 where it is not known"
         table.refuse(wrong, "not the sign of a joint's last motion", name, allowed)
-        columns[:, joints.index(name.removesuffix(DIRECTION))] = signs
+        directions[:, ends[name]] = signs
     read = frozenset({*used, *stated})
-    stated |= {"direction": columns, "source": "columns"} if used else {}
+    stated |= {"direction": directions, "source": "columns"} if used else {}
     return Conditions(**stated), read
 
 
@@ -377,14 +375,19 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
     lacking = {n for n in names if about[n].naming.required == "every"}
     lacking = set() if "target" in there else lacking
     idle = {n for n in names if about[n].contact and (partly or n in lacking)}
-    fitting = [n for n in names if needs[n] <= there and n not in idle]
-    fitting = [n for n in fitting if not any(needs[n] < needs[m] for m in fitting)]
-    if partly and not fitting and not asked:  # What else it needs is told as missing.
-        fitting = [min(partly, key=lambda name: len(needs[name] - there))]
+    fitting = {n for n in names if needs[n] <= there} - idle
+    # What is there in part is told as missing; `u` alone may mean something else.
+    for name in () if asked else partly:
+        way = about[name].inference
+        if way and not way.complete and (turned or not about[name].oriented):
+            fitting.add(name)
+    fitting = {n for n in fitting if not any(needs[n] < needs[m] for m in fitting)}
+    fitting = fitting or {*(() if asked else partly[:1])}
     if len(fitting) == 1:
-        return fitting[0]
+        return fitting.pop()
     if fitting:
-        reason = f"the columns allow {' and '.join(fitting)}; name what is measured "
+        ways = " and ".join(name for name in names if name in fitting)
+        reason = f"the columns allow {ways}; name what is measured "
         reason += "with --model, or row by row in a column 'model'"
         raise table.error(reason)
     told = ", ".join(f"{name} ({_columns_of(name)})" for name in names)

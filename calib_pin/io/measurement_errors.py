@@ -23,7 +23,6 @@ from calib_pin.measurement_models import Quantity, declared
 from calib_pin.observations import (
     BlockKey,
     Conditions,
-    Labels,
     Measurements,
     Observations,
 )
@@ -93,47 +92,21 @@ def decode_errors(
         column.header: column for column in read_cells(data, MEASUREMENTS).columns()
     }
     words = {name: cells[name].texts() for name in WORDS}
-    columns = {name: column.numbers for name, column in cells.items()}
-    sets: dict[str, dict[BlockKey, list[int]]] = {name: {} for name in SETS}
-    keys = map(BlockKey, *(words[field] for field in BlockKey._fields))
-    for row, (name, key) in enumerate(zip(words["set"], keys, strict=True)):
-        sets[name].setdefault(key, []).append(row)
-    fitted, held_out = (
-        _part(words, columns, blocks, model, to_base[name]) if blocks else None
-        for name, blocks in sets.items()
-    )
-    if fitted is None:
-        raise ValueError("there are no measurements")
-    return fitted, held_out
-
-
-def _part(
-    words: Mapping[str, Labels],
-    columns: Mapping[str, Floats],
-    blocks: Mapping[BlockKey, Sequence[int]],
-    model: CalibratedModel,
-    to_base: Floats,
-) -> MeasurementErrors:
-    """The errors of one set, by the rows of its blocks."""
     unknown, joints = unknown_errors(model, 0), model.chains.joints
     _, first = side_by_side(_quantities(model))
-    every = [row for chosen in blocks.values() for row in chosen]
 
-    def numbers(
-        form: str, names: Sequence[object], rows: Sequence[int] = every
-    ) -> Floats:
+    def numbers(form: str, names: Sequence[object], rows: Sequence[int]) -> Floats:
         """Cells of columns that are called by a form."""
-        found = [columns[form.format(name)][rows] for name in names]
+        found = [cells[form.format(name)].numbers[rows] for name in names]
         return np.column_stack([np.zeros((len(rows), 0)), *found])
 
     def block(key: BlockKey, rows: Sequence[int]) -> Measurements:
-        about, start = declared(key.model), first[key.model]
+        about, start, index = declared(key.model), first[key.model], np.array(rows)
         own = unknown.components[start : start + len(about.components)]
-        given = own if f"{own[0]}.stated" in columns else ()
+        given = own if f"{own[0]}.stated" in cells else ()
         sigma = numbers("{}.stated", given, rows)
-        index = np.array(rows)
-        held: Any = {n: columns[n][rows] for n in STATED if n in columns}
-        if f"direction.{joints[0]}" in columns:
+        held: Any = {n: cells[n].numbers[rows] for n in STATED if n in cells}
+        if f"direction.{joints[0]}" in cells:
             directions = numbers("direction.{}", joints, rows).astype(np.int8)
             held |= {"direction": directions, "source": "columns"}
         return Measurements(
@@ -144,22 +117,32 @@ def _part(
             target=words["target"][index],
             conditions=Conditions(words["payload"][index], **held),
             start=numbers("start.{}", joints if about.relative else (), rows),
-            lines=columns["line"][rows].astype(np.int64),
+            lines=cells["line"].numbers[rows].astype(np.int64),
             files=words["file"][index],
-            weight=columns["weight"][rows],
+            weight=cells["weight"].numbers[rows],
             **key._asdict(),
         )
 
-    return replace(
-        unknown,
-        rows=Observations(tuple(block(*found) for found in blocks.items())),
-        before=numbers("{}.before", unknown.components),
-        after=numbers("{}.after", unknown.components),
-        sigma=numbers("{}.sigma", unknown.components),
-        points=numbers("tool.{}", AXES),
-        to_base=np.broadcast_to(to_base, (len(blocks), 3, 3)),
-        leverage=columns["leverage"][every],
-    )
+    sets: dict[str, dict[BlockKey, list[int]]] = {name: {} for name in SETS}
+    keys = map(BlockKey, *(words[field] for field in BlockKey._fields))
+    for row, (name, key) in enumerate(zip(words["set"], keys, strict=True)):
+        sets[name].setdefault(key, []).append(row)
+    if not sets[SETS[0]]:
+        raise ValueError("there are no measurements")
+    parts, stages = list[MeasurementErrors](), ("before", "after", "sigma")
+    for name, blocks in sets.items():
+        rows = [row for chosen in blocks.values() for row in chosen]
+        if not rows:
+            continue
+        part: Any = {n: numbers(f"{{}}.{n}", unknown.components, rows) for n in stages}
+        part |= {
+            "rows": Observations(tuple(block(*found) for found in blocks.items())),
+            "points": numbers("tool.{}", AXES, rows),
+            "to_base": np.broadcast_to(to_base[name], (len(blocks), 3, 3)),
+            "leverage": cells["leverage"].numbers[rows],
+        }
+        parts.append(replace(unknown, **part))
+    return parts[0], parts[1] if len(parts) > 1 else None
 
 
 def _quantities(model: CalibratedModel) -> Mapping[str, Sequence[Quantity]]:

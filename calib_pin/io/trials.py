@@ -1,7 +1,7 @@
 """Trials of a Monte Carlo study: a file that grows robot by robot, in their order.
 
-What a killed study leaves is whole but for its last line, and a study goes on behind
-it. The head of the file says of which study it is.
+What a killed study leaves is whole, and a study goes on behind it. The head of the file
+says of which study it is.
 """
 
 from __future__ import annotations

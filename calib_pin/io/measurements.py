@@ -238,7 +238,13 @@ class _Reader:
                 has a value of another model, or the file does not hold such.
         """
         chain_of = table.labels("chain").map(lambda name: name or self.unnamed)
-        chains = self._chains(table, chain_of)
+        for name in chain_of.distinct if "chain" in table else ():
+            try:
+                self.chains.named((name,))
+            except RobotError as error:
+                wrong = chain_of.where(name)
+                table.refuse(wrong, error.reason, "chain", error.allowed)
+        chains = self.chains.named(chain_of.distinct)
         table, columns = measured_columns.own_columns(table, chains, self.joints)
         table = self._of_sheet(table)
         keys = self._keys(table, chain_of)
@@ -278,16 +284,6 @@ class _Reader:
         if ignored:
             self.notice(table.ignored(ignored))
         return parts
-
-    def _chains(self, table: Table, chain_of: Labels) -> Chains:
-        """The chains that the file measures."""
-        for name in chain_of.distinct if "chain" in table else ():
-            try:
-                self.chains.named((name,))
-            except RobotError as error:
-                wrong = chain_of.where(name)
-                table.refuse(wrong, error.reason, "chain", error.allowed)
-        return self.chains.named(chain_of.distinct)
 
     def _of_sheet(self, table: Table) -> Table:
         """The file with z = 0 where it states x and y alone: points of a sheet."""
@@ -404,11 +400,10 @@ def _check_names(data: Observations, sockets: Collection[str]) -> None:
             if not getattr(block, k) and any(getattr(key, k) for key in alike):
                 raise block.error(0, f"the row names no {k}, others do", column=k)
         still, naming = block.chain == WORLD, declared(block.model).naming
-        nameless = block.target.map(place_of).where("")
         if still or naming.required == "every":
             noun = f"point of chain '{WORLD}'" if still else naming.noun
             reason = f"the row names no {noun} in a column 'target'"
-            _refuse_targets(block, nameless, reason)
+            _refuse_targets(block, block.target.map(place_of).where(""), reason)
     for model, station in dict.fromkeys((key.model, key.station) for key in data.keys):
         own = [b for b in data.blocks if (b.model, b.station) == (model, station)]
         rows, naming = Observations(tuple(own)), declared(model).naming

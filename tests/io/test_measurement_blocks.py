@@ -104,10 +104,9 @@ def test_sockets_of_a_station_are_those_of_all_tools_and_chains(write, tree, ref
     text = "torso,left,right,slide,chain,station,tool,target\n"
     text += "0,0,,,left_hand,a,t,s\n0,,0.5,0,,a,u,s\n"
     assert len(read_measurements(write(text), tree, model="fixed-point").blocks) == 2
+    file = write(text.replace(",a,u", ",b,u"))
     with refused(InputError, line=2, reason="'s'"):
-        read_measurements(
-            write(text.replace(",a,u", ",b,u")), tree, model="fixed-point"
-        )
+        read_measurements(file, tree, model="fixed-point")
 
 
 def test_a_mimic_joint_follows_its_leader(write, tree, refused):

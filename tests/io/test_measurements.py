@@ -143,7 +143,6 @@ def test_points_of_a_sheet_have_no_height(write, chain):
             "1,2,3,0,0,0,6,0.1,0.2,0.3,4,0.5",
             [0.1, 0.2, 0.3, np.pi / 45, 0.5, 0.006],
         ),
-        ("distance,sigma_distance [mm]", "1,2", [0.002]),
     ],
 )
 def test_sigma_by_component(write, chain, names, cells, sigma):
@@ -605,11 +604,8 @@ def test_model_names(write, chain, refused, model):
         read(write("lift\n0\n"), chain, model=model)
 
 
-def test_files_that_cannot_be_joined(write, chain, refused, tmp_path):
+def test_files_that_are_not_there(write, chain, refused, tmp_path):
     distance = write(f"{J},distance\n0,0,0,1\n", "d.csv")
-    sigma = write(f"{J},distance,sigma\n0,0,0,1,1\n", "s.csv")
-    with refused(InputError, file=str(sigma), line=None):
-        read([distance, sigma], chain)
     with refused(InputError, file=None):
         read([], chain)
     with refused(InputError, file=str(tmp_path / "none.csv")):
@@ -628,8 +624,6 @@ def test_files_that_cannot_be_joined(write, chain, refused, tmp_path):
             [[10, 2], [1e5, -1]],
             0.5,
         ),
-        ("fixed-point", "target,sigma [mm]|ball@a,1|other@a,2", [[], []], 1e-3),
-        ("plane-contact", "note|a|b", [[], []], None),
         ("plane-contact", "target,sigma [um]|tip@table,5|table,10", [[], []], 5e-6),
         # Away from the surface, and pushed in.
         (
@@ -651,12 +645,6 @@ def test_files_that_cannot_be_joined(write, chain, refused, tmp_path):
             "target,dial_z,deviation_x,dial_y|a,0.01,0.02,-0.03|a,0,0,0.04",
             [[0.02, 0.03, -0.01], [0.0, -0.04, 0.0]],
             None,
-        ),
-        (
-            "point-distance",
-            "distance [mm],sigma_distance|1500,0.1|2,0.2",
-            [[1.5], [0.002]],
-            0.1,
         ),
     ],
 )
@@ -681,7 +669,6 @@ def test_columns_of_models(write, chain, model, text, values, sigma):
         ("u,v,target", "camera"),
         ("u,x,y,z", "position"),
         ("v,distance", "plane-distance"),
-        ("distance,target", "plane-distance"),
         ("x,y,z,rx,ry,rz,target", "pose"),
     ],
 )

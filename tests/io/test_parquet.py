@@ -33,13 +33,10 @@ def write(tmp_path: Path) -> Write:
     import pyarrow.parquet as parquet
 
     def write(columns: Any, name: str = "a.parquet", **options: Any) -> Path:
-        file = tmp_path / name
-        parquet.write_table(
-            columns if isinstance(columns, pa.Table) else pa.table(columns),
-            file,
-            **{"row_group_size": 2, **options},
-        )
-        return file
+        table = columns if isinstance(columns, pa.Table) else pa.table(columns)
+        about = {"row_group_size": 2, **options}
+        parquet.write_table(table, tmp_path / name, **about)
+        return tmp_path / name
 
     return write
 

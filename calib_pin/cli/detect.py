@@ -288,7 +288,7 @@ def _at_times(joints: Table, taken: Table, images: list[Path], tell: Notice) -> 
     from calib_pin.io.table import read_table
 
     taken = logs.with_images(taken)
-    taken = taken.rows(np.array(_rows(taken, images)), taken.columns)
+    taken = taken.rows(np.array(_rows(taken, images)))
     positions = logs.read_joint_log(joints, {}, tell)
     readings = logs.read_reading_log(taken, tell)
     readings, found = logs.join_logs(positions, readings, STAND, STAND, tell)

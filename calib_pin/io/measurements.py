@@ -22,7 +22,7 @@ from calib_pin.errors import InputError, OutputError, RobotError, nearest
 from calib_pin.io.columns import NO_READING, Column, Floats, closest
 from calib_pin.io.files import write_atomically
 from calib_pin.io.foreign_headers import check_gauges
-from calib_pin.io.measured_columns import DIRECTION, NAMES, place_of, reserved
+from calib_pin.io.measured_columns import DIRECTION, NAMES, place_of
 from calib_pin.io.table import Notice, Table, read_table, require_columns, with_readings
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
@@ -267,7 +267,7 @@ class _Reader:
         read = {key: measured_columns.read_by(key.model) for key in keys}
         anybody = frozenset[str]().union(*read.values())
         for key, rows in keys.items():
-            some = table.rows(rows, reserved())
+            some = table.rows(rows)
             for name in (n for n in some.columns if n in anybody - read[key]):
                 filled = ~some.columns[name].missing()
                 reason = f"the row measures '{key.model}', which has no {name}"

@@ -113,17 +113,9 @@ class Table:
         """Whether there is a column of exactly this name."""
         return name in self.columns
 
-    def rows(
-        self, index: Indices | slice, names: Collection[str] | None = None
-    ) -> Table:
-        """Some of the rows and columns.
-
-        Args:
-            index: The rows, in this order.
-            names: The columns, those that there are; default all.
-        """
-        names = self.columns if names is None else names
-        columns = {n: c.rows(index) for n, c in self.columns.items() if n in names}
+    def rows(self, index: Indices | slice) -> Table:
+        """Some of the rows, in this order."""
+        columns = {name: column.rows(index) for name, column in self.columns.items()}
         return replace(self, columns=columns, lines=self.lines[index])
 
     def error(

@@ -47,7 +47,7 @@ def plan_acceptance(
     from calib_pin.estimation.formulation import nominal_problem
     from calib_pin.io.exchange.motions import speed_limits
     from calib_pin.io.files import write_files
-    from calib_pin.io.joint_columns import shown_columns
+    from calib_pin.io.measured_columns import shown_columns
     from calib_pin.io.measurements import encode_table
     from calib_pin.kinematics.joint_columns import JointColumns
     from calib_pin.planning.workspace import joint_limits

@@ -252,7 +252,7 @@ def _configurations(
         reason += "a log, --times tells which belong together"
         raise InputError(reason, file=file)
     order = _rows(table, images) if "image" in table else range(count)
-    cells = table.cells([name for name in table.columns if name != "image"])
+    cells = {n: c.texts() for n, c in table.columns.items() if n != "image"}
     headers = {name: table.columns[name].header for name in cells}
     return images, {headers[n]: [c[row] for row in order] for n, c in cells.items()}
 
@@ -268,7 +268,7 @@ def _rows(table: Table, images: list[Path]) -> list[int]:
     rows = dict[str, int]()
     for row, cell in enumerate(table.texts(["image"])["image"]):
         if rows.setdefault(Path(cell).name, row) != row:
-            raise table.cell_error("this image has a row already", "image", row)
+            raise table.error("this image has a row already", "image", row=row)
     for path in images:
         if path.name not in rows:
             raise InputError(f"has no row for the image {path.name}", file=table.file)
@@ -288,7 +288,7 @@ def _at_times(joints: Table, taken: Table, images: list[Path], tell: Notice) -> 
     from calib_pin.io.table import read_table
 
     taken = logs.with_images(taken)
-    taken = taken.rows(np.array(_rows(taken, images)), taken.columns)
+    taken = taken.rows(np.array(_rows(taken, images)))
     positions = logs.read_joint_log(joints, {}, tell)
     readings = logs.read_reading_log(taken, tell)
     readings, found = logs.join_logs(positions, readings, STAND, STAND, tell)

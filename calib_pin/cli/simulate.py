@@ -73,12 +73,12 @@ def simulate(asked: Simulation, context: typer.Context) -> int:
     from calib_pin.io.calibrated_model import encode_urdf
     from calib_pin.io.measurements import (
         encode_table,
+        measurement_columns,
         read_configurations,
         read_held,
-        read_names,
     )
     from calib_pin.io.setup import read_true_errors
-    from calib_pin.io.written_columns import measurement_columns
+    from calib_pin.io.table import read_table
     from calib_pin.simulation import draw_errors
     from calib_pin.simulation import simulate as run
     from calib_pin.validation.calibrated_model import CalibratedModel
@@ -89,11 +89,11 @@ def simulate(asked: Simulation, context: typer.Context) -> int:
         raise OptionError("give either --count or --configurations")
     outputs, truth = (asked.output, asked.truth), asked.truth
     check_outputs(outputs, (asked.robot, asked.setup, file, asked.errors), asked.force)
-    named = {}
     if file is not None:
-        names = {n: read_names(file, n, stated.columns) for n in ("target", *PLACES)}
-        named = {name: labels for name, labels in names.items() if len(labels)}
-        keys = stated_blocks(stated, *names["chain"].distinct)
+        table = read_table(file, columns=stated.columns)
+        named = table.texts(("target", *PLACES))
+        arms = named["chain"].distinct if "chain" in table else ()
+        keys = stated_blocks(stated, *arms)
     chains = asked.chains(stated, keys)
     problem = nominal_problem(chains, keys, stated)
     rng = np.random.default_rng(asked.seed)
@@ -120,14 +120,14 @@ def simulate(asked: Simulation, context: typer.Context) -> int:
             rows = measure(count=asked.count)
         else:
             q = read_configurations(file, chains, stated.joints, stated.columns)
-            held = read_held(file, chains.joints, q, stated.columns)
+            held = read_held(table, chains.joints, q)
             target = named.pop("target", ())
             with stated_in(str(file)):
                 rows = measure(q=q, target=target, places=named, conditions=held)
         comment = f"simulated by: {told_command(context)}"
-        columns = dict(measurement_columns(rows))
-        table = encode_table(columns, [comment], stage(bar, "write"))
-    contents = {asked.output: table}
+        columns = measurement_columns(rows)
+        data = encode_table(columns, [comment], stage(bar, "write"))
+    contents = {asked.output: data}
     told = [f"wrote {len(rows)} measurements to {asked.output}"]
     if truth is not None:
         true = CalibratedModel.create(problem, theta)

@@ -24,17 +24,20 @@ class Kind:
 
     Attributes:
         si: Unit inside calib-pin and where a header states none; empty if pure.
-        units: Factor to `si` of each unit.
-        smaller: The unit that is likely meant when a value is far too large in another.
+        units: Factor to `si` of each unit, the likelier ones first.
         largest: Largest absolute value that can be meant, in `si`.
         least: Least value that can be meant, in `si`.
     """
 
     si: str
     units: Mapping[str, float]
-    smaller: Mapping[str, str]
     largest: float
     least: float = -np.inf
+
+    def smaller(self, unit: str) -> list[str]:
+        """Units that may be meant where a number is too large in another one."""
+        factor = self.units.get(unit, 0.0)  # None is smaller than steps of a servo.
+        return [other for other, size in self.units.items() if size < factor]
 
 
 class _Angles(dict[str, float]):
@@ -49,26 +52,15 @@ class _Angles(dict[str, float]):
         return 2.0 * np.pi / steps[0]
 
 
-LENGTH = Kind(
-    "m",
-    {"m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
-    {"m": "mm", "in": "mm", "mm": "um"},
-    LARGEST_LENGTH,
-)
+LENGTH = Kind("m", {"m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254}, LARGEST_LENGTH)
 STEPS = "steps/4096"
 """The usual steps of a servo."""
 
-ANGLE = Kind(
-    "rad",
-    _Angles(
-        {"rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3, "gon": np.pi / 200.0}
-        | {STEPS: 2.0 * np.pi / 4096.0}
-    ),
-    {"rad": "deg", "deg": "mrad"},
-    LARGEST_ANGLE,
-)
-PIXEL = Kind("px", {"px": 1.0}, {}, 1e5)
-PURE = Kind("", {}, {}, np.inf)
+_DEG = np.pi / 180.0
+_ANGLES = {"rad": 1.0, "deg": _DEG, "mrad": 1e-3, "gon": 0.9 * _DEG}
+ANGLE = Kind("rad", _Angles(_ANGLES | {STEPS: 2.0 * np.pi / 4096.0}), LARGEST_ANGLE)
+PIXEL = Kind("px", {"px": 1.0}, 1e5)
+PURE = Kind("", {}, np.inf)
 
 KINDS: Mapping[str, Kind] = {kind.si: kind for kind in (LENGTH, ANGLE, PIXEL)}
 """How numbers of a unit may be written."""
@@ -157,16 +149,15 @@ class Column:
 
     def fault(self, row: int) -> str:
         """The reason why a cell is no finite number."""
-        cell, number = self.text(row), float(self.numbers[row])
+        cell, reason = self.text(row), "not a number"
         if cell.lower() in MISSING:
             return NO_READING if cell else "the cell is empty"
-        if not math.isnan(number):
+        if not math.isnan(self.numbers[row]):
             return "not a finite number"
         if THOUSANDS.fullmatch(cell):
-            return "not a number (thousands are not to be separated)"
-        if COMMA.fullmatch(cell):
-            return "not a number (between commas the decimal mark must be a point)"
-        return "not a number"
+            return f"{reason} (thousands are not to be separated)"
+        comma = " (between commas the decimal mark must be a point)"
+        return reason + comma * bool(COMMA.fullmatch(cell))
 
     @property
     def outlying(self) -> NDArray[np.int64]:
@@ -210,12 +201,8 @@ def closest(name: str, candidates: Collection[str]) -> str:
     Returns:
         A hint with a leading space, or an empty string.
     """
-    near = [
-        other
-        for other in candidates
-        if other.lower().startswith(name.lower())
-        and not other[len(name) : len(name) + 1].isalnum()
-    ]
+    begins = re.compile(rf"{re.escape(name)}(?![^\W_])", re.IGNORECASE)
+    near = [other for other in candidates if begins.match(other)]
     near = near or [other for other in candidates if nearest(name, [other])]
     return f" (did you mean '{near[0]}'?)" if len(near) == 1 else ""
 

@@ -20,8 +20,8 @@ from calib_pin.io.foreign_headers import measured as meanings
 from calib_pin.io.measured_columns import (
     NAMES,
     ORIENTED,
-    gauges,
     measured,
+    optional,
     orientation_columns,
     read_quaternions,
     reserved,
@@ -32,7 +32,7 @@ from calib_pin.measurement_models.declaration import QUATERNION, ROTATION_VECTOR
 from calib_pin.setup import STATED
 from calib_pin.units import steps_of
 
-TIME = Kind("s", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, {}, np.inf)
+TIME = Kind("s", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, np.inf)
 
 SECONDS = 1e8
 """Times from here on are counted from 1970, and their digits tell the unit."""
@@ -157,7 +157,7 @@ def read_reading_log(table: Table, notice: Notice) -> Series:
     stamp = _stamp(table)
     own = [n for n in table.columns if n in measured() and n not in ORIENTED]
     # Beside other values a deviation is one from some nominal value.
-    own = [n for n in own if n not in gauges()] or own
+    own = [n for n in own if n not in optional()] or own
     way = orientation_columns(table) if ORIENTED & table.columns.keys() else ""
     if not (own or way or IMAGE in table):
         raise table.error(
@@ -206,7 +206,7 @@ def _read(
     kind = np.zeros(len(table.lines), np.int64)
     for texts in labels.values():
         kind = kind * len(texts.names) + texts.codes
-    for name, texts in table.cells(passed).items():
+    for name, texts in ((n, table.columns[n].texts()) for n in passed):
         labels[IMAGE if name == IMAGE else table.columns[name].header] = texts
     # Images may stand in any order.
     ordered = np.arange(len(kind)) if IMAGE in passed else kind
@@ -387,7 +387,7 @@ def _times(table: Table, name: str, kind: NDArray[np.int64]) -> tuple[Floats, bo
         back = np.diff(time[rows]) <= 0.0
         if back.any():
             row = int(rows[int(np.argmax(back)) + 1])
-            raise table.cell_error("the time does not go on here", name, row)
+            raise table.error("the time does not go on here", name, row=row)
     if len(time) < 3:
         raise InputError("is too short to be joined by time", file=table.file)
     return time, loose
@@ -411,7 +411,7 @@ def _dates(table: Table, name: str) -> Floats:
                 stamp = parse(text, default=first, dayfirst=points)
         except (ValueError, OverflowError):
             allowed = "seconds, or a date such as 2026-01-31T12:00:00.5"
-            raise table.cell_error("not a time", name, row, allowed) from None
+            raise table.error("not a time", name, allowed, row) from None
         stamps.append(stamp.timestamp())
     time: Floats = np.array(stamps)
     # A clock without a date begins anew at midnight.

@@ -1,31 +1,35 @@
-"""Measured columns of a file: which model reads which, their values and conditions."""
+"""Columns of a file: which joint or which measured value each holds, in which unit."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from calib_pin.errors import OptionError
+from calib_pin.errors import InputError, OptionError, OutputError
 from calib_pin.io.columns import (
     ANGLE,
     ELSEWHERE,
     KINDS,
     LENGTH,
-    PIXEL,
     PURE,
     Floats,
     Kind,
+    split_header,
 )
-from calib_pin.io.table import Table, found_numbers
+from calib_pin.io.table import Table
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.joint_columns import JointColumns, advice, drives_of
+from calib_pin.kinematics.joint_space import FREE_TRAVEL
+from calib_pin.kinematics.tree import turns
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.measurement_models.declaration import DIAL
 from calib_pin.measurement_models.orientations import quaternions
-from calib_pin.observations import AT, BlockKey, Conditions, Indices
-from calib_pin.setup import STATED, OrientationSetup
+from calib_pin.observations import AT, BlockKey, Conditions, Indices, Labels
+from calib_pin.setup import STATED, JointMap, OrientationSetup
 
 POSITION = ("x", "y", "z")
 """Columns of a position."""
@@ -47,8 +51,8 @@ STROKE = replace(LENGTH, largest=0.1)
 """Readings of gauges."""
 
 SIGMAS = {
-    kind.si: replace(kind, largest=size, least=1e-12 * size)
-    for kind, size in ((LENGTH, 1.0), (ANGLE, 1.0), (PIXEL, 1e3))
+    unit: replace(KINDS[unit], largest=size, least=1e-12 * size)
+    for unit, size in (("m", 1.0), ("rad", 1.0), ("px", 1e3))
 }
 """Standard deviations that can be meant, by unit."""
 
@@ -56,10 +60,8 @@ DIRECTION = ".direction"
 """End of the name of a column with the direction in which a joint was approached."""
 
 CONDITIONS = {
-    "temperature": Kind("degC", {"degC": 1.0}, {}, 1e3),
-    "time": Kind(
-        "s", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}, {}, 1e12
-    ),
+    "temperature": Kind("degC", {"degC": 1.0}, np.inf),
+    "time": Kind("s", {"s": 1, "ms": 1e-3, "us": 1e-6, "min": 60, "h": 3600}, np.inf),
 }
 """Columns that are read where they hold numbers throughout."""
 
@@ -67,14 +69,27 @@ FEW = 4
 """Measurements from which an orientation that never moves is none."""
 
 
+MIMICRY = 1e-3
+"""Largest distance of a joint from where the one that it mimics takes it [rad, m]:
+encoders of both, and limits that are rounded, differ by less."""
+
+NEAR = 0.05
+"""Distance of a column from that of a joint, rms in standard deviations of it, below
+which it is one of that joint, too."""
+
+LONGEST_TRAVEL = 20.0
+"""Largest position of a prismatic joint that can be meant [m]: a long rail."""
+
+
 def needed(model: str) -> dict[str, Kind]:
     """The measured columns that a model cannot do without."""
     return {name: KINDS[unit] for name, unit in declared(model).columns.items()}
 
 
-def optional(model: str) -> dict[str, Kind]:
-    """The deviations that a model reads where there are any."""
-    return {name: STROKE for ways in declared(model).readings for name in ways}
+def optional(*models: str) -> dict[str, Kind]:
+    """The deviations that models read where there are any; default those of all."""
+    ways = [way for m in models or MEASUREMENT_MODELS for way in declared(m).readings]
+    return {name: STROKE for names in ways for name in names}
 
 
 def measured(*models: str) -> dict[str, Kind]:
@@ -86,18 +101,13 @@ def measured(*models: str) -> dict[str, Kind]:
     return found
 
 
-def gauges() -> frozenset[str]:
-    """Columns that hold deviations of some contact."""
-    return frozenset(name for name, kind in measured().items() if kind is STROKE)
-
-
 def sigmas(model: str) -> dict[str, tuple[str, ...]]:
     """Columns of a standard deviation, by residual component; the last one counts."""
-    stated = declared(model)
-    ways: Sequence[tuple[str, ...]] = stated.readings or [()] * len(stated.components)
+    components, readings = declared(model).components, declared(model).readings
+    ways: Sequence[tuple[str, ...]] = readings or [()] * len(components)
     return {
-        name: ("sigma", *(f"sigma_{way}" for way in (name, *others)))
-        for name, others in zip(stated.components, ways, strict=True)
+        name: ("sigma", f"sigma_{name}", *(f"sigma_{other}" for other in others))
+        for name, others in zip(components, ways, strict=True)
     }
 
 
@@ -113,12 +123,6 @@ def reserved() -> frozenset[str]:
     return read | {f"sigma_{name}" for name in measured()}
 
 
-def read_kinds(table: Table, kinds: Iterable[tuple[str, Kind]]) -> Floats:
-    """Columns side by side, shape (N, k), of values that can be meant."""
-    columns = [table.check(n, table.numbers(n, kind), kind) for n, kind in kinds]
-    return np.column_stack([np.zeros((len(table.lines), 0)), *columns])
-
-
 def orientation_columns(table: Table) -> str:
     """The one way in which a file states orientations, one of `STATED`."""
     first = {
@@ -126,9 +130,9 @@ def orientation_columns(table: Table) -> str:
     }
     if len(first) != 1:
         found = " and ".join(first.values()) or "none"
-        ways = " or ".join(",".join(names) for names in STATED.values())
         reason = f"model 'pose' needs one orientation, the file has {found}"
-        raise table.error(reason, [*first.values(), None][-2 if first else 0], ways)
+        ways = " or ".join(",".join(names) for names in STATED.values())
+        raise table.error(reason, [None, *first.values()][-1], ways)
     (way,) = first
     table.require(STATED[way], f"the orientation {', '.join(STATED[way])} lacks")
     return way
@@ -145,14 +149,14 @@ def read_quaternions(
         reading: How they are to be read.
     """
     kinds = [(name, ORIENTATION[name]) for name in STATED[way]]
-    given = quaternions(read_kinds(table, kinds), way, reading)
+    given = quaternions(table.values(kinds), way, reading)
     with np.errstate(over="ignore"):
         norm = np.linalg.norm(given, axis=1)
     off = abs(norm - 1.0)
     if off[row := int(np.argmax(off))] > 1e-2:
         cells = ", ".join(table.columns[name].text(row) for name in STATED[way])
         reason = f"the norm of the quaternion '{cells}' is {norm[row]:.6g}"
-        raise table.cell_error(reason, STATED[way][-1], row, "0.99 to 1.01")
+        raise table.error(reason, STATED[way][-1], "0.99 to 1.01", row)
     # Dividing a unit quaternion once more may change its last bit, and a file that was
     # written from here must read back as it was.
     norm[off < 1e-14] = 1.0
@@ -182,21 +186,21 @@ def read_values(
         InputError: If a column is missing, or a value cannot be; of the deviations of
             contacts, if only some components have one, or one has two.
     """
-    kinds, ways = needed(model), declared(model).readings
+    about, kinds = declared(model), needed(model)
     unknown = {*spare} - reserved()
     table.require(kinds, f"model '{model}' needs the missing", unknown)
-    there = sorted(gauges() & table.columns.keys()) if ways else []
+    there = {*optional()} & table.columns.keys() if about.contact else set()
     if there:
-        found = [name for names in ways for name in names if name in there]
-        once = all(len({*names} & {*there}) == 1 for names in ways)
-        if len(there) != len(ways) or not once:
-            needs = ", ".join(map(" or ".join, ways))
+        found = [name for names in about.readings for name in names if name in there]
+        once = all(len({*names} & there) == 1 for names in about.readings)
+        if {*found} != there or not once:
             reason = f"of a gauge '{model}' needs every column once, and no other"
-            raise table.error(reason, there[-1], needs)
-        values = read_kinds(table, [(name, STROKE) for name in found])
+            needs = ", ".join(map(" or ".join, about.readings))
+            raise table.error(reason, max(there), needs)
+        values = table.values((name, STROKE) for name in found)
         return tuple(found), values * [-1.0 if DIAL in n else 1.0 for n in found]
-    values = read_kinds(table, kinds.items())
-    if not declared(model).oriented:
+    values = table.values(kinds.items())
+    if not about.oriented:
         return tuple(kinds), values
     way = orientation_columns(table)
     turned = read_quaternions(table, way, orientation)
@@ -219,29 +223,20 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
             guessed, or a value cannot be.
     """
     stated, ways = declared(model), sigmas(model)
-    odd = {*measured(model)}
-    if stated.contact:
-        # Beside its own column it is of something that is not read either.
-        odd |= {name for name in measured() if name not in table}
-    odd = {f"sigma_{name}" for name in odd} - read_by(model)
+    # Beside its own column that of a contact is of something that is not read either.
+    odd = {n for n in measured() if n not in table} if stated.contact else set()
+    odd = {f"sigma_{name}" for name in odd | {*measured(model)}} - read_by(model)
     odd |= {"sigma"} if len({*stated.units.values()}) > 1 else set()
     for name in (name for name in table.columns if name in odd):
         reason = f"model '{model}' has no component of this standard deviation"
         raise table.error(reason, name, ", ".join(f"sigma_{of}" for of in ways))
-    found = {
-        component: name
-        for component, names in ways.items()
-        for name in names
-        if name in table
-    }
+    found = {of: name for of, names in ways.items() for name in names if name in table}
     if not found:
         return {}, None
-    table.require(
-        [f"sigma_{name}" for name in ways if name not in found],
-        "a sigma is needed for every component or for none; missing:",
-    )
-    kinds = [SIGMAS[unit] for unit in stated.units.values()]
-    return found, read_kinds(table, zip(found.values(), kinds, strict=True))
+    reason = "a sigma is needed for every component or for none; missing:"
+    table.require([f"sigma_{name}" for name in ways if name not in found], reason)
+    kinds = map(SIGMAS.__getitem__, stated.units.values())
+    return found, table.values(zip(found.values(), kinds, strict=True))
 
 
 def place_of(target: str) -> str:
@@ -263,21 +258,20 @@ def find_starts(table: Table, distance: Floats, q: Floats) -> Indices:
         InputError: If a start is not one, nothing starts there, or a row cannot be
             measured from it.
     """
-    target, payload = table.labels("target"), table.labels("payload")
-    _, first, which = np.unique(target.codes, return_index=True, return_inverse=True)
-    start = np.asarray(first[which])
+    target, payload = table.labels("target").codes, table.labels("payload").codes
+    _, first, which = np.unique(target, return_index=True, return_inverse=True)
+    start: Indices = first[which]
     begins = start == np.arange(len(start))
-    alone = np.bincount(start, minlength=len(start)) == 1
-    still = ~begins & (q == q[start]).all(axis=1)
-    wrong = (begins != (distance == 0.0)) | (distance < 0.0)
     of = "the first row of a target is its start"
-    table.refuse(wrong, f"{of}, and only there the distance is 0", "distance")
     named = "target" if "target" in table else "distance"
-    table.refuse(alone, f"{of}, and no other row is measured from it", named)
-    table.refuse(still, "the joint positions are those of the start", "distance")
-    if "payload" in table:
-        other = payload.codes != payload.codes[start]
-        table.refuse(other, "the payload is not that of the start", "payload")
+    for column, wrong, reason in (
+        ("distance", begins != (distance == 0.0), f"{of}, where alone distance is 0"),
+        ("distance", distance < 0.0, "a distance from a start is not negative"),
+        (named, np.bincount(start)[start] == 1, f"{of}, and no other row is of it"),
+        ("distance", ~begins & (q == q[start]).all(axis=1), "the joints did not move"),
+        ("payload", payload != payload[start], "the payload is not that of the start"),
+    ):
+        table.refuse(wrong, reason, column)
     return start
 
 
@@ -323,25 +317,21 @@ def read_conditions(
     Raises:
         InputError: If a direction of approach is none of -1, 0 and 1, or blank.
     """
-    stated: dict[str, Any] = {
-        name: numbers
-        for name, kind in CONDITIONS.items()
-        if (numbers := found_numbers(table, name, kind)) is not None
-    }
-    names = [joint + DIRECTION for joint in joints]
-    used = {name for name in names if name in table}
-    columns = np.zeros((len(table.lines), len(joints)), np.int8)
+    found = ((name, table.found(name, kind)) for name, kind in CONDITIONS.items())
+    stated: dict[str, Any] = {name: own for name, own in found if own is not None}
+    directions = np.zeros((len(table.lines), len(joints)), np.int8)
+    ends = {joint + DIRECTION: k for k, joint in enumerate(joints)}
+    used = [name for name in ends if name in table]
     for name in used:
         column = table.columns[name]
         signs = np.where(column.missing(), 0.0, column.numbers)
-        wrong, allowed = (
-            ~np.isin(signs, (-1, 0, 1)),
-            "1, -1, or 0 where it is not known",
-        )
+        wrong = ~np.isin(signs, (-1, 0, 1))
+        allowed = "1, -1, or 0 where it is not known"
         table.refuse(wrong, "not the sign of a joint's last motion", name, allowed)
-        columns[:, names.index(name)] = signs
-    stated |= {"direction": columns, "source": "columns"} if used else {}
-    return Conditions(**stated), frozenset(used | CONDITIONS.keys() & stated.keys())
+        directions[:, ends[name]] = signs
+    read = frozenset({*used, *stated})
+    stated |= {"direction": directions, "source": "columns"} if used else {}
+    return Conditions(**stated), read
 
 
 def asked_models(model: str | None) -> tuple[str, ...]:
@@ -375,34 +365,266 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
     if len(asked) == 1:
         return asked[0]
     names = asked or [name for name in MEASUREMENT_MODELS if declared(name).inference]
-    there, needs = {*table.columns}, {name: {*needed(name)} for name in names}
-    partly = [name for name in names if needs[name] & there]
     # No instrument repeats all of its digits.
-    turned = [table.columns[name].numbers for name in ORIENTED & there]
-    oriented = any(len(n) < FEW or bool(np.ptp(n) != 0.0) for n in turned)
-    told, fitting = list[str](), list[str]()
-    for name in names:
-        stated = declared(name)
-        whole, named = needs[name] <= there, stated.naming.required == "every"
-        # What is there in part is told as missing; `u` alone may mean something else.
-        if not asked and stated.inference and not stated.inference.complete:
-            whole = name in partly or stated.oriented
-        if stated.contact:
-            whole = not partly and ("target" in there or not named)
-        if whole and (oriented or not stated.oriented):
-            fitting.append(name)
-        about = ["orientation"] * stated.oriented + ["target"] * named
-        told.append(f"{name} ({', '.join([*needed(name), *about]) or 'nothing'})")
-    fuller = [needs[name] for name in fitting if declared(name).oriented]
-    fitting = [
-        name
-        for name in fitting
-        if declared(name).oriented or not any(needs[name] <= other for other in fuller)
-    ]
-    if len(fitting) == 1 or (partly and not fitting and not asked):
-        return [*fitting, *partly][0]
-    reason = f"no measured columns for {', '.join(told)}; contacts need --model"
+    numbers = [table.columns[name].numbers for name in ORIENTED & table.columns.keys()]
+    turned = any(len(n) < FEW or bool(np.ptp(n) != 0.0) for n in numbers)
+    there = {*table.columns, *["orientation"] * turned}
+    about = {name: declared(name) for name in names}
+    needs = {n: {*needed(n), *["orientation"] * about[n].oriented} for n in names}
+    partly = [name for name in names if needs[name] & there]
+    lacking = {n for n in names if about[n].naming.required == "every"}
+    lacking = set() if "target" in there else lacking
+    idle = {n for n in names if about[n].contact and (partly or n in lacking)}
+    fitting = {n for n in names if needs[n] <= there} - idle
+    # What is there in part is told as missing; `u` alone may mean something else.
+    for name in () if asked else partly:
+        way = about[name].inference
+        if way and not way.complete and (turned or not about[name].oriented):
+            fitting.add(name)
+    fitting = {n for n in fitting if not any(needs[n] < needs[m] for m in fitting)}
+    fitting = fitting or {*(() if asked else partly[:1])}
+    if len(fitting) == 1:
+        return fitting.pop()
     if fitting:
-        reason = f"the columns allow {' and '.join(fitting)}; name what is measured "
+        ways = " and ".join(name for name in names if name in fitting)
+        reason = f"the columns allow {ways}; name what is measured "
         reason += "with --model, or row by row in a column 'model'"
-    raise table.error(reason + ELSEWHERE * (not fitting))
+        raise table.error(reason)
+    told = ", ".join(f"{name} ({_columns_of(name)})" for name in names)
+    reason = f"no measured columns for {told}; contacts need --model"
+    raise table.error(reason + ELSEWHERE)
+
+
+def _columns_of(model: str) -> str:
+    about = declared(model)
+    others = ["orientation"] * about.oriented
+    others += ["target"] * (about.naming.required == "every")
+    return ", ".join([*needed(model), *others]) or "nothing"
+
+
+def own_columns(
+    table: Table, chain: Chain | Chains, joints: Mapping[str, JointMap]
+) -> tuple[Table, JointColumns]:
+    """A table that knows its joints by name, and the columns of these.
+
+    Args:
+        table: The file.
+        chain: The chain, or all chains that are measured.
+        joints: How file columns become joints; others are taken by their own name.
+
+    Raises:
+        InputError: If a column has another meaning already, or see `JointColumns.of`.
+    """
+    columns = JointColumns.of(chain, joints)
+    for joint in columns.maps:
+        for name in kinds_of(columns, joint):
+            # One that is not there is told as missing.
+            if name in reserved() and (name in table or name != joint):
+                raise InputError(
+                    f"column '{name}' has a meaning of its own and cannot be that of "
+                    f"joint '{joint}'; give the joint a column of another name by "
+                    "'joints' in the setup file"
+                )
+    return table.whole({*chain.robot.model.names, *joints}), columns
+
+
+def kinds_of(columns: JointColumns, joint: str) -> dict[str, Kind]:
+    """Kinds of the column of a joint, which comes first, and of those it adds."""
+    column, given = columns.maps[joint]
+    return {name: kind_of(columns, name) for name in (column, *given.coupled)}
+
+
+def kind_of(columns: JointColumns, name: str) -> Kind:
+    """Kind of a column."""
+    return ANGLE if columns.angular[name] else LENGTH
+
+
+def read_positions(
+    table: Table,
+    chain: Chain | Chains,
+    columns: JointColumns,
+    chain_of: Labels | None = None,
+) -> Floats:
+    """Joint positions in the order of the joints.
+
+    A joint that mimics another follows it, and needs no column.
+
+    Args:
+        table: The file.
+        chain: The chain, or all chains that are measured.
+        columns: The columns of their joints.
+        chain_of: Chain of each measurement, which has to state the joints of this one;
+            others may be blank and then are zero. None if all need all.
+
+    Returns:
+        Joint positions, shape (N, n) [rad, m].
+
+    Raises:
+        InputError: If a column is missing, its values cannot be in their unit, or a
+            joint is not where the one that it mimics takes it.
+    """
+    chains, there = Chains.of(chain), table.columns.keys()
+    drives = zip(columns.joints, columns.names, strict=True)
+    lacking = [joint for joint, name in drives if joint and name not in there]
+    hint = advice(chains[chains.names[0]], lacking) if lacking else ""
+    known = {*columns.names, *reserved(), *chains.robot.model.names}
+    table.require(columns.names, "no joint column", there - known, hint or ELSEWHERE)
+    q, stated = np.zeros((len(table.lines), len(chains.joints))), {}
+    for i, joint in enumerate(chains.joints):
+        names = kinds_of(columns, joint).keys()
+        if not names <= there:
+            continue
+        rows = np.ones(len(q), bool)
+        if chain_of is not None:
+            needs = [joint in drives_of(chains[name]) for name in chain_of.names]
+            blank = [table.columns[name].missing() for name in names]
+            rows = np.array(needs)[chain_of.codes] | ~np.any(blank, axis=0)
+        stated[joint] = rows
+        if rows.any():
+            part = table if rows.all() else table.rows(np.flatnonzero(rows))
+            q[rows, i] = _positions(part, chains, columns, i)
+    followed = chains.follow(q)
+    for joint in chains.mimics.keys() & stated.keys():
+        i, leader = chains.joints.index(joint), chains.mimics[joint].leader
+        apart, unit = abs(followed - q)[:, i], "rad" if chains.revolute[i] else "m"
+        if chains.revolute[i]:  # A controller may report it within one turn.
+            apart = abs(apart - 2.0 * np.pi * np.round(apart / (2.0 * np.pi)))
+        # One that leads nothing may lack.
+        far = stated[joint] & stated.get(leader, True) & (apart > MIMICRY)
+        place = f"{followed[np.argmax(far), i]:.6g} {unit}"
+        reason = f"joint '{joint}' mimics '{leader}', which puts it at {place}"
+        allowed = f"less than {MIMICRY:g} {unit} away; the column may be left out"
+        table.refuse(far, reason, columns.maps[joint][0], allowed)
+    return followed[:, : len(chain.joints)]
+
+
+def _positions(table: Table, chains: Chains, columns: JointColumns, i: int) -> Floats:
+    """Positions of one joint, shape (N,) [rad, m].
+
+    Raises:
+        InputError: If they can only be degrees or millimeters.
+    """
+    joint, lower, upper = chains.joints[i], chains.lower[i], chains.upper[i]
+    kinds, (column, given) = kinds_of(columns, joint), columns.maps[joint]
+    parts = {name: table.numbers(name, kind) for name, kind in kinds.items()}
+    q, kind, why = parts[column], kinds[column], ""
+    if given != JointMap(joint):
+        # What overflows is told with its line.
+        with np.errstate(over="ignore", invalid="ignore"):
+            q = q + sum(factor * parts[name] for name, factor in given.coupled.items())
+            q = given.sign * given.gear * q + given.offset
+        why = f"as mapped to joint '{joint}', offset {given.offset:g} {kind.si}"
+    angle = kind is ANGLE
+    most, free = (ANGLE.largest, np.pi) if angle else (LONGEST_TRAVEL, FREE_TRAVEL)
+    # A turntable may be allowed more turns than any threshold would guess.
+    most = max(most, 2.0 * abs(lower), 2.0 * abs(upper))
+    table.check(column, q, replace(kind, largest=most), why)
+    unit = table.columns[column].unit or kind.si
+    # The chain gives free limits to joints without any, which may go further.
+    if (lower, upper) != (-free, free) and (smaller := kind.smaller(unit)):
+        excess = np.maximum(lower - q, q - upper)
+        ratio = kind.units[smaller[0]] / kind.units[unit]
+        if lower <= ratio * q[np.argmax(excess)] <= upper:
+            # A meter or radian of grace: limits are often narrower than the robot's.
+            grace = replace(kind, largest=max(upper - lower, 1.0))
+            why = f"the limits are {lower:.6g} to {upper:.6g}"
+            table.check(column, q, grace, why, excess)
+    return q
+
+
+def shown_columns(
+    q: Floats, columns: JointColumns, degrees: bool = False
+) -> dict[str, Floats]:
+    """Columns of a file by their headers, for given positions.
+
+    Columns that are coupled to a joint of the chain without being one of its own (an
+    external axis) are zero.
+
+    Args:
+        q: Joint positions, shape (N, n) [rad, m].
+        columns: The columns of the joints.
+        degrees: Whether angles are in degrees.
+
+    Raises:
+        InputError: If the couplings of the joint map cannot be undone.
+        OutputError: If a name would not read back.
+    """
+    shown = {}
+    for name, values in zip(columns.names, columns.values(q).T, strict=True):
+        kind = kind_of(columns, name)
+        header, unit = column_name(name), "deg" if degrees and kind is ANGLE else ""
+        if unit or split_header(name) != (name, None):
+            # Other software reads brackets at the end of a name as a unit.
+            unit = unit or kind.si
+            header = f"{header} [{unit}]"
+        shown[header] = values / kind.units[unit] if unit else values
+    return shown
+
+
+def column_name(joint: str) -> str:
+    """The name of a column of joint positions.
+
+    Raises:
+        OutputError: If it would not read back.
+    """
+    if joint != joint.strip() or joint in reserved():
+        raise OutputError(f"joint '{joint}' cannot be the name of a column")
+    return joint
+
+
+def spare_columns(
+    table: Table, chain: Chain | Chains, joints: Mapping[str, JointMap]
+) -> list[str]:
+    """The columns that hold no joint, neither of the chain nor of the whole robot.
+
+    A recording of all joints is the usual case, so a joint outside the chain is not
+    worth a remark. The own name of a joint that is mapped from another column is.
+    """
+    taken = {*joints, *(c for given in joints.values() for c in given.coupled)}
+    mapped = {given.joint for given in joints.values()}
+    own = set(chain.robot.model.names) - mapped - reserved()
+    return [name for name in table.columns if name not in taken | own]
+
+
+def spare_positions(
+    table: Table,
+    chains: Chains,
+    columns: JointColumns,
+    q: Floats,
+    spare: Sequence[str],
+) -> dict[tuple[str, str], Floats]:
+    """Positions that a file states beside those of the joints, by joint and column.
+
+    Those of joints that are no part of the chains, and columns that follow that of a
+    joint closely: a recording has commanded and measured positions, or two encoders.
+
+    Args:
+        table: The file.
+        chains: The chains that are measured.
+        columns: The columns of their joints.
+        q: Positions of these, shape (N, n) [rad, m].
+        spare: Columns that hold no joint.
+
+    Returns:
+        Positions, each of shape (N,) [rad, m].
+    """
+    model, found = chains.robot.model, dict[tuple[str, str], Floats]()
+    for joint in [*model.names][1:]:
+        if joint not in chains.joints:
+            own = table.found(joint, ANGLE if turns(model, joint) else LENGTH)
+            found |= {} if own is None else {(joint, joint): own}
+    for name in (name for name in spare if name not in reserved()):
+        near, nearest = NEAR, dict[tuple[str, str], Floats]()
+        for i, joint in enumerate(chains.joints):
+            column, given = columns.maps[joint]
+            kind = kind_of(columns, column)
+            own, other = table.found(column, kind), table.found(name, kind)
+            if own is None or other is None:
+                continue
+            with np.errstate(over="ignore"):  # What means something else.
+                rms = float(np.sqrt(np.mean((other - own) ** 2)))
+            if 0.0 < rms < near * own.std():
+                near, moved = rms / own.std(), given.sign * given.gear * (other - own)
+                nearest = {(joint, name): q[:, i] + moved}
+        found |= nearest
+    return found

@@ -7,24 +7,22 @@ nominal and the calibrated robot are off. Numbers come back exactly.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from calib_pin.estimation.layout import side_by_side
-from calib_pin.io.measurements import LINES
+from calib_pin.io.measurements import encode_table
 from calib_pin.io.table import read_cells
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity, declared
 from calib_pin.observations import (
     BlockKey,
     Conditions,
-    Labels,
     Measurements,
     Observations,
 )
@@ -63,35 +61,15 @@ def encode_errors(result: CalibrationResult, run: str) -> bytes:
         result: The result.
         run: Id of the run that it is of.
     """
-    from pydantic_core import to_json
-
     parts = zip(SETS, (result.fitted, result.held_out), strict=True)
     directed = "direction" in needed_conditions(result.model.setup.parameters)
     tables = [p.table(name, directed) for name, p in parts if p is not None]
-    columns: dict[str, list[Any]] = {n: [] for table in tables for n in table}
-    for table in tables:
-        unknown = [math.nan] * len(table["set"])
-        for name, column in columns.items():
-            column += table.get(name, unknown)
-    numbers = [column for name, column in columns.items() if name not in WORDS]
-    found, count = list[bytes](), len(columns["set"])
-    for start in range(0, count, LINES):
-        part = slice(start, start + LINES)
-        text = io.StringIO(newline="")
-        words = zip(*(columns[name][part] for name in WORDS), strict=True)
-        csv.writer(text, lineterminator="\0").writerows(words)
-        # Files may have names that are not UTF-8.
-        heads = text.getvalue().encode("utf-8", "backslashreplace").split(b"\0")
-        cells = [*zip(*(column[part] for column in numbers), strict=True)]
-        # A JSON writer is four times faster than `repr`, and as exact.
-        lines = to_json(cells, inf_nan_mode="constants")
-        lines = lines.replace(b"NaN", b"").replace(b"Infinity", b"inf")
-        tails = lines[2:-2].split(b"],[")
-        found += (b"%b,%b\n" % line for line in zip(heads, tails, strict=False))
-    text = io.StringIO(newline="")
-    text.writelines(f"# {line}\n" for line in LEGEND.format(run=run).splitlines())
-    csv.writer(text, lineterminator="\n").writerow(columns)
-    return b"".join([text.getvalue().encode("utf-8", "backslashreplace"), *found])
+    columns = dict[str, Any]()
+    for name in dict.fromkeys(name for table in tables for name in table):
+        every = [table.get(name, [math.nan] * len(table["set"])) for table in tables]
+        cells = [*chain.from_iterable(every)]
+        columns[name] = cells if name in WORDS else np.array(cells)
+    return encode_table(columns, LEGEND.format(run=run).splitlines())
 
 
 def decode_errors(
@@ -110,77 +88,61 @@ def decode_errors(
         ValueError: If there is no measurement, or a cell is no number.
         InputError: If it is no CSV file.
     """
-    cells = read_cells(data, MEASUREMENTS).columns()
-    whole = {column.header: column for column in cells}
-    words = {name: [*whole[name].texts()] for name in WORDS}
-    columns = {name: column.numbers for name, column in whole.items()}
-    sets: dict[str, dict[BlockKey, list[int]]] = {name: {} for name in SETS}
-    for row, (name, _, _, _, _, *key) in enumerate(zip(*words.values(), strict=True)):
-        sets[name].setdefault(BlockKey(*key), []).append(row)
-    fitted, held_out = (
-        _part(words, columns, blocks, model, to_base[name]) if blocks else None
-        for name, blocks in sets.items()
-    )
-    if fitted is None:
-        raise ValueError("there are no measurements")
-    return fitted, held_out
-
-
-def _part(
-    words: Mapping[str, Sequence[str]],
-    columns: Mapping[str, Floats],
-    blocks: Mapping[BlockKey, Sequence[int]],
-    model: CalibratedModel,
-    to_base: Floats,
-) -> MeasurementErrors:
-    """The errors of one set, by the rows of its blocks."""
+    cells = {
+        column.header: column for column in read_cells(data, MEASUREMENTS).columns()
+    }
+    words = {name: cells[name].texts() for name in WORDS}
     unknown, joints = unknown_errors(model, 0), model.chains.joints
     _, first = side_by_side(_quantities(model))
 
-    def numbers(rows: Sequence[int], form: str, names: Sequence[object]) -> Floats:
+    def numbers(form: str, names: Sequence[object], rows: Sequence[int]) -> Floats:
         """Cells of columns that are called by a form."""
-        found = [columns[form.format(name)][rows] for name in names]
+        found = [cells[form.format(name)].numbers[rows] for name in names]
         return np.column_stack([np.zeros((len(rows), 0)), *found])
 
     def block(key: BlockKey, rows: Sequence[int]) -> Measurements:
-        about, start = declared(key.model), first[key.model]
+        about, start, index = declared(key.model), first[key.model], np.array(rows)
         own = unknown.components[start : start + len(about.components)]
-        stated = f"{own[0]}.stated" in columns
-        sigma = numbers(rows, "{}.stated", own) if stated else np.array(np.nan)
-        file, line, target, payload = (
-            [words[column][row] for row in rows] for column in WORDS[1:5]
-        )
-        held: Any = {n: columns[n][rows] for n in STATED if n in columns}
-        if f"direction.{joints[0]}" in columns:
-            directions = numbers(rows, "direction.{}", joints)
-            held |= {"direction": directions.astype(np.int8), "source": "columns"}
+        given = own if f"{own[0]}.stated" in cells else ()
+        sigma = numbers("{}.stated", given, rows)
+        held: Any = {n: cells[n].numbers[rows] for n in STATED if n in cells}
+        if f"direction.{joints[0]}" in cells:
+            directions = numbers("direction.{}", joints, rows).astype(np.int8)
+            held |= {"direction": directions, "source": "columns"}
         return Measurements(
             joints=joints,
-            q=numbers(rows, "joint.{}", joints),
-            values=numbers(rows, "measured.{}", range(1, len(about.values) + 1)),
+            q=numbers("joint.{}", joints, rows),
+            values=numbers("measured.{}", range(1, len(about.values) + 1), rows),
             sigma=None if np.isnan(sigma).all() else sigma,
-            target=Labels.of(target),
-            conditions=Conditions(Labels.of(payload), **held),
-            start=numbers(rows, "start.{}", joints if about.relative else ()),
-            lines=np.array(line, np.int64),
-            files=Labels.of(file),
-            weight=columns["weight"][rows],
+            target=words["target"][index],
+            conditions=Conditions(words["payload"][index], **held),
+            start=numbers("start.{}", joints if about.relative else (), rows),
+            lines=cells["line"].numbers[rows].astype(np.int64),
+            files=words["file"][index],
+            weight=cells["weight"].numbers[rows],
             **key._asdict(),
         )
 
-    rows = [row for chosen in blocks.values() for row in chosen]
-    stages = ("before", "after", "sigma")
-    errors: Any = {
-        stage: numbers(rows, f"{{}}.{stage}", unknown.components) for stage in stages
-    }
-    return replace(
-        unknown,
-        rows=Observations(tuple(block(*found) for found in blocks.items())),
-        points=numbers(rows, "tool.{}", AXES),
-        to_base=np.broadcast_to(to_base, (len(blocks), 3, 3)),
-        leverage=columns["leverage"][rows],
-        **errors,
-    )
+    sets: dict[str, dict[BlockKey, list[int]]] = {name: {} for name in SETS}
+    keys = map(BlockKey, *(words[field] for field in BlockKey._fields))
+    for row, (name, key) in enumerate(zip(words["set"], keys, strict=True)):
+        sets[name].setdefault(key, []).append(row)
+    if not sets[SETS[0]]:
+        raise ValueError("there are no measurements")
+    parts, stages = list[MeasurementErrors](), ("before", "after", "sigma")
+    for name, blocks in sets.items():
+        rows = [row for chosen in blocks.values() for row in chosen]
+        if not rows:
+            continue
+        part: Any = {n: numbers(f"{{}}.{n}", unknown.components, rows) for n in stages}
+        part |= {
+            "rows": Observations(tuple(block(*found) for found in blocks.items())),
+            "points": numbers("tool.{}", AXES, rows),
+            "to_base": np.broadcast_to(to_base[name], (len(blocks), 3, 3)),
+            "leverage": cells["leverage"].numbers[rows],
+        }
+        parts.append(replace(unknown, **part))
+    return parts[0], parts[1] if len(parts) > 1 else None
 
 
 def _quantities(model: CalibratedModel) -> Mapping[str, Sequence[Quantity]]:
@@ -197,19 +159,15 @@ def unknown_errors(model: CalibratedModel, count: int) -> MeasurementErrors:
     """
     joints, (quantities, _) = model.chains.joints, side_by_side(_quantities(model))
     unknown = np.full((count, quantities[-1].columns.stop), np.nan)
-    rows = Measurements(
-        joints=joints,
-        q=np.zeros((count, len(joints))),
-        values=np.zeros((count, model.only.measurement.width)),
-        **model.only.key._asdict(),
-    )
+    q = np.zeros((count, len(joints)))
+    values = np.zeros((count, model.only.measurement.width))
+    rows = Measurements(joints, q, values=values, **model.only.key._asdict())
+    points, to_base = np.full((count, 3), np.nan), np.full((1, 3, 3), np.nan)
     return MeasurementErrors(
-        rows=Observations.of(rows),
-        quantities=quantities,
-        before=unknown,
-        after=unknown,
-        sigma=unknown,
-        points=np.full((count, 3), np.nan),
-        to_base=np.full((1, 3, 3), np.nan),
-        leverage=np.full(count, np.nan),
+        Observations.of(rows),
+        quantities,
+        *(unknown, unknown, unknown),
+        points,
+        to_base,
+        leverage=points[:, 0],
     )

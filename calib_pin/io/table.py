@@ -14,13 +14,13 @@ import io
 import re
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from itertools import compress, count, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ from calib_pin.io.columns import (
     split_header,
 )
 from calib_pin.io.dialects import Heading, heading, reading, side_by_side
-from calib_pin.io.dialects.base import Lines, cells_of
+from calib_pin.io.dialects.base import cells_of
 from calib_pin.io.files import read_blocks
 from calib_pin.observations import Booleans, Indices, Labels
 from calib_pin.progress import Progress
@@ -113,14 +113,9 @@ class Table:
         """Whether there is a column of exactly this name."""
         return name in self.columns
 
-    def rows(self, index: Indices | slice, names: Collection[str]) -> Table:
-        """Some of the rows and columns.
-
-        Args:
-            index: The rows, in this order.
-            names: The columns; those that do not exist are left out.
-        """
-        columns = {n: c.rows(index) for n, c in self.columns.items() if n in names}
+    def rows(self, index: Indices | slice) -> Table:
+        """Some of the rows, in this order."""
+        columns = {name: column.rows(index) for name, column in self.columns.items()}
         return replace(self, columns=columns, lines=self.lines[index])
 
     def error(
@@ -140,18 +135,12 @@ class Table:
         about: dict[str, Any] = {"line": line, "column": column, "value": value}
         return InputError(reason, file=self.file, allowed=allowed, **about)
 
-    def cell_error(
-        self, reason: str, name: str, row: int, allowed: str | None = None
-    ) -> InputError:
-        """An error about one cell."""
-        return self.error(reason, name, allowed, row)
-
     def refuse(
         self, wrong: Booleans, reason: str, name: str, allowed: str | None = None
     ) -> None:
         """Refuse rows, shape (N,), if there are any; blames the cell of the first."""
         if wrong.any():
-            raise self.cell_error(reason, name, int(np.argmax(wrong)), allowed)
+            raise self.error(reason, name, allowed, int(np.argmax(wrong)))
 
     def require(
         self,
@@ -172,10 +161,6 @@ class Table:
             hints = (closest(name, among) for name in missing)
             hint = next(filter(None, hints), advice)
             raise self.error(f"{reason} {', '.join(missing)}{hint}", missing[0])
-
-    def cells(self, names: Collection[str]) -> dict[str, Labels]:
-        """Text of whole columns, by name, N strings each."""
-        return {name: self.columns[name].texts() for name in names}
 
     def labels(self, name: str, absent: str = "") -> Labels:
         """Trimmed text of a column, N strings; that of one that there is not is equal.
@@ -201,11 +186,14 @@ class Table:
 
     def whole(self, names: Collection[str]) -> Table:
         """The table in which names among these that end in brackets are not split."""
-        ends = [c for c in self.columns.values() if c.header in names and c.unit]
-        ends = [c for c in ends if c.header.endswith("]")]
-        table = self.renamed({c.header: c.theirs for c in ends})
-        whole = {c.header: replace(c, unit=None, theirs=c.header) for c in ends}
-        return replace(table, columns={**table.columns, **whole})
+        columns = dict[str, Column]()
+        for name, column in self.columns.items():
+            ends = column.header.endswith("]") and column.header in names
+            if column.unit and ends:
+                name = column.header
+                column = replace(column, unit=None, theirs=name)
+            columns[name] = column
+        return replace(self, columns=columns)
 
     def called(self, columns: Mapping[str, str]) -> Table:
         """The table with the names and units that the setup states.
@@ -224,17 +212,17 @@ class Table:
             if name not in self:
                 missing |= {} if ours in self else {ours: theirs}
                 continue
-            own = self.columns[name].unit
             if name in taken:
                 both = f"'{taken[name]}' and '{ours}'"
                 raise self.error(f"'columns' in the setup takes {both} from it", name)
+            own = self.columns[name].unit
             # A unit that the file writes in its own way may be stated in ours.
             known = any(own in kind.units for kind in KINDS.values())
             if known and unit not in (None, own):
                 reason = f"the header says [{own}], 'columns' in the setup [{unit}]"
                 raise self.error(reason, name)
             taken[name] = ours
-            stated[name] = replace(stated[name], unit=unit or own)
+            stated[name] = replace(self.columns[name], unit=unit or own)
         # A column that has the name of another's meaning keeps its place without it.
         names = {ours: f"{ours} (of the file)" for ours in taken.values()} | taken
         read = {names.get(name, name): column for name, column in stated.items()}
@@ -262,8 +250,7 @@ class Table:
             raise self.error(f"unit '{unit}' does not fit here", name, allowed)
         bad = ~np.isfinite(numbers)
         if bad.any():
-            reason = column.fault(int(np.argmax(bad)))
-            self.refuse(bad, reason, name, "a finite number")
+            self.refuse(bad, column.fault(int(np.argmax(bad))), name, "a finite number")
         turn, zero = steps_of(unit or "") or (0.0, 0.0)
         if turn and zero is None:
             allowed = f"0 to {turn:g}, or zero in the unit, such as steps/{turn:g}@0"
@@ -304,32 +291,38 @@ class Table:
             return values
         if row in (same := column.outlying):
             lines = ", ".join(map(str, self.lines[same]))
-            reason = (
-                f"stands in {len(same)} rows and looks like a sign that there is no "
-            )
-            reason += f"reading; leave them out by 'reading: {{without: [{lines}]}}'"
-            raise self.cell_error(reason, name, int(same[0]))
-        unit = column.unit or kind.si
-        smaller, number = (
-            kind.smaller.get(unit, ""),
-            abs(values[row]) / kind.units[unit],
-        )
-        while smaller in kind.smaller and kind.units[smaller] * number > kind.largest:
-            smaller = kind.smaller[smaller]
+            reason = f"stands in {len(same)} rows and looks like a sign that there is "
+            reason += f"no reading; leave them out by 'reading: {{without: [{lines}]}}'"
+            raise self.error(reason, name, row=int(same[0]))
         reason = f"{values[row]:.6g} {kind.si} looks like the wrong unit"
         reason += f", {why}" if why else ""
+        unit = column.unit or kind.si
+        number = abs(values[row]) / kind.units[unit]
+        fits = (u for u in kind.smaller(unit) if number * kind.units[u] <= kind.largest)
+        meant = next(fits, "")
         if kind.si == ANGLE.si and column.unit is None:
             # All joints of a robot are counted by servos of one kind.
             plain = [c.numbers for c in self.columns.values() if counted(c.numbers)]
-            smaller = counted(np.concatenate([[], *plain])) or smaller
+            meant = counted(np.concatenate([[], *plain])) or meant
             if np.nanmax(np.abs(column.numbers)) == 100.0:
                 reason += "; -100 to 100 of a range: [steps/N@0], N = 819200 / range"
-        stated = f"; write the header as '{name} [{smaller}]'"
-        if column.theirs not in ("", name):
-            both = f"{{{name}: {column.theirs} [{smaller}]}}"
-            stated = f"; state in the setup 'columns: {both}'"
-        reason += stated if smaller else ""
-        raise self.cell_error(reason, name, row, ", ".join(kind.units))
+        if meant and column.theirs not in ("", name):
+            both = f"{{{name}: {column.theirs} [{meant}]}}"
+            reason += f"; state in the setup 'columns: {both}'"
+        elif meant:
+            reason += f"; write the header as '{name} [{meant}]'"
+        raise self.error(reason, name, ", ".join(kind.units), row)
+
+    def values(self, kinds: Iterable[tuple[str, Kind]]) -> Floats:
+        """Columns side by side, shape (N, k), of values that can be meant [SI]."""
+        columns = [self.check(n, self.numbers(n, kind), kind) for n, kind in kinds]
+        return np.column_stack([np.zeros((len(self.lines), 0)), *columns])
+
+    def found(self, name: str, kind: Kind) -> Floats | None:
+        """As `numbers`; None where there is no such column, or one of other cells."""
+        with suppress(InputError):
+            return self.numbers(name, kind) if name in self else None
+        return None
 
 
 def read_table(
@@ -365,12 +358,10 @@ def read_table(
         ours, row = side_by_side(found, given)
         table = replace(table, columns=found.read(ours), lines=lines[row])
         return table.called(columns)
-    headers = defaultdict[str, list[str]](list)
-    for column in given:
-        headers[column.theirs].append(f"'{column.header}'")
-    for name, both in headers.items():
-        if len(both) > 1:
-            raise table.error(f"two columns are '{name}': {', '.join(both)}", name)
+    for name, often in Counter(column.theirs for column in given).items():
+        if often > 1:
+            both = ", ".join(f"'{c.header}'" for c in given if c.theirs == name)
+            raise table.error(f"two columns are '{name}': {both}", name)
     table = replace(table, columns={column.theirs: column for column in given})
     table = table.called(columns)
     if read := reading(table.columns, Path(cells.file)):
@@ -379,13 +370,6 @@ def read_table(
         table = replace(table, columns=read.columns, remarks=remarks)
         table = table.called(table.missing)
     return table
-
-
-def found_numbers(table: Table, name: str, kind: Kind) -> Floats | None:
-    """As `Table.numbers`; None where there is no such column, or one of other cells."""
-    with suppress(InputError):
-        return table.numbers(name, kind) if name in table else None
-    return None
 
 
 def with_readings(table: Table, kept: Booleans, what: str, notice: Notice) -> Table:
@@ -402,7 +386,7 @@ def with_readings(table: Table, kept: Booleans, what: str, notice: Notice) -> Ta
     first = table.lines[int(np.argmin(kept))]
     lost = f"{np.count_nonzero(~kept)} of {len(kept)} {what}"
     notice(f"{table.file}: {lost} have no reading (the first in line {first})")
-    return table.rows(np.flatnonzero(kept), table.columns)
+    return table.rows(np.flatnonzero(kept))
 
 
 def require_columns(tables: Sequence[Table]) -> None:
@@ -485,20 +469,18 @@ class Cells:
             if number > self.heading.line
         ]
         lines = [lines[number - first] for number in numbers]
-        later, width = bool(self.lines), len(self.numbers)
+        later, comma = bool(self.lines), self.heading.separator == ","
         self.lines.extend(numbers)
         # The texts of numbers are for messages and names, and so for small files.
-        plain = later and self.heading.separator == ","
-        if plain and (read := read_lines(lines, width)) is not None:
+        read = read_lines(lines, len(self.numbers)) if later and comma else None
+        if read is not None:
             for k, values in enumerate(read):
                 self.grow(k, values)
             return
         rows = self._rows(numbers, lines)
-        for number, row in zip(numbers, rows, strict=True):
-            if self.comma or self.heading.separator == ",":
-                break
-            if any("," in cell and COMMA.fullmatch(cell) for cell in row):
-                self.comma = number
+        if not comma and not self.comma:
+            marked = (any("," in c and COMMA.fullmatch(c) for c in row) for row in rows)
+            self.comma = next(compress(numbers, marked), 0)
         for k, cells in enumerate(zip(*rows, strict=True)):
             self.add(k, cells)
 
@@ -583,30 +565,26 @@ def read_cells(
         raise InputError(f"is {kind}", file=file)
     wide = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     for encoding in ("utf-16",) if wide else ("utf-8-sig", "latin-1"):
-        with suppress(UnicodeError):
-            return _read(source, encoding, file, progress)
+        remarks = ("not UTF-8, read as Latin-1",) * (encoding == "latin-1")
+        with (
+            suppress(UnicodeError),
+            _opened(source) as raw,
+            io.TextIOWrapper(raw, encoding) as stream,
+        ):
+            found = Cells(file, _heading([*islice(stream, HEAD)], file), remarks)
+            size, first = raw.seek(0, io.SEEK_END), 1
+            stream.seek(0)
+            while lines := stream.readlines(LINES):
+                found.extend(lines, first)
+                first += len(lines)
+                if progress is not None:
+                    progress(raw.tell() / size)
+            return found
     raise InputError("not UTF-16 text, as its byte order mark says", file=file)
 
 
-def _read(
-    source: str | Path | bytes, encoding: str, file: str, progress: Progress | None
-) -> Cells:
-    with (
-        (
-            io.BytesIO(source) if isinstance(source, bytes) else Path(source).open("rb")
-        ) as raw,
-        io.TextIOWrapper(raw, encoding) as stream,
-    ):
-        remarks = ("not UTF-8, read as Latin-1",) * (encoding == "latin-1")
-        found = Cells(file, _heading([*islice(stream, HEAD)], file), remarks)
-        size, first = raw.seek(0, io.SEEK_END), 1
-        stream.seek(0)
-        while lines := stream.readlines(LINES):
-            found.extend(lines, first)
-            first += len(lines)
-            if progress is not None:
-                progress(raw.tell() / size)
-    return found
+def _opened(source: str | Path | bytes) -> BinaryIO:
+    return io.BytesIO(source) if isinstance(source, bytes) else Path(source).open("rb")
 
 
 def _read_parquet(file: str) -> Cells:
@@ -653,12 +631,29 @@ def _heading(first: Sequence[str], file: str) -> Heading:
     ]
     if found := heading(lines):
         return found
-    plain = [one for one in lines if not _is_comment(one[1])]
+    plain = [line for _, line in lines if not _is_comment(line)]
     if not plain:
         raise InputError("the file is empty, it needs a header and rows", file=file)
-    separator = _separator([text for _, text in plain])
-    line, names = _header(lines, plain, separator, file)
-    return Heading(separator, names, line, "")
+    mark = _separator(plain)
+    # What stands behind the sign of a comment comes last.
+    cut = [(n, cells_of(line, mark)) for n, line in lines if not _is_comment(line)]
+    signs = ((n, line.lstrip(" \t#%/")) for n, line in lines if _is_comment(line))
+    bare = [(n, cells_of(line, mark)) for n, line in signs]
+    rows = [one for one in cut if _is_row(one[1], mark)]
+    if not rows:
+        return Heading(mark, cut[0][1], cut[0][0], "")
+    ((width, _),) = Counter(len(cells) for _, cells in rows).most_common(1)
+    top = next(number for number, cells in rows if len(cells) == width)
+    above = [one for one in cut if one[0] < top]
+    for number, names in above + bare:
+        if number < top and len(names) == width and not _is_row(names, mark):
+            return Heading(mark, names, number, "")
+    number, names = max(above, key=lambda one: len(one[1]), default=(0, []))
+    if 2 * len(names) >= width:
+        return Heading(mark, names, number, "")
+    reason = "the first row holds numbers, a header with the names of the columns is "
+    allowed = f"{width} names above it, such as {mark.join(_names(width))}"
+    raise InputError(reason + "missing", file=file, line=top, allowed=allowed)
 
 
 def _is_comment(line: str) -> bool:
@@ -675,36 +670,6 @@ def _separator(lines: Sequence[str]) -> str:
         if width > 1 and 2 * often >= len(lines) and rows:
             return mark
     return ","
-
-
-def _header(
-    lines: Lines, plain: Lines, separator: str, file: str
-) -> tuple[int, list[str]]:
-    """Line and cells of the header.
-
-    Args:
-        lines: The first lines with their numbers.
-        plain: Those that are no comments.
-        separator: Separator of two cells.
-        file: The file, for messages.
-    """
-    cut = [(number, cells_of(line, separator)) for number, line in plain]
-    rows = [one for one in cut if _is_row(one[1], separator)]
-    if not rows:
-        return cut[0]
-    ((width, _),) = Counter(len(cells) for _, cells in rows).most_common(1)
-    first = next(number for number, cells in rows if len(cells) == width)
-    above = [one for one in cut if one[0] < first]
-    bare = [(n, cells_of(line.lstrip(" \t#%/"), separator)) for n, line in lines]
-    for number, cells in above + [one for one in bare if one[0] < first]:
-        if len(cells) == width and not _is_row(cells, separator):
-            return number, cells
-    longest = max(above, key=lambda one: len(one[1]), default=(0, []))
-    if 2 * len(longest[1]) >= width:
-        return longest
-    reason = "the first row holds numbers, a header with the names of the columns is "
-    allowed = f"{width} names above it, such as {separator.join(_names(width))}"
-    raise InputError(reason + "missing", file=file, line=first, allowed=allowed)
 
 
 def _is_row(cells: Sequence[str], separator: str) -> bool:

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import calib_pin.io.joint_columns as joint_columns
 import calib_pin.io.measured_columns as measured_columns
 from calib_pin.control.joints import Joints
 from calib_pin.errors import OutputError
@@ -92,7 +91,7 @@ def read_target_file(
         ([0.9, 0.0, 0.25], False)
     """
     table = read_table(path, columns=columns)
-    table, own = joint_columns.own_columns(table, chain, joints)
+    table, own = measured_columns.own_columns(table, chain, joints)
     oriented = bool(measured_columns.ORIENTED & table.columns.keys())
     has_targets = oriented or bool({*measured_columns.POSITION} & table.columns.keys())
     has_joints = bool({*own.names} & table.columns.keys())
@@ -103,11 +102,11 @@ def read_target_file(
         )
     q = None
     if has_joints:
-        q = joint_columns.read_positions(table, chain, own)
+        q = measured_columns.read_positions(table, chain, own)
         q = Joints.of(chain).continued(q)
     if not has_targets:
         return Targets(table, own, q, None, False)
-    spare = joint_columns.spare_columns(table, chain, joints)
+    spare = measured_columns.spare_columns(table, chain, joints)
     spare = [name for name in spare if name not in own.names]
     model = (Pose if oriented else Position).declaration.name
     used, values = measured_columns.read_values(table, model, spare)
@@ -135,9 +134,8 @@ def read_times(targets: Targets) -> Floats | None:
     (back,) = np.nonzero(np.diff(time) <= 0.0)
     if len(back):
         row = int(back[0]) + 1
-        raise targets.table.cell_error(
-            "the time does not go on", "time", row, f"more than {time[row - 1]:.6g} s"
-        )
+        allowed = f"more than {time[row - 1]:.6g} s"
+        raise targets.table.error("the time does not go on", "time", allowed, row)
     return time
 
 
@@ -181,55 +179,43 @@ def encode_commands(
     """
     via = rows < 0
     latest = np.maximum.accumulate(np.where(via, 0, np.arange(len(rows))))
-    columns = command_columns(targets, q, rows[latest], degrees)
+    columns = _command_columns(targets, q, rows[latest], degrees)
     if targets.T is not None:
         if ROW in targets.columns.names:
-            raise OutputError(
-                f"a joint column is called '{ROW}', which is the line of a target"
-            )
+            reason = f"a joint column is called '{ROW}', which is the line of a target"
+            raise OutputError(reason)
         columns[ROW] = np.where(via, "", targets.lines[rows].astype(str)).tolist()
     if times is not None:
         columns["time"] = times.tolist()
     return encode_table(columns, comments)
 
 
-def command_columns(
-    targets: Targets, q: Floats, rows: NDArray[np.int64], degrees: bool = False
+def _command_columns(
+    targets: Targets, q: Floats, rows: NDArray[np.int64], degrees: bool
 ) -> dict[str, Sequence[object]]:
     """Cells by header of the joint columns, and of all columns of a motion.
 
-    Args:
-        targets: The requested targets or motion.
-        q: Joint commands for K of the targets, shape (K, n) [rad, m].
-        rows: Indices of these targets, shape (K,).
-        degrees: Whether angles are in degrees, where the target file has no joints.
-
-    Raises:
-        InputError: If the joint map cannot be undone.
-        OutputError: If a name would not read back.
+    The change is added to the value in the file, so that a column coupled with a joint
+    outside the chain (an external axis) keeps the contribution of that joint.
     """
     own, columns = targets.columns, targets.table.columns
     if targets.q is None:
-        shown = joint_columns.shown_columns(q, own, degrees)
+        shown = measured_columns.shown_columns(q, own, degrees)
         return {header: column.tolist() for header, column in shown.items()}
-    # The change is added to the value in the file, so that a column coupled with a
-    # joint outside the chain (an external axis) keeps the contribution of that joint.
-    changes = (own.values(q) - own.values(targets.q[rows])).T
-    own_joints = zip(own.names, own.joints, changes, strict=True)
-    # Others are only coupled, and stay.
-    moved = {name: change if joint else None for name, joint, change in own_joints}
+    before = targets.q[rows]
+    # Columns that are only coupled stay.
+    moved = dict(zip(own.names, (own.values(q) - own.values(before)).T, strict=True))
+    moved = {n: moved[n] for n, j in zip(own.names, own.joints, strict=True) if j}
     for k, (joint, (name, given)) in enumerate(own.maps.items()):
         if joint not in own.joints and name in columns:  # It mimics another.
-            change = q[:, k] - targets.q[rows, k]
-            moved[name] = change / (given.sign * given.gear)
+            moved[name] = (q - before)[:, k] / (given.sign * given.gear)
     result = dict[str, Sequence[object]]()
-    for name in columns if targets.T is None else moved:
-        column, change = columns[name], moved.get(name)
-        if change is None:
-            texts = column.texts()
-            result[column.header] = [texts[row] for row in rows]
-        else:
-            kind = joint_columns.kind_of(own, name)
-            change = change / kind.units[column.unit or kind.si]
+    for name in columns if targets.T is None else {**dict.fromkeys(own.names), **moved}:
+        column = columns[name]
+        if name in moved:
+            kind = measured_columns.kind_of(own, name)
+            change = moved[name] / kind.units[column.unit or kind.si]
             result[column.header] = (column.numbers[rows] + change).tolist()
+        else:
+            result[column.header] = [*column.rows(rows).texts()]
     return result

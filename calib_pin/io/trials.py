@@ -1,7 +1,7 @@
 """Trials of a Monte Carlo study: a file that grows robot by robot, in their order.
 
-What a killed study leaves is whole but for its last line, and a study goes on behind
-it. The head of the file says of which study it is.
+What a killed study leaves is whole, and a study goes on behind it. The head of the file
+says of which study it is.
 """
 
 from __future__ import annotations
@@ -9,11 +9,12 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import astuple, fields
 from pathlib import Path
 
-from calib_pin.errors import InputError, OutputError
-from calib_pin.io.files import read_bytes, reason_of, write_atomically
+from calib_pin.errors import InputError
+from calib_pin.io.files import read_bytes, write_atomically
 from calib_pin.monte_carlo import Trial
 
 COLUMNS = tuple(field.name for field in fields(Trial))
@@ -58,13 +59,12 @@ def read_trials(path: Path, study: str, each: int) -> list[tuple[Trial, ...]]:
     whole = data[len(begin) : data.rfind(b"\n") + 1].decode("utf-8", "replace")
     found, reader = list[Trial](), TypeAdapter(Trial)
     for line, cells in enumerate(csv.reader(io.StringIO(whole, newline="")), 3):
-        try:
+        with suppress(ValueError):
             trial = reader.validate_python(dict(zip(COLUMNS, cells, strict=True)))
-        except ValueError:
-            trial = Trial(-1, 0)
-        if trial.robot != len(found) // each:
-            raise InputError("damaged; use --force", file=path, line=line)
-        found.append(trial)
+            if trial.robot == len(found) // each:
+                found.append(trial)
+                continue
+        raise InputError("damaged; use --force", file=path, line=line)
     ends = range(each, len(found) + 1, each)
     return [tuple(found[end - each : end]) for end in ends]
 
@@ -86,15 +86,10 @@ def kept(
     Raises:
         OutputError: If the file cannot be written.
     """
-    data = encode_trials(trial for own in known for trial in own)
-    write_atomically(path, head(study) + data, force=True)
+    data = head(study) + encode_trials(trial for own in known for trial in own)
+    write_atomically(path, data, force=True)
     yield from known
-    try:
-        with path.open("ab") as stream:
-            for own in further:
-                stream.write(encode_trials(own))
-                stream.flush()
-                yield own
-    except OSError as error:
-        reason = reason_of(error)
-        raise OutputError(f"{path}: cannot be written: {reason}") from error
+    for own in further:
+        data += encode_trials(own)
+        write_atomically(path, data, force=True)
+        yield own

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from calib_pin.estimation.problem import error_table
 from calib_pin.estimation.terms import Block
-from calib_pin.io.measurements import read_configurations, read_names
+from calib_pin.io.measurements import read_configurations
 from calib_pin.io.robot_shapes import robot_shapes
+from calib_pin.io.table import read_table
 from calib_pin.io.urdf_tree import edit_origins, parse_robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
@@ -395,8 +396,8 @@ def make_scene(
         found = [stage_errors(robot, drawn_link(chains)) for robot in ready]
         rows = Rows(data, dict(zip(("before", "after"), found, strict=False)))
     if not chains.names and (plan is not None or setup.base):
-        named = () if plan is None else read_names(plan, "chain").distinct
-        chains = chains.named(named or ("",))
+        named = ("",) if plan is None else read_table(plan).labels("chain").distinct
+        chains = chains.named(named)
     link = drawn_link(chains)
     if plan is not None:
         q = read_configurations(plan, chains, setup.joints)

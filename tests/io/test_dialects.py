@@ -113,7 +113,7 @@ def test_readings_are_those_written(written, layout):
     found, job = read_table(written(layout) / file), job_of(layout)
     at = job.measured if layout == "points" else np.arange(len(job.q))
     seen = ~found.columns["x"].missing()
-    kept = found.rows(np.flatnonzero(seen), found.columns)
+    kept = found.rows(np.flatnonzero(seen))
     assert seen.mean() > 0.9 and (layout == "points" or not seen.all())
     place = np.stack([job.point(name)[at] for name in points], axis=1).reshape(-1, 3)
     xyz = np.stack([kept.numbers(axis, LENGTH) for axis in "xyz"], axis=1)
@@ -195,7 +195,7 @@ def test_objects_side_by_side(table, refused):
     assert list(found.texts(["tool"])["tool"]) == ["Arm:Tool", "Arm:Hand"] * 2
     x = found.columns["x"]
     assert x.missing().tolist() == [False] * 3 + [True] and x.text(3) == ""
-    seen = found.rows(np.arange(3), found.columns)
+    seen = found.rows(np.arange(3))
     with refused(InputError, "wrong unit", line=7, column="x", value="9999999"):
         found.check("x", seen.numbers("x", LENGTH), LENGTH)
 

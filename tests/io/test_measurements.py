@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -142,7 +143,6 @@ def test_points_of_a_sheet_have_no_height(write, chain):
             "1,2,3,0,0,0,6,0.1,0.2,0.3,4,0.5",
             [0.1, 0.2, 0.3, np.pi / 45, 0.5, 0.006],
         ),
-        ("distance,sigma_distance [mm]", "1,2", [0.002]),
     ],
 )
 def test_sigma_by_component(write, chain, names, cells, sigma):
@@ -159,13 +159,11 @@ def test_sigma_by_component(write, chain, names, cells, sigma):
             {},
         ),
         (f",{J},distance\n1,0,0,0,1", "column 1", {}),
-        (f"{J},gripper,distance,payload\n0,0,0,0,1, p \n", "", {}),
         (
-            f"{J},J2,distance\n0,1,0,2,1\n",
+            f"{J},J2,distance,payload\n0,1,0,2,1, p \n",
             "elbow",
             {"joints": {"J2": JointMap("elbow")}},
         ),
-        (f"{J},x,sigma_x\n0,0,0,1,1\n", "x, sigma_x", {"model": "plane-contact"}),
         (
             f"{J},x,y,z,qx,qy,qz,qw,distance,sigma_distance,sigma_rx\n"
             "0,0,0,1,2,3,0,0,0,1,4,0.1,0.1\n",
@@ -186,19 +184,6 @@ def test_columns_without_a_meaning_are_reported_once(
     notices, file = list[str](), write(text)
     read_measurements(file, chain, notice=notices.append, **options)
     assert told(notices) == ([(file, names)] if names else [])
-
-
-def test_several_files_are_joined_in_order(write, chain):
-    a = write(f"{J},distance\n0,0,0,1\n0,0,0,2\n", "a.csv")
-    b = write(
-        "# b\ndistance [mm],wrist,elbow,lift,set\n3000,3,2,0.1,validate\n", "b.csv"
-    )
-    data = read([b, str(a)], chain)
-    assert data.values.tolist() == [[3.0], [1.0], [2.0]]
-    assert data.files == (str(b), str(a), str(a))
-    assert data.lines.tolist() == [3, 2, 3]
-    assert data.validate.tolist() == [True, False, False]
-    assert data.q[0].tolist() == [0.1, 2.0, 3.0]
 
 
 # --- orientations ------------------------------------------------------------------
@@ -232,22 +217,9 @@ def test_orientations(write, chain, header, write_down):
     assert (quaternions[:, 3] >= 0).all()
     found = [pin.Quaternion(q).toRotationMatrix() for q in quaternions]
     np.testing.assert_allclose(found, HARD, atol=2e-8)
-
-
-@pytest.mark.parametrize(
-    ("row", "expected"),
-    [
-        # More than half a turn about x is less than half a turn about -x.
-        ("rx,ry,rz\n0,0,0,0,0,0,4,0,0", [-np.sin(2), 0, 0, -np.cos(2)]),
-        ("roll,pitch [deg],yaw\n0,0,0,0,0,0,0,90,0", [0, 0.5**0.5, 0, 0.5**0.5]),
-        # Fixed axes: first roll about x, then yaw about the fixed z.
-        ("roll [deg],pitch,yaw [deg]\n0,0,0,0,0,0,90,0,90", [0.5, 0.5, 0.5, 0.5]),
-        ("qx,qy,qz,qw\n0,0,0,0,0,0,0,0,-1,0", [0, 0, -1, 0]),
-    ],
-)
-def test_known_orientations(write, chain, row, expected):
-    data = read(write(f"{J},x,y,z,{row}"), chain)
-    # Sines and cosines of other processors differ in their last bits.
+    # More than half a turn about x is less than half a turn about -x.
+    data = read(write(f"{J},x,y,z,rx,ry,rz\n0,0,0,0,0,0,4,0,0"), chain)
+    expected = [-np.sin(2), 0, 0, -np.cos(2)]
     np.testing.assert_allclose(data.values[0, 3:], expected, atol=1e-14)
 
 
@@ -310,53 +282,42 @@ TEXT = st.text(
 
 # What a target has to be so that a row of the model can be read.
 NAMED = TEXT.filter(lambda name: name.rpartition("@")[2] != "")
+FREE = ("position", "pose", "plane-distance", "relative-distance")
 
 
 @st.composite
-def measurements(draw, key=None, chains=None):
+def measurements(draw, key, chains):
     """Measurements of one block, which keep to what the reader checks."""
-    key = key or BlockKey(draw(st.sampled_from(list(MEASUREMENT_MODELS))))
-    joints = chains.joints if chains else ("lift", "elbow", "wrist")
-    model, n = key.model, len(joints)
-    stated = declared(model)
-    width, components = len(stated.values), len(stated.components)
-    gauged = draw(st.booleans()) and not chains
-    width = width or (len(stated.readings) if gauged else 0)
-    count = draw(st.integers(1, 5))
+    model, n, stated = key.model, len(chains.joints), declared(key.model)
+    count, width = draw(st.integers(1, 5)), len(stated.values)
     # Within the unit checks of the reader: 0 to 0.5 m, about a turn.
     q = draw(arrays(float, (count, n), elements=st.floats(-0.4, 0.4)))
     values = draw(arrays(float, (count, width), elements=st.floats(-2, 2)))
-    values = 0.04 * values if stated.readings else values
     if model == "pose":
         quaternion = draw(arrays(float, (count, 4), elements=st.floats(0.1, 1)))
         quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
         values[:, 3:] = quaternion * [-1, 1, -1, 1]
     sizes = st.floats(1e-8, 1e3) if model == "camera" else SIGMA
-    sigma = draw(st.none() | arrays(float, (count, components), elements=sizes))
-    named = model not in ("position", "pose", "plane-distance", "relative-distance")
-    named |= key.chain == "world"
-    names = st.lists(NAMED if named else TEXT, min_size=count, max_size=count)
-    if model in ("point-distance", "plane-contact", "sphere-contact"):
-        # Those of one model and station name all of their targets, or none.
-        names = st.just([""] * count) if key.chain != "world" and not chains else names
-    target = draw(names)
+    shape = (count, len(stated.components))
+    sigma = draw(st.none() | arrays(float, shape, elements=sizes))
+    names = TEXT if model in FREE and key.chain != "world" else NAMED
+    target = draw(st.lists(names, min_size=count, max_size=count))
     payload = draw(st.lists(TEXT, min_size=count, max_size=count))
     start = np.zeros((0, 0))
     if model == "relative-distance":
         values = np.abs(values) + 1e-6
-        size = 0.4 if chains else 3.0
-        begins = [0.45, *draw(arrays(float, n - 1, elements=st.floats(-size, size)))]
         first = [target.index(name) for name in target]
         payload = [payload[k] for k in first]
-        start = np.array([begins] * count) - 0.01 * np.array(first)[:, None]
+        begins = [0.45, *draw(arrays(float, n - 1, elements=st.floats(-0.4, 0.4)))]
+        start = chains.follow(np.array([begins] * count) - 0.01 * np.c_[first])
     return Measurements(
-        joints=joints,
-        q=chains.follow(q) if chains else q,
+        joints=chains.joints,
+        q=chains.follow(q),
         values=values,
         sigma=sigma,
         target=target,
         conditions=Conditions(payload),
-        start=chains.follow(start) if chains and start.size else start,
+        start=start,
         validate=draw(arrays(bool, count)),
         **key._asdict(),
     )
@@ -366,28 +327,18 @@ def measurements(draw, key=None, chains=None):
 def mixtures(draw, tree):
     """Measurements of several blocks, in any order within a file."""
     # Of a model and a chain either all measurements name a station, or none.
-    models = draw(
-        st.lists(
-            st.sampled_from(list(MEASUREMENT_MODELS)),
-            min_size=2,
-            max_size=4,
-            unique=True,
-        )
-    )
+    every = st.sampled_from(list(MEASUREMENT_MODELS))
+    models = draw(st.lists(every, min_size=1, max_size=4, unique=True))
     places = st.sampled_from([("", ""), ("", "probe"), ("day 1", ""), ("2", "1")])
     keys = {}
     for model in models:
         for chain in draw(st.sets(st.sampled_from(CHAINS), min_size=1, max_size=2)):
-            if (model, chain) == ("relative-distance", "world"):
-                continue
             station, tool = draw(places)
-            keys[BlockKey(model, chain, station, tool)] = None
-            if station and draw(st.booleans()):
-                keys[BlockKey(model, chain, "b", tool)] = None
-    chains = tree.named(tuple({key.chain for key in keys} or {""}))
+            if (model, chain) != ("relative-distance", "world"):
+                keys[BlockKey(model, chain, station, tool)] = None
+    keys = keys or {BlockKey("pose"): None}
+    chains = tree.named(tuple({key.chain for key in keys}))
     blocks = [draw(measurements(key, chains)) for key in keys]
-    if not blocks:
-        blocks = [draw(measurements(BlockKey("pose"), chains))]
     order = draw(st.permutations(range(sum(map(len, blocks)))))
     lines = np.split(np.array(order), np.cumsum([len(b) for b in blocks])[:-1])
     blocks = [
@@ -415,16 +366,15 @@ def same(data, again):
 
 @settings(max_examples=40, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(drawn=st.data(), comments=st.lists(TEXT, max_size=3))
-def test_written_files_read_back_bit_by_bit(tmp_path, chain, tree, drawn, comments):
-    data = drawn.draw(measurements() | mixtures(tree))
-    file = tmp_path / "written.csv"
+def test_written_files_read_back_bit_by_bit(tmp_path, tree, drawn, comments):
+    data, file = drawn.draw(mixtures(tree)), tmp_path / "written.csv"
     write_measurements(file, data, comments, force=True)
-    several = isinstance(data, Observations)
-    options = {"notice": pytest.fail, "sockets": sockets(data)}
-    (model, *others) = Observations.of(data).models
-    if not others and model not in ("position", "pose", "plane-distance", "camera"):
-        options["model"] = model
-    again = read_measurements(file, tree if several else chain, **options)
+    # Of all sockets, so that one row is enough for each.
+    sockets = {name.rpartition("@")[2] for name in data.target}
+    options = {"notice": pytest.fail, "sockets": sockets}
+    if len(data.models) == 1:
+        (options["model"],) = data.models
+    again = read_measurements(file, tree, **options)
     assert same(data, again)
     first = file.read_bytes()
     write_measurements(file, again, comments, force=True)
@@ -432,45 +382,36 @@ def test_written_files_read_back_bit_by_bit(tmp_path, chain, tree, drawn, commen
     assert b"\r" not in first
 
 
-def sockets(data):
-    """All of them, so that one row is enough for each."""
-    return {name.rpartition("@")[2] for name in Observations.of(data).target}
-
-
 def test_what_is_written(tmp_path, chain, refused):
+    file, q = tmp_path / "out.csv", np.array([[0.1, -0.0, 1e-7], [0.25, 2.0, 3.0]])
+    about = {"values": q[:, :1], "sigma": np.array(1e-4), "target": ("ball", 'a, "b"')}
     data = Measurements(
-        joints=("lift", "elbow", "wrist"),
-        q=np.array([[0.1, -0.0, 1e-7], [0.25, 2.0, 3.0]]),
-        model="pose",
-        values=np.array([[1, 2, 3, 0, 0, 0, 1], [0.1, 0.2, 0.3, 0, 0.6, 0, 0.8]]),
-        sigma=np.full((2, 6), 1e-4),
-        target=("ball", 'a, "b"'),
-        validate=np.array([False, True]),
+        chain.joints, q, "plane-distance", validate=np.array([False, True]), **about
     )
-    file, sigma = tmp_path / "out.csv", "0.0001," * 6
     write_measurements(file, data, ["made by a test", "", "two\nlines"])
     assert file.read_text(encoding="utf-8") == (
         "# made by a test\n#\n# two\n# lines\n"
-        "lift,elbow,wrist,x,y,z,qx,qy,qz,qw,sigma_x,sigma_y,sigma_z,"
-        "sigma_rx,sigma_ry,sigma_rz,target,set\n"
-        f"0.1,-0.0,1e-07,1.0,2.0,3.0,0.0,0.0,0.0,1.0,{sigma}ball,train\n"
-        f'0.25,2.0,3.0,0.1,0.2,0.3,0.0,0.6,0.0,0.8,{sigma}"a, ""b""",validate\n'
+        "lift,elbow,wrist,distance,sigma_distance,target,set\n"
+        "0.1,-0.0,1e-7,0.1,0.0001,ball,train\n"
+        '0.25,2.0,3.0,0.25,0.0001,"a, ""b""",validate\n'
     )
     assert same(data, read(file, chain))
     with refused(OptionError, file=str(file)):
         write_measurements(file, data)
 
 
-@pytest.mark.parametrize(
-    ("joint", "target"),
-    [("x", ""), (" j", ""), ("j", " a"), ("j", "a\nb")],
-)
-def test_what_would_not_read_back_is_not_written(tmp_path, joint, target):
-    data = Measurements(
-        (joint,), np.zeros((1, 1)), "plane-distance", np.ones((1, 1)), target=(target,)
-    )
-    with pytest.raises(OutputError):
-        write_measurements(tmp_path / "out.csv", data)
+@pytest.mark.parametrize("name", ["station", "tool", "chain", "payload", "target"])
+@pytest.mark.parametrize("text", [" p", "a\nb", "a\0b"])
+def test_names_that_would_not_read_back(tmp_path, name, text):
+    own = {"conditions": Conditions((text,))} if name == "payload" else {name: text}
+    own = {name: (text,)} if name == "target" else own
+    data = Measurements(("j",), np.zeros((1, 1)), "plane-distance", np.ones((1, 1)))
+    told = f"{name} {text!r} would"
+    with pytest.raises(OutputError, match=re.escape(told)):
+        write_measurements(tmp_path / "out.csv", replace(data, **own))
+    for joint in ("x", " j"):
+        with pytest.raises(OutputError, match=f"'{joint}'"):
+            write_measurements(tmp_path / "out.csv", replace(data, joints=(joint,)))
     assert not list(tmp_path.iterdir())
 
 
@@ -483,31 +424,22 @@ VECTOR = f"{J},x,y,z,rx,ry,rz"
 # A file, then line, column and value of the error, and what else tells it from others.
 REFUSED = [
     # Not such a file at all.
-    ("", None, None, None),
     (f"# c\n{J},distance\n# c\n", None, None, None),
-    ("# c\nlift;elbow;wrist;distance\n0,1;2;3;4,5\n0;2;3;1.5\n", 4, "distance", "1.5"),
-    ("lift;elbow;wrist;x\n0,1;2;3,4\n", 2, None, None, "3 cells for 4"),
     # Rows that do not fit.
     (f"{R}\n0,0,0\n", 4, None, None, "3 cells for 4"),
-    (f"{R}0,0,0,1,abc\n", 3, None, None, "5 cells for 4"),
     (f"{J},distance\n0,0,0,0,0,0,1,5\n", 2, None, None, "decimal"),
-    (f'{J},distance\n0,0,0,"1\n0,0,0,1\n', 2, None, None),
     # Cells that are not numbers.
     *(
         (f"{R}# c\n0,{cell},0,1\n", 4, "elbow", cell.strip())
-        for cell in ("abc", "-Inf", "1e999", "1_0", "90deg")
+        for cell in ("abc", "1e999", "1_0")
     ),
     (f'{R}0,"1,5",0,1\n', 3, "elbow", "1,5", "decimal"),
     # Columns that are missing, doubled or have a wrong unit.
     ("lift,elbow_joint,wrist,distance\n0,0,0,1\n", 1, "elbow", None, "'elbow_joint'"),
     ("lift,elbow (deg),distance\n0,0,1\n", 1, "elbow", None, "'elbow (deg)'"),
-    (f"{J},elbow,distance\n0,0,0,0,1\n", 1, "elbow", None),
     (f"{J},x,x [mm],y,z\n0,0,0,0,1,0,0\n", 1, "x", None, "'x [mm]'"),
     ("lift,elbow [mm],wrist,distance\n0,0,0,1\n", 1, "elbow", None, "'mm'"),
     (f"{J},x,y,z,qx [m],qy,qz,qw\n0,0,0,0,0,0,0,0,0,1", 1, "qx", None),
-    (f"{J},distance,sigma [deg]\n0,0,0,1,1\n", 1, "sigma", None, "'deg'"),
-    ("lift,elbow [ticks],wrist,distance\n0,0,0,1\n", 1, "elbow", None, "'ticks'"),
-    (f"{STEPS}0,-5,0,1\n", 2, "elbow", "-5", "turn"),
     (f"{STEPS}0,9,0,1\n0,4097,0,1\n", 3, "elbow", "4097", "turn"),
     ("lift,elbow,wrist,distance\n0,2917,9,1\n", 2, "elbow", "2917", "[steps/4096]"),
     ("lift,elbow,wrist,distance\n0,-100,9,1\n", 2, "elbow", "-100", "[steps/N@0]"),
@@ -524,35 +456,30 @@ REFUSED = [
     # Quaternions.
     *(
         (f"{QUATERNION}{cells}\n", 3, "qw", cells.split(",")[-1], "norm")
-        for cells in ("0,0,1,1", "0,0,0,0", "0,0,0,1.011", "0,0,0,-0.989")
+        for cells in ("0,0,0,0", "0,0,0,1.011", "0,0,0,-0.989")
     ),
     # Sigmas.
     *(
         (f"{J},distance,sigma\n0,0,0,1,1\n0,0,0,1,{cell}\n", 3, "sigma", cell)
-        for cell in ("0", "-0.1", "nan", "inf", "", "small")
+        for cell in ("0", "-0.1", "inf", "", "small")
     ),
     (f"{J},x,y,z,sigma_x,sigma_z\n0,0,0,1,2,3,1,1\n", 1, "sigma_y", None),
     (f"{VECTOR},sigma\n0,0,0,1,2,3,0,0,0,1\n", 1, "sigma", None),
-    (f"{VECTOR},sigma_qw\n0,0,0,1,2,3,0,0,0,1\n", 1, "sigma_qw", None),
     (f"{J},distance,elbow.direction\n0,0,0,1,up\n", 2, "elbow.direction", "up"),
     # Sets.
     (f"{J},distance,set\n0,0,0,1,train\n0,0,0,1,test\n", 3, "set", "test"),
-    (f"{J},distance,set\n0,0,0,1,\n", 2, "set", ""),
     # Angles in degrees; within four half turns, but neither in the limits nor near.
     (f"{J},distance\n0,1,0,1\n0,90,0,1\n0,45,0,1\n", 3, "elbow", "90", "'elbow [deg]'"),
     (f"{R}0,-9,0,1\n", 3, "elbow", "-9", "'elbow [deg]'"),
     ("lift,elbow [deg],wrist,distance\n0,2000,0,1\n", 2, "elbow", "2000", "[mrad]'"),
-    (f"{VECTOR}\n0,0,0,1,1,2,0,90,0\n", 2, "ry", "90", "'ry [deg]'"),
     # Lengths in millimeters.
     (f"{J},distance\n15,0,0,1\n", 2, "lift", "15", "'lift [mm]'"),
-    (f"{J},distance\n0,0,0,101\n", 2, "distance", "101", "'distance [mm]'"),
     (f"{J},x,y,z\n0,0,0,900000,1,2\n", 2, "x", "900000", "'x [um]'"),
     (f"{J},x,y,z\n0,0,0,1,1,2\n0,0,0,1,2,2\n0,0,0,1,30,2\n", 4, "y", "30", "'y [mm]'"),
-    (f"{J},distance,sigma\n0,0,0,1,1.5\n", 2, "sigma", "1.5", "'sigma [mm]'"),
 ]
+REFUSED = [(None, *case) for case in REFUSED]
 
 FAR = "plane-distance\n0,0,0,"
-POSES = "position\n0,0,0,1,2,3,0,0,0,1,,,pose"
 BOTH = "distance,target,model\n0,0,0,"
 
 # The same after the model that is asked for, without the columns of the joints.
@@ -560,11 +487,9 @@ REFUSED_BY_MODEL = [
     ("position", "distance\n0,0,0,1\n", 1, "x", None, "'position'"),
     ("pose", "x,y,z\n0,0,0,1,2,3\n", 1, None, None, "'pose'"),
     # What rows have to name.
-    ("camera", "u,v\n0,0,0,1,2\n", 2, "target", None),
     ("fixed-point", "n\n0,0,0,1\n", 2, "target", None, "socket"),
     ("camera", "u,v,target\n0,0,0,1,2,m\n0,0,0,1,2,\n", 3, "target", None),
     ("fixed-point", "target\n0,0,0,a\n0.1,0,0,ball@\n", 3, "target", None),
-    ("sphere-contact", "target\n0,0,0,a\n0,0,0,\n", 3, "target", None),
     ("point-distance", "distance,target\n0,0,0,1,\n0,0,0,1,a\n", 2, "target", None),
     # A ball that is in a socket once tells nothing.
     ("fixed-point", "target\n0,0,0,a\n0,0,0,b\n0.1,0,0,a\n", 3, "target", None, "'b'"),
@@ -572,17 +497,13 @@ REFUSED_BY_MODEL = [
     # Numbers that cannot be.
     ("camera", "u,v,target\n0,0,0,1,-2e5,m\n", 2, "v", "-2e5"),
     ("camera", "u,v,target,sigma\n0,0,0,1,1,m,1e-10\n", 2, "sigma", "1e-10"),
-    ("camera", "u,v,target,sigma\n0,0,0,1,1,m,1001\n", 2, "sigma", "1001"),
     ("camera", "u,v,target,sigma [mm]\n0,0,0,1,1,m,1\n", 1, "sigma", None, "'mm'"),
     ("plane-contact", "sigma_x,sigma_y,sigma_z\n0,0,0,1,1,1\n", 1, "sigma_x", None),
-    ("sphere-contact", "sigma_contact [rad]\n0,0,0,1\n", 1, "sigma_contact", None),
     ("fixed-point", "target,sigma_x\n0,0,0,a,1\n0.1,0,0,a,1\n", 1, "sigma_y", None),
     # Gauges.
     ("plane-contact", "dial\n0,0,0,0.5\n", 2, "dial", "0.5", "mm"),
     ("plane-contact", "dial,deviation\n0,0,0,0,0\n", 1, "dial", None, "once"),
-    ("sphere-contact", "dial_x\n0,0,0,0\n", 1, "dial_x", None, "once"),
     ("sphere-contact", "Messuhr [mm]\n0,0,0,1\n", 1, "Messuhr", None, "dial: "),
-    ("plane-contact", "test indicator\n0,0,0,0.1\n", 1, "test indicator", None, ""),
     # Relative distances: starts that are none.
     *(
         ("relative-distance", f"distance,target,payload\n{rows}", *about)
@@ -599,14 +520,12 @@ REFUSED_BY_MODEL = [
     # Several models in a file.
     (None, "distance,model\n0,0,0,1,posee\n", 2, "model", "posee", "'pose'"),
     (None, "distance,model\n0,0,0,1,\n", 2, "model", ""),
-    (None, "distance,model [m]\n0,0,0,1,pose\n", 1, "model", None),
     (None, f"x,y,z,{BOTH},,,1,,{FAR}1,2,3,4,,position", 3, "distance", "4"),
     (None, f"u,v,sigma_u,{BOTH},,0.5,1,,{FAR}1,1,2,,m,camera", 2, "sigma_u", "0.5"),
     (None, f"u,v,{BOTH},,,,{FAR}1,,,m,camera", 2, "v", ""),
-    (None, f"u,{BOTH},1,,{FAR}1,,m,camera", 1, "v", None),
     (None, f"u,v,sigma,{BOTH}1,1,1,,m,camera\n0,0,0,1,1,,,m,camera", 3, "sigma", ""),
-    (None, f"x,y,z,rx,ry,rz,sigma,{BOTH}1,2,3,,,,1,,,{POSES}", 1, "sigma", None),
 ]
+REFUSED_BY_MODEL = [(m, f"{J},{text}", *rest) for m, text, *rest in REFUSED_BY_MODEL]
 
 
 @pytest.mark.parametrize("missing", ["", " ", "nan", "N/A", "MISSING", "*"])
@@ -652,16 +571,10 @@ def test_a_number_for_no_reading_is_named_with_its_lines(write, chain, sign):
     assert len(data) == 6
 
 
-@pytest.mark.parametrize("case", REFUSED)
+@pytest.mark.parametrize("case", REFUSED + REFUSED_BY_MODEL)
 def test_errors(bad, case):
-    text, line, column, value, *words = case
-    bad(text, line=line, column=column, value=value, reason=words)
-
-
-@pytest.mark.parametrize("case", REFUSED_BY_MODEL)
-def test_errors_of_models(bad, case):
     model, text, line, column, value, *words = case
-    bad(f"{J},{text}", model=model, line=line, column=column, value=value, reason=words)
+    bad(text, model=model, line=line, column=column, value=value, reason=words)
 
 
 @pytest.mark.parametrize(
@@ -685,24 +598,14 @@ def test_limits_of_many_turns_are_believed(write, chain_of):
     assert read(file, chain_of(xml, tip="c")).q[0, 1] == 59.0
 
 
-@pytest.mark.parametrize(
-    ("model", "names"),
-    [
-        ("position+camra", ("'camra'", "'camera'")),
-        ("position+", "''"),
-        ("camera+position+camera", ()),
-    ],
-)
-def test_model_names(write, chain, refused, model, names):
-    with refused(OptionError, names):
+@pytest.mark.parametrize("model", ["position+camra", "position+", "camera+camera"])
+def test_model_names(write, chain, refused, model):
+    with refused(OptionError, "'camera'" if "camra" in model else ()):
         read(write("lift\n0\n"), chain, model=model)
 
 
-def test_files_that_cannot_be_joined(write, chain, refused, tmp_path):
+def test_files_that_are_not_there(write, chain, refused, tmp_path):
     distance = write(f"{J},distance\n0,0,0,1\n", "d.csv")
-    sigma = write(f"{J},distance,sigma\n0,0,0,1,1\n", "s.csv")
-    with refused(InputError, file=str(sigma), line=None):
-        read([distance, sigma], chain)
     with refused(InputError, file=None):
         read([], chain)
     with refused(InputError, file=str(tmp_path / "none.csv")):
@@ -721,8 +624,6 @@ def test_files_that_cannot_be_joined(write, chain, refused, tmp_path):
             [[10, 2], [1e5, -1]],
             0.5,
         ),
-        ("fixed-point", "target,sigma [mm]|ball@a,1|other@a,2", [[], []], 1e-3),
-        ("plane-contact", "note|a|b", [[], []], None),
         ("plane-contact", "target,sigma [um]|tip@table,5|table,10", [[], []], 5e-6),
         # Away from the surface, and pushed in.
         (
@@ -744,12 +645,6 @@ def test_files_that_cannot_be_joined(write, chain, refused, tmp_path):
             "target,dial_z,deviation_x,dial_y|a,0.01,0.02,-0.03|a,0,0,0.04",
             [[0.02, 0.03, -0.01], [0.0, -0.04, 0.0]],
             None,
-        ),
-        (
-            "point-distance",
-            "distance [mm],sigma_distance|1500,0.1|2,0.2",
-            [[1.5], [0.002]],
-            0.1,
         ),
     ],
 )
@@ -774,7 +669,6 @@ def test_columns_of_models(write, chain, model, text, values, sigma):
         ("u,v,target", "camera"),
         ("u,x,y,z", "position"),
         ("v,distance", "plane-distance"),
-        ("distance,target", "plane-distance"),
         ("x,y,z,rx,ry,rz,target", "pose"),
     ],
 )
@@ -800,15 +694,13 @@ def test_conditions_are_read_and_written(write, tmp_path, chain):
     write_measurements(again, data)
     assert again.read_text().splitlines()[0].endswith("distance,temperature,time")
     assert read(again, chain).conditions.time.tobytes() == held.time.tobytes()
-    assert read_held(file, chain.joints, data.q).direction[:, 1].tolist() == [1, -1, 0]
+    stated = read_held(read_table(file), chain.joints, data.q)
+    assert stated.direction[:, 1].tolist() == [1, -1, 0]
 
 
 def test_stated_directions_are_written(write, tmp_path, chain):
     ends = ",".join(f"{joint}.direction" for joint in chain.joints)
-    file, again = (
-        write(f"{J},distance,{ends}\n0,0,0,1,1,-1,1\n"),
-        tmp_path / "again.csv",
-    )
+    file, again = write(f"{J},distance,{ends}\n0,0,0,1,1,-1,1\n"), tmp_path / "a.csv"
     write_measurements(again, read(file, chain, notice=pytest.fail))
     held = read(again, chain).conditions
     assert (held.direction.tolist(), held.source) == ([[1, -1, 1]], "columns")
@@ -847,14 +739,11 @@ def test_relative_distances_start_at_the_first_row_of_a_target(write, chain):
     assert data.payload == ("p", "p", "")
     assert data.validate.tolist() == [False, True, False]
     assert data.lines.tolist() == [3, 5, 6]
-
-
-def test_without_targets_all_start_at_the_first_row(write, chain):
+    # Without targets all start at the first row of their file.
     file = write(f"{J},distance\n0,0,0,0\n0.1,0,0,0.1\n0.2,0,0,0.2\n")
     again = write(f"{J},distance\n0.4,0,0,0\n0.3,0,0,0.1\n", "n.csv")
     data = read([file, again], chain, model="relative-distance")
     assert data.start[:, 0].tolist() == [0.0, 0.0, 0.4]
-    assert data.values[:, 0].tolist() == [0.1, 0.2, 0.1]
 
 
 def relative(**changes):
@@ -866,23 +755,6 @@ def relative(**changes):
         "start": np.zeros((3, 3)),
     }
     return Measurements(**{**fields, **changes})
-
-
-@pytest.mark.parametrize(
-    ("about", "lifts"),
-    [
-        ({"target": ("a", "b", "a"), "start": np.eye(3)[[0, 1, 0]]}, "1 .1 0 .2 .3"),
-        ({"lines": np.array([7, 3, 5]), "files": ["m.csv"] * 3}, "0 .2 .3 .1"),
-    ],
-)
-def test_starts_are_written_before_their_rows(tmp_path, about, lifts):
-    file = tmp_path / "out.csv"
-    write_measurements(file, relative(**about))
-    header, *rows = file.read_text().splitlines()
-    assert header == f"{J},distance" + ",target" * ("target" in about)
-    assert [float(row.split(",")[0]) for row in rows] == [*map(float, lifts.split())]
-    if "target" in about:
-        assert rows[2:4] == ["0.0,1.0,0.0,0.0,b", "0.2,0.0,0.0,0.2,b"]
 
 
 @pytest.mark.parametrize(
@@ -936,31 +808,24 @@ MIXED = f"""{J},model,x,y,z,u,v,distance,target,sigma,payload
 """
 
 
-def test_a_file_of_several_models(write, chain):
-    file = write(MIXED)
-    data = read_measurements(file, chain, notice=pytest.fail)
+def test_a_file_of_several_models(tmp_path, write, chain):
+    source, file = write(MIXED), tmp_path / "out.csv"
+    data = read_measurements(source, chain, notice=pytest.fail)
     assert data.models == ("camera", "position", "relative-distance")
     camera, position, distance = data.blocks
-    assert (camera.target, position.target) == (("m1", "m2"), ("",))
-    assert distance.target == ("a",)
+    assert data.target == ("m1", "m2", "", "a")
     assert data.lines.tolist() == [2, 4, 3, 6]
     assert data.q[:, 0].tolist() == [0.0, 0.2, 0.1, 0.4]
-    assert camera.values.tolist() == [[1, 2], [3, 4]]
-    assert position.values.tolist() == [[1, 2, 3]]
-    assert distance.values.tolist() == [[0.1]]
+    values = [block.values.tolist() for block in data.blocks]
+    assert values == [[[1, 2], [3, 4]], [[1, 2, 3]], [[0.1]]]
     # Blocks state their standard deviations or leave them open, each for itself.
     assert (camera.sigma, position.sigma) == (None, None)
     assert distance.sigma.tolist() == [[0.001]]
     assert data.payload == ("p", "", "", "")
     assert (camera.start.size, distance.start.tolist()) == (0, [[0.3, 0, 0]])
-    assert data.files == (str(file),) * 4
-
-
-def test_what_is_written_of_several_models(tmp_path, write, chain):
-    data = read_measurements(write(MIXED), chain)
-    file = tmp_path / "out.csv"
+    assert data.files == (str(source),) * 4
+    # Written in the order of the file that was read.
     write_measurements(file, data)
-    # In the order of the file that was read.
     assert file.read_text() == (
         "lift,elbow,wrist,model,u,v,x,y,z,distance,sigma_distance,target,payload\n"
         "0.0,0.0,0.0,camera,1.0,2.0,,,,,,m1,p\n"
@@ -973,23 +838,18 @@ def test_what_is_written_of_several_models(tmp_path, write, chain):
     # A model that is left without rows is not in the file.
     write_measurements(file, data.rows(np.array([2])), force=True)
     assert read(file, chain).model == "position"
-    bad = {name: {name: " p"} for name in ("station", "tool", "chain")}
-    bad |= {"payload": {"conditions": Conditions((" p",) * 2)}}
-    for name, change in bad.items():
-        with pytest.raises(OutputError, match=f"{name} ' p'"):
-            write_measurements(file, replace(data.blocks[0], **change), force=True)
 
 
 def test_several_files_of_different_models(write, chain, refused):
-    distance = write(f"{J},distance,target\n0,0,0,1,wall\n0,0,0,2,\n", "d.csv")
+    header = "# c\ndistance [mm],wrist,elbow,lift,target"
+    distance = write(f"{header}\n1000,3,2,0.1,wall\n2000,0,0,0,\n", "d.csv")
     position = write(f"{J},x,y,z,sigma\n0,0,0,1,2,3,0.1\n", "p.csv")
     mixed = write(MIXED, "m.csv")
     data = read_measurements([distance, position], chain)
-    assert data.models == ("plane-distance", "position")
     assert [block.values.tolist() for block in data.blocks] == [[[1], [2]], [[1, 2, 3]]]
-    assert data.target == ("wall", "", "")
+    assert (data.target, data.lines.tolist()) == (("wall", "", ""), [3, 4, 2])
     assert data.files == (str(distance), str(distance), str(position))
-    assert [block.sigma is None for block in data.blocks] == [True, False]
+    assert data.q[0].tolist() == [0.1, 2.0, 3.0]
     # The column wins over what is asked for.
     data = read_measurements([distance, mixed], chain, model="plane-distance")
     assert data.models == ("plane-distance", "camera", "position", "relative-distance")
@@ -1046,12 +906,14 @@ def test_sockets_count_over_all_files(write, chain, refused):
     assert len(data) == 1
 
 
-def test_touches_beside_readings_are_exact(write, chain):
+def test_touches_beside_readings_are_exact(write, chain, tmp_path):
     """A row without a reading is left out, a file without any holds touches."""
     read_off = write(f"{J},dial [mm]\n0,0,0,1\n0.1,0,0,\n0.2,0,0,2\n", "a.csv")
     touched = write(f"{J}\n0.3,0,0\n", "b.csv")
-    data = read_measurements([touched, read_off], chain, model="plane-contact").only
+    data = read([touched, read_off], chain, model="plane-contact")
     np.testing.assert_allclose(data.values[:, 0], [0.0, -1e-3, -2e-3])
+    write_measurements(tmp_path / "out.csv", data)
+    assert same(data, read(tmp_path / "out.csv", chain, model="plane-contact"))
     counted = write(f"{J},reading\n0,0,0,1\n0.1,0,0,2\n", "c.csv")
     assert read(counted, chain, model="plane-contact").values.shape == (2, 0)
 
@@ -1115,35 +977,38 @@ def test_importing_does_not_load_scipy():
 
 # --- real files --------------------------------------------------------------------
 
-SOCKETS = {"model": "fixed-point"}
-REAL = ("train", "validate", "measurements", "panda_1", "panda_2")
+
+TOOL = "tool_position"
 
 
 @pytest.mark.parametrize(
-    ("name", "tip", "folder", "options", "counts", "ignored"),
+    ("name", "tip", "folder", "model", "counts", "ignored"),
     [
-        ("ur10_robot", "tool0", "ur10_tmac", {}, (500, 2000), "temperature_C"),
-        ("tiago_no_hand", "wrist_ft_tool_link", "tiago", {}, (37, 62), ""),
-        ("talos_reduced", "arm_left_7_link", "talos_left_arm", {}, (61,), "time_s"),
-        *(
-            ("panda", "panda_link8", "mukca_panda", SOCKETS, counts, "tool_position")
-            for counts in ((182, 559),)
+        ("ur10_robot", "tool0", "ur10_tmac", None, (500, 2000), "temperature_C"),
+        ("tiago_no_hand", "wrist_ft_tool_link", "tiago", None, (37, 62), ""),
+        ("talos_reduced", "arm_left_7_link", "talos_left_arm", None, (61,), "time_s"),
+        (
+            "panda",
+            "panda_link8",
+            "mukca_panda",
+            "fixed-point",
+            (182, 559),
+            "tool_position",
         ),
     ],
 )
-def test_real_files(tmp_path, data_folder, name, tip, folder, options, counts, ignored):
-    chain = load_chain(f"example:{name}", tip=tip)
-    files = [path for path in (data_folder / folder).glob("*.csv") if path.stem in REAL]
-    files.sort()
-    notices: list[str] = []
-    data = read(files, chain, notice=notices.append, **options)
+def test_real_files(tmp_path, data_folder, name, tip, folder, model, counts, ignored):
+    chain, again = load_chain(f"example:{name}", tip=tip), tmp_path / "again.csv"
+    names = ("train", "validate", "measurements", "panda_1", "panda_2")
+    files = sorted(p for p in (data_folder / folder).glob("*.csv") if p.stem in names)
+    notices = list[str]()
+    data = read(files, chain, notice=notices.append, model=model)
     assert [data.files.count(str(file)) for file in files] == list(counts)
     assert told(notices) == [(file, ignored) for file in files if ignored]
     # Millimeters became meters: no target is farther than a room.
     assert np.abs(data.values[:, :3]).max(initial=0.0) < 3.0
-    write_measurements(tmp_path / "again.csv", data)
-    again = read(tmp_path / "again.csv", chain, **options)
-    assert same(data, again)
+    write_measurements(again, data)
+    assert same(data, read(again, chain, model=model))
     assert read_configurations(files[0], chain).shape == (counts[0], len(chain.joints))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import random
 import subprocess
 import sys
@@ -34,13 +33,10 @@ def write(tmp_path: Path) -> Write:
     import pyarrow.parquet as parquet
 
     def write(columns: Any, name: str = "a.parquet", **options: Any) -> Path:
-        file = tmp_path / name
-        parquet.write_table(
-            columns if isinstance(columns, pa.Table) else pa.table(columns),
-            file,
-            **{"row_group_size": 2, **options},
-        )
-        return file
+        table = columns if isinstance(columns, pa.Table) else pa.table(columns)
+        about = {"row_group_size": 2, **options}
+        parquet.write_table(table, tmp_path / name, **about)
+        return tmp_path / name
 
     return write
 
@@ -90,12 +86,10 @@ def cells_of_types() -> dict[str, tuple[Any, list[str]]]:
 def test_cells_of_every_type(write: Write) -> None:
     types = cells_of_types()
     found = read_table(write({name: cells for name, (cells, _) in types.items()}))
-    some = found.rows(np.array([3, 1]), [*types])
-    every, few = found.texts([*types]), some.texts([*types])
+    every = found.texts([*types])
     assert found.columns["float"].text(3) == "2"
     for name, (_, texts) in types.items():
         assert list(every[name]) == texts
-        assert list(few[name]) == [texts[3], texts[1]]
         column = found.columns[name]
         assert column.missing().tolist() == [not text for text in texts]
         numbers = [as_number(text) for text in texts]
@@ -155,21 +149,15 @@ def test_without_the_extra(write: Write, monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 MEASURE = """
-import json, resource, sys
+import resource, sys
 import calib_pin
 
-def peak(who):
-    return resource.getrusage(who).ru_maxrss * 1024
-
-chain = calib_pin.load_chain("space6")
+chain, peaks = calib_pin.load_chain("space6"), []
 # What a few of them take is what the program takes.
-calib_pin.read_measurements(sys.argv[1:2], chain)
-before = peak(resource.RUSAGE_SELF)
-data = calib_pin.read_measurements(sys.argv[2:], chain).only
-print(json.dumps({
-    "numbers": data.q.nbytes + data.values.nbytes,
-    "taken": peak(resource.RUSAGE_SELF) - before,
-}))
+for files in (sys.argv[1:2], sys.argv[2:]):
+    data = calib_pin.read_measurements(files, chain).only
+    peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+print((peaks[1] - peaks[0]) / (data.q.nbytes + data.values.nbytes))
 """
 
 
@@ -183,5 +171,5 @@ def test_memory_of_a_million_measurements(write: Write, tmp_path: Path) -> None:
     files = [write(many, "many.parquet", row_group_size=1 << 20), tmp_path / "many.csv"]
     files[1].write_bytes(encode_table(many, []))
     command = [sys.executable, "-c", MEASURE, *map(str, [few, *files])]
-    found = json.loads(subprocess.run(command, check=True, capture_output=True).stdout)
-    assert found["taken"] < 4.0 * found["numbers"]
+    done = subprocess.run(command, check=True, capture_output=True)
+    assert float(done.stdout) < 4.0

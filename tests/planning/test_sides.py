@@ -11,6 +11,7 @@ import calib_pin
 from calib_pin.calibration import calibrate
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.measurements import encode_configurations, read_held
+from calib_pin.io.table import read_table
 from calib_pin.observations import Conditions, approached
 from calib_pin.planning.aims import sides_tried
 from calib_pin.planning.plan import plan, sides_of
@@ -46,7 +47,7 @@ def test_a_plan_says_from_where_to_come(tmp_path: Path) -> None:
     # They stand in the file, and are read as what is measured there.
     file = tmp_path / "plan.csv"
     file.write_bytes(encode_configurations(CHAIN, found.q, sides=told))
-    held = read_held(file, CHAIN.joints, found.q)
+    held = read_held(read_table(file), CHAIN.joints, found.q)
     np.testing.assert_array_equal(held.direction, sides)
     # What is expected of the plan is what a calibration of it gets, and less than
     # the sides tell from which a plan without them would come.

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.findings.defect import FILE, Defect, Input, given
 from benchmarks.verdict.jobs import Job
 from calib_pin.estimation.evidence import Finding
-from calib_pin.io.measurements import encode_table
-from calib_pin.io.written_columns import measurement_columns
+from calib_pin.io.measurements import encode_table, measurement_columns
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import measured_lengths
 from calib_pin.observations import Measurements

@@ -1,0 +1,91 @@
+"""Files of configurations: what a controller needs, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import calib_pin
+from calib_pin.io.measurements import (
+    encode_configurations,
+    read_configurations,
+)
+from calib_pin.io.table import read_table
+from calib_pin.kinematics.joint_columns import JointColumns
+from calib_pin.setup import JointMap
+
+CHAIN = calib_pin.load_chain("space6")
+Q = CHAIN.random_configurations(7, np.random.default_rng(0))
+
+
+def write_configurations(path: Path, *about: Any, **more: Any) -> list[str]:
+    path.write_bytes(encode_configurations(*about, **more))
+    return path.read_text().splitlines()
+
+
+def test_files_read_back_bit_by_bit(tmp_path: Path) -> None:
+    file, names = tmp_path / "plan.csv", ("wall", 'floor, "left"', "ä", *[""] * 4)
+    lines = write_configurations(file, CHAIN, Q, comments=["one\ntwo", ""])
+    assert lines[:4] == ["# one", "# two", "#", ",".join(CHAIN.joints)]
+    assert read_configurations(file, CHAIN).tobytes() == Q.tobytes()
+    assert "target" not in read_table(file)
+    assert lines[3:] == write_configurations(file, CHAIN, Q, [""] * 7)
+    write_configurations(file, CHAIN, Q, names)
+    assert read_table(file).labels("target") == names
+    assert read_configurations(file, CHAIN).tobytes() == Q.tobytes()
+
+
+def test_joint_maps_are_undone(tmp_path: Path) -> None:
+    """By the formula of the setup file; couplings, mutual ones too, can be undone."""
+    rng, names = np.random.default_rng(0), [f"A{k}" for k in range(6)]
+    signs, gears = rng.choice([-1, 1], 6), rng.choice([-50.0, 0.02, 1.5], 6)
+    joints = {
+        name: JointMap(
+            joint,
+            int(signs[k]),
+            float(gears[k]),
+            float(rng.uniform(-3.0, 3.0)),
+            {other: float(rng.uniform(-2.0, 2.0)) for other in names[:k]},
+        )
+        for k, (name, joint) in enumerate(zip(names, CHAIN.joints, strict=True))
+    }
+    mutual = {"A5": 0.25, "track": 2.0}
+    for given in (joints, joints | {"A0": replace(joints["A0"], coupled=mutual)}):
+        columns, before = JointColumns.of(CHAIN, given), Q.copy()
+        values = dict(zip(columns.names, columns.values(Q).T, strict=True))
+        assert Q.tobytes() == before.tobytes()
+        for k, one in enumerate(given.values()):
+            coupled = sum(c * values[name] for name, c in one.coupled.items())
+            inner = values[names[k]] + coupled
+            position = one.sign * one.gear * inner + one.offset
+            np.testing.assert_allclose(position, Q[:, k], rtol=0.0, atol=1e-9)
+        header, *_ = write_configurations(tmp_path / "plan.csv", CHAIN, Q, joints=given)
+        assert header.split(",") == [*columns.names]
+        found = read_configurations(tmp_path / "plan.csv", CHAIN, given)
+        np.testing.assert_allclose(found, Q, rtol=0.0, atol=1e-9)
+
+
+def test_a_map_of_one_joint_leaves_the_others_bit_by_bit() -> None:
+    found = JointColumns.of(CHAIN, {"A": JointMap(CHAIN.joints[2], gear=0.1)}).values(Q)
+    others = [0, 1, 3, 4, 5]
+    assert found[:, others].tobytes() == Q[:, others].tobytes()
+
+
+def test_a_mimic_joint_that_stands_still_needs_no_leader(
+    urdf_of: Callable[..., str], chain_of: Callable[..., Any]
+) -> None:
+    still = '<mimic joint="side" multiplier="0" offset="0.2"/>'
+    joints = (
+        {"name": "side", "parent": "base", "child": "beside"},
+        {"name": "still", "parent": "base", "child": "link", "more": still},
+        {"name": "moves", "parent": "link", "child": "tip"},
+    )
+    columns = JointColumns.of(chain_of(urdf_of(*joints), "base", "tip"))
+    assert columns.names == ("moves",)
+    values = np.array([[0.3], [-0.4]])
+    assert columns.positions(values).tolist() == [[0.2, 0.3], [0.2, -0.4]]
+    assert columns.values(columns.positions(values)).tolist() == values.tolist()

@@ -178,31 +178,30 @@ def load_robot(
         'panda_link0'
     """
     name = str(name_or_path)
-    path = locate_robot(name)
-    file, arguments = split_arguments(name)
+    path, (file, arguments) = locate_robot(name), split_arguments(name)
     if arguments and not is_xacro(path):
         reason = f"{next(iter(arguments))}:= is an argument for a xacro file"
         raise OptionError(reason, file=file, allowed="a file that ends in .xacro")
     try:
         urdf = source = read_bytes(path, TEXT)
     except InputError as error:
-        reason, bundled = error.reason, bundled_robots()
-        if reason == "no such file":
-            reason += nearest(name, bundled)
+        bundled = bundled_robots()
+        hint = nearest(name, bundled) if error.reason == "no such file" else ""
         names = f" ({', '.join(bundled)})" if bundled else ""
         allowed = f"a URDF or xacro file, a bundled robot{names}, or {_EXAMPLE}NAME"
-        raise RobotError(reason, file=name or ".", allowed=allowed) from error
-    remark = ""
+        about = {"file": name or ".", "allowed": allowed}
+        raise RobotError(f"{error.reason}{hint}", **about) from error
+    root, remark = "", ""
+    if path.suffix.lower() in _OTHER:
+        root = parse_document(source, name).root.tag
+    if root == "sdf":
+        reason = "is SDF, which this Pinocchio does not read; convert it to a URDF"
+        raise RobotError(reason, file=name)
     if is_xacro(path):
         folders = list(map(str, package_folders(path.absolute(), package_dirs)))
         urdf, _ = converted("xacro", path, arguments=arguments, folders=folders)
-    elif path.suffix.lower() in _OTHER:
-        root = parse_document(source, name).root.tag
-        if root == "sdf":
-            reason = "is SDF, which this Pinocchio does not read; convert it to a URDF"
-            raise RobotError(reason, file=name)
-        if root == "mujoco":
-            urdf, remark = converted("MJCF", path)
+    elif root == "mujoco":
+        urdf, remark = converted("MJCF", path)
     try:
         robot = parse_robot(urdf, name)
     except RobotError as error:
@@ -286,15 +285,14 @@ def locate_robot(name: str) -> Path:
     known, stem = known_robots(), name.removesuffix(".urdf")
     if stem in known:
         return known[stem]
-    examples = [key for key in known if key.startswith(_EXAMPLE)]
-    word = stem.removeprefix(_EXAMPLE)
-    others = [key for key in examples if word and word in key.removeprefix(_EXAMPLE)]
-    reason = f"example-robot-data has no robot '{word}'"
+    examples, word = sorted(known.keys() - bundled), stem.removeprefix(_EXAMPLE)
     if not examples:
         reason = "example robots need a package: pip install 'example-robot-data>=4.4'"
-    elif not others:
-        reason += nearest(stem, examples)
-    raise RobotError(reason, file=name, allowed=", ".join(others) or None)
+        raise RobotError(reason, file=name)
+    others = ", ".join(key for key in examples if word and word in key)
+    reason = f"example-robot-data has no robot '{word}'"
+    reason += "" if others else nearest(stem, examples)
+    raise RobotError(reason, file=name, allowed=others or None)
 
 
 def is_source(path: Path, robot: Robot) -> bool:

@@ -13,7 +13,7 @@ import pytest
 from calib_pin.calibration import calibrate
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.exchange import FORMATS, Exported
-from calib_pin.io.exchange.base import origin_of, placed
+from calib_pin.io.urdf_tree import origin_of, placed
 from calib_pin.io.json_text import encode
 from calib_pin.io.results import calibration_document, read_calibration
 from calib_pin.io.straightening import straightened

@@ -12,10 +12,9 @@ import numpy as np
 import pinocchio as pin
 
 import calib_pin.io.exchange.base as base
-import calib_pin.io.urdf_tree as urdf_tree
 from calib_pin.io.exchange.base import Encoded, Exported, Format
 from calib_pin.io.exchange.places import camera_links
-from calib_pin.io.urdf_tree import Document, parse_document
+from calib_pin.io.urdf_tree import Document, link_of, origin_of, parse_document, words
 
 KINDS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
 
@@ -27,6 +26,13 @@ MASS = 1e-3
 LEAST = {"mass": repr(MASS), "pos": "0 0 0", "fullinertia": "1e-06 1e-06 1e-06 0 0 0"}
 """Its inertia [kg, m, kg m^2]."""
 
+SIX = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""The upper triangle of an inertia, row by row."""
+
+
+def _corrected(exported: Exported) -> Document:
+    return parse_document(exported.robot.source, exported.robot.file)
+
 
 @partial(Format, "mjcf", ".xml", (*base.RIGID, *base.ROBOTS), "")
 def mjcf(exported: Exported, _: Path | None) -> Encoded:
@@ -35,15 +41,12 @@ def mjcf(exported: Exported, _: Path | None) -> Encoded:
     Raises:
         OptionError: If the robot has a joint of several degrees of freedom.
     """
-    robot = exported.robot
-    document = parse_document(robot.source, robot.file)
-    links, below = document.named("link"), dict[str, list[urdf_tree.Element]]()
-    for element in document.root.all("joint"):
-        below.setdefault(element.link("parent"), []).append(element)
-    root, without = Element("mujoco", model=robot.name), []
+    robot, document = exported.robot, _corrected(exported)
+    links, joints = document.named("link"), document.named("joint").values()
+    root, without = Element("mujoco", model=robot.name), list[str]()
     about = {"angle": "radian", "autolimits": "true", "balanceinertia": "true"}
     SubElement(root, "compiler", about)
-    pending: list[tuple[Element, str, urdf_tree.Element | None]]
+    pending: list[tuple[Element, str, Element | None]]
     pending = [(SubElement(root, "worldbody"), robot.root, None)]
     while pending:
         body, link, joint = pending.pop()
@@ -56,11 +59,11 @@ def mjcf(exported: Exported, _: Path | None) -> Encoded:
             stated = stated or LEAST
         if stated and body.tag == "body":  # MuJoCo's world has no inertia.
             SubElement(body, "inertial", stated)
-        pending += [(body, j.link("child"), j) for j in below.get(link, [])]
-    if robot.mimics:
-        equality = SubElement(root, "equality")
+        below = (j for j in joints if link_of(j, "parent") == link)
+        pending += [(body, link_of(j, "child"), j) for j in below]
+    equality = SubElement(root, "equality") if robot.mimics else root
     for name, mimic in robot.mimics.items():
-        numbers = base.words([mimic.offset, mimic.factor, 0.0, 0.0, 0.0])
+        numbers = words([mimic.offset, mimic.factor, 0.0, 0.0, 0.0])
         ends = {"joint1": name, "joint2": mimic.leader}
         SubElement(equality, "joint", ends, polycoef=numbers)
     indent(root)
@@ -69,56 +72,48 @@ def mjcf(exported: Exported, _: Path | None) -> Encoded:
 
 
 def _place(
-    exported: Exported, document: Document, joint: urdf_tree.Element, body: Element
+    exported: Exported, document: Document, joint: Element, body: Element
 ) -> dict[str, str]:
     """Put a body where its joint is; how this moves it, if it does."""
-    name, kind = joint.attributes["name"], joint.attributes["type"]
-    pose, limit = document.origin(joint), joint.child("limit")
+    name, kind = joint.attrib["name"], joint.attrib["type"]
+    pose, limit = document.origin(joint), joint.find("limit")
     x, y, z, w = pin.Quaternion(pose.rotation).coeffs()
-    body.set("pos", base.words(pose.translation))
-    body.set("quat", base.words([w, x, y, z]))
+    body.attrib |= {"pos": words(pose.translation), "quat": words([w, x, y, z])}
     if kind == "fixed":
         return {}
     if kind not in KINDS:
         raise exported.error(f"joint '{name}' is {kind}, which is not exported")
-    moves = {
-        "name": name,
-        "type": KINDS[kind],
-        "axis": base.words(document.axis(joint)),
-    }
+    axis = words(document.axis(joint))
+    moves = {"name": name, "type": KINDS[kind], "axis": axis}
     if kind != "continuous" and limit is not None:
-        ends = [float(limit.attributes.get(end, 0.0)) for end in ("lower", "upper")]
-        moves |= {"range": base.words(ends)} if ends[0] < ends[1] else {}
+        ends = [float(limit.get(end, 0.0)) for end in ("lower", "upper")]
+        moves |= {"range": words(ends)} if ends[0] < ends[1] else {}
     return moves
 
 
-def _inertia(document: Document, link: urdf_tree.Element) -> dict[str, str]:
+def _inertia(document: Document, link: Element) -> dict[str, str]:
     """The inertia of a link, if its URDF states one that is more than zero."""
-    for stated in link.all("inertial")[:1]:
-        mass, inertia = stated.child("mass"), stated.child("inertia")
-        if mass is None or inertia is None:
-            break
-        size, full = float(mass.attributes["value"]), np.zeros((3, 3))
-        keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        six = [float(inertia.attributes.get(key, 0.0)) for key in keys]
-        full[np.triu_indices(3)] = full.T[np.triu_indices(3)] = six
-        if size > 0.0 and np.linalg.eigvalsh(full).min() > 0.0:
-            pose = document.origin(stated)
-            full = pose.rotation @ full @ pose.rotation.T
-            six = full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-            place = {"mass": repr(size), "pos": base.words(pose.translation)}
-            return place | {"fullinertia": base.words(six)}
-    return {}
+    mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
+    if mass is None or inertia is None:
+        return {}
+    size, full = float(mass.attrib["value"]), np.zeros((3, 3))
+    numbers = [float(inertia.get(key, 0.0)) for key in SIX]
+    full[np.triu_indices(3)] = full.T[np.triu_indices(3)] = numbers
+    if not (size > 0.0 and np.linalg.eigvalsh(full).min() > 0.0):
+        return {}
+    pose = document.origin(link.findall("inertial")[0])
+    full = pose.rotation @ full @ pose.rotation.T
+    numbers = full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    place = {"mass": repr(size), "pos": words(pose.translation)}
+    return place | {"fullinertia": words(numbers)}
 
 
 @partial(Format, "urdf", ".urdf", (*base.RIGID, *base.ROBOTS, base.CAMERA_LINK), "")
 def urdf(exported: Exported, _: Path | None) -> Encoded:
     """The corrected URDF, with its camera."""
-    robot, (links, remarks) = exported.robot, camera_links(exported)
-    document = parse_document(robot.source, robot.file)
-    end = document.data.rfind(b"</")
-    data = document.data[:end] + links.encode() + document.data[end:]
-    return Encoded(document.mark + data.decode().encode(document.codec), remarks)
+    document, (links, remarks) = _corrected(exported), camera_links(exported)
+    before, end, after = document.data.rpartition(b"</")
+    return Encoded(document.encoded(before + links.encode() + end + after), remarks)
 
 
 @partial(Format, "xacro", ".xacro", (*base.RIGID, *base.ROBOTS, base.CAMERA_LINK), "")
@@ -128,21 +123,9 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
     Those of the chain, and those that the calibration moved. Properties have names that
     may stand in an expression, and no other joint's.
     """
-    document = parse_document(exported.robot.source, exported.robot.file)
+    document, (links, remarks) = _corrected(exported), camera_links(exported)
     changed = {} if exported.geometry is None else exported.geometry.urdf_corrections()
-    properties, renamed = dict[str, str](), list[str]()
-    for name, joint in document.named("joint").items():
-        if name not in {*exported.chains.joints, *changed}:
-            continue
-        own = re.sub(r"\W|^(?=\d)", "_", name)
-        while f"{own}_xyz" in properties:
-            own += "_"
-        if own != name:
-            renamed.append(f"{own}_xyz, {own}_rpy are those of '{name}'")
-        numbers = base.origin_of(document.origin(joint))
-        properties[f"{own}_xyz"] = base.words(numbers[:3])
-        properties[f"{own}_rpy"] = base.words(numbers[3:])
-    about = escape(exported.robot.name).replace("--", "- -")
+    owners, about = dict[str, str](), escape(exported.robot.name).replace("--", "- -")
     lines = [
         '<?xml version="1.0"?>',
         f"<!-- joint origins of {about}, calibrated: "
@@ -150,8 +133,20 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
         '<origin xyz="${NAME_xyz}" rpy="${NAME_rpy}"/> -->',
         '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">',
     ]
-    for name, text in properties.items():
-        lines.append(f'  <xacro:property name={quoteattr(name)} value="{text}"/>')
-    links, remarks = camera_links(exported)
+    for name, joint in document.named("joint").items():
+        if name in {*exported.chains.joints, *changed}:
+            own = re.sub(r"\W|^(?=\d)", "_", name)
+            while own in owners:
+                own += "_"
+            owners[own] = name
+            numbers = origin_of(document.origin(joint))
+            for key, three in (("xyz", numbers[:3]), ("rpy", numbers[3:])):
+                about = f'name={quoteattr(f"{own}_{key}")} value="{words(three)}"'
+                lines.append(f"  <xacro:property {about}/>")
+    renamed = [
+        f"{own}_xyz, {own}_rpy are those of '{name}'"
+        for own, name in owners.items()
+        if own != name
+    ]
     data = "\n".join([*lines, f"{links}</robot>", ""]).encode()
     return Encoded(data, (*renamed, *remarks))

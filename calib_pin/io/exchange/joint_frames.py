@@ -29,6 +29,7 @@ import calib_pin.io.exchange.base as base
 from calib_pin.errors import OutputError
 from calib_pin.io.exchange.base import Encoded, Exported, Format
 from calib_pin.io.measurements import encode_table
+from calib_pin.io.urdf_tree import ORIGIN, origin_of, placed
 from calib_pin.io.yaml_tree import Tree, read_tree
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, se3_exp
@@ -48,7 +49,7 @@ ALIKE = 0.05
 """Largest difference of the nominal robot and the user's own file, rms [m]: factories
 correct by millimeters."""
 
-BASES = (pin.SE3.Identity(), base.placed([0.0, 0.0, 0.0, 0.0, 0.0, np.pi]))
+BASES = (pin.SE3.Identity(), placed([0.0, 0.0, 0.0, 0.0, 0.0, np.pi]))
 """Where the first origin may be in the base link."""
 
 PARALLEL = np.deg2rad(1.0)
@@ -179,14 +180,14 @@ def _vendor(exported: Exported, template: Path | None, names: Sequence[str]) -> 
     _require_same(exported, [root * origins[0], *origins[1:], flange])
     for name, origin in zip(names, origins, strict=True):
         tree.data[ROOT][name] = dict(
-            zip(base.ORIGIN, base.origin_of(origin), strict=True)
+            zip(ORIGIN, origin_of(origin), strict=True)
         )
     remarks = []
     twist = pin.log6(flange).vector
     moved, turned = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
     if max(moved, turned) >= EXACT:
         unit, factor = DISPLAY["m"]
-        six = zip(base.ORIGIN, base.origin_of(flange), strict=True)
+        six = zip(ORIGIN, origin_of(flange), strict=True)
         remarks.append(
             f"the flange is off by {factor * moved:.3g} {unit} and {1e3 * turned:.3g} "
             "mrad from where this format has it; put that into the tool of the "
@@ -201,12 +202,12 @@ def _vendor(exported: Exported, template: Path | None, names: Sequence[str]) -> 
 def _origin(tree: Tree, name: str) -> pin.SE3:
     """The origin of an entry of the user's own file."""
     try:
-        numbers = [float(tree.data[ROOT][name][key]) for key in base.ORIGIN]
+        numbers = [float(tree.data[ROOT][name][key]) for key in ORIGIN]
         if np.isfinite(numbers).all():
-            return base.placed(numbers)
+            return placed(numbers)
     except (LookupError, TypeError, ValueError):
         pass
-    allowed = f"'{ROOT}: {name}:' with the numbers {', '.join(base.ORIGIN)}"
+    allowed = f"'{ROOT}: {name}:' with the numbers {', '.join(ORIGIN)}"
     reason = "is no kinematics file of such a robot"
     raise tree.error(reason, (ROOT, name), allowed=allowed)
 
@@ -255,13 +256,13 @@ def dh(exported: Exported, _: Path | None) -> Encoded:
     }
     kinds = ["revolute" if turns else "prismatic" for turns in chain.revolute]
     rows: list[list[object]] = []
-    no_step, no_frame = [""] * len(NUMBERS), [""] * len(base.ORIGIN)
+    no_step, no_frame = [""] * len(NUMBERS), [""] * len(ORIGIN)
     for convention, numbers in tables.items():
-        rows.append([convention, "base", "frame", *no_step, *base.origin_of(root)])
+        rows.append([convention, "base", "frame", *no_step, *origin_of(root)])
         for joint, kind, row in zip(chain.joints, kinds, numbers, strict=True):
             rows.append([convention, joint, kind, *row, *no_frame])
-        rows.append([convention, "tip", "frame", *no_step, *base.origin_of(tip)])
-    headers = ("convention", "joint", "type", *NUMBERS, *base.ORIGIN)
+        rows.append([convention, "tip", "frame", *no_step, *origin_of(tip)])
+    headers = ("convention", "joint", "type", *NUMBERS, *ORIGIN)
     table = dict(zip(headers, zip(*rows, strict=True), strict=True))
     return Encoded(encode_table(table, [DH_USE]))
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from calib_pin.io.dialects.lerobot import STEPS, read_motors
 from calib_pin.io.exchange.base import Encoded, Exported, Format
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.measurements import encode_table
-from calib_pin.io.urdf_tree import parse_document
+from calib_pin.io.urdf_tree import Document, parse_document
 from calib_pin.units import DISPLAY, as_number
 from calib_pin.validation.joint_errors import FoundOffset, encoder_steps, joint_offsets
 
@@ -58,15 +58,13 @@ def offsets_table(exported: Exported, _: Path | None) -> Encoded:
         turns, estimate = found.columns.revolute[k], known.get(column)
         si = "rad" if turns else "m"
         (unit, factor), offset = DISPLAY[si], float(offsets[k])
-        numbers = [f"{factor * offset:+z.6f}", "", repr(offset)]
+        shown, steps, sigma, exact = f"{factor * offset:+z.6f}", "", "", repr(offset)
         if turns and joint in stepped:
-            numbers[1] = f"{offset * stepped[joint] / (2.0 * np.pi):+z.1f}"
-        sigma = ""
+            steps = f"{offset * stepped[joint] / (2.0 * np.pi):+z.1f}"
         if estimate is not None and estimate.sigma is not None:
             sigma = f"{factor * estimate.sigma:.6f}"
         elif estimate is not None:  # A zero would pass for a result.
-            numbers, offsets[k] = ["", "", ""], 0.0
-        shown, steps, exact = numbers
+            shown, steps, exact, offsets[k] = "", "", "", 0.0
         status = "" if estimate is None else estimate.status
         sign = "-1" if joint in exported.reverses else "+1"
         rows.append((joint, column, shown, sigma, unit, steps, status, exact, si, sign))
@@ -97,8 +95,7 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
             offset.
     """
     assert template is not None
-    motors = read_motors(template)
-    _check(motors, template)
+    motors = _motors(template)
     found = exported.joint_errors(exported.result.model.setup.joints)
     offsets, moved, seams = found.offsets.copy(), list[str](), list[str]()
     for k, column, joint in found.drives:
@@ -113,9 +110,8 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
         i = exported.chains.joints.index(joint)
         travel = exported.chains.upper[i] - exported.chains.lower[i]
         degrees = np.degrees(travel) / abs(found.columns.factors[i, k])
-        range_ = motors[name]["range_max"] - motors[name]["range_min"]
         # Nearer to a whole turn than to the travel of the joint.
-        if name != FULL_TURN and range_ * 720.0 / STEPS > 360.0 + degrees:
+        if name != FULL_TURN and _range(motors[name]) * 720.0 / STEPS > 360.0 + degrees:
             seams.append(
                 f"the range of '{name}' is a whole turn, its joint turns {degrees:.0f} "
                 "deg: it was recorded across the seam of the encoder. Home the motor "
@@ -133,16 +129,26 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
     return Encoded(data, remarks, replace(found, offsets=offsets).poses)
 
 
-def _check(motors: Mapping[str, Mapping[str, Any]], template: Path) -> None:
-    """Refuse what no calibration of LeRobot's can have."""
-    ranges, ids = f"range_min below range_max, from 0 to {STEPS}", dict[object, str]()
+def _range(motor: Mapping[str, int]) -> int:
+    return motor["range_max"] - motor["range_min"]
+
+
+def _motors(template: Path) -> dict[str, dict[str, Any]]:
+    """The motors of a file that a calibration of LeRobot's can have.
+
+    Raises:
+        InputError: If it is none.
+    """
+    motors, ids = read_motors(template), dict[object, str]()
+    allowed = f"range_min below range_max, from 0 to {STEPS}"
     for name, motor in motors.items():
         low, high, own = motor["range_min"], motor["range_max"], motor.get("id")
         reason = f"the encoder of '{name}' has no such range"
-        base.require(0 <= low < high <= STEPS, reason, template, [low, high], ranges)
+        base.require(0 <= low < high <= STEPS, reason, template, [low, high], allowed)
         other = name if own is None else ids.setdefault(own, name)
         reason = f"motors '{other}' and '{name}' have one id"
         base.require(other == name, reason, template, own, "one for each")
+    return motors
 
 
 def _move(motor: dict[str, Any], name: str, steps: int, template: Path) -> None:
@@ -156,12 +162,11 @@ def _move(motor: dict[str, Any], name: str, steps: int, template: Path) -> None:
     reason = f"the homing offset of '{name}' has no room for {steps} steps; home this "
     reason += "motor nearer the middle of its range first"
     base.require(abs(value) <= FARTHEST, reason, template, value, allowed)
-    if motor["range_max"] - motor["range_min"] < STEPS:
+    if _range(motor) < STEPS:
         motor["range_min"] += abs(steps)
         motor["range_max"] -= abs(steps)
-    value, allowed = motor["range_max"] - motor["range_min"], "more than 0"
     reason = f"the range of '{name}' is smaller than its offset of {steps} steps"
-    base.require(value > 0, reason, template, value, allowed)
+    base.require(_range(motor) > 0, reason, template, _range(motor), "more than 0")
 
 
 PLUGIN = "transmission_interface/SimpleTransmission"
@@ -185,71 +190,58 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
         InputError: If that is no XML, or has a transmission of another kind.
     """
     found = exported.joint_errors({}, gains=True)
-    joints, root = (
-        found.columns.joints,
-        Element("robot", name=exported.nominal.robot.name),
-    )
+    source, about = tostring(Element("robot", name=exported.nominal.robot.name)), None
     if template is not None:
-        source = parse_document(read_bytes(template, TEXT), str(template)).plain
-        root = fromstring(source)
-    stated = {e.get("name") for t in root.iter("transmission") for e in t.iter("joint")}
-    for joint in (joint for joint in joints if joint not in stated):
-        added = SubElement(root, "transmission", name=f"{joint}_transmission")
-        SubElement(added, "actuator", name=f"{joint}_actuator")
-        SubElement(added, "joint", name=joint)
-    own = _own(root, joints, template)
+        source, about = read_bytes(template, TEXT), str(template)
+    document, own = parse_document(source, about), dict[str, Element]()
+    joints, root = found.columns.joints, document.root
+    for element in root.iter("transmission"):
+        moved = {joint.get("name", "") for joint in element.iter("joint")}
+        if not moved or moved & {*joints}:
+            name = _simple(document, element)
+            document.require(name not in own, element, f"two transmissions of '{name}'")
+            own[name] = element
     for joint, gain, offset in zip(joints, found.gains, found.offsets, strict=True):
-        element, reduction, at_zero = own[joint]
-        # The joint is at (1 + gain) of what was read, plus the offset.
-        new = reduction / (1.0 + gain), (1.0 + gain) * at_zero + offset
-        for tag, value in zip(TAGS, new, strict=True):
-            SubElement(element, tag).text = repr(float(value))
+        if joint not in own:
+            own[joint] = SubElement(root, "transmission", name=f"{joint}_transmission")
+            SubElement(own[joint], "actuator", name=f"{joint}_actuator")
+            SubElement(own[joint], "joint", name=joint)
+        _correct(document, own[joint], float(gain), float(offset))
     indent(root)
     return Encoded(tostring(root) + b"\n", _estimates(exported)[1], found.poses)
 
 
-def _own(
-    root: Element, joints: Sequence[str], template: Path | None
-) -> dict[str, tuple[Element, float, float]]:
-    """The joints of simple transmissions by name, and reduction and offset of these.
-
-    The numbers are taken out; plugin and roles are spelled as ros2_control has them.
+def _simple(document: Document, transmission: Element) -> str:
+    """Name of the joint that a simple transmission moves.
 
     Raises:
-        InputError: If a transmission is none of one joint, or one that is not simple.
+        RobotError: If it is not that of one joint with one actuator.
     """
-    found = dict[str, tuple[Element, float, float]]()
-    for element in root.iter("transmission"):
-        inner, actuators = ([*element.iter(tag)] for tag in ("joint", "actuator"))
-        moved = [joint.get("name", "") for joint in inner]
-        if moved and not {*moved} & {*joints}:
-            continue
-        owner = f"transmission '{element.get('name', '')}'"
-        for stated in [e for e in element if e.tag in ("plugin", "type")]:
-            kind, reason = (stated.text or "").strip(), f"{owner} is of another kind"
-            simple = kind.rpartition("/")[2] == PLUGIN.rpartition("/")[2]
-            base.require(simple, reason, template, kind, PLUGIN)
-            element.remove(stated)
-        names = ", ".join([*moved, *(e.get("name", "") for e in actuators)])
-        one = len(inner) == len(actuators) == 1 and moved[0] not in found
-        reason = f"{owner} is not that of one joint with one actuator"
-        base.require(one, reason, template, names, PLUGIN)
-        found[moved[0]] = (inner[0], *_numbers(element, owner, template))
-        SubElement(element, "plugin").text = PLUGIN
-        inner[0].attrib.setdefault("role", "joint1")
-        actuators[0].attrib.setdefault("role", "actuator1")
-    return found
+    owner = f"transmission '{transmission.get('name', '')}'"
+    for stated in (e for e in transmission if e.tag in ("plugin", "type")):
+        kind, reason = (stated.text or "").strip(), f"{owner} is of another kind"
+        simple = kind.rpartition("/")[2] == PLUGIN.rpartition("/")[2]
+        document.require(simple, stated, reason, value=kind, allowed=PLUGIN)
+    inner, actuators = ([*transmission.iter(t)] for t in ("joint", "actuator"))
+    names = [element.get("name", "") for element in (*inner, *actuators)]
+    reason, one = f"{owner} is not that of one joint with one actuator", len(inner) == 1
+    about = {"value": ", ".join(names), "allowed": PLUGIN}
+    document.require(one and len(actuators) == 1, transmission, reason, **about)
+    return names[0]
 
 
-def _numbers(
-    transmission: Element, owner: str, template: Path | None
-) -> tuple[float, float]:
-    """Take reduction and offset out, also as ROS 1 spells and places them.
+def _correct(
+    document: Document, transmission: Element, gain: float, offset: float
+) -> None:
+    """Write reduction and offset anew, also where ROS 1 spells and places them.
 
     Raises:
-        InputError: If one is no number, is stated twice, or is spelled otherwise.
+        RobotError: If one is no number, is stated twice, or is spelled otherwise.
     """
-    stated = dict[str, float]()
+    owner = f"transmission '{transmission.get('name', '')}'"
+    for stated in [e for e in transmission if e.tag in ("plugin", "type")]:
+        transmission.remove(stated)
+    before = dict[str, float]()
     for parent in transmission:
         for element in list(parent):
             tag = re.sub(r"(?=[A-Z])", "_", element.tag).lower()
@@ -257,9 +249,17 @@ def _numbers(
                 continue
             value = float(np.array(as_number((element.text or "").strip()), float))
             usable = np.isfinite(value) and (value != 0.0 or tag == "offset")
-            usable &= tag in TAGS and stated.setdefault(tag, value) == value
+            usable &= tag in TAGS and before.setdefault(tag, value) == value
             reason = f"{owner} has a <{element.tag}> that cannot be used"
-            base.require(bool(usable), reason, template, element.text, NUMBERS)
+            about = {"value": element.text, "allowed": NUMBERS}
+            document.require(usable, element, reason, **about)
             parent.remove(element)
-    reduction, offset = (TAGS | stated).values()
-    return reduction, offset
+    SubElement(transmission, "plugin").text = PLUGIN
+    joint, actuator = (next(transmission.iter(t)) for t in ("joint", "actuator"))
+    joint.attrib.setdefault("role", "joint1")
+    actuator.attrib.setdefault("role", "actuator1")
+    reduction, at_zero = (TAGS | before).values()
+    # The joint is at (1 + gain) of what was read, plus the offset.
+    new = reduction / (1.0 + gain), (1.0 + gain) * at_zero + offset
+    for tag, number in zip(TAGS, new, strict=True):
+        SubElement(joint, tag).text = repr(number)

@@ -15,7 +15,7 @@ import yaml
 import calib_pin.io.exchange.base as base
 from calib_pin.errors import enumerated
 from calib_pin.io.exchange.base import Encoded, Exported, Format
-from calib_pin.io.urdf_tree import parse_document
+from calib_pin.io.urdf_tree import joint_text, parse_document, placed, words
 from calib_pin.measurement_models.pinhole import Camera
 from calib_pin.validation.result import REMEDY, frames_of
 
@@ -25,8 +25,8 @@ NAMES = {
 }
 """Names of the frames that have none of their own, by how they are called here."""
 
-OPTICAL = (0.0, 0.0, 0.0, -np.pi / 2, 0.0, -np.pi / 2)
-"""Origin of the optical frame of a camera in its link, see `ORIGIN`."""
+OPTICAL = placed((0.0, 0.0, 0.0, -np.pi / 2, 0.0, -np.pi / 2))
+"""The optical frame of a camera in its link."""
 
 ENDS = ("link", "joint", "optical_frame", "optical_joint")
 """Ends of the names of a camera's links and joints."""
@@ -71,33 +71,47 @@ class Place:
         return position, dict(zip("xyzw", turn, strict=True))
 
 
-def places(exported: Exported) -> list[Place]:
+def places(
+    exported: Exported, *, cameras: bool = False
+) -> tuple[list[Place], tuple[str, ...]]:
     """The measurement frames in the base link, and the tools in the tip link.
 
     They belong to the corrected URDF; a frame that several blocks share is listed once.
+
+    Args:
+        exported: The calibration.
+        cameras: Only the frames of cameras.
+
+    Returns:
+        The frames, and sentences about what is not known of them.
     """
-    result, found = exported.result, dict[tuple[str, ...], Place]()
+    result, every = exported.result, dict[tuple[str, ...], Place]()
     taken = set(result.model.chains.robot.links)
     for term in result.model.terms.values():
         chain, (station, tool) = term.error.chain, (f for f, _ in frames_of(term))
         start, tip = term.error.base.inverse(), result.model.of(term.key).tool
-        cameras = {
+        seen = {
             "tool" if reference.mount == "hand" else "station": reference
             for reference in term.measurement.references
             if isinstance(reference, Camera)
         }
         for frame, link, pose in ((station, chain.base, start), (tool, chain.tip, tip)):
-            if (key := (*frame, link)) in found:
+            if (key := (*frame, link)) in every:
                 continue
             names = NAMES.get(frame.name, (f"{frame.name}_{frame.kind}",))
-            if camera := cameras.get(frame.kind):
+            if camera := seen.get(frame.kind):
                 name = term.frames.reference(camera)
                 names = (name, f"{name}_optical_frame")
             child, unknown = _free_name(names, taken), result.unknown_of(*frame)
             point = frame is tool and camera is None and unknown == TURNS
             about = camera is not None, unknown, point or not unknown
-            found[key] = Place(link, child, pose, *about)
-    return list(found.values())
+            every[key] = Place(link, child, pose, *about)
+    found = [place for place in every.values() if place.camera or not cameras]
+    remarks = [place.remark for place in found if place.unknown]
+    if not all(place.written for place in found):
+        known = [f"only {sums.expression} is known" for sums in result.coupled_frames]
+        remarks.append("; ".join([REMEDY, *known]))
+    return found, tuple(remarks)
 
 
 def _free_name(names: Sequence[str], taken: set[str]) -> str:
@@ -109,44 +123,27 @@ def _free_name(names: Sequence[str], taken: set[str]) -> str:
     return name
 
 
-def _remarks(exported: Exported, found: Sequence[Place]) -> tuple[str, ...]:
-    """Sentences about what is not known of frames, and what to do about it."""
-    remarks = [place.remark for place in found if place.unknown]
-    if not all(place.written for place in found):
-        coupled = exported.result.coupled_frames
-        known = [f"only {sums.expression} is known" for sums in coupled]
-        remarks.append("; ".join([REMEDY, *known]))
-    return tuple(remarks)
-
-
 def camera_links(exported: Exported) -> tuple[str, tuple[str, ...]]:
     """Links of the cameras whose place is known, as elements of a URDF, and remarks.
 
     As ROS has it (REP 103): in `NAME_link` x is forward and z up, in
     `NAME_optical_frame` z is forward and x to the right of the image.
     """
-    found = [place for place in places(exported) if place.camera]
-    document, text = parse_document(exported.robot.source, exported.robot.file), ""
+    (found, remarks), text = places(exported, cameras=True), ""
+    document = parse_document(exported.robot.source, exported.robot.file)
     taken = {*document.named("link"), *document.named("joint")}
     for place in (place for place in found if place.written):
         stem = place.child.removesuffix("_optical_frame")
         names = (_free_name([f"{stem}_{end}"], taken) for end in ENDS)
         link, joint, frame, optical = names
-        forward = base.origin_of(place.pose * base.placed(OPTICAL).inverse())
-        text += _fixed(joint, place.parent, link, forward)
-        text += _fixed(optical, link, frame, OPTICAL)
-    return text, _remarks(exported, found)
-
-
-def _fixed(joint: str, parent: str, child: str, origin: Sequence[float]) -> str:
-    """A link and the joint that holds it."""
-    return f"""  <link name={quoteattr(child)}/>
-  <joint name={quoteattr(joint)} type="fixed">
-    <parent link={quoteattr(parent)}/>
-    <child link={quoteattr(child)}/>
-    <origin xyz="{base.words(origin[:3])}" rpy="{base.words(origin[3:])}"/>
-  </joint>
-"""
+        forward = place.pose * OPTICAL.inverse()
+        for name, parent, child, pose in (
+            (joint, place.parent, link, forward),
+            (optical, link, frame, OPTICAL),
+        ):
+            text += f"  <link name={quoteattr(child)}/>\n"
+            text += joint_text(name, "fixed", parent, child, pose)
+    return text, remarks
 
 
 @partial(Format, "tf", ".yaml", (base.FRAMES, base.CAMERA_LINK, *base.ROBOTS), "")
@@ -158,8 +155,7 @@ def tf(exported: Exported, _: Path | None) -> Encoded:
     Raises:
         OptionError: If nothing is known of any.
     """
-    found, documents, commands = places(exported), [], []
-    remarks = _remarks(exported, found)
+    (found, remarks), documents, commands = places(exported), [], []
     for place in (place for place in found if place.written):
         position, turn = place.numbers
         documents.append(
@@ -206,24 +202,24 @@ def camera_info(exported: Exported, _: Path | None) -> Encoded:
         )
     (fx, fy), (cx, cy) = camera.focal, camera.center
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    width, height = map(int, camera.size)
-    document = {"image_width": width, "image_height": height, "camera_name": name}
-    document |= {"distortion_model": "plumb_bob"}
     matrices = {
         "camera_matrix": K,
         "distortion_coefficients": np.array([camera.distortion]),
         "rectification_matrix": np.eye(3),
         "projection_matrix": np.pad(K, ((0, 0), (0, 1))),
     }
+    sizes = zip(("image_width", "image_height"), map(int, camera.size), strict=True)
+    document = dict[str, object](sizes)
+    document |= {"camera_name": name, "distortion_model": "plumb_bob"}
     for key, matrix in matrices.items():
         rows, cols = matrix.shape
         document[key] = {"rows": rows, "cols": cols, "data": matrix.ravel().tolist()}
-    cameras, comments = [place for place in places(exported) if place.camera], []
+    cameras, remarks = places(exported, cameras=True)
+    lines = []
     for place in cameras:
-        x, turn = (base.words(part.values()) for part in place.numbers)
+        x, turn = (words(part.values()) for part in place.numbers)
         about = f" in {place.parent}: xyz {x}, quaternion x y z w {turn}"
         about = about if place.written else f": {place.remark}"
-        comments.append(f"# optical frame{about}")
-    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
-    data = "\n".join([*comments, text]).encode()
-    return Encoded(data, _remarks(exported, cameras))
+        lines.append(f"# optical frame{about}")
+    lines.append(yaml.safe_dump(document, sort_keys=False, default_flow_style=None))
+    return Encoded("\n".join(lines).encode(), remarks)

@@ -29,7 +29,7 @@ import yourdfpy
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.exchange import FORMATS, Encoded, Exported
-from calib_pin.io.exchange.base import ORIGIN, origin_of
+from calib_pin.io.urdf_tree import ORIGIN, origin_of
 from calib_pin.io.exchange.joint_frames import UR_LINKS, along, axis_frames
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chains import Chains

@@ -62,15 +62,32 @@ def words(numbers: Iterable[float]) -> str:
     return " ".join(repr(float(number)) for number in numbers)
 
 
-def joint_text(
-    name: str, kind: str, parent: str, child: str, pose: pin.SE3, more: str = ""
+def branch(
+    joint: str,
+    kind: str,
+    parent: str,
+    child: str,
+    origin: Sequence[float],
+    more: str = "",
+    inside: str = "",
 ) -> str:
-    """A joint of a URDF, in lines; `more` are those of its axis and limits."""
-    numbers = np.add(origin_of(pose), 0.0)  # Turns -0.0 into 0.0.
-    return f"""  <joint name={quoteattr(name)} type="{kind}">
+    """A link of a URDF and the joint that carries it, in lines.
+
+    Args:
+        joint: Name of the joint.
+        kind: Its type.
+        parent: Link on which it is.
+        child: The link.
+        origin: Its numbers, see `ORIGIN`.
+        more: Other elements of the joint, in lines.
+        inside: Elements of the link.
+    """
+    link = f"link name={quoteattr(child)}"
+    return f"""  <{link}{f">{inside}</link" if inside else "/"}>
+  <joint name={quoteattr(joint)} type="{kind}">
     <parent link={quoteattr(parent)}/>
     <child link={quoteattr(child)}/>
-    <origin xyz="{words(numbers[:3])}" rpy="{words(numbers[3:])}"/>
+    <origin xyz="{words(origin[:3])}" rpy="{words(origin[3:])}"/>
 {more}  </joint>
 """
 
@@ -403,11 +420,8 @@ def parse_robot(source: bytes, file: str) -> Robot:
     """
     document = parse_document(source, file)
     root, links, joints = document.root, document.named("link"), document.named("joint")
-    reason = f"the outermost element is <{root.tag}>"
-    document.require(root.tag == "robot", root, reason, allowed="<robot>")
-    about = {"value": len(links), "allowed": f"at most {LINKS}"}
-    few = len(links) <= LINKS
-    document.require(few, root, "the robot has too many links", **about)
+    few, reason = len(links) <= LINKS, f"the robot has {len(links)} links"
+    document.require(few, root, reason, allowed=f"at most {LINKS}")
     for element in (*links.values(), *joints.values()):
         _check(document, element)
     parents: dict[str, str] = {}

@@ -24,6 +24,7 @@ from calib_pin.kinematics.robot import Robot
 from calib_pin.setup import Setup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.joint_errors import configurations
 from tests.io.exchange.test_export import UR10, kinematics, vendor
 
 NAMES = [*UR10]
@@ -164,8 +165,9 @@ def test_it_calibrates_as_the_straight_robot(tmp_path: Path) -> None:
     encoded = FORMATS["ur-kinematics"].encode(of, template)
     file = tmp_path / "new.yaml"
     file.write_bytes(encoded.data)
-    read = vendor(file, NAMES, np.pi).poses(of.configurations)
-    assert np.abs(read - of.chain.poses(of.configurations)).max() < 1e-9
+    q = configurations(of.nominal)
+    read = vendor(file, NAMES, np.pi).poses(q)
+    assert np.abs(read - of.chain.poses(q)).max() < 1e-9
 
 
 def test_it_is_recognized_where_it_came_from(

@@ -541,7 +541,7 @@ def chain(count: int, kind: str = "fixed", closing: str = "") -> bytes:
 def test_limits(bad: Callable[..., None]) -> None:
     assert parse_robot(chain(999), "arm.urdf").leaves == ("l999",)
     for kind in ("fixed", "continuous"):
-        bad(chain(1000, kind), line=1, value=1001)
+        bad(chain(1000, kind), reason="1001 links", line=1)
     for kind, count in (("continuous", 201), ("floating", 34)):
         bad(chain(count, kind), line=1)
 

@@ -148,11 +148,6 @@ class Exported:
         joints = self.result.model.setup.joints
         return told_reversed(JointColumns.of(self.chains, joints))
 
-    @cached_property
-    def configurations(self) -> Floats:
-        """Random configurations of the first chain, shape (N, n)."""
-        return configurations(self.nominal)
-
     def corrected_poses(self, chain: Chain, q: Floats) -> Floats:
         """Tip poses of the corrected chain of a nominal one, (N, n) -> (N, 4, 4)."""
         return Chain(self.robot, chain.base, chain.tip).poses(q)

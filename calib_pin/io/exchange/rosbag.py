@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +23,23 @@ from calib_pin.observations.joining import Joined, Log, Standstill, continuous
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 
-JOINTS = "sensor_msgs/msg/JointState"
-DATA = "robot_calibration_msgs/msg/CalibrationData"
-POINT = "geometry_msgs/msg/PointStamped"
-POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
+JOINTS = ("sensor_msgs/msg/JointState",)
+DATA = ("robot_calibration_msgs/msg/CalibrationData",)
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-READINGS = (POINT, *POSES, TRANSFORMS)
+READINGS = {
+    "geometry_msgs/msg/PointStamped": ("point",),
+    "geometry_msgs/msg/PoseStamped": ("pose.position", "pose.orientation"),
+    "geometry_msgs/msg/TransformStamped": (
+        "transform.translation",
+        "transform.rotation",
+    ),
+}
+"""Messages of an instrument, and where their numbers are."""
 
 POSITION = ("x", "y", "z")
 
 TYPES = {
-    DATA: "sensor_msgs/JointState joint_states\n"
+    DATA[0]: "sensor_msgs/JointState joint_states\n"
     "robot_calibration_msgs/Observation[] observations",
     "robot_calibration_msgs/msg/Observation": "string sensor_name\n"
     "geometry_msgs/PointStamped[] features\n"
@@ -61,12 +68,12 @@ def read_joint_bag(path: str | Path, topic: str | None = None) -> Series:
         InputError: If it cannot be read, or has not one such topic.
         OptionError: If the extra is missing.
     """
-    heard, samples = dict[str, float](), list[tuple[float, dict[str, float]]]()
-    for time, message in _messages(path, topic, (JOINTS,)):
+    heard, samples = dict[str, float](), list[tuple[float, tuple[float, ...]]]()
+    for time, message in _messages(path, topic, JOINTS):
         # Each publisher states its own joints; others are where they were last.
         heard |= zip(message.name, message.position, strict=False)
-        samples.append((time, dict(heard)))
-    whole = [(time, [*q.values()]) for time, q in samples if len(q) == len(heard)]
+        samples.append((time, (*heard.values(),)))
+    whole = [sample for sample in samples if len(sample[1]) == len(heard)]
     return Series(_ordered(path, whole), dict.fromkeys(heard))
 
 
@@ -81,7 +88,7 @@ def read_reading_bag(path: str | Path, topic: str | None = None) -> Series:
         InputError: If it cannot be read, or has not one such topic.
         OptionError: If the extra is missing.
     """
-    found = _messages(path, topic, READINGS)
+    found = _messages(path, topic, (*READINGS, TRANSFORMS))
     log = _ordered(path, [(time, _numbers(message)) for time, message in found])
     if log.values.shape[1] == len(POSITION):
         return Series(log, dict.fromkeys(POSITION))
@@ -91,7 +98,7 @@ def read_reading_bag(path: str | Path, topic: str | None = None) -> Series:
 def holds_calibration_data(path: str | Path) -> bool:
     """Whether a bag holds calibration data."""
     with _opened(path) as reader:
-        return any(c.msgtype == DATA for c in reader.connections)
+        return any(c.msgtype in DATA for c in reader.connections)
 
 
 def read_calibration_data(
@@ -114,45 +121,43 @@ def read_calibration_data(
         InputError: If it cannot be read, or holds no features that were measured.
         OptionError: If the extra is missing.
     """
-    samples = list[tuple[float, list[float]]]()
+    samples, names = list[tuple[float, list[float]]](), list[str]()
     rows = list[tuple[int, str, tuple[float, ...]]]()
-    names, seen = list[str](), dict[str, list[tuple[float, ...]]]()
-    for time, message in _messages(path, topic, (DATA,)):
+    for time, message in _messages(path, topic, DATA):
         state = message.joint_states
         stated = dict(zip(state.name, state.position, strict=False))
         names = names or [*stated]
         if not {*names} <= {*stated}:
             raise InputError("its samples are of different joints", file=path)
         for sensor in message.observations:
-            for k, p in enumerate(feature.point for feature in sensor.features):
-                point, xyz = f"{sensor.sensor_name}-{k}", (p.x, p.y, p.z)
-                rows.append((len(samples), point, xyz))
-                seen.setdefault(point, []).append(xyz)
+            for k, feature in enumerate(sensor.features):
+                point = f"{sensor.sensor_name}-{k}"
+                rows.append((len(samples), point, _numbers(feature)))
         samples.append((time, [stated[name] for name in names]))
+    seen = dict[str, list[tuple[float, ...]]]()
+    for _, point, xyz in rows:
+        seen.setdefault(point, []).append(xyz)
     still = {p: s[0] for p, s in seen.items() if len(s) > 2 and len({*s}) == 1}
     rows = sorted(row for row in rows if row[1] not in still)
     if not (names and rows):
         raise InputError("its calibration data hold no features", file=path)
     if still and notice is not None:
         known = ", ".join(f"{name}: {[*xyz]}" for name, xyz in still.items())
-        notice(
-            f"{path}: features that never move are known points of the tool: {known}"
-        )
-    which = np.array([sample for sample, _, _ in rows])
+        said = "features that never move are known points of the tool"
+        notice(f"{path}: {said}: {known}")
+    of, points, values = zip(*rows, strict=True)
+    which = np.array(of)
     stamps, q = (np.array(found, float) for found in zip(*samples, strict=True))
     stands = [
         Standstill(stamps[k], stamps[k], q[k], np.flatnonzero(which == k))
         for k in np.unique(which)
     ]
-    points = [point for _, point, _ in rows]
     columns = {"target": points, "station": [p.rpartition("-")[0] for p in points]}
     texts = {key: cells for key, cells in columns.items() if len({*cells}) > 1}
-    log = Log(stamps[which], np.array([xyz for _, _, xyz in rows]))
-    return (
-        Series(Log(stamps, q), dict.fromkeys(names)),
-        Series(log, dict.fromkeys(POSITION), texts),
-        Joined(None, tuple(stands), 0, 0, 0),
-    )
+    readings = Log(stamps[which], np.array(values))
+    joints = Series(Log(stamps, q), dict.fromkeys(names))
+    seen_by = Series(readings, dict.fromkeys(POSITION), texts)
+    return joints, seen_by, Joined(None, tuple(stands), 0, 0, 0)
 
 
 @contextmanager
@@ -193,9 +198,13 @@ def _messages(
             if connection.msgtype == TRANSFORMS:
                 named = {one.child_frame_id: one for one in message.transforms}
             for name, one in named.items():
+                header = (getattr(one, "header", None) or one.joint_states.header).stamp
+                made = float(header.sec) + 1e-9 * float(header.nanosec)
+                # Where it does not say when it was made, when it was recorded.
+                time = made if made > 0.0 else 1e-9 * stamp
                 rows = found.setdefault(name, [])
                 if topic in (None, name):
-                    rows.append((_time(one, stamp), one))
+                    rows.append((time, one))
     words = " or ".join(sorted({kind.split("/")[-1] for kind in kinds}))
     if topic is not None and topic not in found:
         reason, allowed = f"has no topic '{topic}' of {words}", ", ".join(found)
@@ -207,25 +216,14 @@ def _messages(
     return found[topic or next(iter(found))]
 
 
-def _time(message: Any, stamp: int) -> float:
-    """When a message was made [s]; where it does not say, when it was recorded."""
-    header = getattr(message, "header", None) or message.joint_states.header
-    seconds = float(header.stamp.sec) + 1e-9 * float(header.stamp.nanosec)
-    return seconds if seconds > 0.0 else 1e-9 * stamp
-
-
-def _numbers(message: Any) -> list[float]:
+def _numbers(message: Any) -> tuple[float, ...]:
     """Position and, of a pose, quaternion."""
-    if message.__msgtype__ == POINT:
-        p = message.point
-        return [p.x, p.y, p.z]
-    pose = getattr(message, "pose", None) or message.transform
-    p = getattr(pose, "position", None) or pose.translation
-    r = getattr(pose, "orientation", None) or pose.rotation
-    return [p.x, p.y, p.z, r.x, r.y, r.z, r.w]
+    paths = READINGS[message.__msgtype__]
+    parts = (attrgetter(path)(message) for path in paths)
+    return tuple(getattr(p, key) for p in parts for key in "xyzw" if hasattr(p, key))
 
 
-def _ordered(path: str | Path, rows: Sequence[tuple[float, list[float]]]) -> Log:
+def _ordered(path: str | Path, rows: Sequence[tuple[float, tuple[float, ...]]]) -> Log:
     """A log by time; what was recorded twice counts once.
 
     Raises:

@@ -21,6 +21,7 @@ from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.report.text import format_report
 from calib_pin.setup import FrameSetup, JointMap, Setup
+from calib_pin.validation.joint_errors import configurations
 from calib_pin.validation.result import CalibrationResult
 
 EXACT = 1e-9
@@ -100,7 +101,8 @@ def test_a_vendor_loads_its_kinematics(exported, tmp_path):
     file.write_bytes(encoded.data)
     assert yaml.safe_load(encoded.data)["kinematics"]["hash"] == "calib_77"
     assert "calib_77" in encoded.remarks[0] and "tf" in encoded.remarks[1]
-    q, expected = exported.configurations, exported.chain.poses(exported.configurations)
+    q = configurations(exported.nominal)
+    expected = exported.chain.poses(q)
     read = vendor(file, [*UR10], np.pi).poses(q)
     assert np.abs(read - expected).max() < EXACT
     # Frames stay where the vendor has them, as far as the axes allow.

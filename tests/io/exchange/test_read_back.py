@@ -46,7 +46,7 @@ from calib_pin.setup import (
 from calib_pin.simulation import draw_errors
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import NamedArray, ParameterEstimate
-from tests.io.exchange.test_places import of_model, transforms
+from tests.io.exchange.test_descriptions import of_model, transforms
 
 COUNT = 100
 """Random configurations."""

@@ -6,6 +6,7 @@ their limits and reference positions, and inertias are those of the compiled mod
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
@@ -70,17 +71,16 @@ class Writer:
                 child = name if last else self._unused(f"{self.joints[j]}_link")
                 place, kind, more = self._moving(j, place)
                 more += mimics.get(j, "")
-                self._joint(self.joints[j], parent, child, place, kind, more)
+                self._joint((self.joints[j], kind, parent, child), place, more)
                 parent, place = child, pin.SE3.Identity()
             if parent != name:
                 place = place * pin.SE3(np.eye(3), -shift)
-                self._joint(self._unused(f"{name}_fixed"), parent, name, place)
+                self._fixed(parent, name, place)
         for k in range(model.nsite):
             if name := model.site(k).name:
                 site = name if name not in self.bodies else self._unused(name)
                 place = _place(model.site_pos[k], model.site_quat[k])
-                body, joint = self.bodies[model.site_bodyid[k]], f"{site}_fixed"
-                self._joint(self._unused(joint), body, site, place)
+                self._fixed(self.bodies[model.site_bodyid[k]], site, place)
         name = model.names.partition(b"\0")[0].decode()  # The first is the model's.
         world = f"  <link name={quoteattr(self.bodies[0])}/>"
         start = f"<robot name={quoteattr(name or 'robot')}>\n{world}"
@@ -93,17 +93,13 @@ class Writer:
         self.taken.add(name)
         return name
 
-    def _joint(
-        self,
-        name: str,
-        parent: str,
-        child: str,
-        place: pin.SE3,
-        kind: str = "fixed",
-        more: str = "",
-    ) -> None:
-        """Write a joint and the link that it carries, with the inertia of a body."""
-        model, inside = self.model, ""
+    def _fixed(self, parent: str, child: str, place: pin.SE3) -> None:
+        joint = self._unused(f"{child}_fixed"), "fixed", parent, child
+        self._joint(joint, place)
+
+    def _joint(self, joint: Sequence[str], place: pin.SE3, more: str = "") -> None:
+        """Write a joint and its link, with the inertia of a body, see `branch`."""
+        model, child, inside = self.model, joint[-1], ""
         body = self.bodies.index(child) if child in self.bodies else 0
         if model.body_mass[body] > LIGHTEST:
             six = origin_of(_place(model.body_ipos[body], model.body_iquat[body]))
@@ -112,7 +108,7 @@ class Writer:
             inside += _tag("inertia", ixx=x, iyy=y, izz=z, ixy=0.0, ixz=0.0, iyz=0.0)
             inside = f"<inertial>\n{inside}  </inertial>"
         origin = np.add(origin_of(place), 0.0)
-        self.lines.append(branch(name, kind, parent, child, origin, more, inside))
+        self.lines.append(branch(joint, origin, more, inside))
 
     def _moving(self, j: int, place: pin.SE3) -> tuple[pin.SE3, str, str]:
         """Placement, kind, axis and limits of one of MuJoCo's joints."""

@@ -66,9 +66,7 @@ def read_mesh(
         file = locate_robot(robot.file).resolve()
     path = locate_mesh(str(written), file, package_dirs)
     if path is None:
-        hint = "--package-dir DIR, the folder of its package"
-        if "package://" not in str(written):
-            hint = "a path from the folder of the URDF"
+        hint = "a path from the folder of the URDF, or --package-dir DIR for a package"
         raise InputError("does not exist", allowed=hint)
     corners = _corners(path)
     if not 1 <= len(corners) <= TRIANGLES:

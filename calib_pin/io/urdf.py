@@ -236,10 +236,9 @@ def corrected_urdf(
         raise OptionError(reason, file=path, allowed="another file")
     corrected = edit_origins(robot.source, corrections, robot.file)
     try:
-        reread = parse_robot(corrected, str(path))
+        check(parse_robot(corrected, str(path)))
     except RobotError as error:
         raise OutputError(f"the corrected URDF does not read back: {error}") from error
-    check(reread)
     return corrected
 
 
@@ -277,21 +276,19 @@ def locate_robot(name: str) -> Path:
         ('robot.urdf', 'arm.urdf')
     """
     name, _ = split_arguments(name)
-    path, bundled = Path(name), bundled_robots()
-    if not (name in bundled or name.startswith(_EXAMPLE)) or path.is_file():
+    path, known = Path(name), bundled_robots()
+    if not (name in known or name.startswith(_EXAMPLE)) or path.is_file():
         return path
-    if name in bundled:
-        return bundled[name]
-    known, stem = known_robots(), name.removesuffix(".urdf")
-    if stem in known:
+    if (stem := name.removesuffix(".urdf")) in (known := known_robots()):
         return known[stem]
-    examples, word = sorted(known.keys() - bundled), stem.removeprefix(_EXAMPLE)
+    examples = [key for key in known if key.startswith(_EXAMPLE)]
     if not examples:
         reason = "example robots need a package: pip install 'example-robot-data>=4.4'"
         raise RobotError(reason, file=name)
+    word = stem.removeprefix(_EXAMPLE)
     others = ", ".join(key for key in examples if word and word in key)
-    reason = f"example-robot-data has no robot '{word}'"
-    reason += "" if others else nearest(stem, examples)
+    hint = "" if others else nearest(stem, examples)
+    reason = f"example-robot-data has no robot '{word}'{hint}"
     raise RobotError(reason, file=name, allowed=others or None)
 
 

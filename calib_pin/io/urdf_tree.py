@@ -63,30 +63,22 @@ def words(numbers: Iterable[float]) -> str:
 
 
 def branch(
-    joint: str,
-    kind: str,
-    parent: str,
-    child: str,
-    origin: Sequence[float],
-    more: str = "",
-    inside: str = "",
+    joint: Sequence[str], origin: Sequence[float], more: str = "", inside: str = ""
 ) -> str:
     """A link of a URDF and the joint that carries it, in lines.
 
     Args:
-        joint: Name of the joint.
-        kind: Its type.
-        parent: Link on which it is.
-        child: The link.
+        joint: Name and type of the joint, the link on which it is, and its own.
         origin: Its numbers, see `ORIGIN`.
         more: Other elements of the joint, in lines.
         inside: Elements of the link.
     """
-    link = f"link name={quoteattr(child)}"
+    name, kind, parent, child = map(quoteattr, joint)
+    link = f"link name={child}"
     return f"""  <{link}{f">{inside}</link" if inside else "/"}>
-  <joint name={quoteattr(joint)} type="{kind}">
-    <parent link={quoteattr(parent)}/>
-    <child link={quoteattr(child)}/>
+  <joint name={name} type={kind}>
+    <parent link={parent}/>
+    <child link={child}/>
     <origin xyz="{words(origin[:3])}" rpy="{words(origin[3:])}"/>
 {more}  </joint>
 """
@@ -303,9 +295,8 @@ def edit_origins(
     if unknown := next((name for name in corrections if name not in joints), None):
         reason = f"the robot has no joint '{unknown}'{nearest(unknown, joints)}"
         raise RobotError(reason, file=file)
-    return move_origins(
-        document, [(joints[k], move) for k, move in corrections.items()]
-    )
+    moves = [(joints[name], move) for name, move in corrections.items()]
+    return move_origins(document, moves)
 
 
 def move_origins(document: Document, moves: Iterable[tuple[Element, pin.SE3]]) -> bytes:
@@ -361,9 +352,7 @@ def _edited(
 
 def _text(values: Floats, old: str) -> str:
     """Numbers with all their digits, in their old words where they are the same."""
-    written = old.split()
-    if len(written) != len(values):
-        written = ["nan"] * len(values)
+    written = old.split() or ["nan"] * len(values)
     return " ".join(
         word if float(word) == value else words([value + 0.0])  # Not -0.0.
         for word, value in zip(written, values, strict=True)
@@ -438,6 +427,7 @@ def parse_robot(source: bytes, file: str) -> Robot:
         carrier = joints.get(parents.get(lost[0], ""), links[lost[0]])
         raise document.error(carrier, reason)
     inner = {link_of(joint, "parent") for joint in joints.values()}
+    fixed = {name for name, joint in joints.items() if joint.get("type") == "fixed"}
     mimics, refused = _mimics(joints)
     return Robot(
         name=root.attrib["name"],
@@ -447,11 +437,7 @@ def parse_robot(source: bytes, file: str) -> Robot:
         root=next(link for link in links if link not in parents),
         links=tuple(links),
         leaves=tuple(link for link in links if link not in inner),
-        fixed_parents={
-            link: name
-            for link, name in parents.items()
-            if joints[name].get("type") == "fixed"
-        },
+        fixed_parents={link: name for link, name in parents.items() if name in fixed},
         refused=refused,
         mimics=mimics,
     )

@@ -155,8 +155,8 @@ def camera_links(exported: Exported) -> tuple[str, tuple[str, ...]]:
         names = (_free_name([f"{stem}_{end}"], taken) for end in ENDS)
         link, joint, frame, optical = names
         forward = origin_of(place.pose * urdf_tree.placed(OPTICAL).inverse())
-        text += urdf_tree.branch(joint, "fixed", place.parent, link, forward)
-        text += urdf_tree.branch(optical, "fixed", link, frame, OPTICAL)
+        text += urdf_tree.branch((joint, "fixed", place.parent, link), forward)
+        text += urdf_tree.branch((optical, "fixed", link, frame), OPTICAL)
     return text, remarks
 
 

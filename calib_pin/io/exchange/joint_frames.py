@@ -79,13 +79,9 @@ def axis_frames(chain: Chain) -> list[tuple[Floats, Floats]]:
     Directions are those in which joints count, also of joints that are traversed from
     child to parent.
     """
-    signs = np.where(chain.reversed, -1.0, 1.0)
-    return [
-        (frame[:3, 3], sign * frame[:3, :3] @ axis)
-        for frame, axis, sign in zip(
-            chain.joint_frames(), chain.axes, signs, strict=True
-        )
-    ]
+    axes = np.where(chain.reversed, -1.0, 1.0)[:, None] * chain.axes
+    pairs = zip(chain.joint_frames(), axes, strict=True)
+    return [(frame[:3, 3], frame[:3, :3] @ axis) for frame, axis in pairs]
 
 
 def along(point: Floats, axis: Floats, near: pin.SE3) -> pin.SE3:
@@ -213,13 +209,10 @@ def dh(exported: Exported, _: Path | None) -> Encoded:
     # Before the first axis, and behind the last, nothing moves or turns.
     zero = [0.0] * len(NUMBERS)
     steps = [zero, *steps, zero]
-    tables = {
-        "standard": steps[1:],
-        "modified": [[*b[:2], *a[2:]] for a, b in pairwise(steps)],
-    }
+    modified = [[*after[:2], *before[2:]] for before, after in pairwise(steps)]
     kinds = np.where(chain.revolute, "revolute", "prismatic").tolist()
     rows, no_step, no_frame = list[list[Any]](), [""] * len(NUMBERS), [""] * len(ORIGIN)
-    for convention, numbers in tables.items():
+    for convention, numbers in (("standard", steps[1:]), ("modified", modified)):
         rows.append([convention, "base", "frame", *no_step, *origin_of(root)])
         for joint, kind, row in zip(chain.joints, kinds, numbers, strict=True):
             rows.append([convention, joint, kind, *row, *no_frame])

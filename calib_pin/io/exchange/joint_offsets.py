@@ -190,76 +190,69 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
         InputError: If that is no XML, or has a transmission of another kind.
     """
     found = exported.joint_errors({}, gains=True)
+    both = zip(found.gains.tolist(), found.offsets.tolist(), strict=True)
+    errors = dict(zip(found.columns.joints, both, strict=True))
     source, about = tostring(Element("robot", name=exported.nominal.robot.name)), None
     if template is not None:
         source, about = read_bytes(template, TEXT), str(template)
-    document, own = parse_document(source, about), dict[str, Element]()
-    joints, root = found.columns.joints, document.root
-    for element in root.iter("transmission"):
+    document = parse_document(source, about)
+    root, joints = document.root, {*errors}
+    for element in root.findall(".//transmission"):
         moved = {joint.get("name", "") for joint in element.iter("joint")}
-        if not moved or moved & {*joints}:
-            name = _simple(document, element)
-            document.require(name not in own, element, f"two transmissions of '{name}'")
-            own[name] = element
-    for joint, gain, offset in zip(joints, found.gains, found.offsets, strict=True):
-        if joint not in own:
-            own[joint] = SubElement(root, "transmission", name=f"{joint}_transmission")
-            SubElement(own[joint], "actuator", name=f"{joint}_actuator")
-            SubElement(own[joint], "joint", name=joint)
-        _correct(document, own[joint], float(gain), float(offset))
+        if not moved or moved & joints:
+            _correct(document, element, errors)
+    for joint in [*errors]:
+        added = SubElement(root, "transmission", name=f"{joint}_transmission")
+        SubElement(added, "actuator", name=f"{joint}_actuator")
+        SubElement(added, "joint", name=joint)
+        _correct(document, added, errors)
     indent(root)
     return Encoded(tostring(root) + b"\n", _estimates(exported)[1], found.poses)
 
 
-def _simple(document: Document, transmission: Element) -> str:
-    """Name of the joint that a simple transmission moves.
+def _correct(
+    document: Document, element: Element, errors: dict[str, tuple[float, float]]
+) -> None:
+    """Write reduction and offset of a simple transmission anew.
+
+    Also where ROS 1 spells and places them; plugin and roles are spelled as
+    ros2_control has them. Gain and offset of its joint are taken from the errors.
 
     Raises:
-        RobotError: If it is not that of one joint with one actuator.
+        RobotError: If it is not that of one joint with one actuator, or one of its
+            numbers is none, is stated twice, or is spelled otherwise.
     """
-    owner = f"transmission '{transmission.get('name', '')}'"
-    for stated in (e for e in transmission if e.tag in ("plugin", "type")):
+    owner = f"transmission '{element.get('name', '')}'"
+    for stated in [e for e in element if e.tag in ("plugin", "type")]:
         kind, reason = (stated.text or "").strip(), f"{owner} is of another kind"
         simple = kind.rpartition("/")[2] == PLUGIN.rpartition("/")[2]
         document.require(simple, stated, reason, value=kind, allowed=PLUGIN)
-    inner, actuators = ([*transmission.iter(t)] for t in ("joint", "actuator"))
-    names = [element.get("name", "") for element in (*inner, *actuators)]
-    reason, one = f"{owner} is not that of one joint with one actuator", len(inner) == 1
-    about = {"value": ", ".join(names), "allowed": PLUGIN}
-    document.require(one and len(actuators) == 1, transmission, reason, **about)
-    return names[0]
-
-
-def _correct(
-    document: Document, transmission: Element, gain: float, offset: float
-) -> None:
-    """Write reduction and offset anew, also where ROS 1 spells and places them.
-
-    Raises:
-        RobotError: If one is no number, is stated twice, or is spelled otherwise.
-    """
-    owner = f"transmission '{transmission.get('name', '')}'"
-    for stated in [e for e in transmission if e.tag in ("plugin", "type")]:
-        transmission.remove(stated)
+        element.remove(stated)
+    inner, actuators = ([*element.iter(tag)] for tag in ("joint", "actuator"))
+    names = [part.get("name", "") for part in (*inner, *actuators)]
+    one = len(inner) == len(actuators) == 1 and names[0] in errors
+    reason = f"{owner} is not that of one joint with one actuator"
+    value = ", ".join(names)
+    document.require(one, element, reason, value=value, allowed=PLUGIN)
     before = dict[str, float]()
-    for parent in transmission:
-        for element in list(parent):
-            tag = re.sub(r"(?=[A-Z])", "_", element.tag).lower()
-            if tag not in TAGS and not re.search("reduction|ratio", tag):
-                continue
-            value = float(np.array(as_number((element.text or "").strip()), float))
-            usable = np.isfinite(value) and (value != 0.0 or tag == "offset")
-            usable &= tag in TAGS and before.setdefault(tag, value) == value
-            reason = f"{owner} has a <{element.tag}> that cannot be used"
-            about = {"value": element.text, "allowed": NUMBERS}
-            document.require(usable, element, reason, **about)
-            parent.remove(element)
-    SubElement(transmission, "plugin").text = PLUGIN
-    joint, actuator = (next(transmission.iter(t)) for t in ("joint", "actuator"))
-    joint.attrib.setdefault("role", "joint1")
-    actuator.attrib.setdefault("role", "actuator1")
-    reduction, at_zero = (TAGS | before).values()
+    for parent in element:
+        for part in list(parent):
+            tag = re.sub(r"(?=[A-Z])", "_", part.tag).lower()
+            if tag in TAGS or re.search("reduction|ratio", tag):
+                number = float(np.array(as_number((part.text or "").strip()), float))
+                usable = np.isfinite(number) and (number != 0.0 or tag == "offset")
+                usable &= tag in TAGS and before.setdefault(tag, number) == number
+                reason = f"{owner} has a <{part.tag}> that cannot be used"
+                about = {"value": part.text, "allowed": NUMBERS}
+                document.require(usable, part, reason, **about)
+                parent.remove(part)
+    SubElement(element, "plugin").text = PLUGIN
+    inner[0].attrib.setdefault("role", "joint1")
+    actuators[0].attrib.setdefault("role", "actuator1")
+    (gain, offset), (reduction, at_zero) = (
+        errors.pop(names[0]),
+        (TAGS | before).values(),
+    )
     # The joint is at (1 + gain) of what was read, plus the offset.
-    new = reduction / (1.0 + gain), (1.0 + gain) * at_zero + offset
-    for tag, number in zip(TAGS, new, strict=True):
-        SubElement(joint, tag).text = repr(number)
+    SubElement(inner[0], "mechanical_reduction").text = repr(reduction / (1.0 + gain))
+    SubElement(inner[0], "offset").text = repr((1.0 + gain) * at_zero + offset)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -88,10 +88,8 @@ def load_collisions(
     every = [*own, *_of_obstacles(chains, obstacles, file)]
     for number, name, place, solid in every:
         frame = model.frames[number]
-        joint, placed = frame.parentJoint, frame.placement * place
-        geometry.addGeometryObject(
-            pin.GeometryObject(name, joint, number, placed, solid)
-        )
+        about = name, frame.parentJoint, number, frame.placement * place, solid
+        geometry.addGeometryObject(pin.GeometryObject(*about))
     links = [model.frames[number].name for number, *_ in every]
     for first, second in combinations(range(len(every)), 2):
         # Obstacles, and of the robot only links that may not touch.
@@ -149,7 +147,7 @@ _Solid = tuple[int, str, pin.SE3, pin.coal.CollisionGeometry]
 """Number of a link's frame, name, and place of a solid in the link."""
 
 
-def _solid(kind: str, values: Sequence[Any]) -> pin.coal.CollisionGeometry:
+def _solid(kind: str, values: Iterable[Any]) -> pin.coal.CollisionGeometry:
     """A solid of some kind of shape, from its numbers or its surface."""
     if kind != "mesh":
         return getattr(pin.coal, kind.capitalize())(*values)

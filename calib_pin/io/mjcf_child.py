@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
@@ -107,7 +108,7 @@ class Writer:
             inside = _tag("mass", value=mass) + _tag("origin", xyz=six[:3], rpy=six[3:])
             inside += _tag("inertia", ixx=x, iyy=y, izz=z, ixy=0.0, ixz=0.0, iyz=0.0)
             inside = f"<inertial>\n{inside}  </inertial>"
-        origin = np.add(origin_of(place), 0.0)
+        origin = np.add(origin_of(place), 0.0).tolist()
         self.lines.append(branch(joint, origin, more, inside))
 
     def _moving(self, j: int, place: pin.SE3) -> tuple[pin.SE3, str, str]:
@@ -145,7 +146,7 @@ class Writer:
         return found
 
 
-def _tag(tag: str, **about: str | float | Floats) -> str:
+def _tag(tag: str, **about: Any) -> str:
     """An element with attributes, of numbers with all their digits, in a line."""
     for key, value in about.items():
         if not isinstance(value, str):  # Adding zero turns -0.0 into 0.0.

@@ -16,13 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
 
 import calib_pin.io.urdf_tree as urdf_tree
 from calib_pin.errors import RobotError, enumerated
-from calib_pin.io.urdf_tree import Document, Element, link_of
+from calib_pin.io.urdf_tree import Document, link_of
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 

@@ -35,7 +35,7 @@ ARGUMENT = re.compile(r"([^\W\d]\w*):=(.*)", re.DOTALL)
 
 _GAP = re.compile(r"\s+(?=[^\W\d]\w*:=)")
 _EXAMPLE = "example:"
-_OTHER = (".xml", ".mjcf", ".sdf")
+_MUJOCO = (".xml", ".mjcf")
 
 
 def bundled_robots() -> dict[str, Path]:
@@ -189,18 +189,13 @@ def load_robot(
         hint = nearest(name, bundled) if error.reason == "no such file" else ""
         names = f" ({', '.join(bundled)})" if bundled else ""
         allowed = f"a URDF or xacro file, a bundled robot{names}, or {_EXAMPLE}NAME"
-        about = {"file": name or ".", "allowed": allowed}
-        raise RobotError(f"{error.reason}{hint}", **about) from error
-    root, remark = "", ""
-    if path.suffix.lower() in _OTHER:
-        root = parse_document(source, name).root.tag
-    if root == "sdf":
-        reason = "is SDF, which this Pinocchio does not read; convert it to a URDF"
-        raise RobotError(reason, file=name)
+        reason, shown = f"{error.reason}{hint}", name or "."
+        raise RobotError(reason, file=shown, allowed=allowed) from error
+    remark, other = "", path.suffix.lower() in _MUJOCO
     if is_xacro(path):
         folders = list(map(str, package_folders(path.absolute(), package_dirs)))
         urdf, _ = converted("xacro", path, arguments=arguments, folders=folders)
-    elif root == "mujoco":
+    elif other and parse_document(source, name).root.tag == "mujoco":
         urdf, remark = converted("MJCF", path)
     try:
         robot = parse_robot(urdf, name)

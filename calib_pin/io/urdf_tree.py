@@ -409,6 +409,8 @@ def parse_robot(source: bytes, file: str) -> Robot:
     """
     document = parse_document(source, file)
     root, links, joints = document.root, document.named("link"), document.named("joint")
+    reason = f"the outermost element is <{root.tag}>"
+    document.require(root.tag == "robot", root, reason, allowed="<robot>")
     few, reason = len(links) <= LINKS, f"the robot has {len(links)} links"
     document.require(few, root, reason, allowed=f"at most {LINKS}")
     for element in (*links.values(), *joints.values()):

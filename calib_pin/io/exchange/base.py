@@ -167,7 +167,7 @@ class Exported:
             q = configurations(one.chain)
             found = read(one.chain, q) @ one.tool.homogeneous
             far.append((found - in_base(one, q))[:, :3, 3])
-        return rms(np.concatenate(far))
+        return float(np.sqrt(np.mean(np.sum(np.concatenate(far) ** 2, axis=1))))
 
     def joint_errors(
         self, joints: Mapping[str, JointMap], *, gains: bool = False
@@ -311,8 +311,3 @@ def require(
     """
     if not usable:
         raise InputError(reason, file=file, value=value, allowed=allowed)
-
-
-def rms(vectors: Floats) -> float:
-    """Length of vectors, shape (N, 3), root mean square."""
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))

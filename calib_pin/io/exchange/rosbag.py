@@ -102,9 +102,7 @@ def holds_calibration_data(path: str | Path) -> bool:
 
 
 def read_calibration_data(
-    path: str | Path,
-    topic: str | None = None,
-    notice: Callable[[str], None] | None = None,
+    path: str | Path, topic: str | None, notice: Callable[[str], None]
 ) -> tuple[Series, Series, Joined]:
     """The samples of a bag of calibration data, joined as they are.
 
@@ -141,7 +139,7 @@ def read_calibration_data(
     rows = sorted(row for row in rows if row[1] not in still)
     if not (names and rows):
         raise InputError("its calibration data hold no features", file=path)
-    if still and notice is not None:
+    if still:
         known = ", ".join(f"{name}: {[*xyz]}" for name, xyz in still.items())
         said = "features that never move are known points of the tool"
         notice(f"{path}: {said}: {known}")
@@ -180,9 +178,8 @@ def _opened(path: str | Path) -> Iterator[Any]:
     except InputError:
         raise
     except Exception as error:  # Of the library, sqlite, lz4, struct, and what not.
-        lines = str(error).splitlines() or [type(error).__name__]
-        reason = f"cannot be read as a bag: {lines[0]}"
-        raise InputError(reason, file=path) from error
+        line = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"cannot be read as a bag: {line}", file=path) from error
 
 
 def _messages(
@@ -205,15 +202,15 @@ def _messages(
                 rows = found.setdefault(name, [])
                 if topic in (None, name):
                     rows.append((time, one))
+    if topic in found:
+        return found[topic]
+    if topic is None and len(found) == 1:
+        return found.popitem()[1]
     words = " or ".join(sorted({kind.split("/")[-1] for kind in kinds}))
-    if topic is not None and topic not in found:
-        reason, allowed = f"has no topic '{topic}' of {words}", ", ".join(found)
-        raise InputError(reason, file=path, allowed=allowed or None)
-    if topic is None and len(found) != 1:
-        reason = f"has {len(found)} topics of {words}: {enumerated(found) or 'none'}"
-        allowed = "one, named by --topic or --joint-topic"
-        raise InputError(reason, file=path, allowed=allowed)
-    return found[topic or next(iter(found))]
+    reason = f"has {len(found)} topics of {words}: {enumerated(found) or 'none'}"
+    reason += f", and no '{topic}'" if topic else ""
+    allowed = "one, named by --topic or --joint-topic"
+    raise InputError(reason, file=path, allowed=allowed)
 
 
 def _numbers(message: Any) -> tuple[float, ...]:
@@ -229,10 +226,10 @@ def _ordered(path: str | Path, rows: Sequence[tuple[float, tuple[float, ...]]]) 
     Raises:
         InputError: If the rows are few, are not all of one kind, or hold no numbers.
     """
-    if len(rows) < 3 or len({len(values) for _, values in rows}) > 1:
-        raise InputError("holds too little, or several kinds of messages", file=path)
+    alike = len({len(values) for _, values in rows}) == 1
     time, first = np.unique([time for time, _ in rows], return_index=True)
-    values = np.array([values for _, values in rows], float)[first]
+    values = np.array([values for _, values in rows] if alike else [], float)
     if len(time) < 3 or not (values.size and np.isfinite(values).all()):
-        raise InputError("holds too little, or numbers that are none", file=path)
-    return Log(time, values)
+        reason = "holds too little, several kinds of messages, or numbers that are none"
+        raise InputError(reason, file=path)
+    return Log(time, values[first])

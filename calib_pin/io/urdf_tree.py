@@ -474,9 +474,7 @@ def _check(document: Document, element: Element) -> None:
         document.require(usual, mass, f"no link has the mass of {owner}", **about)
 
 
-def _mimics(
-    joints: Mapping[str, Element],
-) -> tuple[dict[str, Mimic], dict[str, str]]:
+def _mimics(joints: Mapping[str, Element]) -> tuple[dict[str, Mimic], dict[str, str]]:
     """Joints that follow another, and the reasons why a chain cannot contain others.
 
     Returns:

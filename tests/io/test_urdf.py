@@ -15,18 +15,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib_pin.errors import (
-    CalibPinError,
-    OptionError,
-    OutputError,
-    RobotError,
-)
+from calib_pin.errors import CalibPinError, OptionError, OutputError, RobotError
 from calib_pin.io import urdf
-from calib_pin.io.urdf import (
-    corrected_urdf,
-    load_robot,
-    locate_robot,
-)
+from calib_pin.io.urdf import corrected_urdf, load_robot, locate_robot
 from calib_pin.io.urdf_tree import edit_origins, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import Mimic

@@ -41,10 +41,7 @@ SIX = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 """The upper triangle of an inertia, row by row."""
 
 
-NAMES = {
-    "base": ("measurement", "measured_frame"),
-    "tool": ("tool", "measured_point"),
-}
+NAMES = {"base": ("measurement", "measured_frame"), "tool": ("tool", "measured_point")}
 """Names of the frames that have none of their own, by how they are called here."""
 
 OPTICAL = (0.0, 0.0, 0.0, -np.pi / 2, 0.0, -np.pi / 2)

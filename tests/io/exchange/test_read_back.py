@@ -29,20 +29,12 @@ import yourdfpy
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.exchange import FORMATS, Encoded, Exported
-from calib_pin.io.urdf_tree import ORIGIN, origin_of
 from calib_pin.io.exchange.joint_frames import UR_LINKS, along, axis_frames
-from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.io.urdf_tree import ORIGIN, origin_of, parse_robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import parameterization
-from calib_pin.setup import (
-    ChainSetup,
-    FrameSetup,
-    JointMap,
-    Payload,
-    Setup,
-    ToolSetup,
-)
+from calib_pin.setup import ChainSetup, FrameSetup, JointMap, Payload, Setup, ToolSetup
 from calib_pin.simulation import draw_errors
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import NamedArray, ParameterEstimate

@@ -171,11 +171,9 @@ def _compiled(file: Path) -> tuple[mujoco.MjModel, str]:
     hinges = [j for j in spec.joints if int(j.type) == HINGE and any(j.range)]
     widest = max((float(np.abs(j.range).max()) for j in hinges), default=np.inf)
     if spec.compiler.degree and widest <= FEW_DEGREES and not _states_angle(file):
-        raise RobotError(
-            f"no joint turns farther than {widest:g} degrees, and <compiler> states no "
-            'angle, which means degrees; are they radians, add angle="radian"',
-            allowed='<compiler angle="radian"/> or <compiler angle="degree"/>',
-        )
+        allowed = '<compiler angle="radian"/> or <compiler angle="degree"/>'
+        reason = f"no joint turns farther than {widest:g} degrees; are they radians, "
+        raise RobotError(f'{reason}add angle="radian"', allowed=allowed)
     spec.compiler.fusestatic = False  # Every body is a link.
     for bound in ("boundmass", "boundinertia"):
         setattr(spec.compiler, bound, max(getattr(spec.compiler, bound), LIGHTEST))

@@ -134,10 +134,8 @@ def _install(folders: list[Path]) -> None:
         """The folder of a package."""
         found = next(packages(name, folders), None)
         if found is None:
-            raise Refused(
-                f"the package '{name}' is not found: name its folder, or that which "
-                "holds it, with --package-dir"
-            )
+            hint = "name its folder, or that which holds it, with --package-dir"
+            raise Refused(f"the package '{name}' is not found: {hint}")
         return str(found.absolute())
 
     def folder(*_: object) -> str:

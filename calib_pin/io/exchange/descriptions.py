@@ -77,9 +77,8 @@ class Place:
     @property
     def numbers(self) -> dict[str, float]:
         """Position [m] and quaternion, each number by its name."""
-        turn = pin.Quaternion(self.pose.rotation).coeffs()
-        numbers = [*self.pose.translation.tolist(), *turn.tolist()]
-        return dict(zip(("x", "y", "z", *QUATERNION), numbers, strict=True))
+        numbers = pin.SE3ToXYZQUAT(self.pose).tolist()
+        return dict(zip((*"xyz", *QUATERNION), numbers, strict=True))
 
 
 def places(
@@ -180,7 +179,7 @@ def mjcf(exported: Exported, _: Path | None) -> Encoded:
         stated = _inertia(document, links[link])
         if joint is not None or link != WORLD:  # Which MuJoCo has already.
             body = SubElement(body, "body", name=link)
-        if joint is not None and (moves := _place(exported, document, joint, body)):
+        if joint is not None and (moves := _put(exported, document, joint, body)):
             SubElement(body, "joint", moves)
             without += [] if stated else [link]
             stated = stated or LEAST
@@ -198,7 +197,7 @@ def mjcf(exported: Exported, _: Path | None) -> Encoded:
     return Encoded(tostring(root) + b"\n", (told,) if without else ())
 
 
-def _place(
+def _put(
     exported: Exported, document: Document, joint: Element, body: Element
 ) -> dict[str, str]:
     """Put a body where its joint is; how this moves it, if it does."""
@@ -291,13 +290,10 @@ def tf(exported: Exported, _: Path | None) -> Encoded:
     (found, remarks), documents, commands = places(exported), [], []
     for place in (place for place in found if place.written):
         numbers = place.numbers
-        ends = {"frame_id": place.parent}, place.child
-        pose = {
-            "translation": {key: numbers[key] for key in "xyz"},
-            "rotation": {key[1:]: numbers[key] for key in QUATERNION},
-        }
-        keys = ("header", "child_frame_id", "transform")
-        documents.append(dict(zip(keys, (*ends, pose), strict=True)))
+        turn = {key[1:]: numbers[key] for key in QUATERNION}
+        pose = {"translation": {k: numbers[k] for k in "xyz"}, "rotation": turn}
+        about = {"header": {"frame_id": place.parent}, "child_frame_id": place.child}
+        documents.append(about | {"transform": pose})
         stated = " ".join(f"--{key} {number!r}" for key, number in numbers.items())
         commands.append(
             f"# ros2 run tf2_ros static_transform_publisher {stated} "
@@ -327,11 +323,9 @@ def camera_info(exported: Exported, _: Path | None) -> Encoded:
     if unknown := [p for p in exported.result.unknown if p.startswith(f"{name}.")]:
         raise exported.error(f"{enumerated(unknown)} unknown; {REMEDY}")
     if camera.size is None:
-        raise exported.error(
-            "the size of the images is unknown, and ROS refuses a wrong one; state "
-            "'size: [width, height]' [px] under 'camera' in the setup file, and "
-            "calibrate again"
-        )
+        hint = "state 'size: [width, height]' [px] under 'camera' in the setup file"
+        reason = f"the size of the images is unknown; {hint}, and calibrate again"
+        raise exported.error(reason)
     (fx, fy), (cx, cy) = camera.focal, camera.center
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     matrices = {

@@ -113,9 +113,8 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
         # Nearer to a whole turn than to the travel of the joint.
         if name != FULL_TURN and _range(motors[name]) * 720.0 / STEPS > 360.0 + degrees:
             seams.append(
-                f"the range of '{name}' is a whole turn, its joint turns {degrees:.0f} "
-                "deg: it was recorded across the seam of the encoder. Home the motor "
-                "in its middle and record it again"
+                f"'{name}' turns {degrees:.0f} deg, its range is a whole turn, across the "
+                "seam of its encoder. Home it in its middle and record the range again"
             )
         _move(motors[name], name, steps, template)
     rounded = np.degrees(np.abs(offsets - found.offsets).max(initial=0.0))

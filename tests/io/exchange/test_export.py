@@ -16,8 +16,7 @@ import yaml
 import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.io.exchange import FORMATS, Exported
-from calib_pin.io.urdf_tree import ORIGIN, parse_robot, placed
-from calib_pin.kinematics.chain import Chain
+from calib_pin.io.urdf_tree import ORIGIN, placed
 from calib_pin.report.text import format_report
 from calib_pin.setup import FrameSetup, JointMap, Setup
 from calib_pin.validation.joint_errors import configurations
@@ -213,21 +212,3 @@ def test_other_transmissions_are_refused(
 def test_without_a_gain_it_is_the_nominal_robot(exported):
     plain = Exported(replace(exported.result, verdict="no-gain"), exported.file)
     assert plain.robot is plain.nominal.robot
-
-
-HEAVY = (
-    '<inertial><mass value="9"/>'
-    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
-)
-
-
-def test_the_world_of_mujoco_has_no_inertia(calibrated_robot):
-    source = calib_pin.load_chain("space6").robot.source.decode()
-    source = source.replace(
-        '<link name="base_link">', f'<link name="base_link">{HEAVY}'
-    )
-    robot = parse_robot(source.replace("base_link", "world").encode(), "space6.urdf")
-    result = calibrated_robot("pose", Setup(), 40, robot=Chain(robot), noise=1e-6)
-    root = ElementTree.fromstring(FORMATS["mjcf"].encode(of(result), None).data)
-    (world,) = root.iter("worldbody")
-    assert world.find("inertial") is None and world.find("body") is not None

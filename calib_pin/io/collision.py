@@ -204,8 +204,7 @@ def _disabled(srdf: str | Path, robot: Robot) -> set[frozenset[str]]:
     """Links that an SRDF allows to touch."""
     root = parse_document(read_bytes(srdf, TEXT), str(srdf)).root
     if root.tag != "robot" or root.findall("link"):
-        found = "a URDF" if root.tag == "robot" else f"<{root.tag}>"
-        raise InputError(f"not an SRDF but {found}", file=srdf)
+        raise InputError("is no SRDF", file=srdf, allowed="a <robot> without links")
     if (name := root.get("name", "")) != robot.name:
         reason = "the SRDF is of another robot"
         raise InputError(reason, file=srdf, value=name, allowed=robot.name)

@@ -1,4 +1,4 @@
-"""What the robot is and where its frames are, in other languages.
+"""The corrected robot and its frames in other languages.
 
 URDF, xacro's properties and MuJoCo's description hold the corrected robot; static
 transforms and camera files say where base, tools, stations and cameras are.

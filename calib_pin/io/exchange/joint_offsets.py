@@ -20,7 +20,7 @@ import numpy as np
 
 import calib_pin.io.exchange.base as base
 from calib_pin.errors import enumerated
-from calib_pin.io.dialects.lerobot import STEPS, read_motors
+from calib_pin.io.dialects.lerobot import KEYS, STEPS, read_motors
 from calib_pin.io.exchange.base import Encoded, Exported, Format
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.measurements import encode_table
@@ -95,31 +95,32 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
             offset.
     """
     assert template is not None
-    motors = _motors(template)
+    motors, steps = read_motors(template), dict[str, int]()
     found = exported.joint_errors(exported.result.model.setup.joints)
-    offsets, moved, seams = found.offsets.copy(), list[str](), list[str]()
+    offsets, seams = found.offsets.copy(), list[str]()
     for k, column, joint in found.drives:
         names = (joint, column, joint.removesuffix("_joint"))
         name = next((name for name in names if name in motors), "")
         allowed = f"one of {', '.join(motors)}, mapped by 'joints' in the setup"
         reason = f"has no motor for joint '{joint}'"
         base.require(name != "", reason, template, None, allowed)
-        steps = round(offsets[k] * STEPS / (2.0 * np.pi))
-        offsets[k] = steps * 2.0 * np.pi / STEPS
-        moved.append(f"{name} {-steps:+d}")
+        steps[name] = round(offsets[k] * STEPS / (2.0 * np.pi))
+        offsets[k] = steps[name] * 2.0 * np.pi / STEPS
         i = exported.chains.joints.index(joint)
         travel = exported.chains.upper[i] - exported.chains.lower[i]
         degrees = np.degrees(travel) / abs(found.columns.factors[i, k])
+        range_ = motors[name]["range_max"] - motors[name]["range_min"]
         # Nearer to a whole turn than to the travel of the joint.
-        if name != FULL_TURN and _range(motors[name]) * 720.0 / STEPS > 360.0 + degrees:
+        if name != FULL_TURN and range_ * 720.0 / STEPS > 360.0 + degrees:
             seams.append(
-                f"'{name}' turns {degrees:.0f} deg, its range is a whole turn, across the "
-                "seam of its encoder. Home it in its middle and record the range again"
+                f"'{name}' turns {degrees:.0f} deg, its range is a whole turn, across "
+                "the seam of its encoder. Home it in its middle and record it again"
             )
-        _move(motors[name], name, steps, template)
+    _move(motors, steps, template)
+    moved = ", ".join(f"{name} {-count:+d}" for name, count in steps.items())
     rounded = np.degrees(np.abs(offsets - found.offsets).max(initial=0.0))
     remarks = (
-        f"homing offsets changed by motor steps: {', '.join(moved)}",
+        f"homing offsets changed by motor steps: {moved}",
         f"whole steps leave up to {rounded:.3f} deg of a joint",
         *seams,
         *_estimates(exported)[1],
@@ -128,44 +129,35 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
     return Encoded(data, remarks, replace(found, offsets=offsets).poses)
 
 
-def _range(motor: Mapping[str, int]) -> int:
-    return motor["range_max"] - motor["range_min"]
-
-
-def _motors(template: Path) -> dict[str, dict[str, Any]]:
-    """The motors of a file that a calibration of LeRobot's can have.
+def _move(
+    motors: Mapping[str, dict[str, Any]], steps: Mapping[str, int], template: Path
+) -> None:
+    """Change homing offsets, and ranges so that they keep their middle.
 
     Raises:
-        InputError: If it is none.
+        InputError: If no calibration of LeRobot's can have such motors, one stores no
+            such offset, or nothing is left of its range.
     """
-    motors, ids = read_motors(template), dict[object, str]()
-    allowed = f"range_min below range_max, from 0 to {STEPS}"
+    ids, between = dict[object, str](), f"range_min below range_max, from 0 to {STEPS}"
     for name, motor in motors.items():
-        low, high, own = motor["range_min"], motor["range_max"], motor.get("id")
+        (homing, low, high), own = (motor[key] for key in KEYS), motor.get("id")
         reason = f"the encoder of '{name}' has no such range"
-        base.require(0 <= low < high <= STEPS, reason, template, [low, high], allowed)
+        base.require(0 <= low < high <= STEPS, reason, template, [low, high], between)
         other = name if own is None else ids.setdefault(own, name)
         reason = f"motors '{other}' and '{name}' have one id"
         base.require(other == name, reason, template, own, "one for each")
-    return motors
-
-
-def _move(motor: dict[str, Any], name: str, steps: int, template: Path) -> None:
-    """Change the homing offset, and the range so that it keeps its middle.
-
-    Raises:
-        InputError: If a motor stores no such offset, or nothing is left of its range.
-    """
-    motor["homing_offset"] -= steps
-    value, allowed = motor["homing_offset"], f"{-FARTHEST} to {FARTHEST}"
-    reason = f"the homing offset of '{name}' has no room for {steps} steps; home this "
-    reason += "motor nearer the middle of its range first"
-    base.require(abs(value) <= FARTHEST, reason, template, value, allowed)
-    if _range(motor) < STEPS:
-        motor["range_min"] += abs(steps)
-        motor["range_max"] -= abs(steps)
-    reason = f"the range of '{name}' is smaller than its offset of {steps} steps"
-    base.require(_range(motor) > 0, reason, template, _range(motor), "more than 0")
+        moved = steps.get(name, 0)
+        homing, less = homing - moved, abs(moved) if high - low < STEPS else 0
+        reason = f"the homing offset of '{name}' has no room for {moved} steps; home "
+        reason += "this motor nearer the middle of its range first"
+        allowed = f"{-FARTHEST} to {FARTHEST}"
+        base.require(abs(homing) <= FARTHEST, reason, template, homing, allowed)
+        motor |= zip(KEYS, (homing, low + less, high - less), strict=True)
+        reason, left = (
+            f"{moved} steps leave no range of '{name}'",
+            high - low - 2 * less,
+        )
+        base.require(left > 0, reason, template, left, "more than 0 steps")
 
 
 PLUGIN = "transmission_interface/SimpleTransmission"

@@ -13,7 +13,7 @@ import pinocchio as pin
 from calib_pin.errors import InputError
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.robot_shapes import read_mesh, shape_of
-from calib_pin.io.urdf_tree import parse_document, placed
+from calib_pin.io.urdf_tree import Document, link_of, parse_document, placed
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.collision import Collisions
@@ -80,8 +80,9 @@ def load_collisions(
     """
     tell, chains = notice or (lambda line: None), Chains.of(chain)
     robot, model, geometry = chains.robot, chains.robot.model, pin.GeometryModel()
-    apart = _adjacent(model) if srdf is None else _disabled(srdf, robot)
-    own = [*_of_links(robot, package_dirs)]
+    document = parse_document(robot.source, robot.file)
+    apart = _adjacent(document) if srdf is None else _disabled(srdf, robot)
+    own = [*_of_links(document, robot, package_dirs)]
     if not own:
         tell("the robot has no collision geometry: no collisions are checked")
         return None
@@ -159,16 +160,16 @@ def _solid(kind: str, values: Iterable[Any]) -> pin.coal.CollisionGeometry:
     return solid
 
 
-def _of_links(robot: Robot, package_dirs: Sequence[str | Path]) -> Iterator[_Solid]:
+def _of_links(
+    document: Document, robot: Robot, package_dirs: Sequence[str | Path]
+) -> Iterator[_Solid]:
     """The collision geometry of a URDF."""
-    document = parse_document(robot.source, robot.file)
-    links = document.named("link")
-    for number, frame in enumerate(robot.model.frames):
-        if frame.type == pin.FrameType.BODY:
-            for k, element in enumerate(links[frame.name].findall("collision")):
-                if shape := shape_of(document, element, robot, package_dirs):
-                    name, place = f"{frame.name}_{k}", document.origin(element)
-                    yield number, name, place, _solid(*shape)
+    links, frames = document.named("link"), enumerate(robot.model.frames)
+    for number, frame in (f for f in frames if f[1].type == pin.FrameType.BODY):
+        for k, element in enumerate(links[frame.name].findall("collision")):
+            if shape := shape_of(document, element, robot, package_dirs):
+                name, place = f"{frame.name}_{k}", document.origin(element)
+                yield number, name, place, _solid(*shape)
 
 
 def _of_obstacles(
@@ -190,14 +191,10 @@ def _of_obstacles(
         yield base, name, place, _solid(obstacle.kind, solid)
 
 
-def _adjacent(model: pin.Model) -> set[frozenset[str]]:
+def _adjacent(document: Document) -> set[frozenset[str]]:
     """Links joined by one moving joint."""
-    joined: set[frozenset[str]] = set()
-    for frame in model.frames:
-        joint = model.frames[frame.parentFrame]
-        if frame.type == pin.FrameType.BODY and joint.type == pin.FrameType.JOINT:
-            joined.add(frozenset((model.frames[joint.parentFrame].name, frame.name)))
-    return joined
+    joints = (j for j in document.root.findall("joint") if j.get("type") != "fixed")
+    return {frozenset((link_of(j, "parent"), link_of(j, "child"))) for j in joints}
 
 
 def _disabled(srdf: str | Path, robot: Robot) -> set[frozenset[str]]:

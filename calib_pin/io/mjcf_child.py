@@ -83,9 +83,9 @@ class Writer:
                 place = _place(model.site_pos[k], model.site_quat[k])
                 self._fixed(self.bodies[model.site_bodyid[k]], site, place)
         name = model.names.partition(b"\0")[0].decode()  # The first is the model's.
-        world = f"  <link name={quoteattr(self.bodies[0])}/>"
-        start = f"<robot name={quoteattr(name or 'robot')}>\n{world}"
-        return "\n".join([start, *self.lines, "</robot>\n"])
+        world = f"  <link name={quoteattr(self.bodies[0])}/>\n"
+        start = f"<robot name={quoteattr(name or 'robot')}>\n"
+        return "".join([start, world, *self.lines, "</robot>\n"])
 
     def _unused(self, name: str) -> str:
         """A name that nothing else has."""

@@ -26,13 +26,11 @@ SUFFIXES = (".mcap", ".db3", ".bag")
 JOINTS = ("sensor_msgs/msg/JointState",)
 DATA = ("robot_calibration_msgs/msg/CalibrationData",)
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
+_GEOMETRY = "geometry_msgs/msg"
 READINGS = {
-    "geometry_msgs/msg/PointStamped": ("point",),
-    "geometry_msgs/msg/PoseStamped": ("pose.position", "pose.orientation"),
-    "geometry_msgs/msg/TransformStamped": (
-        "transform.translation",
-        "transform.rotation",
-    ),
+    f"{_GEOMETRY}/PointStamped": ("point",),
+    f"{_GEOMETRY}/PoseStamped": ("pose.position", "pose.orientation"),
+    f"{_GEOMETRY}/TransformStamped": ("transform.translation", "transform.rotation"),
 }
 """Messages of an instrument, and where their numbers are."""
 

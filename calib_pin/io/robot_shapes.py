@@ -81,8 +81,10 @@ def read_mesh(
     order = np.argsort(first)
     with np.errstate(over="ignore", invalid="ignore"):
         vertices = every[order] * np.array(scale)
-    if not (np.abs(vertices) <= FARTHEST).all():
-        raise InputError(f"has vertices beyond {FARTHEST:g} m", file=path)
+    far = vertices[~(np.abs(vertices) <= FARTHEST).all(axis=1)]
+    if len(far):
+        reason = f"has the vertex {far[0].tolist()}, not within {FARTHEST:g} m"
+        raise InputError(reason, file=path)
     return Surface(vertices, np.argsort(order)[place.ravel()].reshape(-1, 3))
 
 

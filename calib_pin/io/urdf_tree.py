@@ -252,7 +252,7 @@ def _scan(
         builder.end(tag)
         owners.pop()
 
-    parser.StartDoctypeDeclHandler = doctype
+    parser.buffer_text, parser.StartDoctypeDeclHandler = True, doctype
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CharacterDataHandler = builder.data
     try:

@@ -49,7 +49,7 @@ def straightened(robot: Robot) -> Robot:
         where they are nearer to it so.
 
     Raises:
-        RobotError: If the forward kinematics would not be the same.
+        RobotError: If the robot with the moved frames cannot be used.
     """
     offsets = (placement.translation for placement in robot.model.jointPlacements)
     if max(map(np.linalg.norm, offsets)) < LEAST:

@@ -12,7 +12,7 @@ import yaml
 
 import calib_pin
 from calib_pin.cli import main
-from calib_pin.io.exchange.base import placed
+from calib_pin.io.urdf_tree import placed
 from calib_pin.kinematics.spatial import invert
 from calib_pin.setup import BoardSetup
 

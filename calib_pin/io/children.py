@@ -50,20 +50,16 @@ def converted(kind: str, file: Path, **about: object) -> tuple[bytes, str]:
             reason = f"{kind} files need the package {package}, which is missing: "
             raise OptionError(f"{reason}pip install '{extra}'", file=file)
     # Where this process has its packages from, and no thread that needs memory.
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
-        "PYTHONUTF8": "1",
-        "PYTHONHASHSEED": "0",
-        "OPENBLAS_NUM_THREADS": "1",
-    }
+    more = {"PYTHONUTF8": "1", "PYTHONHASHSEED": "0", "OPENBLAS_NUM_THREADS": "1"}
+    more["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
+    request = {"kind": kind, "file": str(file), **about}
     try:
         done = subprocess.run(
             [sys.executable, "-P", __file__],  # Without the folder of the script.
-            input=json.dumps({"kind": kind, "file": str(file), **about}).encode(),
+            input=json.dumps(request).encode(),
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            env=environment,
+            env=os.environ | more,
             timeout=SECONDS,
         )
         answer = json.loads(done.stdout)
@@ -72,19 +68,9 @@ def converted(kind: str, file: Path, **about: object) -> tuple[bytes, str]:
     except ValueError:
         reason = "cannot be read: what reads it crashes, or needs too much memory"
         answer = {"reason": reason}
-    if "reason" in answer:
-        raise RobotError(answer["reason"], file=answer.get("file") or file)
+    if reason := answer.get("reason"):
+        raise RobotError(reason, file=answer.get("file") or file)
     return answer["urdf"].encode(), answer["remark"]
-
-
-def answered(kind: str, file: str, **about: object) -> dict[str, str | None]:
-    """The answer to a request, with the reason if there is no URDF."""
-    module = import_module(f"calib_pin.io.{kind.lower()}_child")
-    try:
-        urdf, remark = module.read(file, **about)
-        return {"urdf": urdf, "remark": remark}
-    except RobotError as error:
-        return {"reason": error.reason, "file": error.file}
 
 
 def main() -> None:
@@ -99,9 +85,14 @@ def main() -> None:
     # What a library prints is not the answer.
     out = os.dup(1)
     os.dup2(2, 1)
-    found = answered(**json.loads(sys.stdin.buffer.read()))
+    request = json.loads(sys.stdin.buffer.read())
+    child = import_module(f"calib_pin.io.{request.pop('kind').lower()}_child")
+    try:
+        answer = dict(zip(("urdf", "remark"), child.read(**request), strict=True))
+    except RobotError as error:
+        answer = {"reason": error.reason, "file": error.file}
     with os.fdopen(out, "w") as stream:
-        json.dump(found, stream)
+        json.dump(answer, stream)
 
 
 if __name__ == "__main__":

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.robot_shapes import read_mesh, shape_of
-from calib_pin.io.urdf_tree import parse_document
+from calib_pin.io.urdf_tree import Document, link_of, parse_document, placed
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.robot import Robot
-from calib_pin.kinematics.shapes import Surface
 from calib_pin.setup import Obstacle
 
 CLEARANCE = 0.01
@@ -80,20 +79,18 @@ def load_collisions(
         True
     """
     tell, chains = notice or (lambda line: None), Chains.of(chain)
-    robot, geometry = chains.robot, pin.GeometryModel()
-    model = robot.model
-    apart = _adjacent(model) if srdf is None else _disabled(srdf, robot)
-    own = _of_links(robot, package_dirs)
+    robot, model, geometry = chains.robot, chains.robot.model, pin.GeometryModel()
+    document = parse_document(robot.source, robot.file)
+    apart = _adjacent(document) if srdf is None else _disabled(srdf, robot)
+    own = [*_of_links(document, robot, package_dirs)]
     if not own:
         tell("the robot has no collision geometry: no collisions are checked")
         return None
-    every = own + _of_obstacles(chains, obstacles, file)
+    every = [*own, *_of_obstacles(chains, obstacles, file)]
     for number, name, place, solid in every:
         frame = model.frames[number]
-        joint, placed = frame.parentJoint, frame.placement * place
-        geometry.addGeometryObject(
-            pin.GeometryObject(name, joint, number, placed, solid)
-        )
+        about = name, frame.parentJoint, number, frame.placement * place, solid
+        geometry.addGeometryObject(pin.GeometryObject(*about))
     links = [model.frames[number].name for number, *_ in every]
     for first, second in combinations(range(len(every)), 2):
         # Obstacles, and of the robot only links that may not touch.
@@ -124,48 +121,38 @@ def _as_built(
         if set(pair) <= set(chains.robot.links):  # Not an obstacle.
             places.setdefault(pair, []).append(k)
 
-    def often(found: NDArray[np.bool_], pair: tuple[str, str]) -> bool:
-        return bool(found[:, places[pair]].any(axis=1).mean() >= BY_DESIGN)
+    def often() -> list[tuple[str, str]]:
+        touching = {pair: contacts[:, k].any(axis=1) for pair, k in places.items()}
+        return [pair for pair, found in touching.items() if found.mean() >= BY_DESIGN]
 
-    close = [pair for pair in places if often(contacts, pair)]
     # What touches by design does so without any clearance, however large it is.
-    of_close, touches = [k for pair in close for k in places[pair]], contacts.copy()
+    close = often()
+    of_close = [k for pair in close for k in places[pair]]
     bare = collisions.only(of_close, np.zeros(len(clearances)))
-    touches[:, of_close] = bare.contacts(q)
-    touching = [pair for pair in close if often(touches, pair)]
+    contacts[:, of_close] = bare.contacts(q)
+    touching = often()
     left_out = touching if guess else []
     near = [pair for pair in close if pair not in touching]
+    clearances[[k for pair in near for k in places[pair]]] = 0.0
     for found, words in ((left_out, TOUCH), (near, NEAR)):
         if found:
             named = "; ".join(f"{first} and {second}" for first, second in found[:3])
             count = f"{len(found)} pair{'s' * (len(found) > 1)}"
             tell(f"links that {words}: {count} ({named}{'; ...' * (len(found) > 3)})")
-    for pair in near:
-        clearances[places[pair]] = 0.0
-        contacts[:, places[pair]] = touches[:, places[pair]]
     order = np.argsort(-contacts.mean(axis=0), kind="stable")
     kept = (k for k in order if collisions.pairs[k] not in left_out)
     return collisions.only(kept, clearances)
 
 
-def _of_links(robot: Robot, package_dirs: Sequence[str | Path]) -> list[_Solid]:
-    """The collision geometry of a URDF."""
-    document, found = parse_document(robot.source, robot.file), list[_Solid]()
-    links = document.named("link")
-    for number, frame in enumerate(robot.model.frames):
-        if frame.type == pin.FrameType.BODY:
-            for k, element in enumerate(links[frame.name].all("collision")):
-                shape = shape_of(document, element, robot, package_dirs)
-                if shape is not None:
-                    kind, values = shape
-                    name, place = f"{frame.name}_{k}", document.origin(element)
-                    found.append((number, name, place, SOLIDS[kind](*values)))
-    return found
+_Solid = tuple[int, str, pin.SE3, pin.coal.CollisionGeometry]
+"""Number of a link's frame, name, and place of a solid in the link."""
 
 
-def _mesh(surface: Surface) -> pin.coal.CollisionGeometry:
-    """A surface that may collide."""
-    solid = pin.coal.BVHModelOBBRSS()
+def _solid(kind: str, values: Iterable[Any]) -> pin.coal.CollisionGeometry:
+    """A solid of some kind of shape, from its numbers or its surface."""
+    if kind != "mesh":
+        return getattr(pin.coal, kind.capitalize())(*values)
+    (surface,), solid = values, pin.coal.BVHModelOBBRSS()
     solid.beginModel(len(surface.triangles), len(surface.vertices))
     solid.addVertices(surface.vertices)
     solid.addTriangles(surface.triangles)
@@ -173,25 +160,23 @@ def _mesh(surface: Surface) -> pin.coal.CollisionGeometry:
     return solid
 
 
-SOLIDS: Mapping[str, Callable[..., pin.coal.CollisionGeometry]] = {
-    "box": pin.coal.Box,
-    "sphere": pin.coal.Sphere,
-    "cylinder": pin.coal.Cylinder,
-    "capsule": pin.coal.Capsule,
-    "mesh": _mesh,
-}
-"""Solids by the kind of a shape, from its numbers."""
-
-_Solid = tuple[int, str, pin.SE3, pin.coal.CollisionGeometry]
-"""Number of a link's frame, name, and place of a solid in the link."""
+def _of_links(
+    document: Document, robot: Robot, package_dirs: Sequence[str | Path]
+) -> Iterator[_Solid]:
+    """The collision geometry of a URDF."""
+    links, frames = document.named("link"), enumerate(robot.model.frames)
+    for number, frame in (f for f in frames if f[1].type == pin.FrameType.BODY):
+        for k, element in enumerate(links[frame.name].findall("collision")):
+            if shape := shape_of(document, element, robot, package_dirs):
+                name, place = f"{frame.name}_{k}", document.origin(element)
+                yield number, name, place, _solid(*shape)
 
 
 def _of_obstacles(
     chains: Chains, obstacles: Sequence[Obstacle], file: str
-) -> list[_Solid]:
+) -> Iterator[_Solid]:
     """Solids that stand still in the base link."""
     base = chains.robot.model.getFrameId(chains.base, pin.FrameType.BODY)
-    found = []
     for k, obstacle in enumerate(obstacles, 1):
         numbers = getattr(obstacle, obstacle.kind)
         if obstacle.mesh is not None:
@@ -201,42 +186,31 @@ def _of_obstacles(
             except InputError as error:
                 reason = f"the mesh '{path}' of obstacle {k} {error.reason}"
                 raise InputError(reason, file=file or None) from None
-        solid = SOLIDS[obstacle.kind](*np.atleast_1d(numbers))
-        place = pin.SE3(pin.rpy.rpyToMatrix(*obstacle.rpy), np.array(obstacle.xyz))
-        found.append((base, f"obstacle {k} ({obstacle.kind})", place, solid))
-    return found
+        place = placed([*obstacle.xyz, *obstacle.rpy])
+        name, solid = f"obstacle {k} ({obstacle.kind})", np.atleast_1d(numbers)
+        yield base, name, place, _solid(obstacle.kind, solid)
 
 
-def _adjacent(model: pin.Model) -> set[frozenset[str]]:
+def _adjacent(document: Document) -> set[frozenset[str]]:
     """Links joined by one moving joint."""
-    joined: set[frozenset[str]] = set()
-    for frame in model.frames:
-        joint = model.frames[frame.parentFrame]
-        if frame.type == pin.FrameType.BODY and joint.type == pin.FrameType.JOINT:
-            joined.add(frozenset((model.frames[joint.parentFrame].name, frame.name)))
-    return joined
+    joints = (j for j in document.root.findall("joint") if j.get("type") != "fixed")
+    return {frozenset((link_of(j, "parent"), link_of(j, "child"))) for j in joints}
 
 
 def _disabled(srdf: str | Path, robot: Robot) -> set[frozenset[str]]:
     """Links that an SRDF allows to touch."""
-    document = parse_document(read_bytes(srdf, TEXT), str(srdf))
-    root = document.root
-    if root.tag != "robot" or root.all("link"):
-        found = "a URDF" if root.tag == "robot" else f"<{root.tag}>"
-        raise InputError(f"not an SRDF but {found}", file=srdf)
-    if (name := root.attributes.get("name", "")) != robot.name:
+    root = parse_document(read_bytes(srdf, TEXT), str(srdf)).root
+    if root.tag != "robot" or root.findall("link"):
+        raise InputError("is no SRDF", file=srdf, allowed="a <robot> without links")
+    if (name := root.get("name", "")) != robot.name:
         reason = "the SRDF is of another robot"
         raise InputError(reason, file=srdf, value=name, allowed=robot.name)
 
     def pairs(tag: str) -> set[frozenset[str]]:
-        return {
-            frozenset(element.attributes.get(key, "") for key in ("link1", "link2"))
-            for element in root.all(tag)
-        }
+        found = root.findall(tag)
+        return {frozenset((e.get("link1", ""), e.get("link2", ""))) for e in found}
 
     # MoveIt 2 can also disable all pairs of a link, and enable some of them again.
-    links = (
-        e.attributes.get("link", "") for e in root.all("disable_default_collisions")
-    )
-    every = {frozenset((link, other)) for link in links for other in robot.links}
+    alone = (e.get("link", "") for e in root.findall("disable_default_collisions"))
+    every = {frozenset((link, other)) for link in alone for other in robot.links}
     return pairs("disable_collisions") | every - pairs("enable_collisions")

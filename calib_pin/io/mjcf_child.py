@@ -6,7 +6,9 @@ their limits and reference positions, and inertias are those of the compiled mod
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
@@ -15,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import RobotError
+from calib_pin.io.urdf_tree import branch, origin_of, words
 from calib_pin.kinematics.spatial import Floats
 
 FILES = ("meshes", "hfields", "skins", "materials", "textures")
@@ -44,26 +47,22 @@ class Writer:
 
     def __init__(self, model: mujoco.MjModel) -> None:
         """Give names to what has none; nothing is written yet."""
-        self.model = model
+        self.model, self.free, self.lines = model, list[str](), list[str]()
         self.bodies = [model.body(b).name or f"body{b}" for b in range(model.nbody)]
         stated = [model.joint(j).name for j in range(model.njnt)]
         self.taken = {*self.bodies, *stated}
+        owners = [self.bodies[b] for b in model.jnt_bodyid]
         self.joints = [
-            name or self._unused(f"{self.bodies[model.jnt_bodyid[j]]}_joint{j}")
+            name or self._unused(f"{owners[j]}_joint{j}")
             for j, name in enumerate(stated)
         ]
-        self.free = list[str]()
-        self.lines = [_tag("link", name=self.bodies[0])]
 
     def write(self) -> str:
         """The text of the URDF."""
         model, mimics = self.model, self._mimics()
         for b, name in enumerate(self.bodies[1:], start=1):
             parent, shift = self.bodies[model.body_parentid[b]], np.zeros(3)
-            place, inertia = (
-                _place(model.body_pos[b], model.body_quat[b]),
-                self._inertia(b),
-            )
+            place = _place(model.body_pos[b], model.body_quat[b])
             end = model.body_jntadr[b] + model.body_jntnum[b]
             for j in range(model.body_jntadr[b], end):
                 # From where the joint before it turned about to where this one does.
@@ -73,20 +72,20 @@ class Writer:
                 child = name if last else self._unused(f"{self.joints[j]}_link")
                 place, kind, more = self._moving(j, place)
                 more += mimics.get(j, "")
-                self._joint(self.joints[j], kind, parent, child, place, more)
+                self._joint((self.joints[j], kind, parent, child), place, more)
                 parent, place = child, pin.SE3.Identity()
             if parent != name:
                 place = place * pin.SE3(np.eye(3), -shift)
-                self._joint(self._unused(f"{name}_fixed"), "fixed", parent, name, place)
-            self.lines.append(_tag("link", inertia, name=name))
+                self._fixed(parent, name, place)
         for k in range(model.nsite):
             if name := model.site(k).name:
-                place = _place(model.site_pos[k], model.site_quat[k])
                 site = name if name not in self.bodies else self._unused(name)
-                body, joint = self.bodies[model.site_bodyid[k]], f"{site}_fixed"
-                self._joint(self._unused(joint), "fixed", body, site, place)
+                place = _place(model.site_pos[k], model.site_quat[k])
+                self._fixed(self.bodies[model.site_bodyid[k]], site, place)
         name = model.names.partition(b"\0")[0].decode()  # The first is the model's.
-        return _tag("robot", "\n".join(["", *self.lines, ""]), name=name or "robot")
+        world = f"  <link name={quoteattr(self.bodies[0])}/>\n"
+        start = f"<robot name={quoteattr(name or 'robot')}>\n"
+        return "".join([start, world, *self.lines, "</robot>\n"])
 
     def _unused(self, name: str) -> str:
         """A name that nothing else has."""
@@ -95,22 +94,22 @@ class Writer:
         self.taken.add(name)
         return name
 
-    def _joint(
-        self,
-        name: str,
-        kind: str,
-        parent: str,
-        child: str,
-        place: pin.SE3,
-        more: str = "",
-    ) -> None:
-        """Write a joint, and the link that it carries if that is no body."""
-        rpy = pin.rpy.matrixToRpy(place.rotation)
-        inside = _tag("parent", link=parent) + _tag("child", link=child)
-        inside += _tag("origin", xyz=place.translation, rpy=rpy) + more
-        self.lines.append(_tag("joint", inside, name=name, type=kind))
-        if child not in self.bodies:
-            self.lines.append(_tag("link", name=child))
+    def _fixed(self, parent: str, child: str, place: pin.SE3) -> None:
+        joint = self._unused(f"{child}_fixed"), "fixed", parent, child
+        self._joint(joint, place)
+
+    def _joint(self, joint: Sequence[str], place: pin.SE3, more: str = "") -> None:
+        """Write a joint and its link, with the inertia of a body, see `branch`."""
+        model, child, inside = self.model, joint[-1], ""
+        body = self.bodies.index(child) if child in self.bodies else 0
+        if model.body_mass[body] > LIGHTEST:
+            six = origin_of(_place(model.body_ipos[body], model.body_iquat[body]))
+            (x, y, z), mass = model.body_inertia[body], model.body_mass[body]
+            inside = _tag("mass", value=mass) + _tag("origin", xyz=six[:3], rpy=six[3:])
+            inside += _tag("inertia", ixx=x, iyy=y, izz=z, ixy=0.0, ixz=0.0, iyz=0.0)
+            inside = f"<inertial>\n{inside}  </inertial>"
+        origin = np.add(origin_of(place), 0.0).tolist()
+        self.lines.append(branch(joint, origin, more, inside))
 
     def _moving(self, j: int, place: pin.SE3) -> tuple[pin.SE3, str, str]:
         """Placement, kind, axis and limits of one of MuJoCo's joints."""
@@ -130,17 +129,6 @@ class Writer:
         word = turning if kind == HINGE else "prismatic"
         return place * pin.exp6(pin.Motion(*back)), word, _tag("axis", xyz=axis) + limit
 
-    def _inertia(self, body: int) -> str:
-        model = self.model
-        if (mass := model.body_mass[body]) <= LIGHTEST:
-            return ""
-        x, y, z = model.body_inertia[body]
-        turn = pin.rpy.matrixToRpy(_place(np.zeros(3), model.body_iquat[body]).rotation)
-        inside = _tag("mass", value=mass)
-        inside += _tag("origin", xyz=model.body_ipos[body], rpy=turn)
-        inside += _tag("inertia", ixx=x, iyy=y, izz=z, ixy=0.0, ixz=0.0, iyz=0.0)
-        return _tag("inertial", inside)
-
     def _mimics(self) -> dict[int, str]:
         """Elements of joints that follow others, as far as a URDF can hold them."""
         model, found = self.model, dict[int, str]()
@@ -158,13 +146,13 @@ class Writer:
         return found
 
 
-def _tag(tag: str, inside: str = "", /, **about: str | float | Floats) -> str:
-    """An element with attributes, of numbers with all their digits."""
+def _tag(tag: str, **about: Any) -> str:
+    """An element with attributes, of numbers with all their digits, in a line."""
     for key, value in about.items():
         if not isinstance(value, str):  # Adding zero turns -0.0 into 0.0.
-            value = " ".join(map(repr, (np.atleast_1d(value) + 0.0).tolist()))
+            value = words(np.atleast_1d(value) + 0.0)
         tag += f" {key}={quoteattr(value)}"
-    return f"<{tag}>{inside}</{tag.partition(' ')[0]}>"
+    return f"    <{tag}/>\n"
 
 
 def _place(position: Floats, quaternion: Floats) -> pin.SE3:
@@ -172,11 +160,20 @@ def _place(position: Floats, quaternion: Floats) -> pin.SE3:
     return pin.SE3(pin.Quaternion(*map(float, quaternion)).matrix(), position)
 
 
-def _compiled(path: str) -> tuple[mujoco.MjModel, str]:
-    """The model, and what is to be said of it."""
+def _compiled(file: Path) -> tuple[mujoco.MjModel, str]:
+    """The model, and what is to be said of it.
+
+    Raises:
+        RobotError: If the file means radians, and does not say so.
+    """
     mujoco.set_mju_user_warning(lambda _: None)  # It would write them into a file.
-    spec = mujoco.MjSpec.from_file(path)
-    _check_angles(spec, Path(path))
+    spec = mujoco.MjSpec.from_file(str(file))
+    hinges = [j for j in spec.joints if int(j.type) == HINGE and any(j.range)]
+    widest = max((float(np.abs(j.range).max()) for j in hinges), default=np.inf)
+    if spec.compiler.degree and widest <= FEW_DEGREES and not _states_angle(file):
+        allowed = '<compiler angle="radian"/> or <compiler angle="degree"/>'
+        reason = f"no joint turns farther than {widest:g} degrees; are they radians, "
+        raise RobotError(f'{reason}add angle="radian"', allowed=allowed)
     spec.compiler.fusestatic = False  # Every body is a link.
     for bound in ("boundmass", "boundinertia"):
         setattr(spec.compiler, bound, max(getattr(spec.compiler, bound), LIGHTEST))
@@ -192,22 +189,6 @@ def _compiled(path: str) -> tuple[mujoco.MjModel, str]:
     for part in (*shapes, *(part for kind in FILES for part in getattr(spec, kind))):
         spec.delete(part)
     return spec.compile(), f"{REMARK}, nor are the masses of meshes"
-
-
-def _check_angles(spec: mujoco.MjSpec, file: Path) -> None:
-    """Refuse a file that means radians, and does not say so.
-
-    Raises:
-        RobotError: If it states no unit, and all hinges would turn by few degrees.
-    """
-    hinges = [j for j in spec.joints if int(j.type) == HINGE and any(j.range)]
-    widest = max((float(np.abs(j.range).max()) for j in hinges), default=np.inf)
-    if spec.compiler.degree and widest <= FEW_DEGREES and not _states_angle(file):
-        raise RobotError(
-            f"no joint turns farther than {widest:g} degrees, and <compiler> states no "
-            'angle, which means degrees; are they radians, add angle="radian"',
-            allowed='<compiler angle="radian"/> or <compiler angle="degree"/>',
-        )
 
 
 def _states_angle(file: Path) -> bool:
@@ -228,13 +209,13 @@ def read(file: str) -> tuple[str, str]:
         RobotError: If MuJoCo cannot read it, or no URDF can hold it.
     """
     try:
-        model, remark = _compiled(file)
+        model, remark = _compiled(Path(file))
         writer = Writer(model)
         urdf = writer.write()
-        if writer.free:
-            told = f"{', '.join(writer.free)} moves freely"
-            remark += f"; a URDF holds couplings by one factor only: {told}"
-        return urdf, remark
     except Exception as failure:
-        words = " ".join(str(failure).split()) or type(failure).__name__
-        raise RobotError(f"this MJCF cannot be used: {words}") from None
+        said = " ".join(str(failure).split()) or type(failure).__name__
+        raise RobotError(f"this MJCF cannot be used: {said}") from None
+    if writer.free:
+        told = f"{', '.join(writer.free)} moves freely"
+        remark += f"; a URDF holds couplings by one factor only: {told}"
+    return urdf, remark

@@ -8,6 +8,7 @@ from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from calib_pin.errors import InputError, RobotError
 from calib_pin.io.files import read_bytes
 from calib_pin.io.packages import locate_mesh
 from calib_pin.io.urdf import locate_robot
-from calib_pin.io.urdf_tree import FARTHEST, NUMBERS, Document, Element, parse_document
+from calib_pin.io.urdf_tree import FARTHEST, NUMBERS, Document, parse_document
 from calib_pin.kinematics import shapes
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.shapes import Color, Shape, Shapes, Surface
@@ -65,11 +66,50 @@ def read_mesh(
         file = locate_robot(robot.file).resolve()
     path = locate_mesh(str(written), file, package_dirs)
     if path is None:
-        hint = "--package-dir DIR, the folder of its package"
-        if "package://" not in str(written):
-            hint = "a path from the folder of the URDF"
+        hint = "a path from the folder of the URDF, or --package-dir DIR for a package"
         raise InputError("does not exist", allowed=hint)
-    return _surface(_corners(path), path, np.array(scale))
+    corners = _corners(path)
+    if not 1 <= len(corners) <= TRIANGLES:
+        reason = f"has {len(corners)} triangles, not 1 to {TRIANGLES}"
+        raise InputError(reason, file=path)
+    # Triangles share corners, in the order in which they first come.
+    every, first, place = np.unique(
+        corners.reshape(-1, 3), axis=0, return_index=True, return_inverse=True
+    )
+    if len(every) < 3:  # Of a single one, the library gives numbers of no meaning.
+        raise InputError("has less than 3 different vertices", file=path)
+    order = np.argsort(first)
+    with np.errstate(over="ignore", invalid="ignore"):
+        vertices = every[order] * np.array(scale)
+    far = vertices[~(np.abs(vertices) <= FARTHEST).all(axis=1)]
+    if len(far):
+        reason = f"has the vertex {far[0].tolist()}, not within {FARTHEST:g} m"
+        raise InputError(reason, file=path)
+    return Surface(vertices, np.argsort(order)[place.ravel()].reshape(-1, 3))
+
+
+def _corners(path: Path) -> Floats:
+    """Corners of the triangles in a file, shape (F, 3, 3)."""
+    data, kind = read_bytes(path, LARGEST), path.suffix[1:].lower()
+    if kind not in FORMATS:
+        raise InputError("is no mesh", file=path, allowed=", ".join(FORMATS))
+    if len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
+        return np.frombuffer(data, STL, offset=84)["corners"].astype(float)
+    import trimesh  # It takes as long to load as Pinocchio.
+
+    if kind == "dae":  # Where a material is not found, the mesh would be left out.
+        data = re.sub(rb"(?s)<bind_material>.*?</bind_material>", b"", data)
+    beside = trimesh.resolvers.FilePathResolver(path) if kind == "gltf" else None
+    about = {"file_type": kind, "resolver": beside, "process": False}
+    try:
+        mesh = trimesh.load_mesh(BytesIO(data), **about)
+        corners = mesh.triangles
+        if corners.shape[1:] != (3, 3) or mesh.faces.min(initial=0) < 0:
+            raise ValueError("it has a face with a vertex that is not there")
+    except Exception as failure:
+        words = " ".join(str(failure).split()) or type(failure).__name__
+        raise InputError(f"cannot be read: {words}", file=path) from failure
+    return np.asarray(corners, float)
 
 
 def shape_of(
@@ -87,72 +127,25 @@ def shape_of(
         InputError: If a mesh cannot be used, or there is no such shape; its value is
             the name of the mesh.
     """
-    geometry = element.child("geometry")
-    if geometry is None or not geometry.children:
+    shape = element.find("geometry/*")
+    if shape is None:
         return None
-    shape = geometry.children[0]
-    name = shape.attributes.get("filename", shape.tag)
     if shape.tag in SIMPLE:
         sizes = NUMBERS[shape.tag].items()
         numbers = [document.numbers(shape, key, count) for key, count in sizes]
         return shape.tag, np.concatenate(numbers).tolist()
+    name = shape.get("filename", shape.tag)
     try:
         if shape.tag != "mesh":
             raise InputError("is no shape", allowed=", ".join(SIMPLE))
-        scale = [float(x) for x in shape.attributes.get("scale", "1 1 1").split()]
+        scale = [float(x) for x in shape.get("scale", "1 1 1").split()]
         return shape.tag, [read_mesh(name, robot, package_dirs, scale)]
     except InputError as error:
-        reason = f"the collision mesh '{name}' of {shape.owner} {error.reason}"
+        owner = document.owner(element)
+        reason = f"the collision mesh '{name}' of {owner} {error.reason}"
         hint = error.allowed or "another mesh"
         allowed = f"{hint}, or no check of collisions (plan --ignore-collisions)"
         raise document.error(shape, reason, value=name, allowed=allowed) from None
-
-
-def _corners(path: Path) -> Floats:
-    """Corners of the triangles in a file, shape (F, 3, 3)."""
-    data, kind = read_bytes(path, LARGEST), path.suffix[1:].lower()
-    if kind not in FORMATS:
-        raise InputError("is no mesh", file=path, allowed=", ".join(FORMATS))
-    if len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
-        return np.frombuffer(data, STL, offset=84)["corners"].astype(float)
-    import trimesh  # It takes as long to load as Pinocchio.
-
-    if kind == "dae":  # Where a material is not found, the mesh would be left out.
-        data = re.sub(rb"(?s)<bind_material>.*?</bind_material>", b"", data)
-    beside = trimesh.resolvers.FilePathResolver(path) if kind == "gltf" else None
-    try:
-        mesh = trimesh.load_mesh(
-            BytesIO(data), file_type=kind, resolver=beside, process=False
-        )
-        corners = mesh.triangles
-        if corners.shape[1:] != (3, 3) or mesh.faces.min(initial=0) < 0:
-            raise ValueError("it has a face with a vertex that is not there")
-    except Exception as failure:
-        words = " ".join(str(failure).split()) or type(failure).__name__
-        raise InputError(f"cannot be read: {words}", file=path) from failure
-    return np.asarray(corners, float)
-
-
-def _surface(corners: Floats, path: Path, scale: Floats) -> Surface:
-    """The surface of triangles by their corners, shape (F, 3, 3), if it can be used."""
-    if not 1 <= len(corners) <= TRIANGLES:
-        reason = f"has {len(corners)} triangles, not 1 to {TRIANGLES}"
-        raise InputError(reason, file=path)
-    # Triangles share corners, in the order in which they first come.
-    every, first, place = np.unique(
-        corners.reshape(-1, 3), axis=0, return_index=True, return_inverse=True
-    )
-    if len(every) < 3:  # Of a single one, the library gives numbers of no meaning.
-        raise InputError("has less than 3 different vertices", file=path)
-    order = np.argsort(first)
-    with np.errstate(over="ignore", invalid="ignore"):
-        vertices = every[order] * scale
-    far = ~(np.abs(vertices) <= FARTHEST).all(axis=1)
-    if far.any():
-        written = " ".join(f"{x:.6g}" for x in vertices[far.argmax()])
-        reason = f"has the vertex ({written}), not within {FARTHEST:g} m"
-        raise InputError(reason, file=path)
-    return Surface(vertices, np.argsort(order)[place.ravel()].reshape(-1, 3))
 
 
 def robot_shapes(robot: Robot, package_dirs: Sequence[str | Path] = ()) -> Shapes:
@@ -171,7 +164,7 @@ def robot_shapes(robot: Robot, package_dirs: Sequence[str | Path] = ()) -> Shape
     parts, missing = list[Shape](), dict[str, None]()
     for name, link in document.named("link").items():
         found, lost = list[Shape](), dict[str, None]()
-        for element in link.all("visual") or link.all("collision"):
+        for element in link.findall("visual") or link.findall("collision"):
             try:
                 shape = shape_of(document, element, robot, package_dirs)
             except InputError as error:
@@ -189,11 +182,10 @@ def robot_shapes(robot: Robot, package_dirs: Sequence[str | Path] = ()) -> Shape
 
 def _color(element: Element, materials: Mapping[str, Element]) -> Color | None:
     """The color of a visual element, of its own or by the name of a material."""
-    for stated in element.all("material")[:1]:
-        named = materials.get(stated.attributes.get("name", ""), stated)
-        for color in (*stated.all("color"), *named.all("color")):
+    for stated in element.findall("material")[:1]:
+        named = materials.get(stated.get("name", ""), stated)
+        for color in (*stated.findall("color"), *named.findall("color")):
             with suppress(ValueError):
-                words = color.attributes.get("rgba", "").split()
-                red, green, blue, _ = map(float, words)
+                red, green, blue, _ = map(float, color.get("rgba", "").split())
                 return red, green, blue
     return None

@@ -16,12 +16,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
 
 import calib_pin.io.urdf_tree as urdf_tree
 from calib_pin.errors import RobotError, enumerated
+from calib_pin.io.urdf_tree import Document, link_of
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 
@@ -47,7 +49,7 @@ def straightened(robot: Robot) -> Robot:
         where they are nearer to it so.
 
     Raises:
-        RobotError: If the forward kinematics would not be the same.
+        RobotError: If the robot with the moved frames cannot be used.
     """
     offsets = (placement.translation for placement in robot.model.jointPlacements)
     if max(map(np.linalg.norm, offsets)) < LEAST:
@@ -77,71 +79,57 @@ def straight_source(source: bytes) -> bytes:
         return source
 
 
-def _slides(document: urdf_tree.Document) -> dict[str, Floats]:
+def _slides(document: Document) -> dict[str, Floats]:
     """The slide of each joint that is to be moved, in its own frame, shape (3,) [m].
 
-    Those joints move that must, for the sum of the squares of all offsets to be least.
+    None, unless the way from joint to joint is much shorter with them.
     """
+    joints, slides = document.named("joint"), dict[str, Floats]()
+    places = {name: document.origin(joint) for name, joint in joints.items()}
     # What is mounted on a link stays where it is, however far its frame goes.
-    every = document.named("joint")
-    parents = {joint.link("parent") for joint in every.values()}
-    joints = {
-        name: joint
-        for name, joint in every.items()
-        if joint.attributes["type"] != "fixed" or joint.link("child") in parents
-    }
-    turning = {
-        name: joint
-        for name, joint in joints.items()
-        if joint.attributes["type"] in TURNING and joint.link("child") in parents
-    }
-    axes = {name: document.axis(joint) for name, joint in turning.items()}
-    axes = {name: np.asarray(a / np.linalg.norm(a)) for name, a in axes.items()}
-    column = {name: k for k, name in enumerate(turning)}
-    above = {joint.link("child"): name for name, joint in turning.items()}
-    offsets, A = np.zeros((len(joints), 3)), np.zeros((len(joints), 3, len(turning)))
-    for k, (name, joint) in enumerate(joints.items()):
-        place, parent = document.origin(joint), above.get(joint.link("parent"))
-        offsets[k] = place.translation
-        if name in turning:
-            A[k, :, column[name]] = place.rotation @ axes[name]
-        if parent is not None:
-            A[k, :, column[parent]] -= axes[parent]
-    slides = np.linalg.lstsq(A.reshape(-1, len(turning)), -offsets.reshape(-1))[0]
-    ways = [np.linalg.norm(o, axis=1).sum() for o in (offsets, offsets + A @ slides)]
-    if ways[0] <= TIMES * ways[1]:
-        return {}
-    found = dict[str, Floats]()
+    parents = {link_of(joint, "parent") for joint in joints.values()}
+    inner = [name for name, j in joints.items() if link_of(j, "child") in parents]
+    turning = [name for name in inner if joints[name].get("type") in TURNING]
+    above = {link_of(joints[name], "child"): name for name in turning}
 
-    def slide(name: str | None) -> Floats:
-        """To the foot of the perpendicular from the frame before, if at all."""
-        if name is None or abs(slides[column[name]]) <= LEAST:
-            return np.zeros(3)
-        if name not in found:
-            joint, place = turning[name], document.origin(turning[name])
-            offset = place.translation - slide(above.get(joint.link("parent")))
-            axis = place.rotation @ axes[name]
-            found[name] = np.asarray(-(offset @ axis) * axes[name])
-        return found[name]
+    def offset(name: str) -> Floats:
+        """From the frame before, where that stands after its own slide."""
+        carrier = above.get(link_of(joints[name], "parent"))
+        carried = 0.0 if carrier is None else slide(carrier)
+        return np.asarray(places[name].translation - carried)
 
-    return {name: slide(name) for name in turning if slide(name).any()}
+    def slide(name: str) -> Floats:
+        """To the foot of the perpendicular from the frame before, if that is far."""
+        if name not in slides:
+            axis = document.axis(joints[name])
+            axis = axis / np.linalg.norm(axis)
+            way = offset(name) @ (places[name].rotation @ axis)
+            slides[name] = np.asarray(-way * axis if abs(way) > LEAST else 0.0 * axis)
+        return slides[name]
+
+    before = after = 0.0
+    for name, joint in joints.items():
+        if name in inner or joint.get("type") != "fixed":
+            moved = places[name].rotation @ slide(name) if name in turning else 0.0
+            before += float(np.linalg.norm(places[name].translation))
+            after += float(np.linalg.norm(offset(name) + moved))
+    cancel = before > TIMES * after
+    return {name: slides[name] for name in turning if cancel and slides[name].any()}
 
 
 def _moved(
-    document: urdf_tree.Document, slides: Mapping[str, Floats]
-) -> Iterator[tuple[urdf_tree.Element, pin.SE3]]:
+    document: Document, slides: Mapping[str, Floats]
+) -> Iterator[tuple[Element, pin.SE3]]:
     """Corrections of origins, each multiplied from the right."""
-    joints, still = document.named("joint"), np.zeros(3)
-    links = {joints[name].link("child"): slide for name, slide in slides.items()}
+    joints, links, still = document.named("joint"), document.named("link"), np.zeros(3)
+    moved = {link_of(joints[name], "child"): slide for name, slide in slides.items()}
     for name, joint in joints.items():
-        carried = links.get(joint.link("parent"), still)
+        carried = moved.get(link_of(joint, "parent"), still)
         turned = document.origin(joint).rotation.T @ carried
         yield joint, pin.SE3(np.eye(3), slides.get(name, still) - turned)
-    for name, slide in links.items():
-        link = document.named("link")[name]
-        for part in (part for kind in INSIDE for part in link.all(kind)):
+    for name, slide in moved.items():
+        for part in (e for e in links[name] if e.tag in INSIDE):
             old = document.origin(part)
-            if np.linalg.norm(old.translation - slide) < np.linalg.norm(
-                old.translation
-            ):
+            near = np.linalg.norm(old.translation - slide)
+            if near < np.linalg.norm(old.translation):
                 yield part, pin.SE3(np.eye(3), -old.rotation.T @ slide)

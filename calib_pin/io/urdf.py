@@ -35,7 +35,7 @@ ARGUMENT = re.compile(r"([^\W\d]\w*):=(.*)", re.DOTALL)
 
 _GAP = re.compile(r"\s+(?=[^\W\d]\w*:=)")
 _EXAMPLE = "example:"
-_OTHER = (".xml", ".mjcf", ".sdf")
+_MUJOCO = (".xml", ".mjcf")
 
 
 def bundled_robots() -> dict[str, Path]:
@@ -178,31 +178,25 @@ def load_robot(
         'panda_link0'
     """
     name = str(name_or_path)
-    path = locate_robot(name)
-    file, arguments = split_arguments(name)
+    path, (file, arguments) = locate_robot(name), split_arguments(name)
     if arguments and not is_xacro(path):
         reason = f"{next(iter(arguments))}:= is an argument for a xacro file"
         raise OptionError(reason, file=file, allowed="a file that ends in .xacro")
     try:
         urdf = source = read_bytes(path, TEXT)
     except InputError as error:
-        reason, bundled = error.reason, bundled_robots()
-        if reason == "no such file":
-            reason += nearest(name, bundled)
+        bundled = bundled_robots()
+        hint = nearest(name, bundled) if error.reason == "no such file" else ""
         names = f" ({', '.join(bundled)})" if bundled else ""
         allowed = f"a URDF or xacro file, a bundled robot{names}, or {_EXAMPLE}NAME"
-        raise RobotError(reason, file=name or ".", allowed=allowed) from error
-    remark = ""
+        reason, shown = f"{error.reason}{hint}", name or "."
+        raise RobotError(reason, file=shown, allowed=allowed) from error
+    remark, other = "", path.suffix.lower() in _MUJOCO
     if is_xacro(path):
         folders = list(map(str, package_folders(path.absolute(), package_dirs)))
         urdf, _ = converted("xacro", path, arguments=arguments, folders=folders)
-    elif path.suffix.lower() in _OTHER:
-        root = parse_document(source, name).root.tag
-        if root == "sdf":
-            reason = "is SDF, which this Pinocchio does not read; convert it to a URDF"
-            raise RobotError(reason, file=name)
-        if root == "mujoco":
-            urdf, remark = converted("MJCF", path)
+    elif other and parse_document(source, name).root.tag == "mujoco":
+        urdf, remark = converted("MJCF", path)
     try:
         robot = parse_robot(urdf, name)
     except RobotError as error:
@@ -237,10 +231,9 @@ def corrected_urdf(
         raise OptionError(reason, file=path, allowed="another file")
     corrected = edit_origins(robot.source, corrections, robot.file)
     try:
-        reread = parse_robot(corrected, str(path))
+        check(parse_robot(corrected, str(path)))
     except RobotError as error:
         raise OutputError(f"the corrected URDF does not read back: {error}") from error
-    check(reread)
     return corrected
 
 
@@ -278,23 +271,20 @@ def locate_robot(name: str) -> Path:
         ('robot.urdf', 'arm.urdf')
     """
     name, _ = split_arguments(name)
-    path, bundled = Path(name), bundled_robots()
-    if not (name in bundled or name.startswith(_EXAMPLE)) or path.is_file():
+    path, known = Path(name), bundled_robots()
+    if not (name in known or name.startswith(_EXAMPLE)) or path.is_file():
         return path
-    if name in bundled:
-        return bundled[name]
-    known, stem = known_robots(), name.removesuffix(".urdf")
-    if stem in known:
+    if (stem := name.removesuffix(".urdf")) in (known := known_robots()):
         return known[stem]
     examples = [key for key in known if key.startswith(_EXAMPLE)]
-    word = stem.removeprefix(_EXAMPLE)
-    others = [key for key in examples if word and word in key.removeprefix(_EXAMPLE)]
-    reason = f"example-robot-data has no robot '{word}'"
     if not examples:
         reason = "example robots need a package: pip install 'example-robot-data>=4.4'"
-    elif not others:
-        reason += nearest(stem, examples)
-    raise RobotError(reason, file=name, allowed=", ".join(others) or None)
+        raise RobotError(reason, file=name)
+    word = stem.removeprefix(_EXAMPLE)
+    others = ", ".join(key for key in examples if word and word in key)
+    hint = "" if others else nearest(stem, examples)
+    reason = f"example-robot-data has no robot '{word}'{hint}"
+    raise RobotError(reason, file=name, allowed=others or None)
 
 
 def is_source(path: Path, robot: Robot) -> bool:

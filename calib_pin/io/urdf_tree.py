@@ -1,7 +1,7 @@
 """The tree of links and joints in a URDF: its bytes, checked, and built by Pinocchio.
 
 The round trip through an XML library changes lines that are not ours (2 to 23 lines
-in each of 16 URDFs), so expat only says where the tags are, and the values of their
+in each of 16 URDFs), so expat says where the tags are, and the values of their
 attributes are replaced in the bytes. Everything works on a UTF-8 copy, in which
 expat's offsets hold for every encoding; the copy is encoded back at the end.
 """
@@ -12,11 +12,13 @@ import codecs
 import os
 import re
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import IO, Any
+from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pinocchio as pin
@@ -35,45 +37,51 @@ _BYTE_ORDER_MARKS = {
 # Some generators put a blank line or a comment before the declaration.
 _DECLARATION = re.compile(rb"(?>\s++|<!--.*?-->)*+(<\?xml\s.*?\?>)", re.DOTALL)
 _ENCODING = re.compile(rb"""\sencoding\s*=\s*["']([\w.:-]+)["']""")
-_ATTRIBUTE = re.compile(rb"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")
+_ATTRIBUTE = re.compile(rb"""(\s+([^\s=]+)\s*=\s*)("[^"]*"|'[^']*')""")
+_START = re.compile(rb"<[^\s/>]+(?:%s)*" % _ATTRIBUTE.pattern)
 _INDENT = re.compile(rb"(?:\r\n|\n|\r)[ \t]*\Z")
 
-_DEEPEST = 4
-"""Depth of the shape in the geometry in the collision of a link of the robot."""
+ORIGIN = ("x", "y", "z", "roll", "pitch", "yaw")
+"""Numbers of an origin as URDFs have them [m, rad]."""
 
 
-@dataclass(frozen=True)
-class Element:
-    """An XML element near the root.
+def origin_of(pose: pin.SE3) -> list[float]:
+    """The numbers of a pose, see `ORIGIN`."""
+    # scipy's conversion loses 2e-7 near pitch = 90 deg, this one 2e-15.
+    return [*pose.translation.tolist(), *pin.rpy.matrixToRpy(pose.rotation).tolist()]
 
-    Attributes:
-        tag: Its name, with the namespace prefix as written.
-        attributes: Its attributes, references and escapes resolved.
-        line: Line of its start tag, counted from 1.
-        start: Offset of its start tag in the document's data.
-        owner: The element below the root in which it is, as messages name it.
-        children: Elements directly inside, down to those of a geometry.
+
+def placed(origin: Sequence[float]) -> pin.SE3:
+    """The pose of the numbers of an origin, see `ORIGIN`."""
+    numbers = np.array(origin, float)
+    return pin.SE3(pin.rpy.rpyToMatrix(numbers[3:]), numbers[:3])
+
+
+def words(numbers: Iterable[float]) -> str:
+    """Numbers with all their digits."""
+    return " ".join(repr(float(number)) for number in numbers)
+
+
+def branch(
+    joint: Sequence[str], origin: Sequence[float], more: str = "", inside: str = ""
+) -> str:
+    """A link of a URDF and the joint that carries it, in lines.
+
+    Args:
+        joint: Name and type of the joint, the link on which it is, and its own.
+        origin: Its numbers, see `ORIGIN`.
+        more: Other elements of the joint, in lines.
+        inside: Elements of the link.
     """
-
-    tag: str
-    attributes: Mapping[str, str]
-    line: int
-    start: int
-    owner: str
-    children: list[Element] = field(default_factory=list)
-
-    def child(self, tag: str) -> Element | None:
-        """The first child of that name, the one that URDF readers take."""
-        return next(iter(self.all(tag)), None)
-
-    def link(self, role: str) -> str:
-        """Name of the link that a joint has as its `parent` or `child`."""
-        element = self.child(role)
-        return "" if element is None else element.attributes.get("link", "")
-
-    def all(self, tag: str) -> list[Element]:
-        """The children of that name."""
-        return [child for child in self.children if child.tag == tag]
+    name, kind, parent, child = map(quoteattr, joint)
+    link = f"link name={child}"
+    return f"""  <{link}{f">{inside}</link" if inside else "/"}>
+  <joint name={name} type={kind}>
+    <parent link={parent}/>
+    <child link={child}/>
+    <origin xyz="{words(origin[:3])}" rpy="{words(origin[3:])}"/>
+{more}  </joint>
+"""
 
 
 @dataclass(frozen=True)
@@ -87,7 +95,10 @@ class Document:
             the encoding of the file and may be where XML does not allow it.
         codec: Python's name of the encoding in the file.
         mark: Byte order mark at the start of the file, often empty.
-        root: The outermost element.
+        root: The outermost element; tags have the namespace prefix as written.
+        places: Of each element the line of its start tag, counted from 1, its offset
+            in the data, and the element below the root in which it is, as messages
+            name it.
     """
 
     file: str | None
@@ -96,68 +107,81 @@ class Document:
     codec: str
     mark: bytes
     root: Element
+    places: Mapping[Element, tuple[int, int, str]]
 
     def named(self, tag: str) -> dict[str, Element]:
         """The links or joints of the robot by name, in the order of the file."""
-        return {e.attributes.get("name", ""): e for e in self.root.all(tag)}
+        return {e.get("name", ""): e for e in self.root.findall(tag)}
+
+    def owner(self, element: Element) -> str:
+        """The link or joint in which an element is, as messages name it."""
+        return self.places[element][2]
 
     def error(self, element: Element, reason: str, **about: Any) -> RobotError:
         """An error that points at an element, and is about a `value` in it."""
-        return RobotError(reason, file=self.file, line=element.line, **about)
+        line = self.places[element][0]
+        return RobotError(reason, file=self.file, line=line, **about)
 
-    def values(self, element: Element) -> tuple[dict[str, tuple[int, int]], int]:
-        """Offsets of the attribute values as written, and the end of the last one."""
-        places = {}
-        end = element.start + 1 + len(element.tag.encode())
-        while match := _ATTRIBUTE.match(self.data, end):
-            places[match[1].decode()] = (match.start(2) + 1, match.end(2) - 1)
-            end = match.end()
-        return places, end
+    def require(
+        self, holds: object, element: Element, reason: str, **about: Any
+    ) -> None:
+        """Raise an error that points at an element if something does not hold."""
+        if not holds:
+            raise self.error(element, reason, **about)
+
+    def encoded(self, data: bytes) -> bytes:
+        """The bytes of a file with other data."""
+        return self.mark + data.decode().encode(self.codec)
 
     def numbers(self, element: Element, attribute: str, count: int) -> Floats:
         """Read an attribute that must hold `count` finite numbers, shape (count,)."""
-        text = element.attributes.get(attribute, "")
-        words = text.split() if count > 1 else [text]
-        numbers = np.array([as_number(word) for word in words], float)
-        if len(words) != count or not np.isfinite(numbers).all():
+        text = element.get(attribute, "")
+        parts = text.split() if count > 1 else [text]
+        numbers = np.array([as_number(part) for part in parts], float)
+        if len(parts) != count or not np.isfinite(numbers).all():
             allowed = f"{count} finite numbers" if count > 1 else "a finite number"
-            place = f"{attribute} in the <{element.tag}> of {element.owner}"
+            place = f"{attribute} in the <{element.tag}> of {self.owner(element)}"
             reason = f"{place} cannot be read"
             raise self.error(element, reason, value=text, allowed=allowed)
         return numbers
 
     def axis(self, joint: Element) -> Floats:
         """Axis of a joint in its own frame as it is written, shape (3,), not zero."""
-        stated = joint.child("axis")
+        stated = joint.find("axis")
         if stated is None:
             return np.array([1.0, 0.0, 0.0])
         axis = self.numbers(stated, "xyz", 3)
-        if not axis.any():
-            raise self.error(stated, f"the axis of {joint.owner} is zero")
+        self.require(axis.any(), stated, f"the axis of {self.owner(joint)} is zero")
         return axis
 
     def origin(self, element: Element) -> pin.SE3:
         """Placement of a joint, a shape or a mass, as its `<origin>` states it."""
-        origin = element.child("origin")
+        origin = element.find("origin")
         placement = pin.SE3.Identity()
         if origin is None:
             return placement
-        if "xyz" in origin.attributes:
+        if "xyz" in origin.attrib:
             placement.translation = self.numbers(origin, "xyz", 3)
         if self.turn(origin) == "quat_xyzw":
             quaternion = self.numbers(origin, "quat_xyzw", 4)
-            if not quaternion.any():
-                raise self.error(origin, f"quat_xyzw of {element.owner} is zero")
+            reason = f"quat_xyzw of {self.owner(element)} is zero"
+            self.require(quaternion.any(), origin, reason)
             placement.rotation = pin.Quaternion(quaternion).normalized().matrix()
-        elif "rpy" in origin.attributes:
+        elif "rpy" in origin.attrib:
             placement.rotation = pin.rpy.rpyToMatrix(self.numbers(origin, "rpy", 3))
         return placement
 
     def turn(self, origin: Element | None) -> str:
         """Attribute from which urdfdom takes the rotation; quaternions from 1.1 on."""
-        stated = origin is not None and "quat_xyzw" in origin.attributes
-        later = self.root.attributes.get("version", "1.0") != "1.0"
+        stated = origin is not None and "quat_xyzw" in origin.attrib
+        later = self.root.get("version", "1.0") != "1.0"
         return "quat_xyzw" if stated and later else "rpy"
+
+
+def link_of(joint: Element, role: str) -> str:
+    """Name of the link that a joint has as its `parent` or `child`."""
+    element = joint.find(role)
+    return "" if element is None else element.get("link", "")
 
 
 def parse_document(source: bytes, file: str | None = None) -> Document:
@@ -183,7 +207,7 @@ def parse_document(source: bytes, file: str | None = None) -> Document:
     if stated := _DECLARATION.match(data):
         blank = re.sub(rb"[^\r\n]", b" ", stated[1])
         plain = data[: stated.start(1)] + blank + data[stated.end() :]
-    return Document(file, data, plain, codec, mark, _scan(plain, file))
+    return Document(file, data, plain, codec, mark, *_scan(plain, file))
 
 
 def _decode(body: bytes, codec: str, file: str | None) -> str:
@@ -203,10 +227,12 @@ def _decode(body: bytes, codec: str, file: str | None) -> str:
     raise RobotError(reason, file=file, line=line, allowed=allowed)
 
 
-def _scan(data: bytes, file: str | None) -> Element:
-    """Run expat over a document in UTF-8."""
-    parser = expat.ParserCreate("utf-8")
-    path = [Element("", {}, 0, 0, "")]
+def _scan(
+    data: bytes, file: str | None
+) -> tuple[Element, dict[Element, tuple[int, int, str]]]:
+    """Root and places of a document in UTF-8, as expat finds them."""
+    parser, builder = expat.ParserCreate("utf-8"), TreeBuilder()
+    places, owners = dict[Element, tuple[int, int, str]](), list[str]()
 
     def doctype(*_: object) -> None:
         # Entities can fetch files and swell to gigabytes; no URDF needs them.
@@ -218,26 +244,23 @@ def _scan(data: bytes, file: str | None) -> Element:
         if tag.startswith("xacro:"):
             reason = "is a xacro file; let its name end in .xacro, or expand it first"
             raise RobotError(reason, file=file, line=line, value=f"<{tag}>")
-        owner = path[-1].owner
-        if len(path) == 2:
-            owner = f"{tag} '{attributes.get('name', '')}'"
-        element = Element(tag, attributes, line, offset, owner)
-        if len(path) <= 1 + _DEEPEST:
-            path[-1].children.append(element)
-        path.append(element)
+        named = f"{tag} '{attributes.get('name', '')}'" if owners else ""
+        owners.append(named if len(owners) < 2 else owners[-1])
+        places[builder.start(tag, attributes)] = line, offset, owners[-1]
 
-    def end(_: str) -> None:
-        path.pop()
+    def end(tag: str) -> None:
+        builder.end(tag)
+        owners.pop()
 
-    parser.StartDoctypeDeclHandler = doctype
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
+    parser.buffer_text, parser.StartDoctypeDeclHandler = True, doctype
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.CharacterDataHandler = builder.data
     try:
         parser.Parse(data, True)
     except expat.ExpatError as error:
         reason = f"is not well-formed XML: {expat.ErrorString(error.code)}"
         raise RobotError(reason, file=file, line=error.lineno) from error
-    return path[0].children[0]
+    return builder.close(), places
 
 
 def edit_origins(
@@ -272,9 +295,8 @@ def edit_origins(
     if unknown := next((name for name in corrections if name not in joints), None):
         reason = f"the robot has no joint '{unknown}'{nearest(unknown, joints)}"
         raise RobotError(reason, file=file)
-    return move_origins(
-        document, [(joints[k], move) for k, move in corrections.items()]
-    )
+    moves = [(joints[name], move) for name, move in corrections.items()]
+    return move_origins(document, moves)
 
 
 def move_origins(document: Document, moves: Iterable[tuple[Element, pin.SE3]]) -> bytes:
@@ -287,55 +309,53 @@ def move_origins(document: Document, moves: Iterable[tuple[Element, pin.SE3]]) -
     Raises:
         OutputError: If a move is not finite.
     """
-    edits = [edit for moved in moves for edit in _edits(document, *moved)]
-    data = document.data
+    edits, data = (_edited(document, *moved) for moved in moves), document.data
     for start, end, text in sorted(edits, reverse=True):
         data = data[:start] + text + data[end:]
-    return document.mark + data.decode().encode(document.codec)
+    return document.encoded(data)
 
 
-def _edits(
+def _edited(
     document: Document, element: Element, move: pin.SE3
-) -> list[tuple[int, int, bytes]]:
-    """Replacements (from, to, new bytes) that put a move into an origin."""
-    origin, old = element.child("origin"), document.origin(element)
-    new = old * move
+) -> tuple[int, int, bytes]:
+    """From where to where the start tag of an origin is, and the moved one."""
+    origin, old = element.find("origin"), document.origin(element)
+    new, key, changed = old * move, document.turn(origin), dict[str, Floats]()
     if not np.isfinite(new.homogeneous).all():
-        raise OutputError(f"the correction of {element.owner} is not finite")
-    key, changed = document.turn(origin), dict[str, Floats]()
+        reason = f"the correction of {document.owner(element)} is not finite"
+        raise OutputError(reason)
     if not np.array_equal(new.translation, old.translation):
         changed["xyz"] = new.translation
     if not np.array_equal(new.rotation, old.rotation):
-        # scipy's conversion loses 2e-7 near pitch = 90 deg, this one 2e-15.
-        rpy = pin.rpy.matrixToRpy(new.rotation)
-        changed[key] = rpy if key == "rpy" else pin.Quaternion(new.rotation).coeffs()
-    if not changed:
-        return []
-    places, end = ({}, 0) if origin is None else document.values(origin)
-    written = {} if origin is None else origin.attributes
-    edits, added = [], b""
-    for key, values in changed.items():
-        text = _text(values, written.get(key, "")).encode()
-        if key in places:
-            edits.append((*places[key], text))
-        else:
-            added += b' %s="%s"' % (key.encode(), text)
-    if origin is None:  # It goes before the first child, indented like it.
-        end = element.children[0].start
-        indent = _INDENT.search(document.data, element.start, end)
-        added = b"<origin" + added + b"/>" + (indent[0] if indent else b"")
-    return [*edits, (end, end, added)]
+        rpy, turn = origin_of(new)[3:], pin.Quaternion(new.rotation)
+        changed[key] = np.array(rpy) if key == "rpy" else turn.coeffs()
+    data, tag, behind = document.data, b"<origin", b""
+    if origin is not None:
+        start = document.places[origin][1]
+        tag = _START.match(data, start)[0]  # type: ignore[index]
+        end = start + len(tag)
+    else:  # It goes before the first child, indented like it.
+        start = end = document.places[element[0]][1]
+        indent = _INDENT.search(data, document.places[element][1], end)
+        behind = b"/>" + (indent[0] if indent else b"")
+    written = {} if origin is None else origin.attrib
+    texts = {k: _text(v, written.get(k, "")).encode() for k, v in changed.items()}
+
+    def value(found: re.Match[bytes]) -> bytes:
+        text, quote = texts.pop(found[2].decode(), None), found[3][:1]
+        return found[0] if text is None else found[1] + quote + text + quote
+
+    tag = _ATTRIBUTE.sub(value, tag)
+    tag += b"".join(b' %s="%s"' % (k.encode(), text) for k, text in texts.items())
+    return start, end, tag + behind if changed else data[start:end]
 
 
 def _text(values: Floats, old: str) -> str:
     """Numbers with all their digits, in their old words where they are the same."""
-    words = old.split()
-    if len(words) != len(values):
-        words = ["nan"] * len(values)
-    # Adding zero turns -0.0 into 0.0.
+    written = old.split() or ["nan"] * len(values)
     return " ".join(
-        word if float(word) == value else repr(float(value) + 0.0)
-        for word, value in zip(words, values, strict=True)
+        word if float(word) == value else words([value + 0.0])  # Not -0.0.
+        for word, value in zip(written, values, strict=True)
     )
 
 
@@ -389,109 +409,96 @@ def parse_robot(source: bytes, file: str) -> Robot:
     """
     document = parse_document(source, file)
     root, links, joints = document.root, document.named("link"), document.named("joint")
-    if root.tag != "robot":
-        reason = f"the outermost element is <{root.tag}>"
-        raise document.error(root, reason, allowed="<robot>")
-    if len(links) > LINKS:
-        reason, allowed = "the robot has too many links", f"at most {LINKS}"
-        raise document.error(root, reason, value=len(links), allowed=allowed)
-    parents: dict[str, str] = {}
+    reason = f"the outermost element is <{root.tag}>"
+    document.require(root.tag == "robot", root, reason, allowed="<robot>")
+    few, reason = len(links) <= LINKS, f"the robot has {len(links)} links"
+    document.require(few, root, reason, allowed=f"at most {LINKS}")
     for element in (*links.values(), *joints.values()):
-        if not element.attributes.get("name"):
-            raise document.error(element, f"a {element.tag} has no name")
         _check(document, element)
+    parents: dict[str, str] = {}
     for name, joint in joints.items():
-        kind, child = joint.attributes.get("type", ""), joint.link("child")
-        if name == "universe" and kind != "fixed":
-            reason = (
-                "a joint cannot be called 'universe', Pinocchio's name of the world"
-            )
-            raise document.error(joint, reason)
-        if kind in (*_SINGLE, "planar"):
-            document.axis(joint)
-        if other := parents.get(child):
-            reason = (
-                f"link '{child}' is the child of two joints, '{other}' and '{name}'"
-            )
-            raise document.error(joint, reason)
+        child = link_of(joint, "child")
+        reason = f"link '{child}' is the child of two joints, '{parents.get(child)}'"
+        document.require(child not in parents, joint, f"{reason} and '{name}'")
         parents[child] = name
-    model = _build_model(document, links, joints)
+    model = _build_model(document, {**links, **joints})
     frames = {f.name for f in model.frames if f.type == pin.FrameType.BODY}
     if lost := [link for link in links if link not in frames]:
         names = enumerated(f"'{link}'" for link in lost)
         reason = f"nothing joins {names} to the root: a URDF is one tree, without loops"
         carrier = joints.get(parents.get(lost[0], ""), links[lost[0]])
         raise document.error(carrier, reason)
-    inner = {joint.link("parent") for joint in joints.values()}
-    fixed = {k for k, joint in joints.items() if joint.attributes["type"] == "fixed"}
+    inner = {link_of(joint, "parent") for joint in joints.values()}
+    fixed = {name for name, joint in joints.items() if joint.get("type") == "fixed"}
     mimics, refused = _mimics(joints)
     return Robot(
-        name=root.attributes["name"],
+        name=root.attrib["name"],
         file=file,
         source=source,
         model=model,
         root=next(link for link in links if link not in parents),
         links=tuple(links),
         leaves=tuple(link for link in links if link not in inner),
-        fixed_parents={k: joint for k, joint in parents.items() if joint in fixed},
+        fixed_parents={link: name for link, name in parents.items() if name in fixed},
         refused=refused,
         mimics=mimics,
     )
 
 
 def _check(document: Document, element: Element) -> None:
-    """Refuse numbers in a link or joint that are none, or which no robot has."""
-    for child in element.children:
-        for key, count in NUMBERS.get(child.tag, {}).items():
-            if key in child.attributes:
-                numbers = document.numbers(child, key, count)
-                if key == "xyz" and np.abs(numbers).max() > FARTHEST:
-                    reason = f"the {child.tag} of {child.owner} is too far away"
-                    value = child.attributes[key]
-                    raise document.error(child, reason, value=value, allowed="xyz in m")
-        _check(document, child)
+    """Refuse a link or joint with numbers that are none, or which no robot has."""
+    kind, owner = element.get("type", ""), document.owner(element)
+    name = element.get("name", "")
+    document.require(name, element, f"a {element.tag} has no name")
+    for part in element.iter():
+        for key, count in NUMBERS.get(part.tag, {}).items():
+            if key in part.attrib:
+                numbers = document.numbers(part, key, count)
+                near = key != "xyz" or np.abs(numbers).max() <= FARTHEST
+                about = {"value": part.get(key), "allowed": "xyz in m"}
+                reason = f"the {part.tag} of {owner} is too far away"
+                document.require(near, part, reason, **about)
     if element.tag == "joint":
         document.origin(element)
-    for inertial in element.all("inertial")[:1]:
-        mass = inertial.child("mass") or inertial
-        if "value" not in mass.attributes:
-            reason = f"the <inertial> of {element.owner} has no mass value"
+        reason = "a joint cannot be called 'universe', Pinocchio's name of the world"
+        document.require(name != "universe" or kind == "fixed", element, reason)
+        if kind in (*_SINGLE, "planar"):
+            document.axis(element)
+    for inertial in element.findall("inertial")[:1]:
+        mass = inertial.find("mass")
+        if mass is None or "value" not in mass.attrib:
+            reason = f"the <inertial> of {owner} has no mass value"
             raise document.error(inertial, reason)
-        if not 0.0 <= document.numbers(mass, "value", 1)[0] <= HEAVIEST:
-            value, allowed = mass.attributes["value"], f"0 to {HEAVIEST:g} kg"
-            reason = f"no link has the mass of {element.owner}"
-            raise document.error(mass, reason, value=value, allowed=allowed)
+        usual = 0.0 <= document.numbers(mass, "value", 1)[0] <= HEAVIEST
+        about = {"value": mass.get("value"), "allowed": f"0 to {HEAVIEST:g} kg"}
+        document.require(usual, mass, f"no link has the mass of {owner}", **about)
 
 
-def _mimics(
-    joints: Mapping[str, Element],
-) -> tuple[dict[str, Mimic], dict[str, str]]:
+def _mimics(joints: Mapping[str, Element]) -> tuple[dict[str, Mimic], dict[str, str]]:
     """Joints that follow another, and the reasons why a chain cannot contain others.
 
     Returns:
         Mimic joints, each with the driven joint at the end of those that it follows,
         and phrases for "joint x is ..., which a chain cannot contain".
     """
-    stated: dict[str, Mimic] = {}
-    refused: dict[str, str] = {}
+    stated, mimics, refused = dict[str, Mimic](), dict[str, Mimic](), dict[str, str]()
+    single = {k for k, joint in joints.items() if joint.get("type") in _SINGLE}
     for name, joint in joints.items():
-        kind, element = joint.attributes["type"], joint.child("mimic")
+        kind, element = joint.attrib["type"], joint.find("mimic")
         if kind in ("floating", "planar"):
             refused[name] = f"a {kind} joint"
-        elif element is not None and kind in _SINGLE:
-            about = {"multiplier": "1", "offset": "0", **element.attributes}
+        elif element is not None and name in single:
+            about = {"multiplier": "1", "offset": "0", **element.attrib}
             factor, offset = float(about["multiplier"]), float(about["offset"])
             stated[name] = Mimic(about.get("joint", ""), factor, offset)
-    mimics: dict[str, Mimic] = {}
     for name, mimic in stated.items():
         path = {name}
-        while mimic.leader in stated and mimic.leader not in path:
-            path.add(mimic.leader)
-            above = stated[mimic.leader]
+        while (leader := mimic.leader) in stated and leader not in path:
+            path.add(leader)
+            above = stated[leader]
             offset = mimic.factor * above.offset + mimic.offset
             mimic = Mimic(above.leader, mimic.factor * above.factor, offset)
-        driven = None if mimic.leader in path else joints.get(mimic.leader)
-        if driven is not None and driven.attributes["type"] in _SINGLE:
+        if leader in single - path:
             mimics[name] = mimic
         else:
             leader = stated[name].leader
@@ -499,39 +506,37 @@ def _mimics(
     return mimics, refused
 
 
-def _build_model(
-    document: Document, links: Mapping[str, Element], joints: Mapping[str, Element]
-) -> pin.Model:
+def _build_model(document: Document, known: Mapping[str, Element]) -> pin.Model:
+    """The model; `known` are links and joints that Pinocchio may complain of."""
     # To XML a tab or line break in numbers is a space; urdfdom chokes on it.
     text = re.sub(r"[\t\r\n]", " ", document.plain.decode())
-    printed = list[str]()
-    try:
-        with _captured_stderr(printed):
-            model = pin.buildModelFromXML(text)
-    except Exception as failure:  # Whatever C++ throws.
-        errors = re.search(r"Error:\s+(.*?)\.?\s\s", "".join(printed), re.DOTALL)
-        said = errors[1] if errors else str(failure)
-        # What it names last is what is wrong.
-        known, named = {**links, **joints}, re.findall(r"[\['](.*?)[\]']", said)
-        culprit = next((known[n] for n in named[::-1] if n in known), document.root)
-        raise document.error(culprit, f"Pinocchio cannot read it: {said}") from failure
-    if model.nv > FREEDOM:
-        reason = f"the robot has {model.nv} degrees of freedom"
-        raise document.error(document.root, reason, allowed=f"at most {FREEDOM}")
+    with tempfile.TemporaryFile() as printed:
+        try:
+            with _stderr_to(printed):
+                model = pin.buildModelFromXML(text)
+        except Exception as failure:  # Whatever C++ throws.
+            printed.seek(0)
+            found = printed.read().decode(errors="replace")
+            errors = re.search(r"Error:\s+(.*?)\.?\s\s", found, re.DOTALL)
+            said = errors[1] if errors else str(failure)
+            # What it names last is what is wrong.
+            named = [n for n in re.findall(r"[\['](.*?)[\]']", said) if n in known]
+            culprit = known[named[-1]] if named else document.root
+            reason = f"Pinocchio cannot read it: {said}"
+            raise document.error(culprit, reason) from failure
+    reason = f"the robot has {model.nv} degrees of freedom"
+    few, allowed = model.nv <= FREEDOM, f"at most {FREEDOM}"
+    document.require(few, document.root, reason, allowed=allowed)
     return model
 
 
 @contextmanager
-def _captured_stderr(printed: list[str]) -> Iterator[None]:
+def _stderr_to(file: IO[bytes]) -> Iterator[None]:
     """Collect what C++ prints to file descriptor 2, past `sys.stderr`."""
-    with tempfile.TemporaryFile() as file, ExitStack() as stack:
+    with ExitStack() as stack:
         with suppress(OSError):  # It is closed, so nothing is printed.
             saved = os.dup(2)
             stack.callback(os.close, saved)
             stack.callback(os.dup2, saved, 2)
             os.dup2(file.fileno(), 2)
-        try:
-            yield
-        finally:
-            file.seek(0)
-            printed.append(file.read().decode(errors="replace"))
+        yield

@@ -13,10 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import xacro
-from simpleeval import (
-    BASIC_ALLOWED_ATTRS,
-    EvalWithCompoundTypes,
-)
+from simpleeval import BASIC_ALLOWED_ATTRS, EvalWithCompoundTypes
 from xacro import substitution_args
 
 from calib_pin.errors import RobotError, enumerated, nearest
@@ -35,11 +32,8 @@ GLOBAL: dict[str, Any] = xacro._global_symbols
 for _name in ("isinstance", "issubclass", "repr", "type", "vars"):
     GLOBAL["python"].pop(_name, None)
 
-FUNCTIONS: dict[str, Callable[..., Any]] = {
-    name: value
-    for name, value in {**GLOBAL["python"], **GLOBAL}.items()
-    if callable(value)
-}
+_KNOWN = {**GLOBAL["python"], **GLOBAL}
+FUNCTIONS = {name: value for name, value in _KNOWN.items() if callable(value)}
 """Functions that need no namespace."""
 
 
@@ -140,10 +134,8 @@ def _install(folders: list[Path]) -> None:
         """The folder of a package."""
         found = next(packages(name, folders), None)
         if found is None:
-            raise Refused(
-                f"the package '{name}' is not found: name its folder, or that which "
-                "holds it, with --package-dir"
-            )
+            hint = "name its folder, or that which holds it, with --package-dir"
+            raise Refused(f"the package '{name}' is not found: {hint}")
         return str(found.absolute())
 
     def folder(*_: object) -> str:
@@ -161,9 +153,8 @@ def _install(folders: list[Path]) -> None:
         setattr(module, name, own)
 
 
-def _expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> str:
+def _expanded(file: str, given: Mapping[str, str]) -> str:
     """The URDF, or an exception of any kind."""
-    _install(folders)
     beside, arguments = Path(file).parent, Arguments(given)
     for name, word in given.items():
         # A file that the user names is in the working folder.
@@ -172,28 +163,11 @@ def _expanded(file: str, given: Mapping[str, str], folders: list[Path]) -> str:
     xacro.init_stacks(file)
     document = xacro.parse(None, file)
     xacro.process_doc(document, mappings=arguments, verbosity=0)
-    if unknown := [name for name in given if name not in arguments.asked]:
-        known = arguments.asked
-        raise Refused(
-            f"has no argument '{unknown[0]}'{nearest(unknown[0], known)}; it has "
-            f"{enumerated(sorted(known))}"
-            if known
-            else f"has no arguments, and not '{unknown[0]}'"
-        )
+    known = arguments.asked
+    for name in (name for name in given if name not in known):
+        has = f"; it has {enumerated(sorted(known))}" if known else ""
+        raise Refused(f"has no argument '{name}'{nearest(name, known)}{has}")
     return str(document.toprettyxml(indent="  "))
-
-
-def _reason(failure: Any) -> str:
-    """Why a file cannot be expanded, without what xacro adds to it."""
-    while isinstance(getattr(failure, "exc", None), BaseException):
-        failure = failure.exc
-    if isinstance(failure, RecursionError):
-        return "a macro or an expression calls itself without end"
-    if isinstance(failure, MemoryError):
-        return "it needs too much memory"
-    if isinstance(failure, OSError):
-        return f"cannot read {failure.filename}: {failure.strerror}"
-    return " ".join(str(failure).split()) or type(failure).__name__
 
 
 def read(
@@ -210,9 +184,20 @@ def read(
         RobotError: If it cannot be expanded, with the file and macro that is wrong.
     """
     try:
-        return _expanded(file, arguments, list(map(Path, folders))), ""
-    except Exception as failure:
-        reason = f"xacro cannot expand it: {_reason(failure)}"
+        _install([*map(Path, folders)])
+        return _expanded(file, arguments), ""
+    except Exception as error:
+        failure: Any = error
+    while isinstance(getattr(failure, "exc", None), BaseException):
+        failure = failure.exc  # Without what xacro adds to it.
+    reason = " ".join(str(failure).split()) or type(failure).__name__
+    if isinstance(failure, RecursionError):
+        reason = "a macro or an expression calls itself without end"
+    elif isinstance(failure, MemoryError):
+        reason = "it needs too much memory"
+    elif isinstance(failure, OSError):
+        reason = f"cannot read {failure.filename}: {failure.strerror}"
+    reason = f"xacro cannot expand it: {reason}"
     if xacro.macrostack:  # It, or the call of it, is wrong.
         macro = xacro.macrostack[-1]
         place = Path(str(macro.history[-1][-1])).name

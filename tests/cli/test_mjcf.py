@@ -10,6 +10,7 @@ import pytest
 from calib_pin.io.exchange import Exported
 from calib_pin.io.results import read_result
 from calib_pin.io.urdf import load_chain
+from calib_pin.validation.joint_errors import configurations
 from tests.io.test_mjcf_child import BASE, BODIES, written
 
 pytestmark = pytest.mark.needs("mujoco")
@@ -30,7 +31,8 @@ def test_it_comes_back_corrected(tmp_path, monkeypatch, run):
     assert run(words).status == 0
     nominal = load_chain("arm.xml", tip="tool")
     of = Exported(read_result("out/calibration.json"), Path("out"))
-    q, expected = of.configurations, of.chain.poses(of.configurations)
+    q = configurations(of.nominal)
+    expected = of.chain.poses(q)
     assert np.abs(nominal.poses(q) - expected).max() > 1e-4
     again = load_chain("new.xml", tip="tool")
     assert np.abs(again.poses(q) - expected).max() < 1e-9

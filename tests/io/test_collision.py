@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from calib_pin.errors import InputError, RobotError
 from calib_pin.io.collision import load_collisions
-from calib_pin.io.urdf import load_chain, locate_robot
+from calib_pin.io.urdf import load_chain
 from calib_pin.setup import Obstacle
 
 # A tetrahedron with edges of 0.2 m, in the positive octant.
@@ -188,28 +187,6 @@ def test_meshes_stand_where_they_belong(loaded, write):
     for obstacle, free in obstacles:
         collisions, _ = loaded(["", sphere(0.1)], [obstacle])
         assert collisions.free(np.zeros((1, 1))).tolist() == [free]
-
-
-def test_an_srdf_disables_what_pinocchio_reads_in_it() -> None:
-    chain = load_chain("example:panda", tip="panda_link8")
-    path = locate_robot(chain.robot.file).resolve()
-    file = path.parents[1] / "srdf" / "panda.srdf"
-    everything, collisions = (
-        load_collisions(chain, [BALL], srdf=f) for f in (None, file)
-    )
-    model, folders = chain.robot.model, list(map(str, path.parents))
-    geometry = pin.buildGeomFromUrdf(model, str(path), pin.COLLISION, None, folders)
-    geometry.addAllCollisionPairs()
-    pin.removeCollisionPairs(model, geometry, str(file))
-    names = [model.frames[s.parentFrame].name for s in geometry.geometryObjects]
-    pairs = geometry.collisionPairs
-    left = {frozenset((names[p.first], names[p.second])) for p in pairs}
-    of_robot = {frozenset(pair) for pair in collisions.pairs if pair[1] in names}
-    assert of_robot and of_robot <= left
-    # What is left and not checked does not move; the rest Pinocchio removed as well.
-    assert left & {frozenset(pair) for pair in everything.pairs} <= of_robot
-    with_obstacle = {pair for pair in everything.pairs if "obstacle" in pair[1]}
-    assert with_obstacle and with_obstacle <= set(collisions.pairs)
 
 
 def test_with_an_srdf_nothing_else_is_left_out(loaded, write):

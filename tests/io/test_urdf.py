@@ -15,18 +15,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib_pin.errors import (
-    CalibPinError,
-    OptionError,
-    OutputError,
-    RobotError,
-)
+from calib_pin.errors import CalibPinError, OptionError, OutputError, RobotError
 from calib_pin.io import urdf
-from calib_pin.io.urdf import (
-    corrected_urdf,
-    load_robot,
-    locate_robot,
-)
+from calib_pin.io.urdf import corrected_urdf, load_robot, locate_robot
 from calib_pin.io.urdf_tree import edit_origins, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import Mimic
@@ -541,7 +532,7 @@ def chain(count: int, kind: str = "fixed", closing: str = "") -> bytes:
 def test_limits(bad: Callable[..., None]) -> None:
     assert parse_robot(chain(999), "arm.urdf").leaves == ("l999",)
     for kind in ("fixed", "continuous"):
-        bad(chain(1000, kind), line=1, value=1001)
+        bad(chain(1000, kind), reason="1001 links", line=1)
     for kind, count in (("continuous", 201), ("floating", 34)):
         bad(chain(count, kind), line=1)
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from calib_pin.io.exchange.base import Encoded, Exported, Format
-from calib_pin.io.exchange.descriptions import mjcf, urdf, xacro
+from calib_pin.io.exchange.descriptions import camera_info, mjcf, tf, urdf, xacro
 from calib_pin.io.exchange.joint_frames import dh, ur, xarm
 from calib_pin.io.exchange.joint_offsets import lerobot, offsets_table, ros2_control
-from calib_pin.io.exchange.places import camera_info, tf
 
 __all__ = ["FORMATS", "Encoded", "Exported", "Format"]
 

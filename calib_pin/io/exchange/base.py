@@ -7,13 +7,12 @@ where it takes one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 
 from calib_pin.errors import InputError, OptionError, enumerated
 from calib_pin.estimation.evidence import TRUSTED
@@ -60,9 +59,6 @@ RIGID = (GEOMETRY, OFFSETS)
 Read = Callable[[Chain, Floats], Floats]
 """Tip poses of a nominal chain in its base as a file has them, by the chain and its
 joint positions, (N, n) -> (N, 4, 4); `Chain.poses` are those of the nominal robot."""
-
-ORIGIN = ("x", "y", "z", "roll", "pitch", "yaw")
-"""Numbers of an origin as URDFs have them [m, rad]."""
 
 GAIN = ".transmission.gain"
 """End of the names of gains."""
@@ -146,20 +142,15 @@ class Exported:
         """The first corrected chain."""
         return Chain(self.robot, self.nominal.base, self.nominal.tip)
 
-    def corrected_poses(self, chain: Chain, q: Floats) -> Floats:
-        """Tip poses of the corrected chain of a nominal one, (N, n) -> (N, 4, 4)."""
-        return Chain(self.robot, chain.base, chain.tip).poses(q)
-
     @cached_property
     def reverses(self) -> Mapping[str, str]:
         """A sentence by joint that turns back as its column goes on."""
         joints = self.result.model.setup.joints
         return told_reversed(JointColumns.of(self.chains, joints))
 
-    @cached_property
-    def configurations(self) -> Floats:
-        """Random configurations of the first chain, shape (N, n)."""
-        return configurations(self.nominal)
+    def corrected_poses(self, chain: Chain, q: Floats) -> Floats:
+        """Tip poses of the corrected chain of a nominal one, (N, n) -> (N, 4, 4)."""
+        return Chain(self.robot, chain.base, chain.tip).poses(q)
 
     def distance(self, read: Read) -> float:
         """How far a file is from the whole calibration.
@@ -176,7 +167,7 @@ class Exported:
             q = configurations(one.chain)
             found = read(one.chain, q) @ one.tool.homogeneous
             far.append((found - in_base(one, q))[:, :3, 3])
-        return rms(np.concatenate(far))
+        return float(np.sqrt(np.mean(np.sum(np.concatenate(far) ** 2, axis=1))))
 
     def joint_errors(
         self, joints: Mapping[str, JointMap], *, gains: bool = False
@@ -205,15 +196,6 @@ class Exported:
             if one.error.learned is not None:
                 found["learned correction"] = None
         return tuple(found)
-
-    @cached_property
-    def framed(self) -> bool:
-        """Whether there are frames that the calibration found."""
-        return any(
-            one.tool_carries_tip
-            or any(s.parameter.nuisance and s.parameter.free for s in one.error.screws)
-            for one in self.fitted
-        )
 
 
 @dataclass(frozen=True)
@@ -264,46 +246,51 @@ class Format:
             OptionError: If the robot is none that the format can hold.
             InputError: If the template is no such file.
         """
-        first, others = exported, exported.names[1:]
-        if others and SEVERAL not in self.holds:
-            first = replace(exported, name=exported.names[0])
+        others = () if SEVERAL in self.holds else exported.names[1:]
+        one = replace(exported, name=exported.names[0]) if others else exported
         if OFFSETS in self.holds and PRISMATIC not in self.holds:
-            for k in np.flatnonzero(~first.chains.revolute)[:1]:
-                slides = f"'{first.chains.joints[k]}' slides"
-                raise first.error(f"{self.name} is for joints that turn, {slides}")
-        encoded = self.write(first, template)
+            for k in np.flatnonzero(~one.chains.revolute)[:1]:
+                slides = f"'{one.chains.joints[k]}' slides"
+                raise one.error(f"{self.name} is for joints that turn, {slides}")
+        encoded = self.write(one, template)
         remarks = [*encoded.remarks]
         if OFFSETS in self.holds:
-            read = encoded.read or first.corrected_poses
-            remarks += [*self._distance(first, read), *self._lacking(first)]
-        if first is not exported:
-            said = f"'{first.name}', not {enumerated(others)} (--chain)"
+            remarks += self._lacking(one, encoded.read or one.corrected_poses)
+        if others:
+            said = f"'{one.name}', not {enumerated(others)} (--chain)"
             remarks.append(f"{self.name} holds one chain: {said}")
         return replace(encoded, remarks=tuple(remarks))
 
-    def _distance(self, exported: Exported, read: Read) -> Iterator[str]:
-        """A sentence about how far a file is from the calibration, if it is."""
-        remaining, (unit, factor) = exported.distance(read), DISPLAY["m"]
-        whole = exported.distance(Chain.poses)
-        lacking = [p for p in exported.parts if p not in self.holds]
-        about = (
-            f"{factor * remaining:.3g} of {factor * whole:.3g} {unit} of what was "
-            "found are missing (tool point, rms over the workspace)"
-        )
-        if remaining < ENOUGH:
-            lacking = [p for p in lacking if p not in (GEOMETRY, OFFSETS, GAINS)]
-            about = "it depends on what measurements state"
-        if lacking:
-            yield f"{self.name} holds no {', '.join(lacking)}: {about}"
-        elif remaining >= ENOUGH:
-            yield about
+    def _lacking(self, exported: Exported, read: Read) -> Iterator[str]:
+        """Sentences about the distance to the calibration, frames and kinds of joints.
 
-    def _lacking(self, exported: Exported) -> Iterator[str]:
-        """Sentences about frames, and about joints of kinds that it does not hold."""
-        if exported.framed:
+        Args:
+            exported: The calibration.
+            read: The robot as the file has it.
+        """
+        (unit, factor), distance = DISPLAY["m"], exported.distance(read)
+        lacking = [p for p in exported.parts if p not in self.holds]
+        about = "it depends on what measurements state"
+        if distance < ENOUGH:
+            lacking = [p for p in lacking if p not in (GEOMETRY, OFFSETS, GAINS)]
+        else:
+            about = (
+                f"{factor * distance:.3g} of "
+                f"{factor * exported.distance(Chain.poses):.3g} {unit} of what was "
+                "found are missing (tool point, rms over the workspace)"
+            )
+        if lacking:
+            about = f"{self.name} holds no {', '.join(lacking)}: {about}"
+        if lacking or distance >= ENOUGH:
+            yield about
+        if any(
+            one.tool_carries_tip
+            or any(s.parameter.nuisance and s.parameter.free for s in one.error.screws)
+            for one in exported.fitted
+        ):
             seen = CAMERA_LINK in self.holds and exported.result.model.cameras
-            lacking = "frames but the camera's" if seen else "base and tool frames"
-            yield f"{self.name} holds no {lacking}: see 'tf'"
+            frames = "frames but the camera's" if seen else "base and tool frames"
+            yield f"{self.name} holds no {frames}: see 'tf'"
         followers = [
             f"{name} is {of.factor:g} {of.leader} {of.offset:+g}"
             for name, of in exported.nominal.mimics.items()
@@ -324,24 +311,3 @@ def require(
     """
     if not usable:
         raise InputError(reason, file=file, value=value, allowed=allowed)
-
-
-def rms(vectors: Floats) -> float:
-    """Length of vectors, shape (N, 3), root mean square."""
-    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
-
-
-def origin_of(pose: pin.SE3) -> list[float]:
-    """The numbers of a pose, see `ORIGIN`."""
-    return [*pose.translation.tolist(), *pin.rpy.matrixToRpy(pose.rotation).tolist()]
-
-
-def placed(origin: Sequence[float]) -> pin.SE3:
-    """The pose of the numbers of an origin, see `ORIGIN`."""
-    numbers = np.array(origin, float)
-    return pin.SE3(pin.rpy.rpyToMatrix(numbers[3:]), numbers[:3])
-
-
-def words(numbers: Iterable[float]) -> str:
-    """Numbers with all their digits."""
-    return " ".join(repr(float(number)) for number in numbers)

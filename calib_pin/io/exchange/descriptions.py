@@ -1,8 +1,14 @@
-"""The corrected robot in other languages: URDF, xacro's properties, and MuJoCo's."""
+"""The corrected robot and its frames in other languages.
+
+URDF, xacro's properties and MuJoCo's description hold the corrected robot; static
+transforms and camera files say where base, tools, stations and cameras are.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -10,12 +16,16 @@ from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 import pinocchio as pin
+import yaml
 
 import calib_pin.io.exchange.base as base
 import calib_pin.io.urdf_tree as urdf_tree
+from calib_pin.errors import enumerated
 from calib_pin.io.exchange.base import Encoded, Exported, Format
-from calib_pin.io.exchange.places import camera_links
-from calib_pin.io.urdf_tree import Document, parse_document
+from calib_pin.io.urdf_tree import Document, origin_of, words
+from calib_pin.measurement_models.declaration import QUATERNION
+from calib_pin.measurement_models.pinhole import Camera
+from calib_pin.validation.result import REMEDY, frames_of
 
 KINDS = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
 
@@ -27,6 +37,128 @@ MASS = 1e-3
 LEAST = {"mass": repr(MASS), "pos": "0 0 0", "fullinertia": "1e-06 1e-06 1e-06 0 0 0"}
 """Its inertia [kg, m, kg m^2]."""
 
+SIX = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+"""The upper triangle of an inertia, row by row."""
+
+
+NAMES = {"base": ("measurement", "measured_frame"), "tool": ("tool", "measured_point")}
+"""Names of the frames that have none of their own, by how they are called here."""
+
+OPTICAL = (0.0, 0.0, 0.0, -np.pi / 2, 0.0, -np.pi / 2)
+"""Origin of the optical frame of a camera in its link, see `ORIGIN`."""
+
+ENDS = ("link", "joint", "optical_frame", "optical_joint")
+"""Ends of the names of a camera's links and joints."""
+
+TURNS = ("rx", "ry", "rz")
+"""Components of an orientation."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A frame that stands still in a link.
+
+    Attributes:
+        parent: The link.
+        child: Name of the frame, of which no link and no other frame has any.
+        pose: Its pose in the link.
+        camera: Whether it is the optical frame of a camera.
+        written: Whether it is of use: all is known, or of a point its position.
+        remark: A sentence about what nobody knows of it; empty if all is known.
+    """
+
+    parent: str
+    child: str
+    pose: pin.SE3
+    camera: bool
+    written: bool
+    remark: str
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Position [m] and quaternion, each number by its name."""
+        numbers = pin.SE3ToXYZQUAT(self.pose).tolist()
+        return dict(zip((*"xyz", *QUATERNION), numbers, strict=True))
+
+
+def places(
+    exported: Exported, *, cameras: bool = False
+) -> tuple[list[Place], tuple[str, ...]]:
+    """The measurement frames in the base link, and the tools in the tip link.
+
+    They belong to the corrected URDF; a frame that several blocks share is listed once.
+
+    Args:
+        exported: The calibration.
+        cameras: Only the frames of cameras.
+
+    Returns:
+        The frames, and sentences about what is not known of them.
+    """
+    result, every = exported.result, dict[tuple[str, ...], Place]()
+    taken = set(result.model.chains.robot.links)
+    for term in result.model.terms.values():
+        chain, (station, tool) = term.error.chain, (f for f, _ in frames_of(term))
+        start, tip = term.error.base.inverse(), result.model.of(term.key).tool
+        seen = {
+            "tool" if reference.mount == "hand" else "station": reference
+            for reference in term.measurement.references
+            if isinstance(reference, Camera)
+        }
+        for frame, link, pose in ((station, chain.base, start), (tool, chain.tip, tip)):
+            if (key := (*frame, link)) in every:
+                continue
+            names = NAMES.get(frame.name, (f"{frame.name}_{frame.kind}",))
+            if camera := seen.get(frame.kind):
+                name = term.frames.reference(camera)
+                names = (name, f"{name}_optical_frame")
+            child, unknown = _free_name(names, taken), result.unknown_of(*frame)
+            point = frame is tool and camera is None and unknown == TURNS
+            remark = f"{', '.join(unknown)} of {link} -> {child} unknown"
+            if point:
+                where = f"of {link} -> {child} was not measured, only its position"
+                remark = f"the orientation {where}"
+            about = point or not unknown, remark if unknown else ""
+            every[key] = Place(link, child, pose, camera is not None, *about)
+    found = [place for place in every.values() if place.camera or not cameras]
+    remarks = [place.remark for place in found if place.remark]
+    if not all(place.written for place in found):
+        known = [f"only {sums.expression} is known" for sums in result.coupled_frames]
+        remarks.append("; ".join([REMEDY, *known]))
+    return found, tuple(remarks)
+
+
+def _free_name(names: Sequence[str], taken: set[str]) -> str:
+    """The first name that no frame has, or the last with a number; taken from now."""
+    plain = [re.sub(r"[./]", "_", name) for name in names]
+    plain += [f"{plain[-1]}_{k}" for k in range(2, len(taken) + 3)]
+    name = next(name for name in plain if name not in taken)
+    taken.add(name)
+    return name
+
+
+def camera_links(exported: Exported) -> tuple[str, tuple[str, ...]]:
+    """Links of the cameras whose place is known, as elements of a URDF, and remarks.
+
+    As ROS has it (REP 103): in `NAME_link` x is forward and z up, in
+    `NAME_optical_frame` z is forward and x to the right of the image.
+    """
+    (found, remarks), text = places(exported, cameras=True), ""
+    document = _corrected(exported)
+    taken = {*document.named("link"), *document.named("joint")}
+    for place in (place for place in found if place.written):
+        stem = place.child.removesuffix("_optical_frame")
+        names = (_free_name([f"{stem}_{end}"], taken) for end in ENDS)
+        link, joint, frame, optical = names
+        forward = origin_of(place.pose * urdf_tree.placed(OPTICAL).inverse())
+        text += urdf_tree.branch((joint, "fixed", place.parent, link), forward)
+        text += urdf_tree.branch((optical, "fixed", link, frame), OPTICAL)
+    return text, remarks
+
+
+def _corrected(exported: Exported) -> Document:
+    return urdf_tree.parse_document(exported.robot.source, exported.robot.file)
+
 
 @partial(Format, "mjcf", ".xml", (*base.RIGID, *base.ROBOTS), "")
 def mjcf(exported: Exported, _: Path | None) -> Encoded:
@@ -35,32 +167,29 @@ def mjcf(exported: Exported, _: Path | None) -> Encoded:
     Raises:
         OptionError: If the robot has a joint of several degrees of freedom.
     """
-    robot = exported.robot
-    document = parse_document(robot.source, robot.file)
-    links, below = document.named("link"), dict[str, list[urdf_tree.Element]]()
-    for element in document.root.all("joint"):
-        below.setdefault(element.link("parent"), []).append(element)
-    root, without = Element("mujoco", model=robot.name), []
+    robot, document = exported.robot, _corrected(exported)
+    links, joints = document.named("link"), document.named("joint").values()
+    root, without = Element("mujoco", model=robot.name), list[str]()
     about = {"angle": "radian", "autolimits": "true", "balanceinertia": "true"}
     SubElement(root, "compiler", about)
-    pending: list[tuple[Element, str, urdf_tree.Element | None]]
+    pending: list[tuple[Element, str, Element | None]]
     pending = [(SubElement(root, "worldbody"), robot.root, None)]
     while pending:
         body, link, joint = pending.pop()
         stated = _inertia(document, links[link])
         if joint is not None or link != WORLD:  # Which MuJoCo has already.
             body = SubElement(body, "body", name=link)
-        if joint is not None and (moves := _place(exported, document, joint, body)):
+        if joint is not None and (moves := _put(exported, document, joint, body)):
             SubElement(body, "joint", moves)
             without += [] if stated else [link]
             stated = stated or LEAST
         if stated and body.tag == "body":  # MuJoCo's world has no inertia.
             SubElement(body, "inertial", stated)
-        pending += [(body, j.link("child"), j) for j in below.get(link, [])]
-    if robot.mimics:
-        equality = SubElement(root, "equality")
+        below = (j for j in joints if urdf_tree.link_of(j, "parent") == link)
+        pending += [(body, urdf_tree.link_of(j, "child"), j) for j in below]
+    equality = SubElement(root, "equality") if robot.mimics else root
     for name, mimic in robot.mimics.items():
-        numbers = base.words([mimic.offset, mimic.factor, 0.0, 0.0, 0.0])
+        numbers = words([mimic.offset, mimic.factor, 0.0, 0.0, 0.0])
         ends = {"joint1": name, "joint2": mimic.leader}
         SubElement(equality, "joint", ends, polycoef=numbers)
     indent(root)
@@ -68,57 +197,49 @@ def mjcf(exported: Exported, _: Path | None) -> Encoded:
     return Encoded(tostring(root) + b"\n", (told,) if without else ())
 
 
-def _place(
-    exported: Exported, document: Document, joint: urdf_tree.Element, body: Element
+def _put(
+    exported: Exported, document: Document, joint: Element, body: Element
 ) -> dict[str, str]:
     """Put a body where its joint is; how this moves it, if it does."""
-    name, kind = joint.attributes["name"], joint.attributes["type"]
-    pose, limit = document.origin(joint), joint.child("limit")
+    name, kind = joint.attrib["name"], joint.attrib["type"]
+    pose, limit = document.origin(joint), joint.find("limit")
     x, y, z, w = pin.Quaternion(pose.rotation).coeffs()
-    body.set("pos", base.words(pose.translation))
-    body.set("quat", base.words([w, x, y, z]))
+    body.attrib |= {"pos": words(pose.translation), "quat": words([w, x, y, z])}
     if kind == "fixed":
         return {}
     if kind not in KINDS:
         raise exported.error(f"joint '{name}' is {kind}, which is not exported")
-    moves = {
-        "name": name,
-        "type": KINDS[kind],
-        "axis": base.words(document.axis(joint)),
-    }
+    axis = words(document.axis(joint))
+    moves = {"name": name, "type": KINDS[kind], "axis": axis}
     if kind != "continuous" and limit is not None:
-        ends = [float(limit.attributes.get(end, 0.0)) for end in ("lower", "upper")]
-        moves |= {"range": base.words(ends)} if ends[0] < ends[1] else {}
+        ends = [float(limit.get(end, 0.0)) for end in ("lower", "upper")]
+        moves |= {"range": words(ends)} if ends[0] < ends[1] else {}
     return moves
 
 
-def _inertia(document: Document, link: urdf_tree.Element) -> dict[str, str]:
+def _inertia(document: Document, link: Element) -> dict[str, str]:
     """The inertia of a link, if its URDF states one that is more than zero."""
-    for stated in link.all("inertial")[:1]:
-        mass, inertia = stated.child("mass"), stated.child("inertia")
-        if mass is None or inertia is None:
-            break
-        size, full = float(mass.attributes["value"]), np.zeros((3, 3))
-        keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        six = [float(inertia.attributes.get(key, 0.0)) for key in keys]
-        full[np.triu_indices(3)] = full.T[np.triu_indices(3)] = six
-        if size > 0.0 and np.linalg.eigvalsh(full).min() > 0.0:
-            pose = document.origin(stated)
-            full = pose.rotation @ full @ pose.rotation.T
-            six = full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-            place = {"mass": repr(size), "pos": base.words(pose.translation)}
-            return place | {"fullinertia": base.words(six)}
-    return {}
+    mass, inertia = link.find("inertial/mass"), link.find("inertial/inertia")
+    if mass is None or inertia is None:
+        return {}
+    size, full = float(mass.attrib["value"]), np.zeros((3, 3))
+    numbers = [float(inertia.get(key, 0.0)) for key in SIX]
+    full[np.triu_indices(3)] = full.T[np.triu_indices(3)] = numbers
+    if not (size > 0.0 and np.linalg.eigvalsh(full).min() > 0.0):
+        return {}
+    pose = document.origin(link.findall("inertial")[0])
+    full = pose.rotation @ full @ pose.rotation.T
+    numbers = full[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    place = {"mass": repr(size), "pos": words(pose.translation)}
+    return place | {"fullinertia": words(numbers)}
 
 
 @partial(Format, "urdf", ".urdf", (*base.RIGID, *base.ROBOTS, base.CAMERA_LINK), "")
 def urdf(exported: Exported, _: Path | None) -> Encoded:
     """The corrected URDF, with its camera."""
-    robot, (links, remarks) = exported.robot, camera_links(exported)
-    document = parse_document(robot.source, robot.file)
-    end = document.data.rfind(b"</")
-    data = document.data[:end] + links.encode() + document.data[end:]
-    return Encoded(document.mark + data.decode().encode(document.codec), remarks)
+    document, (links, remarks) = _corrected(exported), camera_links(exported)
+    before, end, after = document.data.rpartition(b"</")
+    return Encoded(document.encoded(before + links.encode() + end + after), remarks)
 
 
 @partial(Format, "xacro", ".xacro", (*base.RIGID, *base.ROBOTS, base.CAMERA_LINK), "")
@@ -128,21 +249,9 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
     Those of the chain, and those that the calibration moved. Properties have names that
     may stand in an expression, and no other joint's.
     """
-    document = parse_document(exported.robot.source, exported.robot.file)
+    document, (links, remarks) = _corrected(exported), camera_links(exported)
     changed = {} if exported.geometry is None else exported.geometry.urdf_corrections()
-    properties, renamed = dict[str, str](), list[str]()
-    for name, joint in document.named("joint").items():
-        if name not in {*exported.chains.joints, *changed}:
-            continue
-        own = re.sub(r"\W|^(?=\d)", "_", name)
-        while f"{own}_xyz" in properties:
-            own += "_"
-        if own != name:
-            renamed.append(f"{own}_xyz, {own}_rpy are those of '{name}'")
-        numbers = base.origin_of(document.origin(joint))
-        properties[f"{own}_xyz"] = base.words(numbers[:3])
-        properties[f"{own}_rpy"] = base.words(numbers[3:])
-    about = escape(exported.robot.name).replace("--", "- -")
+    owners, about = dict[str, str](), escape(exported.robot.name).replace("--", "- -")
     lines = [
         '<?xml version="1.0"?>',
         f"<!-- joint origins of {about}, calibrated: "
@@ -150,8 +259,93 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
         '<origin xyz="${NAME_xyz}" rpy="${NAME_rpy}"/> -->',
         '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">',
     ]
-    for name, text in properties.items():
-        lines.append(f'  <xacro:property name={quoteattr(name)} value="{text}"/>')
-    links, remarks = camera_links(exported)
+    for name, joint in document.named("joint").items():
+        if name in {*exported.chains.joints, *changed}:
+            own = re.sub(r"\W|^(?=\d)", "_", name)
+            while own in owners:
+                own += "_"
+            owners[own] = name
+            numbers = origin_of(document.origin(joint))
+            for key, three in (("xyz", numbers[:3]), ("rpy", numbers[3:])):
+                about = f'name={quoteattr(f"{own}_{key}")} value="{words(three)}"'
+                lines.append(f"  <xacro:property {about}/>")
+    renamed = [
+        f"{own}_xyz, {own}_rpy are those of '{name}'"
+        for own, name in owners.items()
+        if own != name
+    ]
     data = "\n".join([*lines, f"{links}</robot>", ""]).encode()
     return Encoded(data, (*renamed, *remarks))
+
+
+@partial(Format, "tf", ".yaml", (base.FRAMES, base.CAMERA_LINK, *base.ROBOTS), "")
+def tf(exported: Exported, _: Path | None) -> Encoded:
+    """Static transforms of base, tools, stations, camera.
+
+    As ROS prints them, and the commands that publish them.
+
+    Raises:
+        OptionError: If nothing is known of any.
+    """
+    (found, remarks), documents, commands = places(exported), [], []
+    for place in (place for place in found if place.written):
+        numbers = place.numbers
+        turn = {key[1:]: numbers[key] for key in QUATERNION}
+        pose = {"translation": {k: numbers[k] for k in "xyz"}, "rotation": turn}
+        about = {"header": {"frame_id": place.parent}, "child_frame_id": place.child}
+        documents.append(about | {"transform": pose})
+        stated = " ".join(f"--{key} {number!r}" for key, number in numbers.items())
+        commands.append(
+            f"# ros2 run tf2_ros static_transform_publisher {stated} "
+            f"--frame-id {place.parent} --child-frame-id {place.child}"
+        )
+    if not documents:
+        raise exported.error("; ".join(remarks))
+    text = yaml.safe_dump({"transforms": documents}, sort_keys=False)
+    lines = [*(f"# {remark}" for remark in remarks), *commands, text]
+    return Encoded("\n".join(lines).encode(), remarks)
+
+
+@partial(Format, "camera-info", ".yaml", (base.CAMERA, *base.ROBOTS), "")
+def camera_info(exported: Exported, _: Path | None) -> Encoded:
+    """The camera, as ROS loads it.
+
+    With its place, as a comment.
+
+    Raises:
+        OptionError: If there is not one camera, or its intrinsics are not known.
+    """
+    found = exported.result.model.cameras
+    if len(found) != 1:
+        told = ", ".join(found) or "none"
+        raise exported.error("one camera can be exported", told)
+    ((name, camera),) = found.items()
+    if unknown := [p for p in exported.result.unknown if p.startswith(f"{name}.")]:
+        raise exported.error(f"{enumerated(unknown)} unknown; {REMEDY}")
+    if camera.size is None:
+        hint = "state 'size: [width, height]' [px] under 'camera' in the setup file"
+        reason = f"the size of the images is unknown; {hint}, and calibrate again"
+        raise exported.error(reason)
+    (fx, fy), (cx, cy) = camera.focal, camera.center
+    K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    matrices = {
+        "camera_matrix": K,
+        "distortion_coefficients": np.array([camera.distortion]),
+        "rectification_matrix": np.eye(3),
+        "projection_matrix": np.pad(K, ((0, 0), (0, 1))),
+    }
+    width, height = map(int, camera.size)
+    document = {"image_width": width, "image_height": height, "camera_name": name}
+    document |= {"distortion_model": "plumb_bob"}
+    for key, matrix in matrices.items():
+        (rows, cols), data = matrix.shape, matrix.ravel().tolist()
+        document[key] = {"rows": rows, "cols": cols, "data": data}
+    (cameras, remarks), lines = places(exported, cameras=True), list[str]()
+    for place in cameras:
+        numbers = [*place.numbers.values()]
+        x, turn = words(numbers[:3]), words(numbers[3:])
+        about = f" in {place.parent}: xyz {x}, quaternion x y z w {turn}"
+        about = about if place.written else f": {place.remark}"
+        lines.append(f"# optical frame{about}")
+    lines.append(yaml.safe_dump(document, sort_keys=False, default_flow_style=None))
+    return Encoded("\n".join(lines).encode(), remarks)

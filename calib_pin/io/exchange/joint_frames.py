@@ -16,26 +16,28 @@ near as they can be to those of the user's own file.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from itertools import accumulate, pairwise
 from operator import mul
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import yaml
 
 import calib_pin.io.exchange.base as base
-from calib_pin.errors import OutputError
 from calib_pin.io.exchange.base import Encoded, Exported, Format
 from calib_pin.io.measurements import encode_table
+from calib_pin.io.urdf_tree import ORIGIN, origin_of, placed
 from calib_pin.io.yaml_tree import Tree, read_tree
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.spatial import Floats, se3_exp
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.units import DISPLAY
 
 EXACT = 1e-9
-"""Largest difference of forward kinematics that is rounding [m, rad]."""
+"""Largest distance that is rounding [m, rad]."""
 
 ACROSS = 0.9
 """Cosine from which a direction is too near an axis to tell a turn about it."""
@@ -45,10 +47,10 @@ ROOT = "kinematics"
 UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 
 ALIKE = 0.05
-"""Largest difference of the nominal robot and the user's own file, rms [m]: factories
-correct by millimeters."""
+"""Largest distance between an axis of the nominal robot and of the user's own file, a
+meter along it [m]: factories correct by millimeters."""
 
-BASES = (pin.SE3.Identity(), base.placed([0.0, 0.0, 0.0, 0.0, 0.0, np.pi]))
+BASES = (pin.SE3.Identity(), placed([0.0, 0.0, 0.0, 0.0, 0.0, np.pi]))
 """Where the first origin may be in the base link."""
 
 PARALLEL = np.deg2rad(1.0)
@@ -77,13 +79,9 @@ def axis_frames(chain: Chain) -> list[tuple[Floats, Floats]]:
     Directions are those in which joints count, also of joints that are traversed from
     child to parent.
     """
-    signs = np.where(chain.reversed, -1.0, 1.0)
-    return [
-        (frame[:3, 3], sign * frame[:3, :3] @ axis)
-        for frame, axis, sign in zip(
-            chain.joint_frames(), chain.axes, signs, strict=True
-        )
-    ]
+    axes = np.where(chain.reversed, -1.0, 1.0)[:, None] * chain.axes
+    pairs = zip(chain.joint_frames(), axes, strict=True)
+    return [(frame[:3, 3], frame[:3, :3] @ axis) for frame, axis in pairs]
 
 
 def along(point: Floats, axis: Floats, near: pin.SE3) -> pin.SE3:
@@ -109,35 +107,6 @@ def along(point: Floats, axis: Floats, near: pin.SE3) -> pin.SE3:
 
 def _tip(chain: Chain) -> pin.SE3:
     return pin.SE3(chain.poses(np.zeros((1, len(chain.joints))))[0])
-
-
-def _poses(origins: Sequence[pin.SE3], chain: Chain, q: Floats) -> Floats:
-    """Poses of the tip where joints turn about, or slide along, their own z axis.
-
-    Args:
-        origins: Of each of the n joints in the frame of the one before, and of the tip.
-        chain: The chain, for the kinds of its joints.
-        q: Joint positions, shape (N, n) [rad, m].
-    """
-    T = origins[0].homogeneous
-    for origin, turns, at in zip(origins[1:], chain.revolute, q.T, strict=True):
-        twists = np.zeros((len(q), 6))
-        twists[:, 5 if turns else 2] = at
-        T = T @ se3_exp(twists) @ origin.homogeneous
-    return np.asarray(T)
-
-
-def _require_same(exported: Exported, origins: Sequence[pin.SE3]) -> None:
-    """Compare the robot of other frames with the corrected one.
-
-    Raises:
-        OutputError: If they differ.
-    """
-    chain, q = exported.chain, exported.configurations
-    difference = np.abs(_poses(origins, chain, q) - chain.poses(q)).max()
-    if not difference < EXACT:
-        reason = f"the file differs from the corrected robot by {difference:.2g}"
-        raise OutputError(reason)
 
 
 @partial(Format, "ur-kinematics", ".yaml", base.RIGID, "required")
@@ -169,24 +138,16 @@ def _vendor(exported: Exported, template: Path | None, names: Sequence[str]) -> 
     own = [_origin(tree, name) for name in names]
     root = _base(exported, own, template)
     # The last frame is that of the flange.
-    near = [*accumulate([root, *own[:-1]], mul), tip]
-    frames = [
-        along(*axis, frame)
-        for axis, frame in zip(axis_frames(chain), near[1:], strict=True)
-    ]
-    flange = frames[-1].actInv(tip)
-    origins = [before.actInv(frame) for before, frame in pairwise([root, *frames])]
-    _require_same(exported, [root * origins[0], *origins[1:], flange])
-    for name, origin in zip(names, origins, strict=True):
-        tree.data[ROOT][name] = dict(
-            zip(base.ORIGIN, base.origin_of(origin), strict=True)
-        )
-    remarks = []
-    twist = pin.log6(flange).vector
-    moved, turned = np.linalg.norm(twist[:3]), np.linalg.norm(twist[3:])
+    near = [*accumulate([root, *own[:-1]], mul), tip][1:]
+    frames = list(map(along, *zip(*axis_frames(chain), strict=True), near))
+    for name, (before, frame) in zip(names, pairwise([root, *frames]), strict=True):
+        numbers = zip(ORIGIN, origin_of(before.actInv(frame)), strict=True)
+        tree.data[ROOT][name] = dict(numbers)
+    flange, remarks = frames[-1].actInv(tip), list[str]()
+    moved, turned = np.linalg.norm(np.split(pin.log6(flange).vector, 2), axis=1)
     if max(moved, turned) >= EXACT:
         unit, factor = DISPLAY["m"]
-        six = zip(base.ORIGIN, base.origin_of(flange), strict=True)
+        six = zip(ORIGIN, origin_of(flange), strict=True)
         remarks.append(
             f"the flange is off by {factor * moved:.3g} {unit} and {1e3 * turned:.3g} "
             "mrad from where this format has it; put that into the tool of the "
@@ -200,13 +161,11 @@ def _vendor(exported: Exported, template: Path | None, names: Sequence[str]) -> 
 
 def _origin(tree: Tree, name: str) -> pin.SE3:
     """The origin of an entry of the user's own file."""
-    try:
-        numbers = [float(tree.data[ROOT][name][key]) for key in base.ORIGIN]
+    with suppress(LookupError, TypeError, ValueError):
+        numbers = [float(tree.data[ROOT][name][key]) for key in ORIGIN]
         if np.isfinite(numbers).all():
-            return base.placed(numbers)
-    except (LookupError, TypeError, ValueError):
-        pass
-    allowed = f"'{ROOT}: {name}:' with the numbers {', '.join(base.ORIGIN)}"
+            return placed(numbers)
+    allowed = f"'{ROOT}: {name}:' with the numbers {', '.join(ORIGIN)}"
     reason = "is no kinematics file of such a robot"
     raise tree.error(reason, (ROOT, name), allowed=allowed)
 
@@ -216,16 +175,18 @@ def _base(exported: Exported, own: Sequence[pin.SE3], template: Path) -> pin.SE3
 
     Where the flange is in the last frame is not asked: they share the axis.
     """
-    q, nominal, sizes = exported.configurations, exported.nominal, []
-    points = nominal.poses(q)[:, :3, 3]
+    nominal, sizes = exported.nominal, []
     for root in BASES:
-        T = _poses([root * own[0], *own[1:], pin.SE3.Identity()], nominal, q)
-        away = np.einsum("nji,nj->ni", T[:, :3, :3], points - T[:, :3, 3])
-        sizes.append(base.rms(away - away.mean(axis=0)))
+        frames = [*accumulate([root, *own], mul)][1:]
+        away = [
+            (np.linalg.norm(f.actInv(point)[:2]), np.linalg.norm(f.rotation[:, 2] - z))
+            for f, (point, z) in zip(frames, axis_frames(nominal), strict=True)
+        ]
+        sizes.append(float(np.max(away)))
     unit, factor = DISPLAY["m"]
-    far = f"{factor * min(sizes):.3g} {unit} away from that of the nominal robot"
+    far = f"{factor * min(sizes):.3g} {unit} away from those of the nominal robot"
     allowed = f"the file of '{nominal.robot.name}', from {nominal.base} on"
-    reason = f"is of another robot: its flange is {far}"
+    reason = f"is of another robot: its axes are up to {far}"
     base.require(min(sizes) < ALIKE, reason, template, None, allowed)
     return BASES[int(np.argmin(sizes))]
 
@@ -245,23 +206,18 @@ def dh(exported: Exported, _: Path | None) -> Encoded:
         frame = frame * _standard(steps[-1])
     # Everything behind the last joint is in the tip frame.
     tip = frame.actInv(_tip(chain))
-    _require_same(exported, [root, *map(_standard, steps), tip])
     # Before the first axis, and behind the last, nothing moves or turns.
     zero = [0.0] * len(NUMBERS)
     steps = [zero, *steps, zero]
-    tables = {
-        "standard": steps[1:],
-        "modified": [[*b[:2], *a[2:]] for a, b in pairwise(steps)],
-    }
-    kinds = ["revolute" if turns else "prismatic" for turns in chain.revolute]
-    rows: list[list[object]] = []
-    no_step, no_frame = [""] * len(NUMBERS), [""] * len(base.ORIGIN)
-    for convention, numbers in tables.items():
-        rows.append([convention, "base", "frame", *no_step, *base.origin_of(root)])
+    modified = [[*after[:2], *before[2:]] for before, after in pairwise(steps)]
+    kinds = np.where(chain.revolute, "revolute", "prismatic").tolist()
+    rows, no_step, no_frame = list[list[Any]](), [""] * len(NUMBERS), [""] * len(ORIGIN)
+    for convention, numbers in (("standard", steps[1:]), ("modified", modified)):
+        rows.append([convention, "base", "frame", *no_step, *origin_of(root)])
         for joint, kind, row in zip(chain.joints, kinds, numbers, strict=True):
             rows.append([convention, joint, kind, *row, *no_frame])
-        rows.append([convention, "tip", "frame", *no_step, *base.origin_of(tip)])
-    headers = ("convention", "joint", "type", *NUMBERS, *base.ORIGIN)
+        rows.append([convention, "tip", "frame", *no_step, *origin_of(tip)])
+    headers = ("convention", "joint", "type", *NUMBERS, *ORIGIN)
     table = dict(zip(headers, zip(*rows, strict=True), strict=True))
     return Encoded(encode_table(table, [DH_USE]))
 

@@ -9,22 +9,22 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import numpy as np
 
 import calib_pin.io.exchange.base as base
 from calib_pin.errors import enumerated
-from calib_pin.io.dialects.lerobot import STEPS, read_motors
+from calib_pin.io.dialects.lerobot import KEYS, STEPS, read_motors
 from calib_pin.io.exchange.base import Encoded, Exported, Format
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.measurements import encode_table
-from calib_pin.io.urdf_tree import parse_document
+from calib_pin.io.urdf_tree import Document, parse_document
 from calib_pin.units import DISPLAY, as_number
 from calib_pin.validation.joint_errors import FoundOffset, encoder_steps, joint_offsets
 
@@ -58,15 +58,13 @@ def offsets_table(exported: Exported, _: Path | None) -> Encoded:
         turns, estimate = found.columns.revolute[k], known.get(column)
         si = "rad" if turns else "m"
         (unit, factor), offset = DISPLAY[si], float(offsets[k])
-        numbers = [f"{factor * offset:+z.6f}", "", repr(offset)]
+        shown, steps, sigma, exact = f"{factor * offset:+z.6f}", "", "", repr(offset)
         if turns and joint in stepped:
-            numbers[1] = f"{offset * stepped[joint] / (2.0 * np.pi):+z.1f}"
-        sigma = ""
+            steps = f"{offset * stepped[joint] / (2.0 * np.pi):+z.1f}"
         if estimate is not None and estimate.sigma is not None:
             sigma = f"{factor * estimate.sigma:.6f}"
         elif estimate is not None:  # A zero would pass for a result.
-            numbers, offsets[k] = ["", "", ""], 0.0
-        shown, steps, exact = numbers
+            shown, steps, exact, offsets[k] = "", "", "", 0.0
         status = "" if estimate is None else estimate.status
         sign = "-1" if joint in exported.reverses else "+1"
         rows.append((joint, column, shown, sigma, unit, steps, status, exact, si, sign))
@@ -97,19 +95,17 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
             offset.
     """
     assert template is not None
-    motors = read_motors(template)
-    _check(motors, template)
+    motors, steps = read_motors(template), dict[str, int]()
     found = exported.joint_errors(exported.result.model.setup.joints)
-    offsets, moved, seams = found.offsets.copy(), list[str](), list[str]()
+    offsets, seams = found.offsets.copy(), list[str]()
     for k, column, joint in found.drives:
         names = (joint, column, joint.removesuffix("_joint"))
         name = next((name for name in names if name in motors), "")
         allowed = f"one of {', '.join(motors)}, mapped by 'joints' in the setup"
         reason = f"has no motor for joint '{joint}'"
         base.require(name != "", reason, template, None, allowed)
-        steps = round(offsets[k] * STEPS / (2.0 * np.pi))
-        offsets[k] = steps * 2.0 * np.pi / STEPS
-        moved.append(f"{name} {-steps:+d}")
+        steps[name] = round(offsets[k] * STEPS / (2.0 * np.pi))
+        offsets[k] = steps[name] * 2.0 * np.pi / STEPS
         i = exported.chains.joints.index(joint)
         travel = exported.chains.upper[i] - exported.chains.lower[i]
         degrees = np.degrees(travel) / abs(found.columns.factors[i, k])
@@ -117,14 +113,14 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
         # Nearer to a whole turn than to the travel of the joint.
         if name != FULL_TURN and range_ * 720.0 / STEPS > 360.0 + degrees:
             seams.append(
-                f"the range of '{name}' is a whole turn, its joint turns {degrees:.0f} "
-                "deg: it was recorded across the seam of the encoder. Home the motor "
-                "in its middle and record it again"
+                f"'{name}' turns {degrees:.0f} deg, its range is a whole turn, across "
+                "the seam of its encoder. Home it in its middle and record it again"
             )
-        _move(motors[name], name, steps, template)
+    _move(motors, steps, template)
+    moved = ", ".join(f"{name} {-count:+d}" for name, count in steps.items())
     rounded = np.degrees(np.abs(offsets - found.offsets).max(initial=0.0))
     remarks = (
-        f"homing offsets changed by motor steps: {', '.join(moved)}",
+        f"homing offsets changed by motor steps: {moved}",
         f"whole steps leave up to {rounded:.3f} deg of a joint",
         *seams,
         *_estimates(exported)[1],
@@ -133,35 +129,35 @@ def lerobot(exported: Exported, template: Path | None) -> Encoded:
     return Encoded(data, remarks, replace(found, offsets=offsets).poses)
 
 
-def _check(motors: Mapping[str, Mapping[str, Any]], template: Path) -> None:
-    """Refuse what no calibration of LeRobot's can have."""
-    ranges, ids = f"range_min below range_max, from 0 to {STEPS}", dict[object, str]()
+def _move(
+    motors: Mapping[str, dict[str, Any]], steps: Mapping[str, int], template: Path
+) -> None:
+    """Change homing offsets, and ranges so that they keep their middle.
+
+    Raises:
+        InputError: If no calibration of LeRobot's can have such motors, one stores no
+            such offset, or nothing is left of its range.
+    """
+    ids, between = dict[object, str](), f"range_min below range_max, from 0 to {STEPS}"
     for name, motor in motors.items():
-        low, high, own = motor["range_min"], motor["range_max"], motor.get("id")
+        (homing, low, high), own = (motor[key] for key in KEYS), motor.get("id")
         reason = f"the encoder of '{name}' has no such range"
-        base.require(0 <= low < high <= STEPS, reason, template, [low, high], ranges)
+        base.require(0 <= low < high <= STEPS, reason, template, [low, high], between)
         other = name if own is None else ids.setdefault(own, name)
         reason = f"motors '{other}' and '{name}' have one id"
         base.require(other == name, reason, template, own, "one for each")
-
-
-def _move(motor: dict[str, Any], name: str, steps: int, template: Path) -> None:
-    """Change the homing offset, and the range so that it keeps its middle.
-
-    Raises:
-        InputError: If a motor stores no such offset, or nothing is left of its range.
-    """
-    motor["homing_offset"] -= steps
-    value, allowed = motor["homing_offset"], f"{-FARTHEST} to {FARTHEST}"
-    reason = f"the homing offset of '{name}' has no room for {steps} steps; home this "
-    reason += "motor nearer the middle of its range first"
-    base.require(abs(value) <= FARTHEST, reason, template, value, allowed)
-    if motor["range_max"] - motor["range_min"] < STEPS:
-        motor["range_min"] += abs(steps)
-        motor["range_max"] -= abs(steps)
-    value, allowed = motor["range_max"] - motor["range_min"], "more than 0"
-    reason = f"the range of '{name}' is smaller than its offset of {steps} steps"
-    base.require(value > 0, reason, template, value, allowed)
+        moved = steps.get(name, 0)
+        homing, less = homing - moved, abs(moved) if high - low < STEPS else 0
+        reason = f"the homing offset of '{name}' has no room for {moved} steps; home "
+        reason += "this motor nearer the middle of its range first"
+        allowed = f"{-FARTHEST} to {FARTHEST}"
+        base.require(abs(homing) <= FARTHEST, reason, template, homing, allowed)
+        motor |= zip(KEYS, (homing, low + less, high - less), strict=True)
+        reason, left = (
+            f"{moved} steps leave no range of '{name}'",
+            high - low - 2 * less,
+        )
+        base.require(left > 0, reason, template, left, "more than 0 steps")
 
 
 PLUGIN = "transmission_interface/SimpleTransmission"
@@ -185,81 +181,69 @@ def ros2_control(exported: Exported, template: Path | None) -> Encoded:
         InputError: If that is no XML, or has a transmission of another kind.
     """
     found = exported.joint_errors({}, gains=True)
-    joints, root = (
-        found.columns.joints,
-        Element("robot", name=exported.nominal.robot.name),
-    )
+    both = zip(found.gains.tolist(), found.offsets.tolist(), strict=True)
+    errors = dict(zip(found.columns.joints, both, strict=True))
+    source, about = tostring(Element("robot", name=exported.nominal.robot.name)), None
     if template is not None:
-        source = parse_document(read_bytes(template, TEXT), str(template)).plain
-        root = fromstring(source)
-    stated = {e.get("name") for t in root.iter("transmission") for e in t.iter("joint")}
-    for joint in (joint for joint in joints if joint not in stated):
+        source, about = read_bytes(template, TEXT), str(template)
+    document = parse_document(source, about)
+    root, joints = document.root, {*errors}
+    for element in root.findall(".//transmission"):
+        moved = {joint.get("name", "") for joint in element.iter("joint")}
+        if not moved or moved & joints:
+            _correct(document, element, errors)
+    for joint in [*errors]:
         added = SubElement(root, "transmission", name=f"{joint}_transmission")
         SubElement(added, "actuator", name=f"{joint}_actuator")
         SubElement(added, "joint", name=joint)
-    own = _own(root, joints, template)
-    for joint, gain, offset in zip(joints, found.gains, found.offsets, strict=True):
-        element, reduction, at_zero = own[joint]
-        # The joint is at (1 + gain) of what was read, plus the offset.
-        new = reduction / (1.0 + gain), (1.0 + gain) * at_zero + offset
-        for tag, value in zip(TAGS, new, strict=True):
-            SubElement(element, tag).text = repr(float(value))
+        _correct(document, added, errors)
     indent(root)
     return Encoded(tostring(root) + b"\n", _estimates(exported)[1], found.poses)
 
 
-def _own(
-    root: Element, joints: Sequence[str], template: Path | None
-) -> dict[str, tuple[Element, float, float]]:
-    """The joints of simple transmissions by name, and reduction and offset of these.
+def _correct(
+    document: Document, element: Element, errors: dict[str, tuple[float, float]]
+) -> None:
+    """Write reduction and offset of a simple transmission anew.
 
-    The numbers are taken out; plugin and roles are spelled as ros2_control has them.
-
-    Raises:
-        InputError: If a transmission is none of one joint, or one that is not simple.
-    """
-    found = dict[str, tuple[Element, float, float]]()
-    for element in root.iter("transmission"):
-        inner, actuators = ([*element.iter(tag)] for tag in ("joint", "actuator"))
-        moved = [joint.get("name", "") for joint in inner]
-        if moved and not {*moved} & {*joints}:
-            continue
-        owner = f"transmission '{element.get('name', '')}'"
-        for stated in [e for e in element if e.tag in ("plugin", "type")]:
-            kind, reason = (stated.text or "").strip(), f"{owner} is of another kind"
-            simple = kind.rpartition("/")[2] == PLUGIN.rpartition("/")[2]
-            base.require(simple, reason, template, kind, PLUGIN)
-            element.remove(stated)
-        names = ", ".join([*moved, *(e.get("name", "") for e in actuators)])
-        one = len(inner) == len(actuators) == 1 and moved[0] not in found
-        reason = f"{owner} is not that of one joint with one actuator"
-        base.require(one, reason, template, names, PLUGIN)
-        found[moved[0]] = (inner[0], *_numbers(element, owner, template))
-        SubElement(element, "plugin").text = PLUGIN
-        inner[0].attrib.setdefault("role", "joint1")
-        actuators[0].attrib.setdefault("role", "actuator1")
-    return found
-
-
-def _numbers(
-    transmission: Element, owner: str, template: Path | None
-) -> tuple[float, float]:
-    """Take reduction and offset out, also as ROS 1 spells and places them.
+    Also where ROS 1 spells and places them; plugin and roles are spelled as
+    ros2_control has them. Gain and offset of its joint are taken from the errors.
 
     Raises:
-        InputError: If one is no number, is stated twice, or is spelled otherwise.
+        RobotError: If it is not that of one joint with one actuator, or one of its
+            numbers is none, is stated twice, or is spelled otherwise.
     """
-    stated = dict[str, float]()
-    for parent in transmission:
-        for element in list(parent):
-            tag = re.sub(r"(?=[A-Z])", "_", element.tag).lower()
-            if tag not in TAGS and not re.search("reduction|ratio", tag):
-                continue
-            value = float(np.array(as_number((element.text or "").strip()), float))
-            usable = np.isfinite(value) and (value != 0.0 or tag == "offset")
-            usable &= tag in TAGS and stated.setdefault(tag, value) == value
-            reason = f"{owner} has a <{element.tag}> that cannot be used"
-            base.require(bool(usable), reason, template, element.text, NUMBERS)
-            parent.remove(element)
-    reduction, offset = (TAGS | stated).values()
-    return reduction, offset
+    owner = f"transmission '{element.get('name', '')}'"
+    for stated in [e for e in element if e.tag in ("plugin", "type")]:
+        kind, reason = (stated.text or "").strip(), f"{owner} is of another kind"
+        simple = kind.rpartition("/")[2] == PLUGIN.rpartition("/")[2]
+        document.require(simple, stated, reason, value=kind, allowed=PLUGIN)
+        element.remove(stated)
+    inner, actuators = ([*element.iter(tag)] for tag in ("joint", "actuator"))
+    names = [part.get("name", "") for part in (*inner, *actuators)]
+    one = len(inner) == len(actuators) == 1 and names[0] in errors
+    reason = f"{owner} is not that of one joint with one actuator"
+    value = ", ".join(names)
+    document.require(one, element, reason, value=value, allowed=PLUGIN)
+    before = dict[str, float]()
+    for parent in element:
+        for part in list(parent):
+            tag = re.sub(r"(?=[A-Z])", "_", part.tag).lower()
+            if tag in TAGS or re.search("reduction|ratio", tag):
+                number = float(np.array(as_number((part.text or "").strip()), float))
+                usable = np.isfinite(number) and (number != 0.0 or tag == "offset")
+                usable &= tag in TAGS and before.setdefault(tag, number) == number
+                reason = f"{owner} has a <{part.tag}> that cannot be used"
+                about = {"value": part.text, "allowed": NUMBERS}
+                document.require(usable, part, reason, **about)
+                parent.remove(part)
+    SubElement(element, "plugin").text = PLUGIN
+    inner[0].attrib.setdefault("role", "joint1")
+    actuators[0].attrib.setdefault("role", "actuator1")
+    (gain, offset), (reduction, at_zero) = (
+        errors.pop(names[0]),
+        (TAGS | before).values(),
+    )
+    # The joint is at (1 + gain) of what was read, plus the offset.
+    SubElement(inner[0], "mechanical_reduction").text = repr(reduction / (1.0 + gain))
+    SubElement(inner[0], "offset").text = repr((1.0 + gain) * at_zero + offset)

@@ -38,11 +38,9 @@ def speed_limits(chain: Chain, part: float) -> Floats:
     pairs = zip(drives.joints, stated, strict=True)
     without = [joint for joint, limit in pairs if not 0.0 < limit < FASTEST]
     if without:
-        raise OptionError(
-            f"the URDF states no speed of {', '.join(without)}, which a program needs",
-            file=chain.robot.file,
-            allowed='<limit velocity="..."/>',
-        )
+        reason = f"the URDF states no speed of {', '.join(without)}, which is needed"
+        allowed = '<limit velocity="..."/>'
+        raise OptionError(reason, file=chain.robot.file, allowed=allowed)
     return np.asarray(np.abs(drives.factors) @ (part * stated))
 
 

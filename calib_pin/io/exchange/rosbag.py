@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +23,21 @@ from calib_pin.observations.joining import Joined, Log, Standstill, continuous
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 
-JOINTS = "sensor_msgs/msg/JointState"
-DATA = "robot_calibration_msgs/msg/CalibrationData"
-POINT = "geometry_msgs/msg/PointStamped"
-POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
+JOINTS = ("sensor_msgs/msg/JointState",)
+DATA = ("robot_calibration_msgs/msg/CalibrationData",)
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-READINGS = (POINT, *POSES, TRANSFORMS)
+_GEOMETRY = "geometry_msgs/msg"
+READINGS = {
+    f"{_GEOMETRY}/PointStamped": ("point",),
+    f"{_GEOMETRY}/PoseStamped": ("pose.position", "pose.orientation"),
+    f"{_GEOMETRY}/TransformStamped": ("transform.translation", "transform.rotation"),
+}
+"""Messages of an instrument, and where their numbers are."""
 
 POSITION = ("x", "y", "z")
 
 TYPES = {
-    DATA: "sensor_msgs/JointState joint_states\n"
+    DATA[0]: "sensor_msgs/JointState joint_states\n"
     "robot_calibration_msgs/Observation[] observations",
     "robot_calibration_msgs/msg/Observation": "string sensor_name\n"
     "geometry_msgs/PointStamped[] features\n"
@@ -61,12 +66,12 @@ def read_joint_bag(path: str | Path, topic: str | None = None) -> Series:
         InputError: If it cannot be read, or has not one such topic.
         OptionError: If the extra is missing.
     """
-    heard, samples = dict[str, float](), list[tuple[float, dict[str, float]]]()
-    for time, message in _messages(path, topic, (JOINTS,)):
+    heard, samples = dict[str, float](), list[tuple[float, tuple[float, ...]]]()
+    for time, message in _messages(path, topic, JOINTS):
         # Each publisher states its own joints; others are where they were last.
         heard |= zip(message.name, message.position, strict=False)
-        samples.append((time, dict(heard)))
-    whole = [(time, [*q.values()]) for time, q in samples if len(q) == len(heard)]
+        samples.append((time, (*heard.values(),)))
+    whole = [sample for sample in samples if len(sample[1]) == len(heard)]
     return Series(_ordered(path, whole), dict.fromkeys(heard))
 
 
@@ -81,7 +86,7 @@ def read_reading_bag(path: str | Path, topic: str | None = None) -> Series:
         InputError: If it cannot be read, or has not one such topic.
         OptionError: If the extra is missing.
     """
-    found = _messages(path, topic, READINGS)
+    found = _messages(path, topic, (*READINGS, TRANSFORMS))
     log = _ordered(path, [(time, _numbers(message)) for time, message in found])
     if log.values.shape[1] == len(POSITION):
         return Series(log, dict.fromkeys(POSITION))
@@ -91,13 +96,11 @@ def read_reading_bag(path: str | Path, topic: str | None = None) -> Series:
 def holds_calibration_data(path: str | Path) -> bool:
     """Whether a bag holds calibration data."""
     with _opened(path) as reader:
-        return any(c.msgtype == DATA for c in reader.connections)
+        return any(c.msgtype in DATA for c in reader.connections)
 
 
 def read_calibration_data(
-    path: str | Path,
-    topic: str | None = None,
-    notice: Callable[[str], None] | None = None,
+    path: str | Path, topic: str | None, notice: Callable[[str], None]
 ) -> tuple[Series, Series, Joined]:
     """The samples of a bag of calibration data, joined as they are.
 
@@ -114,45 +117,43 @@ def read_calibration_data(
         InputError: If it cannot be read, or holds no features that were measured.
         OptionError: If the extra is missing.
     """
-    samples = list[tuple[float, list[float]]]()
+    samples, names = list[tuple[float, list[float]]](), list[str]()
     rows = list[tuple[int, str, tuple[float, ...]]]()
-    names, seen = list[str](), dict[str, list[tuple[float, ...]]]()
-    for time, message in _messages(path, topic, (DATA,)):
+    for time, message in _messages(path, topic, DATA):
         state = message.joint_states
         stated = dict(zip(state.name, state.position, strict=False))
         names = names or [*stated]
         if not {*names} <= {*stated}:
             raise InputError("its samples are of different joints", file=path)
         for sensor in message.observations:
-            for k, p in enumerate(feature.point for feature in sensor.features):
-                point, xyz = f"{sensor.sensor_name}-{k}", (p.x, p.y, p.z)
-                rows.append((len(samples), point, xyz))
-                seen.setdefault(point, []).append(xyz)
+            for k, feature in enumerate(sensor.features):
+                point = f"{sensor.sensor_name}-{k}"
+                rows.append((len(samples), point, _numbers(feature)))
         samples.append((time, [stated[name] for name in names]))
+    seen = dict[str, list[tuple[float, ...]]]()
+    for _, point, xyz in rows:
+        seen.setdefault(point, []).append(xyz)
     still = {p: s[0] for p, s in seen.items() if len(s) > 2 and len({*s}) == 1}
     rows = sorted(row for row in rows if row[1] not in still)
     if not (names and rows):
         raise InputError("its calibration data hold no features", file=path)
-    if still and notice is not None:
+    if still:
         known = ", ".join(f"{name}: {[*xyz]}" for name, xyz in still.items())
-        notice(
-            f"{path}: features that never move are known points of the tool: {known}"
-        )
-    which = np.array([sample for sample, _, _ in rows])
+        said = "features that never move are known points of the tool"
+        notice(f"{path}: {said}: {known}")
+    of, points, values = zip(*rows, strict=True)
+    which = np.array(of)
     stamps, q = (np.array(found, float) for found in zip(*samples, strict=True))
     stands = [
         Standstill(stamps[k], stamps[k], q[k], np.flatnonzero(which == k))
         for k in np.unique(which)
     ]
-    points = [point for _, point, _ in rows]
     columns = {"target": points, "station": [p.rpartition("-")[0] for p in points]}
     texts = {key: cells for key, cells in columns.items() if len({*cells}) > 1}
-    log = Log(stamps[which], np.array([xyz for _, _, xyz in rows]))
-    return (
-        Series(Log(stamps, q), dict.fromkeys(names)),
-        Series(log, dict.fromkeys(POSITION), texts),
-        Joined(None, tuple(stands), 0, 0, 0),
-    )
+    readings = Log(stamps[which], np.array(values))
+    joints = Series(Log(stamps, q), dict.fromkeys(names))
+    seen_by = Series(readings, dict.fromkeys(POSITION), texts)
+    return joints, seen_by, Joined(None, tuple(stands), 0, 0, 0)
 
 
 @contextmanager
@@ -175,9 +176,8 @@ def _opened(path: str | Path) -> Iterator[Any]:
     except InputError:
         raise
     except Exception as error:  # Of the library, sqlite, lz4, struct, and what not.
-        lines = str(error).splitlines() or [type(error).__name__]
-        reason = f"cannot be read as a bag: {lines[0]}"
-        raise InputError(reason, file=path) from error
+        line = (str(error).splitlines() or [type(error).__name__])[0]
+        raise InputError(f"cannot be read as a bag: {line}", file=path) from error
 
 
 def _messages(
@@ -193,48 +193,41 @@ def _messages(
             if connection.msgtype == TRANSFORMS:
                 named = {one.child_frame_id: one for one in message.transforms}
             for name, one in named.items():
+                header = (getattr(one, "header", None) or one.joint_states.header).stamp
+                made = float(header.sec) + 1e-9 * float(header.nanosec)
+                # Where it does not say when it was made, when it was recorded.
+                time = made if made > 0.0 else 1e-9 * stamp
                 rows = found.setdefault(name, [])
                 if topic in (None, name):
-                    rows.append((_time(one, stamp), one))
+                    rows.append((time, one))
+    if topic in found:
+        return found[topic]
+    if topic is None and len(found) == 1:
+        return found.popitem()[1]
     words = " or ".join(sorted({kind.split("/")[-1] for kind in kinds}))
-    if topic is not None and topic not in found:
-        reason, allowed = f"has no topic '{topic}' of {words}", ", ".join(found)
-        raise InputError(reason, file=path, allowed=allowed or None)
-    if topic is None and len(found) != 1:
-        reason = f"has {len(found)} topics of {words}: {enumerated(found) or 'none'}"
-        allowed = "one, named by --topic or --joint-topic"
-        raise InputError(reason, file=path, allowed=allowed)
-    return found[topic or next(iter(found))]
+    reason = f"has {len(found)} topics of {words}: {enumerated(found) or 'none'}"
+    reason += f", and no '{topic}'" if topic else ""
+    allowed = "one, named by --topic or --joint-topic"
+    raise InputError(reason, file=path, allowed=allowed)
 
 
-def _time(message: Any, stamp: int) -> float:
-    """When a message was made [s]; where it does not say, when it was recorded."""
-    header = getattr(message, "header", None) or message.joint_states.header
-    seconds = float(header.stamp.sec) + 1e-9 * float(header.stamp.nanosec)
-    return seconds if seconds > 0.0 else 1e-9 * stamp
-
-
-def _numbers(message: Any) -> list[float]:
+def _numbers(message: Any) -> tuple[float, ...]:
     """Position and, of a pose, quaternion."""
-    if message.__msgtype__ == POINT:
-        p = message.point
-        return [p.x, p.y, p.z]
-    pose = getattr(message, "pose", None) or message.transform
-    p = getattr(pose, "position", None) or pose.translation
-    r = getattr(pose, "orientation", None) or pose.rotation
-    return [p.x, p.y, p.z, r.x, r.y, r.z, r.w]
+    paths = READINGS[message.__msgtype__]
+    parts = (attrgetter(path)(message) for path in paths)
+    return tuple(getattr(p, key) for p in parts for key in "xyzw" if hasattr(p, key))
 
 
-def _ordered(path: str | Path, rows: Sequence[tuple[float, list[float]]]) -> Log:
+def _ordered(path: str | Path, rows: Sequence[tuple[float, tuple[float, ...]]]) -> Log:
     """A log by time; what was recorded twice counts once.
 
     Raises:
         InputError: If the rows are few, are not all of one kind, or hold no numbers.
     """
-    if len(rows) < 3 or len({len(values) for _, values in rows}) > 1:
-        raise InputError("holds too little, or several kinds of messages", file=path)
+    alike = len({len(values) for _, values in rows}) == 1
     time, first = np.unique([time for time, _ in rows], return_index=True)
-    values = np.array([values for _, values in rows], float)[first]
+    values = np.array([values for _, values in rows] if alike else [], float)
     if len(time) < 3 or not (values.size and np.isfinite(values).all()):
-        raise InputError("holds too little, or numbers that are none", file=path)
-    return Log(time, values)
+        reason = "holds too little, several kinds of messages, or numbers that are none"
+        raise InputError(reason, file=path)
+    return Log(time, values[first])

@@ -11,16 +11,15 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-import xacro
 import yaml
 
 import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.io.exchange import FORMATS, Exported
-from calib_pin.io.urdf_tree import parse_robot
-from calib_pin.kinematics.chain import Chain
+from calib_pin.io.urdf_tree import ORIGIN, placed
 from calib_pin.report.text import format_report
 from calib_pin.setup import FrameSetup, JointMap, Setup
+from calib_pin.validation.joint_errors import configurations
 from calib_pin.validation.result import CalibrationResult
 
 EXACT = 1e-9
@@ -38,42 +37,6 @@ def exported(calibrated_robot: Callable[..., CalibrationResult]) -> Exported:
     return of(calibrated_robot("pose", Setup(), 40, robot=chain, noise=1e-6))
 
 
-# The structure of the vendor's description, as far as the kinematics goes.
-STRUCTURE = """<?xml version="1.0"?>
-<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="vendor">
-  <xacro:arg name="file" default=""/>
-  <xacro:property name="k" value="${xacro.load_yaml('$(arg file)')['kinematics']}"/>
-  <xacro:macro name="joint" params="name number before">
-    <link name="link_${number}"/>
-    <joint name="joint_${number}" type="continuous">
-      <parent link="${before}"/><child link="link_${number}"/>
-      <origin xyz="${k[name]['x']} ${k[name]['y']} ${k[name]['z']}"
-              rpy="${k[name]['roll']} ${k[name]['pitch']} ${k[name]['yaw']}"/>
-      <axis xyz="0 0 1"/>
-    </joint>
-  </xacro:macro>
-  <link name="base_link"/><link name="first"/>
-  <joint name="base_joint" type="fixed">
-    <parent link="base_link"/><child link="first"/><origin rpy="0 0 YAW"/>
-  </joint>
-  JOINTS
-</robot>"""
-
-
-def vendor(file: Path, names: list[str], yaw: float) -> Chain:
-    """The chain of a description that loads a kinematics file."""
-    lines = [
-        f'<xacro:joint name="{name}" number="{k}" '
-        f'before="{f"link_{k - 1}" if k else "first"}"/>'
-        for k, name in enumerate(names)
-    ]
-    text = STRUCTURE.replace("YAW", repr(yaw)).replace("JOINTS", "".join(lines))
-    source = file.with_suffix(".xacro")
-    source.write_text(text)
-    urdf = xacro.process_file(str(source), mappings={"file": str(file)}).toxml()
-    return Chain(parse_robot(urdf.encode(), "vendor"), "base_link")
-
-
 UR10 = {
     "shoulder": (0, 0, 0.1273, 0, 0, 0),
     "upper_arm": (0, 0, 0, 1.570796327, 0, 0),
@@ -83,29 +46,30 @@ UR10 = {
     "wrist_2": (0, -0.1157, 0, 1.570796327, 0, 0),
     "wrist_3": (0, 0.0922, 0, 1.570796327, 3.14159265359, 3.14159265359),
 }
-NUMBERS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def kinematics(entries: dict[str, tuple[float, ...]], **more: str) -> str:
-    named = {
-        name: dict(zip(NUMBERS, six, strict=True)) for name, six in entries.items()
-    }
+    named = {name: dict(zip(ORIGIN, six, strict=True)) for name, six in entries.items()}
     return yaml.safe_dump({"kinematics": named | more}, sort_keys=False)
 
 
 def test_a_vendor_loads_its_kinematics(exported, tmp_path):
-    template, file = tmp_path / "own.yaml", tmp_path / "ur10.yaml"
+    """Behind `base_link_inertia`, half a turn from `base_link`."""
+    template = tmp_path / "own.yaml"
     template.write_text(kinematics(UR10, hash="calib_77"))
     encoded = FORMATS["ur-kinematics"].encode(exported, template)
-    file.write_bytes(encoded.data)
-    assert yaml.safe_load(encoded.data)["kinematics"]["hash"] == "calib_77"
+    entries = yaml.safe_load(encoded.data)["kinematics"]
+    assert entries.pop("hash") == "calib_77" and [*entries] == [*UR10]
     assert "calib_77" in encoded.remarks[0] and "tf" in encoded.remarks[1]
-    q, expected = exported.configurations, exported.chain.poses(exported.configurations)
-    read = vendor(file, [*UR10], np.pi).poses(q)
-    assert np.abs(read - expected).max() < EXACT
+    q = configurations(exported.nominal)
+    for row, expected in zip(q, exported.chain.poses(q), strict=True):
+        T = placed((0, 0, 0, 0, 0, np.pi))
+        for entry, angle in zip(entries.values(), row, strict=True):
+            T = T * placed([entry[key] for key in ORIGIN])
+            T = T * placed((0, 0, 0, 0, 0, angle))
+        assert np.abs(T.homogeneous - expected).max() < EXACT
     # Frames stay where the vendor has them, as far as the axes allow.
-    forearm = yaml.safe_load(encoded.data)["kinematics"]["forearm"]
-    assert forearm["z"] == pytest.approx(12.5, abs=0.01)
+    assert entries["forearm"]["z"] == pytest.approx(12.5, abs=0.01)
 
 
 def test_templates_of_others_are_refused(exported, tmp_path, refused):
@@ -248,21 +212,3 @@ def test_other_transmissions_are_refused(
 def test_without_a_gain_it_is_the_nominal_robot(exported):
     plain = Exported(replace(exported.result, verdict="no-gain"), exported.file)
     assert plain.robot is plain.nominal.robot
-
-
-HEAVY = (
-    '<inertial><mass value="9"/>'
-    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
-)
-
-
-def test_the_world_of_mujoco_has_no_inertia(calibrated_robot):
-    source = calib_pin.load_chain("space6").robot.source.decode()
-    source = source.replace(
-        '<link name="base_link">', f'<link name="base_link">{HEAVY}'
-    )
-    robot = parse_robot(source.replace("base_link", "world").encode(), "space6.urdf")
-    result = calibrated_robot("pose", Setup(), 40, robot=Chain(robot), noise=1e-6)
-    root = ElementTree.fromstring(FORMATS["mjcf"].encode(of(result), None).data)
-    (world,) = root.iter("worldbody")
-    assert world.find("inertial") is None and world.find("body") is not None

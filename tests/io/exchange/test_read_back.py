@@ -29,24 +29,16 @@ import yourdfpy
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.exchange import FORMATS, Encoded, Exported
-from calib_pin.io.exchange.base import ORIGIN, origin_of
 from calib_pin.io.exchange.joint_frames import UR_LINKS, along, axis_frames
-from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.io.urdf_tree import ORIGIN, origin_of, parse_robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import parameterization
-from calib_pin.setup import (
-    ChainSetup,
-    FrameSetup,
-    JointMap,
-    Payload,
-    Setup,
-    ToolSetup,
-)
+from calib_pin.setup import ChainSetup, FrameSetup, JointMap, Payload, Setup, ToolSetup
 from calib_pin.simulation import draw_errors
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import NamedArray, ParameterEstimate
-from tests.io.exchange.test_places import of_model, transforms
+from tests.io.exchange.test_descriptions import of_model, transforms
 
 COUNT = 100
 """Random configurations."""
@@ -60,6 +52,10 @@ At = Mapping[str, np.ndarray]
 """Positions of the joints, each of shape (N,)."""
 
 
+MASS = '<inertial><mass value="2"/><origin xyz="0.1 0 0.1"/><inertia ixx="0.1" '
+MASS += 'ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>'
+
+
 def joint(
     name: str, parent: str, child: str, about: str, place: str, **more: str
 ) -> str:
@@ -68,20 +64,18 @@ def joint(
     axis = f'<axis xyz="{about}"/>' if about else ""
     limit = '<limit lower="-1.5" upper="1.4" effort="1" velocity="1"/>' if about else ""
     xyz, _, rpy = place.partition(";")
-    mass = '<inertial><mass value="2"/><origin xyz="0.1 0 0.1"/><inertia ixx="0.1" '
-    mass += 'ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>'
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/>'
         f'<child link="{child}"/><origin xyz="{xyz}" rpy="{rpy or "0 0 0"}"/>'
         f"{axis}{limit}{more.get('mimic', '')}</joint>"
-        f'<link name="{child}">{mass}</link>'
+        f'<link name="{child}">{MASS}</link>'
     )
 
 
 def urdf(*joints: str, name: str = "arm") -> bytes:
-    return (
-        f'<robot name="{name}"><link name="world"/>{"".join(joints)}</robot>'.encode()
-    )
+    """Of a world with a mass, which that of MuJoCo cannot have."""
+    links = f'<link name="world">{MASS}</link>{"".join(joints)}'
+    return f'<robot name="{name}">{links}</robot>'.encode()
 
 
 def follow(leader: str, factor: float, offset: float) -> str:

@@ -23,6 +23,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey
 from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup, ToolSetup
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.joint_errors import configurations
 from calib_pin.validation.result import CalibrationResult
 
 FRAMES = Setup(
@@ -77,7 +78,7 @@ def test_frames_bring_measurements_into_the_base_link(posed):
         "measurement": "l0",
         "measured_point": "tool",
     }
-    q, chain = posed.configurations, posed.result.model.of()
+    q, chain = configurations(posed.nominal), posed.result.model.of()
     robot = chain.error.tip_poses(q, chain.theta)
     predicted = found["measurement"][1] @ chain.poses(q)
     assert np.abs(predicted - robot @ found["measured_point"][1]).max() < 1e-9

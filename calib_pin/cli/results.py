@@ -83,7 +83,7 @@ def result_contents(
     there is no gain; the page is there if figures for it are given, however few.
     """
     from calib_pin.io.calibrated_model import encode_urdf
-    from calib_pin.io.files import inside, listed, sha256
+    from calib_pin.io.files import listed, sha256
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurement_errors import encode_errors
     from calib_pin.io.results import calibration_document, run_id
@@ -107,7 +107,7 @@ def result_contents(
     document["files"] = {
         name: None if path == files.report else sha256(data)
         for path, data in contents.items()
-        if inside(name := listed(path, files.json.parent))
+        if (name := listed(path, files.json.parent))
     }
     if is_source(files.nominal, robot):
         del contents[files.nominal]  # It is an input, and stays as it is.

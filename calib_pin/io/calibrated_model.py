@@ -11,8 +11,8 @@ taken only as it was written, by its checksum.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,9 @@ import pinocchio as pin
 from calib_pin.errors import OptionError, OutputError
 from calib_pin.estimation.formulation import make_terms
 from calib_pin.estimation.learning import with_learned
-from calib_pin.estimation.terms import BASE, FRAME, TOOL, Term, Terms, assembled
+from calib_pin.estimation.terms import FRAME, Term, Terms
 from calib_pin.io.files import sha256, write_atomically
-from calib_pin.io.json_text import encode, plain
+from calib_pin.io.json_text import encode
 from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.urdf import corrected_urdf
 from calib_pin.kinematics.chain import Chain
@@ -45,7 +45,7 @@ from calib_pin.setup import (
     Setup,
     SphereSetup,
 )
-from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 
 LARGEST = 1e6
 """Largest number that a value, a position or an offset can be [m, rad, px]."""
@@ -127,32 +127,18 @@ def places_of(model: CalibratedModel) -> Places:
     for (section, name), reference in model.references.items():
         sections.setdefault(section, {})[name] = reference.stated()
     stations, tools = dict[str, FrameSetup](), dict[str, FrameSetup]()
-    for term in model.terms.values():
-        known = ~model.given.free[term.of_error]
-        tool = term.error.tool * term.frames.offset.inverse()
-        tool = _tip_correction(term, model.theta) * tool
-        base, on = _frame_keys(term)
-        stations[base] = frame_setup(term.error.base, known=bool(known[:FRAME].all()))
-        tools[on] = frame_setup(tool, known=bool(known[-FRAME:].all()))
+    for key, term in model.terms.items():
+        free, (base, on) = model.given.free[term.of_error], _frame_keys(term)
+        tool = model.of(key).tool * term.frames.offset.inverse()
+        stations[base] = frame_setup(term.error.base, known=not free[:FRAME].any())
+        tools[on] = frame_setup(tool, known=not free[-FRAME:].any())
     return Places(stations | tools, **sections)
 
 
-def _frame_keys(term: Term) -> tuple[str, str]:
+def _frame_keys(term: Term) -> Iterator[str]:
     """Keys of the station and of the tool of a part under `frames`."""
-    place, tool = term.frames.station, term.frames.tool
-    return "base" if place == BASE else place, "tool" if tool == TOOL else tool
-
-
-def _tip_correction(term: Term, theta: Floats) -> pin.SE3:
-    """The error of the tip that the tool carries, since a URDF has no place for it.
-
-    Args:
-        term: The part of a block.
-        theta: Values of all parameters, shape (P,).
-    """
-    if term.error.chain.tip_joint is not None:
-        return pin.SE3.Identity()
-    return term.error.corrections(term.values(theta)[0])[-2]
+    names = term.frames.station, term.frames.tool
+    return (name.removesuffix(".frame") for name in names)
 
 
 def model_of(
@@ -170,77 +156,61 @@ def model_of(
             missing or is not what it should be, see `json_text.reading`.
     """
     setup, places = setup_of(record.setup), reference or record.places
-    sections = {f.name: getattr(places, f.name) for f in fields(places)}
-    named = {(section, name) for section in sections for name in sections[section]}
-    for section, name in named:
-        place = plain(sections[section][name])
-        # An image may have no edge.
-        _require_finite([v for key, v in place.items() if key != "size"])
     # A model that looks at nothing with a name has no targets.
     blocks = {block.key: list(block.targets) or [""] for block in record.blocks}
-    terms, given = assembled(
-        [
-            _measured(term, setup, places, blocks[key])
-            for key, term in make_terms(chains, blocks, setup)[0].items()
-        ]
-    )
-    values = {entry.name: entry.value for entry in record.parameters}
-    _require_finite([*values.values()])
-    if tuple(values) != given.names:
+    terms, given = make_terms(chains, blocks, setup)
+    values = {one.name: one.value for one in record.parameters}
+    theta = np.array([*values.values()])
+    if tuple(values) != given.names or not np.all(np.abs(theta) < LARGEST):
         raise ValueError("the parameters are not those of this chain, in their order")
-    theta = given.vector(values if reference is None else {})
-    terms = {key: _placed(term, places, theta) for key, term in terms.items()}
+    theta = theta if reference is None else np.zeros(len(given))
+    terms = {
+        key: _placed(term, blocks[key], setup, places, theta)
+        for key, term in terms.items()
+    }
     model = CalibratedModel(chains, terms, given, theta, setup)
-    for section, name in named - model.references.keys():
-        if section != "frames":
-            raise ValueError(f"no measurement refers to '{name}' under '{section}'")
     # Frames and reference objects hold their own values.
     return replace(model, theta=np.where(model.referred, 0.0, theta))
 
 
-def _require_finite(value: Any) -> None:
-    """Refuse plain data with numbers that nobody knows, or that nothing can have.
+def _placed(
+    term: Term, targets: list[str], setup: Setup, places: Places, theta: Floats
+) -> Term:
+    """A part with its instrument, its station and its tool where they are.
 
     Raises:
-        ValueError: If there is null, or a number beyond `LARGEST`.
+        ValueError: If a place is not known, or is none that anything can have.
     """
-    if isinstance(value, list):
-        for item in value:
-            _require_finite(item)
-    elif value is None or (type(value) is float and not abs(value) < LARGEST):
-        raise ValueError(f"{value} stands in the place of a number")
-
-
-def _measured(term: Term, setup: Setup, places: Places, targets: Sequence[str]) -> Term:
-    """A part with its instrument as it was fitted, to targets of its block."""
-    sections: dict[str, dict[str, Any]] = {}
-    for reference in term.measurement.references:
-        section, name = term.frames.place(reference)
-        found = getattr(places, section)[name]
-        sections.setdefault(section, {})[reference.name] = found
-    camera = sections.pop("camera", {}).get("camera")
-    fitted: Any = {**sections, "camera": camera}
-    measurement = measurement_model(term.key.model, replace(setup, **fitted), targets)
+    sections: dict[str, Any] = {"camera": {}}
+    for one in term.measurement.references:
+        section, name = term.frames.place(one)
+        sections.setdefault(section, {})[one.name] = getattr(places, section)[name]
+    sections["camera"] = sections["camera"].get("camera")
+    setup = replace(setup, **sections)
+    measurement = measurement_model(term.key.model, setup, targets)
     if (list(measurement.targets) or [""]) != targets:
         raise ValueError("'measurements' have other targets than their model")
-    return replace(term, measurement=measurement)
-
-
-def _placed(term: Term, places: Places, theta: Floats) -> Term:
-    """A part about its station and its tool."""
-    base, tool = (frame_pose(places.frames[name]) for name in _frame_keys(term))
-    tool = _tip_correction(term, theta).actInv(tool) * term.frames.offset
-    return replace(term, error=term.error.with_frames(base, tool))
+    frames = [places.frames[name] for name in _frame_keys(term)]
+    base, tool = map(frame_pose, frames)
+    stated = all(None not in (frame.xyz, frame.rpy) for frame in frames)
+    far = max(np.abs(pose.homogeneous).max() for pose in (base, tool))
+    if not (
+        stated and far < LARGEST and all(r.located for r in measurement.references)
+    ):
+        raise ValueError("a place is not known")
+    # An error of the tip is carried by the tool, since a URDF has no place for it.
+    error = term.error.with_frames(base, pin.SE3.Identity())
+    tip = CalibratedChain(error, theta[term.of_error], setup).tool
+    error = error.with_frames(base, tip.actInv(tool) * term.frames.offset)
+    return replace(term, measurement=measurement, error=error)
 
 
 def learned_record(model: CalibratedModel) -> LearnedRecord | None:
     """The learned correction of a robot; None where nothing was learned."""
     learned, shift = None, np.zeros(len(model.given))
     for term in model.terms.values():
-        own = term.error.learned
-        if isinstance(own, LearnedCorrection):
-            learned = learned or own
-            shift[term.index[: len(own.shift)]] = own.shift
+        if isinstance(own := term.error.learned, LearnedCorrection):
+            learned, shift[term.of_error] = own, own.shift
     if learned is None:
         return None
     content = tuple(shift.tolist()), learned.model.document()
@@ -315,15 +285,12 @@ def encode_urdf(model: CalibratedModel, path: str | Path) -> bytes:
     def check(robot: Robot) -> None:
         for name in model.measured_chains:
             own, nominal = q[:, chains.columns(name)], chains[name]
-            fitted = model.of(name)
-            expected = fitted.error.base.inverse().homogeneous @ fitted.poses(own)
-            written = Chain(robot, nominal.base, nominal.tip)
-            found = written.poses(own) @ fitted.tool.homogeneous
-            difference = float(np.abs(found - expected).max())
+            fitted, there = model.of(name), Chain(robot, nominal.base, nominal.tip)
+            written = fitted.error.base.homogeneous @ there.poses(own)
+            expected = fitted.poses(own) @ fitted.tool.inverse().homogeneous
+            difference = float(np.abs(written - expected).max())
             if not difference < AGREEMENT:
-                raise OutputError(
-                    f"{path}: the written robot differs from the model by "
-                    f"{difference:.2g}"
-                )
+                reason = f"the written robot differs from the model by {difference:.2g}"
+                raise OutputError(f"{path}: {reason}")
 
     return corrected_urdf(path, chains.robot, model.urdf_corrections(), check)

@@ -20,10 +20,11 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import NamedTuple
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, RobotError
-from calib_pin.estimation.evidence import TRUSTED, VERDICTS, FoundCurve
+from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.calibrated_model import (
     LearnedRecord,
     ModelRecord,
@@ -34,7 +35,7 @@ from calib_pin.io.calibrated_model import (
     model_record,
     places_of,
 )
-from calib_pin.io.files import inside, read_bytes, settled, sha256
+from calib_pin.io.files import listed, read_bytes, settled, sha256
 from calib_pin.io.json_text import Json, decoded, encode, merged, plain, reading, typed
 from calib_pin.io.measurement_errors import (
     MEASUREMENTS,
@@ -51,13 +52,13 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.suggestions import Suggestion
-from calib_pin.units import DISPLAY
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import (
     CalibrationResult,
     NamedArray,
     Provenance,
+    UrdfResult,
 )
 
 FORMAT, VERSION = "calib-pin/calibration", 2
@@ -69,9 +70,6 @@ DOCUMENT = "calibration.json"
 REPORT = "report.html"
 NOMINAL = "nominal.urdf"
 """Names in a folder: the result, the page, and the robot as it was."""
-
-MADE = ("command", "created")
-"""Keys of the provenance that are new for every run; all others are versions."""
 
 PICTURES = (".png", ".pdf", ".svg")
 """Endings of files from which no program takes a number: these may be edited."""
@@ -157,11 +155,6 @@ class Document:
     )
     setup_file: Source | None
 
-    def __post_init__(self) -> None:
-        """Refuse a manifest of files that are not those of a folder."""
-        if not all(map(inside, self.manifest)):
-            raise ValueError("'files' are not those of a folder")
-
 
 def calibration_document(
     result: CalibrationResult,
@@ -180,20 +173,21 @@ def calibration_document(
     Raises:
         InputError: If a measurement file cannot be read again for its hash.
     """
-    model, dof = result.model, result.statistics.dof
-    alone = None if result.urdf is None else result.urdf.model
-    made, chains = provenance or result.provenance, result.model.chains
-    chain, setup = model.moving.error.chain, model.setup.file
-    files = map(Source, result.files, made.hashes)
-    names = () if chains.names == ("",) else chains.names
+    model, made = result.model, provenance or result.provenance
+    urdf = None if result.urdf is None else result.urdf.model
+    dof = result.statistics.dof
+    chains, setup = model.chains, model.setup.file
+    ends = {name: Ends(chains[name].base, chains[name].tip) for name in chains.names}
+    chain = model.moving.error.chain
     parts = zip(SETS, (result.fitted, result.held_out), strict=True)
+    files = map(Source, result.files, made.hashes)
     record = Document(
         robot=RobotRecord(
             chains.robot.name,
             Source(chains.robot.file, sha256(chains.robot.source)),
             Ends(chain.base, chain.tip),
             chains.joints,
-            {n: Ends(chains[n].base, chains[n].tip) for n in names},
+            {} if chains.names == ("",) else ends,
         ),
         files=tuple(files if made.hashes else map(Source.of, result.files)),
         training=len(result.fitted),
@@ -202,18 +196,12 @@ def calibration_document(
         reference=places_of(result.reference),
         rotations={name: part.to_base for name, part in parts if part is not None},
         residual_model=learned_record(model),
-        urdf_model=None if alone is None else model_record(alone),
+        urdf_model=None if urdf is None else model_record(urdf),
         suggestions=tuple(suggestions),
         chi2_interval=chi2_interval(dof) if dof > 0 else (),
         setup_file=Source.of(setup) if setup else None,
     )
-    expected = dict(result.accuracies)
-    for name, accuracy in expected.items():
-        if (tip := accuracy.tip) is not None:
-            # The curve is found when somebody asks.
-            tip = replace(tip, by_count=FoundCurve(*tip.by_count.curve))
-            expected[name] = replace(accuracy, tip=tip)
-    own = plain(replace(result, provenance=made, accuracies=expected))
+    own = plain(replace(result, provenance=made))
     for errors in own["errors"].values():
         errors["validation"]["method"] = result.validation.method
     document = merged(plain(record), own)
@@ -228,12 +216,13 @@ def provenance(command: tuple[str, ...] = (), seconds: float = math.nan) -> Prov
         command: The command line; none for a program of its own.
         seconds: Time the solver took; NaN where nobody looked.
     """
-    names = {"calib_pin": "calib-pin", "pinocchio": "pin", "numpy": "numpy"}
     return Provenance(
         command=command,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         seconds=seconds,
-        versions={name: version(package) for name, package in names.items()},
+        calib_pin=version("calib-pin"),
+        pinocchio=version("pin"),
+        numpy=version("numpy"),
     )
 
 
@@ -263,27 +252,9 @@ def read_result(path: str | Path) -> CalibrationResult:
         Traceback (most recent call last):
         calib_pin.errors.InputError: /no/such/folder/calibration.json: no such file
     """
-    return read_written(path)[0]
+    return read_written(path).result
 
 
-@serial_blas
-def read_written(path: str | Path) -> tuple[CalibrationResult, Json]:
-    """A result, and the document that it was read from.
-
-    Args:
-        path: The folder of the result, or its `calibration.json`.
-
-    Raises:
-        InputError, OutputError, RobotError: As `read_result`.
-    """
-    file = document_file(path)
-    with settled(file.parent):
-        document, record, model = _read_model(file)
-        with reading(file):
-            return _result(document, record, model, file), document
-
-
-@serial_blas
 def read_calibration(
     path: str | Path, *, notice: Callable[[str], None] | None = None
 ) -> CalibratedModel:
@@ -294,57 +265,65 @@ def read_calibration(
     the one that was calibrated.
 
     Args:
-        path: The file.
+        path: The file, or its folder.
         notice: Called with one sentence if the calibration must not be trusted.
 
     Raises:
-        InputError: If the file is not such a document or of another version, the
-            robot has changed, or the files beside it are of another run.
-        OutputError: If what a killed run decided on cannot be put in place.
-        RobotError: If the robot cannot be found.
+        InputError, OutputError, RobotError: As `read_result`.
     """
-    path = Path(path)
-    with settled(path.parent):
-        document, _, model = _read_model(path)
-    verdict = document["verdict"]
-    if notice is not None and verdict["status"] not in TRUSTED:
-        notice(f"{path} must not be trusted: {verdict['reason']}")
-    return model
+    result = read_written(path, measured=False).result
+    if notice is not None and result.verdict not in TRUSTED:
+        notice(f"{path} must not be trusted: {result.reason}")
+    return result.model
 
 
-def read_suggestions(document: Json) -> tuple[Suggestion, ...]:
-    """The suggested measurements in a document that was read."""
-    return typed(tuple[Suggestion, ...], document["identifiability"]["remedies"])
+class Written(NamedTuple):
+    """A result, the document that it was read from, and what that suggests."""
+
+    result: CalibrationResult
+    document: Json
+    suggestions: tuple[Suggestion, ...]
 
 
-def used_files(path: str | Path, files: Sequence[Path]) -> list[Path]:
-    """Those of some files whose content a calibration has used, to fit or to check.
+@serial_blas
+def read_written(path: str | Path, *, measured: bool = True) -> Written:
+    """A result as it was written.
 
     Args:
-        path: A `calibration.json`, which can be read.
-        files: Measurement files; what is no file, such as a pipe, is left alone.
-    """
-    known = {source.sha256 for source in read_record(path).files} - {""}
-    return [file for file in files if Source.of(str(file)).sha256 in known]
-
-
-def _read_model(path: Path) -> tuple[Json, Document, CalibratedModel]:
-    """A `calibration.json`, and the calibrated robot that it tells of.
+        path: The folder of the result, or its `calibration.json`.
+        measured: Whether the errors of single measurements are read.
 
     Raises:
-        InputError, RobotError: As `read_calibration`.
+        InputError, OutputError, RobotError: As `read_result`.
     """
-    document = read_document(path)
-    with reading(path):
-        record, verdict = typed(Document, document), document["verdict"]
-        if verdict["status"] not in VERDICTS or not isinstance(verdict["reason"], str):
-            raise ValueError(f"{verdict['status']!r} is no verdict")
-    robot = find_robot(record.robot.source, path)
-    with reading(path):
-        model = model_of(record.model, _chains(record, robot))
-        model = learned_model(model, record.residual_model)
-    require_one_run(record, robot.source, path)
-    return document, record, model
+    file = document_file(path)
+    with settled(file.parent):
+        document, record = read_document(file)
+        robot = find_robot(record.robot.source, file)
+        require_one_run(record, robot.source, file)
+        with reading(file):
+            model = model_of(record.model, chains := _chains(record, robot))
+            model = learned_model(model, record.residual_model)
+            fitted, held_out = unknown_errors(model, record.training), None
+            if measured and (errors := file.parent / MEASUREMENTS).is_file():
+                data = read_bytes(errors)
+                fitted, held_out = decode_errors(data, model, record.rotations)
+            urdf, alone, names = document["urdf"], record.urdf_model, model.given.names
+            geometry = alone and model_of(alone, chains)
+            hashes = tuple(source.sha256 for source in record.files)
+            result = typed(
+                CalibrationResult,
+                document,
+                model=model,
+                reference=model_of(record.model, chains, record.reference),
+                covariance=NamedArray.of(document["covariance"], names, names),
+                fitted=fitted,
+                held_out=held_out,
+                files=tuple(source.file for source in record.files),
+                urdf=None if urdf is None else typed(UrdfResult, urdf, model=geometry),
+                provenance=typed(Provenance, document, file=str(file), hashes=hashes),
+            )
+            return Written(result, document, record.suggestions)
 
 
 def _chains(record: Document, robot: Robot) -> Chains:
@@ -360,37 +339,30 @@ def _chains(record: Document, robot: Robot) -> Chains:
     return chains
 
 
-def _result(
-    document: Json, record: Document, model: CalibratedModel, file: Path
-) -> CalibrationResult:
-    fitted, held_out = unknown_errors(model, record.training), None
-    if (measured := file.parent / MEASUREMENTS).is_file():
-        data = read_bytes(measured)
-        fitted, held_out = decode_errors(data, model, record.rotations)
-    names, about = model.given.names, document["provenance"]
-    result = typed(
-        CalibrationResult,
-        document,
-        model=model,
-        reference=model_of(record.model, model.chains, record.reference),
-        covariance=NamedArray.of(document["covariance"], names, names),
-        fitted=fitted,
-        held_out=held_out,
-        files=tuple(source.file for source in record.files),
-        provenance=typed(
-            Provenance,
-            document,
-            versions={n: text for n, text in about.items() if n not in MADE},
-            file=str(file),
-            hashes=tuple(source.sha256 for source in record.files),
-        ),
-    )
-    if (urdf := result.urdf) and (alone := record.urdf_model):
-        urdf = replace(urdf, model=model_of(alone, model.chains))
-    for error in (*result.errors, *(urdf.errors if urdf else ())):
-        if error.unit not in DISPLAY:
-            raise ValueError(f"'{error.unit}' is no unit of '{error.name}'")
-    return replace(result, urdf=urdf)
+def read_document(path: str | Path) -> tuple[Json, Document]:
+    """A `calibration.json`, and its robot and files as they are declared.
+
+    Raises:
+        InputError: If the file is not such a document, or of another version.
+    """
+    data, folder = read_bytes(path, JSON), Path(path).parent
+    document = decoded(data, "calibration", FORMAT, path, version=VERSION)
+    with reading(path):
+        record = typed(Document, document)
+        if not all(listed(folder / name, folder) for name in record.manifest):
+            raise ValueError("'files' are not those of a folder")
+    return document, record
+
+
+def used_files(path: str | Path, files: Sequence[Path]) -> list[Path]:
+    """Those of some files whose content a calibration has used, to fit or to check.
+
+    Args:
+        path: A `calibration.json`, which can be read.
+        files: Measurement files; what is no file, such as a pipe, is left alone.
+    """
+    known = {source.sha256 for source in read_document(path)[1].files} - {""}
+    return [file for file in files if Source.of(str(file)).sha256 in known]
 
 
 # --- the folder -------------------------------------------------------------------
@@ -416,30 +388,9 @@ def run_id(document: Json) -> str:
     Args:
         document: The `calibration.json`, without an id.
     """
-    made = {key: None for key in MADE}
+    made = {"command": None, "created": None}
     unlike = {"solver": {"seconds": None}, "provenance": made}
     return sha256(encode(merged(document, unlike)))[:16]
-
-
-def read_document(path: str | Path) -> Json:
-    """The content of a `calibration.json`.
-
-    Raises:
-        InputError: If the file is not such a document, or of another version.
-    """
-    data = read_bytes(path, JSON)
-    return decoded(data, "calibration", FORMAT, path, version=VERSION)
-
-
-def read_record(path: str | Path) -> Document:
-    """The robot and the files of a `calibration.json`.
-
-    Raises:
-        InputError: If the file is not such a document, or of another version.
-    """
-    document = read_document(path)
-    with reading(path):
-        return typed(Document, document)
 
 
 def require_one_run(record: Document, robot: bytes, path: Path) -> None:
@@ -463,12 +414,9 @@ def require_one_run(record: Document, robot: bytes, path: Path) -> None:
         data = read_bytes(file)
         known = sha256(data) == content or data == robot
         if not (record.run.encode() in data if content is None else known):
-            raise InputError(
-                f"not the file that '{path.name}' beside it was written with, but of "
-                "another run or edited; keep the files of one run together, or remove "
-                "this one",
-                file=file,
-            )
+            reason = f"not the file that '{path.name}' beside it was written with, but "
+            reason += "of another run or edited; keep the files of one run together, or"
+            raise InputError(f"{reason} remove this one", file=file)
 
 
 def find_robot(source: Source, path: Path) -> Robot:
@@ -489,13 +437,13 @@ def find_robot(source: Source, path: Path) -> Robot:
         given = locate_robot(source.file)
     except RobotError:  # The package it came from is not installed here.
         given = copy
-    places = [given, path.parent / given, path.parent / given.name, copy]
     # A xacro file was expanded, and what came of it is in the copy.
-    expanded = is_xacro(given)
-    found = [place for place in places[3 * expanded :] if place.is_file()]
+    expanded, beside = is_xacro(given), [path.parent / given, path.parent / given.name]
+    places = [copy] if expanded else [given, *beside, copy]
+    found = [place for place in places if place.is_file()]
     for place in found:
         data = read_bytes(place)
-        if sha256(data) != source.sha256 and place != copy:
+        if sha256(data) != source.sha256:
             data = straight_source(data)
         if sha256(data) == source.sha256:
             there = given != copy and ((expanded and given.is_file()) or place == given)
@@ -503,11 +451,8 @@ def find_robot(source: Source, path: Path) -> Robot:
     if not found:
         reason = f"the robot '{source.file}' that was calibrated is neither there nor"
         raise RobotError(f"{reason} beside the calibration", file=path)
-    raise InputError(
-        f"'{found[0]}' is not the robot that was calibrated: its content differs; keep "
-        "the files of one run together",
-        file=path,
-    )
+    reason = f"'{found[0]}' is not the robot that was calibrated: its content differs; "
+    raise InputError(f"{reason}keep the files of one run together", file=path)
 
 
 def written_before(path: Path) -> list[Path]:
@@ -523,7 +468,7 @@ def written_before(path: Path) -> list[Path]:
     """
     try:
         with settled(path.parent):
-            names = read_record(path).manifest
+            names = read_document(path)[1].manifest
     except InputError:
         return []
     return [path.parent / name for name in names if (path.parent / name).is_file()]

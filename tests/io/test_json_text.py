@@ -51,7 +51,7 @@ class Everything:
     pair: Pair = field(metadata={"key": ""})
     nested: float = field(metadata={"key": "outer.number"})
     beside: str = field(metadata={"key": "outer.word"})
-    hidden: object = field(metadata={"key": None})
+    hidden: object = field(default=None, metadata={"key": None})
     free: Any = None
 
 

@@ -95,7 +95,7 @@ PAIR = f"""<robot name="pair"><link name="base"/><link name="torso"/>
   {limb("left", 0.3)}{limb("right", -0.3)}
 </robot>"""
 
-PROVENANCE = Provenance(("calib-pin",), "2026-01-01", 0.5, {"numpy": "2"})
+PROVENANCE = Provenance(("calib-pin",), "2026-01-01", 0.5, numpy="2")
 OFFSET = ("joint-offset",)
 WALL = {"my.wall": PlaneSetup((1.0, 0.2, 0.3), -1.8)}
 KNOWN = FrameSetup((0.1, 0.2, 0.3), (0.4, 0.5, 0.6), estimate=False)
@@ -584,7 +584,7 @@ def checked(calibrated_robot: Callable[..., Any]) -> CalibrationResult:
 
 
 def test_a_checked_result_comes_back(checked: CalibrationResult) -> None:
-    found, document = read_written(written(checked))
+    found, document, _ = read_written(written(checked))
     assert found.robot_errors == checked.robot_errors != ()
     assert found.accuracy.tip and checked.accuracy.tip
     assert found.accuracy.tip.rms == checked.accuracy.tip.rms

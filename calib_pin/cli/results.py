@@ -82,11 +82,10 @@ def result_contents(
     The corrected URDF is there if it can be trusted, and is the nominal one where
     there is no gain; the page is there if figures for it are given, however few.
     """
-    from calib_pin.io.calibrated_model import encode_urdf
     from calib_pin.io.files import listed, sha256
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurement_errors import encode_errors
-    from calib_pin.io.results import calibration_document, run_id
+    from calib_pin.io.results import calibration_document, encode_urdf, run_id
     from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 

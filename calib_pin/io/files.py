@@ -9,7 +9,6 @@ place what the run that decided did not live to.
 from __future__ import annotations
 
 import difflib
-import errno
 import hashlib
 import os
 import shutil
@@ -173,7 +172,7 @@ def _staged(home: Path, contents: Mapping[str, bytes], force: bool) -> Iterator[
         for path in (home / name for name in contents):
             with _writing(path):
                 if path.is_dir():
-                    raise IsADirectoryError(errno.EISDIR, "it is a directory")
+                    raise OptionError("is a folder, not a file", file=path)
                 if path.exists() and not force:
                     reason = "exists already; --force replaces it"
                     raise OptionError(reason, file=path)

@@ -84,10 +84,8 @@ def decoded(
     if not isinstance(document, dict) or document.get("format") != name:
         raise InputError(f"not a {what} of calib-pin", file=file)
     found = document.get("version")
-    if type(found) is not int or found != version:
-        newer = type(found) is int and found > version
-        remedy = "update calib-pin" if newer else "calibrate again"
-        reason = f"a {what} of another version: {remedy}"
+    if (type(found), found) != (int, version):
+        reason = f"a {what} of another version: update calib-pin, or calibrate again"
         raise InputError(reason, file=file, value=found, allowed=str(version))
     return document
 

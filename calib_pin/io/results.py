@@ -4,6 +4,12 @@ The document holds the fields of `CalibrationResult` as they are declared there,
 beside them those of `Document`: the robot, the frames and reference objects of its
 model, and the files. Whoever adds a field to the result has it written and read back.
 
+Frames and reference objects are written as a setup file states them, where the fit has
+them; where it began, they are written once more: the values of their parameters are the
+way between both. A learned correction is plain numbers, nothing to execute. It means
+nothing for another robot, and nobody can see from its numbers that one of them has been
+changed: it is taken only as it was written, by its checksum.
+
 It is the document of a folder, of which one run wrote all, and which can be moved. It
 has the id of the run and a manifest, the SHA-256 of every file that was written with
 it. A URDF is known by its hash, so that it stays as it is. The page says when it was
@@ -15,27 +21,23 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError, RobotError
+from calib_pin.errors import InputError, OptionError, OutputError, RobotError
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.io.calibrated_model import (
-    LearnedRecord,
-    ModelRecord,
-    Places,
-    learned_model,
-    learned_record,
-    model_of,
-    model_record,
-    places_of,
-)
-from calib_pin.io.files import listed, read_bytes, settled, sha256
+from calib_pin.estimation.formulation import make_terms
+from calib_pin.estimation.learning import with_learned
+from calib_pin.estimation.terms import FRAME, Term, Terms
+from calib_pin.io.files import listed, read_bytes, settled, sha256, write_atomically
 from calib_pin.io.json_text import Json, decoded, encode, merged, plain, reading, typed
 from calib_pin.io.measurement_errors import (
     MEASUREMENTS,
@@ -43,17 +45,25 @@ from calib_pin.io.measurement_errors import (
     decode_errors,
     unknown_errors,
 )
-from calib_pin.io.setup import setup_of
+from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.straightening import straight_source
-from calib_pin.io.urdf import is_xacro, locate_robot
+from calib_pin.io.urdf import corrected_urdf, is_xacro, locate_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import measurement_model
+from calib_pin.observations import BlockKey
+from calib_pin.parameterizations import frame_pose, frame_setup
 from calib_pin.planning.suggestions import Suggestion
+from calib_pin.residual_models import LearnedCorrection, restore
+from calib_pin.residual_models.documents import numbers
+from calib_pin.setup import (
+    FrameSetup,
+)
 from calib_pin.validation.assessment import chi2_interval
-from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.result import (
     CalibrationResult,
     NamedArray,
@@ -73,6 +83,66 @@ NOMINAL = "nominal.urdf"
 
 PICTURES = (".png", ".pdf", ".svg")
 """Endings of files from which no program takes a number: these may be edited."""
+
+
+SECTIONS = {
+    **{name: name for name in ("targets", "planes", "sockets", "spheres", "anchors")},
+    "camera": "cameras",
+}
+"""Sections of reference objects in a setup, and the keys of those that were fitted."""
+
+LARGEST = 1e6
+"""Largest number that a value, a position or an offset can be [m, rad, px]."""
+
+
+AGREEMENT = 1e-9
+"""Largest difference of forward kinematics between model and written URDF [m, rad]."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of measurements, and the targets that they are of."""
+
+    key: BlockKey = field(metadata={"key": ""})
+    targets: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Value:
+    """The value of a parameter."""
+
+    name: str
+    value: float
+
+
+@dataclass(frozen=True)
+class ModelRecord:
+    """A calibrated robot, but for its chains and what was learned.
+
+    Attributes:
+        places: Frames, and reference objects by the `SECTIONS` of a setup, by name.
+    """
+
+    model: str = field(metadata={"key": "measurements.model"})
+    blocks: tuple[Block, ...] = field(metadata={"key": "measurements.blocks"})
+    parameters: tuple[Value, ...]
+    places: Mapping[str, Any] = field(metadata={"key": ""})
+    setup: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class LearnedRecord:
+    """A learned correction: its name, its numbers, and the SHA-256 of these.
+
+    Attributes:
+        shift: Of all parameters, in their order, shape (P,).
+        model: Document of the `ResidualModel`.
+    """
+
+    name: str
+    sha256: str
+    shift: tuple[float, ...]
+    model: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -143,7 +213,7 @@ class Document:
     training: int = field(metadata={"key": "measurements.training"})
     validation: int = field(metadata={"key": "measurements.validation"})
     model: ModelRecord = field(metadata={"key": ""})
-    reference: Places
+    reference: Mapping[str, Any]
     rotations: Mapping[str, Floats] = field(metadata={"key": "rotations_to_base"})
     residual_model: LearnedRecord | None
     urdf_model: ModelRecord | None
@@ -333,10 +403,7 @@ def _chains(record: Document, robot: Robot) -> Chains:
     built = {name: Chain(robot, e.base, e.tip) for name, e in ends.items()}
     default = built.get("", setup)
     stated = default.base, default.tip, setup.chains
-    chains = Chains(robot, *stated, tuple(built), built)
-    if chains.joints != about.joints:
-        raise ValueError("the joints are not those from base to tip")
-    return chains
+    return Chains(robot, *stated, tuple(built), built)
 
 
 def read_document(path: str | Path) -> tuple[Json, Document]:
@@ -363,6 +430,176 @@ def used_files(path: str | Path, files: Sequence[Path]) -> list[Path]:
     """
     known = {source.sha256 for source in read_document(path)[1].files} - {""}
     return [file for file in files if Source.of(str(file)).sha256 in known]
+
+
+# --- the robot ---------------------------------------------------------------------
+
+
+def model_name(system: Terms) -> str:
+    """Names of the measurement models, joined by plus signs."""
+    return "+".join(dict.fromkeys(key.model for key in system.terms))
+
+
+def model_record(model: CalibratedModel) -> ModelRecord:
+    """A calibrated robot as plain data."""
+    blocks = (Block(k, tuple(p.measurement.targets)) for k, p in model.terms.items())
+    values = map(Value, model.given.names, model.theta.tolist())
+    about = places_of(model), setup_document(model.setup)
+    return ModelRecord(model_name(model), tuple(blocks), tuple(values), *about)
+
+
+def places_of(model: CalibratedModel) -> Json:
+    """Where the frames of all stations and tools are, each once, and all references."""
+    sections: dict[str, Json] = {key: {} for key in SECTIONS.values()}
+    for (section, name), reference in model.references.items():
+        sections[SECTIONS[section]][name] = reference.stated()
+    stations, tools = dict[str, FrameSetup](), dict[str, FrameSetup]()
+    for key, term in model.terms.items():
+        free, (base, on) = model.given.free[term.of_error], _frame_keys(term)
+        tool = model.of(key).tool * term.frames.offset.inverse()
+        stations[base] = frame_setup(term.error.base, known=not free[:FRAME].any())
+        tools[on] = frame_setup(tool, known=not free[-FRAME:].any())
+    return {"frames": stations | tools, **sections}
+
+
+def _frame_keys(term: Term) -> Iterator[str]:
+    """Keys of the station and of the tool of a part under `frames`."""
+    names = term.frames.station, term.frames.tool
+    return (name.removesuffix(".frame") for name in names)
+
+
+def model_of(
+    record: ModelRecord, chains: Chains, reference: Mapping[str, Any] | None = None
+) -> CalibratedModel:
+    """The calibrated robot of plain data.
+
+    Args:
+        record: What `model_record` made.
+        chains: The nominal chains.
+        reference: Where the fit began, for the nominal robot there.
+
+    Raises:
+        CalibPinError, KeyError, TypeError, ValueError, AttributeError: If a part is
+            missing or is not what it should be, see `json_text.reading`.
+    """
+    setup, places = setup_of(record.setup), reference or record.places
+    frames = typed(dict[str, FrameSetup], places["frames"])
+    # A model that looks at nothing with a name has no targets.
+    blocks = {block.key: list(block.targets) or [""] for block in record.blocks}
+    terms, given = make_terms(chains, blocks, setup)
+    values = {one.name: one.value for one in record.parameters}
+    theta = np.array([*values.values()])
+    if tuple(values) != given.names or not np.all(np.abs(theta) < LARGEST):
+        raise ValueError("the parameters are not those of this chain, in their order")
+    theta = theta if reference is None else np.zeros(len(given))
+    for key, term in terms.items():
+        own: dict[str, Json] = {}
+        for one in term.measurement.references:
+            section, name = term.frames.place(one)
+            own.setdefault(section, {})[one.name] = places[SECTIONS[section]][name]
+        stated = {**record.setup, "camera": None, **own, **own.get("camera", {})}
+        measurement = measurement_model(key.model, setup_of(stated), blocks[key])
+        ends = [frames[name] for name in _frame_keys(term)]
+        base, tool = map(frame_pose, ends)
+        far = max(np.abs(pose.homogeneous).max() for pose in (base, tool))
+        known = all(None not in (frame.xyz, frame.rpy) for frame in ends)
+        known &= all(one.located for one in measurement.references)
+        if not (known and far < LARGEST):
+            raise ValueError("a place is not known")
+        # An error of the tip is carried by the tool: a URDF has no place for it.
+        error = term.error.with_frames(base, pin.SE3.Identity())
+        tip = CalibratedChain(error, theta[term.of_error], setup).tool
+        error = error.with_frames(base, tip.actInv(tool) * term.frames.offset)
+        terms[key] = replace(term, measurement=measurement, error=error)
+    model = CalibratedModel(chains, terms, given, theta, setup)
+    # Frames and reference objects hold their own values.
+    return replace(model, theta=np.where(model.referred, 0.0, theta))
+
+
+def learned_record(model: CalibratedModel) -> LearnedRecord | None:
+    """The learned correction of a robot; None where nothing was learned."""
+    learned, shift = None, np.zeros(len(model.given))
+    for term in model.terms.values():
+        if isinstance(own := term.error.learned, LearnedCorrection):
+            learned, shift[term.of_error] = own, own.shift
+    if learned is None:
+        return None
+    content = tuple(shift.tolist()), learned.model.document()
+    return LearnedRecord(learned.model.name, sha256(encode({"": content})), *content)
+
+
+def learned_model(
+    model: CalibratedModel, record: LearnedRecord | None
+) -> CalibratedModel:
+    """A robot with what it has learned.
+
+    Raises:
+        ValueError: If that is not as it was written, or does not belong to the robot.
+    """
+    if (record is None) != (model.setup.learned is None):
+        raise ValueError("'residual_model' and 'setup.learned' need each other")
+    if record is None:
+        return model
+    if sha256(encode({"": (record.shift, record.model)})) != record.sha256:
+        raise ValueError("'residual_model' is not the one that was learned")
+    shift = numbers({"shift": record.shift}, "shift", (len(model.given),))
+    learned = restore(record.model, len(model.moving.error.chain.joints))
+    return with_learned(model, LearnedCorrection(learned, shift))
+
+
+def write_urdf(
+    model: CalibratedModel, path: str | Path, *, force: bool = False
+) -> None:
+    """Write the corrected URDF of a calibrated robot.
+
+    Args:
+        model: The calibrated robot, `CalibrationResult.geometry`.
+        path: The new file.
+        force: Replace an existing file; the robot's own file is never replaced.
+
+    Raises:
+        OptionError: If the file exists or is the robot's own, or the model has
+            corrections that a URDF cannot hold.
+        OutputError: If it cannot be written or does not agree with the model.
+    """
+    write_atomically(Path(path), encode_urdf(model, path), force=force)
+
+
+def encode_urdf(model: CalibratedModel, path: str | Path) -> bytes:
+    """The corrected URDF of a calibrated robot.
+
+    Only the joint origins that change are edited. The result is read again and its
+    forward kinematics compared with the model.
+
+    Args:
+        model: The calibrated robot, `CalibrationResult.geometry`.
+        path: The file it is for, never the robot's own.
+
+    Raises:
+        OptionError: If the file is the robot's own, or the model has corrections that
+            a URDF cannot hold.
+        OutputError: If it does not agree with the model.
+    """
+    if not model.geometric:
+        reason = (
+            "a URDF cannot hold corrections of the joints; write the geometry alone"
+        )
+        raise OptionError(reason, file=path, allowed="CalibrationResult.geometry")
+    chains = model.chains
+    q = chains.random_configurations(20, np.random.default_rng(0))
+
+    def check(robot: Robot) -> None:
+        for name in model.measured_chains:
+            own, nominal = q[:, chains.columns(name)], chains[name]
+            fitted, there = model.of(name), Chain(robot, nominal.base, nominal.tip)
+            written = fitted.error.base.homogeneous @ there.poses(own)
+            expected = fitted.poses(own) @ fitted.tool.inverse().homogeneous
+            difference = float(np.abs(written - expected).max())
+            if not difference < AGREEMENT:
+                reason = f"the written robot differs from the model by {difference:.2g}"
+                raise OutputError(f"{path}: {reason}")
+
+    return corrected_urdf(path, chains.robot, model.urdf_corrections(), check)
 
 
 # --- the folder -------------------------------------------------------------------

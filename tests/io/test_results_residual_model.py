@@ -15,9 +15,14 @@ import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.learning import with_learned
-from calib_pin.io.calibrated_model import learned_model, learned_record, write_urdf
 from calib_pin.io.json_text import encode
-from calib_pin.io.results import calibration_document, read_calibration
+from calib_pin.io.results import (
+    calibration_document,
+    learned_model,
+    learned_record,
+    read_calibration,
+    write_urdf,
+)
 from calib_pin.observations import BlockKey
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import FrameSetup, Setup, ToolSetup

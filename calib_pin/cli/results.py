@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,12 +38,28 @@ def result_files(folder: Path, robot: str) -> ResultFiles:
         OptionError: If a file stands in the place of the folder.
     """
     from calib_pin.io.measurement_errors import MEASUREMENTS
-    from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT, urdf_name
+    from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT
 
     if exists(folder) and not folder.is_dir():
         raise OptionError("is a file, not a folder", file=folder)
     names = (urdf_name(robot), NOMINAL, DOCUMENT, MEASUREMENTS, REPORT)
     return ResultFiles(*(folder / name for name in names))
+
+
+def urdf_name(robot: str) -> str:
+    """Name of the corrected URDF of a robot.
+
+    Examples:
+        >>> urdf_name("ur 10"), urdf_name("Nominal"), urdf_name("../arm")
+        ('ur_10.urdf', 'Nominal-corrected.urdf', '_arm.urdf')
+    """
+    from calib_pin.io.results import NOMINAL
+
+    # The name comes from the file: it must not lead out of the folder.
+    name = re.sub(r"[^\w.-]", "_", robot).lstrip(".") or "robot"
+    # Some file systems do not tell capitals apart.
+    taken = f"{name}.urdf".casefold() == NOMINAL
+    return f"{name}-corrected.urdf" if taken else f"{name}.urdf"
 
 
 def check_results(
@@ -83,14 +100,17 @@ def result_contents(
     there is no gain; the page is there if figures for it are given, however few.
     """
     from calib_pin.io.files import listed, sha256
-    from calib_pin.io.json_text import encode
+    from calib_pin.io.json_text import encode, merged
     from calib_pin.io.measurement_errors import encode_errors
-    from calib_pin.io.results import calibration_document, encode_urdf, run_id
+    from calib_pin.io.results import calibration_document, encode_urdf
     from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 
     document = calibration_document(result, made, suggestions)
-    document["run"] = run_id(document)
+    # The same input and seed lead to the same id.
+    unlike = {"solver": ["seconds"], "provenance": ["command", "created"]}
+    left = {key: dict.fromkeys(names) for key, names in unlike.items()}
+    document["run"] = sha256(encode(merged(document, left)))[:16]
     robot = result.model.chains.robot
     contents = {files.nominal: robot.source}
     if result.verdict == "no-gain":

@@ -268,11 +268,10 @@ class Detector:
     def _tags_search(self) -> Any:
         """The search for tags by OpenCV's own board."""
         board, aruco, last = self.board, self._cv2.aruco, tags_of(self.board)[-1]
-        name, settings = dictionary_of(board), aruco.DetectorParameters()
-        known = aruco.getPredefinedDictionary(getattr(aruco, name))
+        known, settings = dictionary_of(board), aruco.DetectorParameters()
         if last >= (count := len(known.bytesList)):
             reason, allowed = f"the board has tags up to {last}", f"more than {count}"
-            raise OptionError(reason, value=name, allowed=f"a dictionary of {allowed}")
+            raise OptionError(reason, allowed=f"a dictionary of {allowed}")
         self._cells, self._drawn = known.markerSize + 2, drawn_board(board)
         if board.type == "charuco":
             # To the corner of the marker in the square, along each axis.
@@ -475,21 +474,17 @@ def require_stated(
     Raises:
         InputError: If they show another, or none.
     """
-    if any(one.names for one in images) and agrees(board, images) is not False:
-        return agrees(board, images) is True
+    told = agrees(board, images)
+    if told is not False and any(one.names for one in images):
+        return told is True
     some = [read_image(path) for path in paths[:: len(paths) // SAMPLE + 1]]
-    if board.type in GRIDS:
-        others = _near(board, some)
-    else:
-        others = [*filter(None, [restated(board, [*map(corners_of, images)])])]
-    for other in others:
+    grid = board.type in GRIDS
+    others = _near(board, some) if grid else [restated(board, images)]
+    for other in filter(None, others):
         with suppress(OptionError):  # The dictionary may have fewer tags.
             found = [Detector(other).find(image) for image in some]
             if agrees(other, found) and any(one.names for one in found):
                 reason = f"the images do not show {word_of(board)}"
-                if other == replace(board, legacy=True):
-                    reason = "its markers are found, its corners are not: a board of "
-                    reason += "OpenCV before 4.6? add ':legacy'"
                 raise InputError(f"{reason}; this fits: --board {word_of(other)}")
     raise InputError(
         f"no image shows the board as stated ({board.type}, {board.columns} x "
@@ -503,13 +498,8 @@ def agrees(board: BoardSetup, images: Sequence[Found]) -> bool | None:
     if board.type in GRIDS:
         whole = [bool(one.names) for one in images if one.sure]
         return 2 * sum(whole) >= len(whole) if whole else None
-    fit = restated(board, [*map(corners_of, images)])
+    fit = restated(board, images)
     return None if fit is None else fit == board
-
-
-def corners_of(found: Found) -> Tags:
-    """Corners of the tags in an image."""
-    return {k: four for k, (four, _) in found.tags.items()}
 
 
 def _near(board: BoardSetup, images: Sequence[Gray]) -> list[BoardSetup]:
@@ -528,12 +518,12 @@ def _near(board: BoardSetup, images: Sequence[Gray]) -> list[BoardSetup]:
 
 def _markers(board: BoardSetup, images: Sequence[Gray]) -> str:
     """The markers of one dictionary, that with most of them, in images."""
-    aruco, most, said = vision().aruco, 0, ""
-    for name in (dictionary_of(board), *DICTIONARIES):
-        dictionary = aruco.getPredefinedDictionary(getattr(aruco, name))
-        search = aruco.ArucoDetector(dictionary)
-        met = [search.detectMarkers(image)[1] for image in images]
-        ids = {int(k) for found in met if found is not None for k in found.ravel()}
+    most, said = 0, ""
+    for name in DICTIONARIES:
+        known = dictionary_of(replace(board, dictionary=name))
+        search = vision().aruco.ArucoDetector(known).detectMarkers
+        met = [found for image in images if (found := search(image)[1]) is not None]
+        ids = {int(k) for found in met for k in found.ravel()}
         if len(ids) > most:
             most = len(ids)
             said = f"; seen: {most} markers of {name}, {min(ids)} to {max(ids)}"
@@ -548,10 +538,11 @@ def tags_of(board: BoardSetup) -> range:
     return range(board.first, board.first + count)
 
 
-def dictionary_of(board: BoardSetup) -> str:
-    """The dictionary of a board with markers, or that of most boards."""
+def dictionary_of(board: BoardSetup) -> Any:
+    """OpenCV's dictionary of a board with tags, or that of most boards."""
     usual = "DICT_APRILTAG_36h11" if board.type == "apriltag" else "DICT_4X4_50"
-    return board.dictionary or usual
+    aruco = vision().aruco
+    return aruco.getPredefinedDictionary(getattr(aruco, board.dictionary or usual))
 
 
 def drawn_board(board: BoardSetup) -> Any:
@@ -560,33 +551,34 @@ def drawn_board(board: BoardSetup) -> Any:
     Raises:
         OptionError: If it does not say all.
     """
-    aruco, size = vision().aruco, (board.columns, board.rows)
-    known = aruco.getPredefinedDictionary(getattr(aruco, dictionary_of(board)))
+    aruco, size, ids = vision().aruco, (board.columns, board.rows), tags_of(board)
     charuco, edge = board.type == "charuco", board.marker
     if charuco and edge is None:
         raise OptionError("a charuco board is found by the edge of its 'marker'")
     make = aruco.CharucoBoard if charuco else aruco.GridBoard
     inner = edge if charuco else board.gap or board.square
-    drawn = make(size, board.square, inner, known, np.array(tags_of(board), np.int32))
+    known = dictionary_of(board)
+    drawn = make(size, board.square, inner, known, np.array(ids, np.int32))
     if charuco:
         drawn.setLegacyPattern(board.legacy)
     return drawn
 
 
-def restated(board: BoardSetup, images: Sequence[Tags]) -> BoardSetup | None:
+def restated(board: BoardSetup, found: Sequence[Found]) -> BoardSetup | None:
     """The board with tags that images show.
 
     Nothing here needs a camera: tags of an image lie as a plane is seen.
 
     Args:
         board: The board as it was stated.
-        images: The tags of its dictionary in each image.
+        found: What was found in the images.
 
     Returns:
         The stated board, if nothing speaks against it; None where no two of its tags,
         nor its only one, are seen.
     """
-    images = sorted(images, key=len)[-SAMPLE:]
+    tags = ({k: four for k, (four, _) in one.tags.items()} for one in found)
+    images = sorted(tags, key=len)[-SAMPLE:]
     seen = sorted(set().union(*images))
     if len(own := tags_of(board)) == 1:
         if own[0] in seen or len(seen) != 1:
@@ -735,9 +727,8 @@ def start_camera(
         return Start(assumed, True, rms)
     # A start needs no more digits.
     fx, fy, cx, cy = numbers[:4].round(3).tolist()
-    lens = tuple(numbers[4:].round(6).tolist())
-    camera = CameraSetup(mount, (fx, fy), (cx, cy), lens, size, estimate=True)
-    return Start(camera, False, rms)
+    about = (fx, fy), (cx, cy), tuple(numbers[4:].round(6).tolist()), size
+    return Start(CameraSetup(mount, *about, estimate=True), False, rms)
 
 
 def _require_flat(images: Mapping[str, Found], rms: Floats) -> float:

@@ -20,7 +20,6 @@ manifest at any time.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -581,9 +580,7 @@ def encode_urdf(model: CalibratedModel, path: str | Path) -> bytes:
         OutputError: If it does not agree with the model.
     """
     if not model.geometric:
-        reason = (
-            "a URDF cannot hold corrections of the joints; write the geometry alone"
-        )
+        reason = "a URDF cannot hold corrections of joints; write the geometry alone"
         raise OptionError(reason, file=path, allowed="CalibrationResult.geometry")
     chains = model.chains
     q = chains.random_configurations(20, np.random.default_rng(0))
@@ -603,31 +600,6 @@ def encode_urdf(model: CalibratedModel, path: str | Path) -> bytes:
 
 
 # --- the folder -------------------------------------------------------------------
-
-
-def urdf_name(robot: str) -> str:
-    """Name of the corrected URDF of a robot.
-
-    Examples:
-        >>> urdf_name("ur 10"), urdf_name("Nominal"), urdf_name("../arm")
-        ('ur_10.urdf', 'Nominal-corrected.urdf', '_arm.urdf')
-    """
-    # The name comes from the file: it must not lead out of the folder.
-    name = re.sub(r"[^\w.-]", "_", robot).lstrip(".") or "robot"
-    # Some file systems do not tell capitals apart.
-    taken = f"{name}.urdf".casefold() == NOMINAL
-    return f"{name}-corrected.urdf" if taken else f"{name}.urdf"
-
-
-def run_id(document: Json) -> str:
-    """Id of the run that led to a document; the same input and seed lead to the same.
-
-    Args:
-        document: The `calibration.json`, without an id.
-    """
-    made = {"command": None, "created": None}
-    unlike = {"solver": {"seconds": None}, "provenance": made}
-    return sha256(encode(merged(document, unlike)))[:16]
 
 
 def require_one_run(record: Document, robot: bytes, path: Path) -> None:

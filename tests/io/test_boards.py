@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib_pin.io.boards import board_of, restated, tags_of, whole_grid, word_of
+from calib_pin.io.boards import (
+    Found,
+    board_of,
+    restated,
+    tags_of,
+    whole_grid,
+    word_of,
+)
 
 pytestmark = pytest.mark.needs("vision")
 
@@ -49,9 +56,9 @@ def seen(board, rng, count=2):
         for k, column, row in zip(tags_of(board), x[on], y[on], strict=True):
             xy = pitch * np.array([column, row]) + corners
             pixels = 1500.0 * (xy @ view.T) / (1.0 + xy @ tilt)[:, None]
-            tags[k] = pixels + 0.1 * rng.normal(size=(4, 2))
-        images.append(tags)
-    images[-1].pop(next(iter(images[-1])))
+            tags[k] = pixels + 0.1 * rng.normal(size=(4, 2)), np.ones((4, 2))
+        images.append(Found(tags=tags))
+    tags.pop(next(iter(tags)))
     return images
 
 
@@ -69,7 +76,8 @@ def test_tags_beside_the_board_are_not_of_it():
     rng = np.random.default_rng(2)
     (image,) = seen(board, rng, 1)
     (other,) = seen(replace(board, columns=5, first=12), rng, 1)
-    image |= {k: four + 2000.0 for k, four in other.items()}
+    beside = {k: (four + 2000.0, sigma) for k, (four, sigma) in other.tags.items()}
+    image = Found(tags={**image.tags, **beside})
     assert restated(board, [image]) == board
     # Of another one nothing is said; the camera does not fit it.
     assert restated(replace(board, columns=3, rows=4), [image]) is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from functools import partial
 from pathlib import Path
@@ -139,8 +140,12 @@ def detect(
         if images or output or joints or setup_output:
             raise OptionError("--draw takes --board or --setup, and nothing else")
         check_outputs([draw], [setup], force)
-        picture = boards.encode_png(detector.drawn(SHEET), SHEET / wanted.square)
-        with write_files({draw: picture}, force=force):
+        from PIL import Image
+
+        picture, per_inch = io.BytesIO(), 0.0254 * SHEET / wanted.square
+        sheet = Image.fromarray(detector.drawn(SHEET))
+        sheet.save(picture, "PNG", dpi=(per_inch, per_inch))
+        with write_files({draw: picture.getvalue()}, force=force):
             pass
         if not quiet:
             width, height = 1e3 * detector.extent
@@ -181,7 +186,8 @@ def detect(
         text = yaml_text({key: document[key] for key in ("model", "board", "camera")})
         contents[setup_output] = f"# {comment}\n{remark}{text}\n".encode()
     _remarks(found, start, tell)
-    if boards.ambiguous(wanted):
+    even = wanted.type == "chessboard" and (wanted.columns + wanted.rows) % 2 == 0
+    if even or wanted.type == "circles":
         tell(
             "the board looks the same when it is turned: corner 0 is the one nearest "
             "to the upper left of each image, so the camera must not roll"

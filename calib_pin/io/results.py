@@ -21,11 +21,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -83,16 +84,11 @@ NOMINAL = "nominal.urdf"
 PICTURES = (".png", ".pdf", ".svg")
 """Endings of files from which no program takes a number: these may be edited."""
 
-
-SECTIONS = {
-    **{name: name for name in ("targets", "planes", "sockets", "spheres", "anchors")},
-    "camera": "cameras",
-}
-"""Sections of reference objects in a setup, and the keys of those that were fitted."""
+SECTIONS = ("targets", "planes", "sockets", "spheres", "anchors", "cameras")
+"""Keys of reference objects: sections of a setup, which knows a single camera."""
 
 LARGEST = 1e6
 """Largest number that a value, a position or an offset can be [m, rad, px]."""
-
 
 AGREEMENT = 1e-9
 """Largest difference of forward kinematics between model and written URDF [m, rad]."""
@@ -321,7 +317,7 @@ def read_result(path: str | Path) -> CalibrationResult:
         Traceback (most recent call last):
         calib_pin.errors.InputError: /no/such/folder/calibration.json: no such file
     """
-    return read_written(path).result
+    return read_written(path)[0]
 
 
 def read_calibration(
@@ -340,23 +336,17 @@ def read_calibration(
     Raises:
         InputError, OutputError, RobotError: As `read_result`.
     """
-    result = read_written(path, measured=False).result
+    result, *_ = read_written(path, measured=False)
     if notice is not None and result.verdict not in TRUSTED:
         notice(f"{path} must not be trusted: {result.reason}")
     return result.model
 
 
-class Written(NamedTuple):
-    """A result, the document that it was read from, and what that suggests."""
-
-    result: CalibrationResult
-    document: Json
-    suggestions: tuple[Suggestion, ...]
-
-
 @serial_blas
-def read_written(path: str | Path, *, measured: bool = True) -> Written:
-    """A result as it was written.
+def read_written(
+    path: str | Path, *, measured: bool = True
+) -> tuple[CalibrationResult, Json, tuple[Suggestion, ...]]:
+    """A result, the document that it was read from, and what that suggests.
 
     Args:
         path: The folder of the result, or its `calibration.json`.
@@ -392,7 +382,7 @@ def read_written(path: str | Path, *, measured: bool = True) -> Written:
                 urdf=None if urdf is None else typed(UrdfResult, urdf, model=geometry),
                 provenance=typed(Provenance, document, file=str(file), hashes=hashes),
             )
-            return Written(result, document, record.suggestions)
+            return result, document, record.suggestions
 
 
 def _chains(record: Document, robot: Robot) -> Chains:
@@ -449,9 +439,11 @@ def model_record(model: CalibratedModel) -> ModelRecord:
 
 def places_of(model: CalibratedModel) -> Json:
     """Where the frames of all stations and tools are, each once, and all references."""
-    sections: dict[str, Json] = {key: {} for key in SECTIONS.values()}
+    sections: dict[str, Json] = {key: {} for key in SECTIONS}
     for (section, name), reference in model.references.items():
-        sections[SECTIONS[section]][name] = reference.stated()
+        sections[section if section in SECTIONS else "cameras"][name] = (
+            reference.stated()
+        )
     stations, tools = dict[str, FrameSetup](), dict[str, FrameSetup]()
     for key, term in model.terms.items():
         free, (base, on) = model.given.free[term.of_error], _frame_keys(term)
@@ -495,7 +487,8 @@ def model_of(
         own: dict[str, Json] = {}
         for one in term.measurement.references:
             section, name = term.frames.place(one)
-            own.setdefault(section, {})[one.name] = places[SECTIONS[section]][name]
+            found = places[section if section in SECTIONS else "cameras"][name]
+            own.setdefault(section, {})[one.name] = found
         stated = {**record.setup, "camera": None, **own, **own.get("camera", {})}
         measurement = measurement_model(key.model, setup_of(stated), blocks[key])
         ends = [frames[name] for name in _frame_keys(term)]
@@ -641,11 +634,9 @@ def find_robot(source: Source, path: Path) -> Robot:
         InputError: If there is only another one.
         RobotError: If there is none.
     """
-    copy = path.parent / NOMINAL
-    try:
+    given = copy = path.parent / NOMINAL
+    with suppress(RobotError):  # The package it came from may not be installed here.
         given = locate_robot(source.file)
-    except RobotError:  # The package it came from is not installed here.
-        given = copy
     # A xacro file was expanded, and what came of it is in the copy.
     expanded, beside = is_xacro(given), [path.parent / given, path.parent / given.name]
     places = [copy] if expanded else [given, *beside, copy]

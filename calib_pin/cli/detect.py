@@ -139,9 +139,9 @@ def detect(
     if draw is not None:
         if images or output or joints or setup_output:
             raise OptionError("--draw takes --board or --setup, and nothing else")
-        check_outputs([draw], [setup], force)
         from PIL import Image
 
+        check_outputs([draw], [setup], force)
         picture, per_inch = io.BytesIO(), 0.0254 * SHEET / wanted.square
         sheet = Image.fromarray(detector.drawn(SHEET))
         sheet.save(picture, "PNG", dpi=(per_inch, per_inch))

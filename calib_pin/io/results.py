@@ -441,9 +441,8 @@ def places_of(model: CalibratedModel) -> Json:
     """Where the frames of all stations and tools are, each once, and all references."""
     sections: dict[str, Json] = {key: {} for key in SECTIONS}
     for (section, name), reference in model.references.items():
-        sections[section if section in SECTIONS else "cameras"][name] = (
-            reference.stated()
-        )
+        own = sections[section if section in SECTIONS else "cameras"]
+        own[name] = reference.stated()
     stations, tools = dict[str, FrameSetup](), dict[str, FrameSetup]()
     for key, term in model.terms.items():
         free, (base, on) = model.given.free[term.of_error], _frame_keys(term)

@@ -29,7 +29,7 @@ from calib_pin.observations.corners import (
     sampled,
 )
 from calib_pin.setup import DICTIONARIES, TAGS, BoardSetup, CameraSetup
-from calib_pin.setup.arguments import Refused, Taker
+from calib_pin.setup.arguments import taken
 
 PIXELS = 1 << 27
 """Most pixels of an image."""
@@ -176,16 +176,15 @@ def board_of(word: str) -> BoardSetup:
     """
     if (match := WORD.fullmatch(word)) is None:
         raise OptionError("--board is no board", value=word, allowed=FORM)
-    stated = {key: text for key, text in match.groupdict().items() if text}
+    stated: dict[str, Any] = {k: text for k, text in match.groupdict().items() if text}
     if size := stated.pop("size", ""):
         stated["marker" if stated.get("type") == "charuco" else "gap"] = size
-    about = stated | ({"legacy": True} if "legacy" in stated else {})
+    stated["legacy"] = "legacy" in stated
     try:
-        board: BoardSetup = Taker().taken(about, BoardSetup)
-        return board
-    except Refused as error:
-        allowed = error.allowed if error.shown else FORM
-        raise OptionError("--board is no board", value=word, allowed=allowed) from None
+        board: BoardSetup = taken("--board", stated, BoardSetup)
+    except OptionError as error:
+        raise OptionError(error.reason, value=word, allowed=error.allowed) from None
+    return board
 
 
 def word_of(board: BoardSetup) -> str:
@@ -693,12 +692,12 @@ def start_camera(
         flags += cv2.CALIB_FIX_PRINCIPAL_POINT + cv2.CALIB_ZERO_TANGENT_DIST
         flags += cv2.CALIB_FIX_K2
     try:
-        _, K, lens, _, _, spread, _, each = cv2.calibrateCameraExtended(
+        rms, K, lens, _, _, spread, _, each = cv2.calibrateCameraExtended(
             sites, pixels, size, K, None, flags=flags
         )
     except cv2.error:  # None is usable, or corners are on a line.
         return Start(assumed, True, None)
-    rms = _require_flat(usable, np.ravel(each))
+    _require_flat(usable, rms, np.ravel(each))
     numbers = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *np.ravel(lens)[:5]])
     sane = (0.1 * largest < numbers[:2]) & (numbers[:2] < 100.0 * largest)
     sane &= np.ravel(spread)[:2] < UNKNOWN * numbers[:2]
@@ -710,20 +709,22 @@ def start_camera(
     return Start(CameraSetup(mount, *about, estimate=True), False, rms)
 
 
-def _require_flat(images: Mapping[str, Found], rms: Floats) -> float:
-    """Rms of the corners of all images about their camera, by those of each [px].
+def _require_flat(images: Mapping[str, Found], rms: float, each: Floats) -> None:
+    """Refuse corners that are not those of one flat board before a camera.
+
+    Args:
+        images: The corners in each image, by its name.
+        rms: Rms of all about the camera that fits them [px].
+        each: The same of each image.
 
     Raises:
-        InputError: If they are not those of one flat board before a camera.
+        InputError: If they are not.
     """
-    counts = [len(found.names) for found in images.values()]
-    total = float(np.sqrt(np.average(rms**2, weights=counts)))
     sigma = float(np.median(np.concatenate([f.sigma for f in images.values()])))
-    worst, name = max(zip(rms.tolist(), images, strict=True))
-    if total > np.clip(NOISE * sigma, *MOST) or worst > MOST[1]:
+    worst, name = max(zip(each.tolist(), images, strict=True))
+    if rms > np.clip(NOISE * sigma, *MOST) or worst > MOST[1]:
         raise InputError(
-            f"corners do not fit the board: rms {total:.3g} px with a noise of "
+            f"corners do not fit the board: rms {rms:.3g} px with a noise of "
             f"{sigma:.2g} px, {worst:.3g} px in {name}; is the board flat, and as "
             "stated?"
         )
-    return total

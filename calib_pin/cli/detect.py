@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 from functools import partial
 from pathlib import Path
@@ -139,13 +138,9 @@ def detect(
     if draw is not None:
         if images or output or joints or setup_output:
             raise OptionError("--draw takes --board or --setup, and nothing else")
-        from PIL import Image
-
         check_outputs([draw], [setup], force)
-        picture, per_inch = io.BytesIO(), 0.0254 * SHEET / wanted.square
-        sheet = Image.fromarray(detector.drawn(SHEET))
-        sheet.save(picture, "PNG", dpi=(per_inch, per_inch))
-        with write_files({draw: picture.getvalue()}, force=force):
+        picture = boards.encode_png(detector.drawn(SHEET), SHEET / wanted.square)
+        with write_files({draw: picture}, force=force):
             pass
         if not quiet:
             width, height = 1e3 * detector.extent
@@ -186,8 +181,7 @@ def detect(
         text = yaml_text({key: document[key] for key in ("model", "board", "camera")})
         contents[setup_output] = f"# {comment}\n{remark}{text}\n".encode()
     _remarks(found, start, tell)
-    even = wanted.type == "chessboard" and (wanted.columns + wanted.rows) % 2 == 0
-    if even or wanted.type == "circles":
+    if boards.ambiguous(wanted):
         tell(
             "the board looks the same when it is turned: corner 0 is the one nearest "
             "to the upper left of each image, so the camera must not roll"

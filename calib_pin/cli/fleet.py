@@ -17,7 +17,6 @@ from calib_pin.cli.printing import (
     progress_bar,
 )
 from calib_pin.cli.request import SEED, Told
-from calib_pin.cli.results import urdf_name
 from calib_pin.cli.workforce import ClusterAddress, WorkerCount, asked_workers
 from calib_pin.errors import OptionError
 
@@ -233,6 +232,7 @@ def priors(folder: Path, populations: Sequence[Population]) -> dict[Path, bytes]
     """The files of the priors; all but the first have the name of their robot."""
     from calib_pin.io.json_text import encode
     from calib_pin.io.population_prior import prior_document
+    from calib_pin.io.results import urdf_name
 
     found: dict[Path, bytes] = {}
     for number, population in enumerate(populations, 1):

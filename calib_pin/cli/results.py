@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,28 +37,12 @@ def result_files(folder: Path, robot: str) -> ResultFiles:
         OptionError: If a file stands in the place of the folder.
     """
     from calib_pin.io.measurement_errors import MEASUREMENTS
-    from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT
+    from calib_pin.io.results import DOCUMENT, NOMINAL, REPORT, urdf_name
 
     if exists(folder) and not folder.is_dir():
         raise OptionError("is a file, not a folder", file=folder)
     names = (urdf_name(robot), NOMINAL, DOCUMENT, MEASUREMENTS, REPORT)
     return ResultFiles(*(folder / name for name in names))
-
-
-def urdf_name(robot: str) -> str:
-    """Name of the corrected URDF of a robot.
-
-    Examples:
-        >>> urdf_name("ur 10"), urdf_name("Nominal"), urdf_name("../arm")
-        ('ur_10.urdf', 'Nominal-corrected.urdf', '_arm.urdf')
-    """
-    from calib_pin.io.results import NOMINAL
-
-    # The name comes from the file: it must not lead out of the folder.
-    name = re.sub(r"[^\w.-]", "_", robot).lstrip(".") or "robot"
-    # Some file systems do not tell capitals apart.
-    taken = f"{name}.urdf".casefold() == NOMINAL
-    return f"{name}-corrected.urdf" if taken else f"{name}.urdf"
 
 
 def check_results(

@@ -7,6 +7,7 @@ decoded.
 
 from __future__ import annotations
 
+import io
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -168,6 +169,20 @@ def read_image(path: Path) -> Gray:
     return np.asarray(image, np.uint8)
 
 
+def encode_png(image: Gray, density: float) -> bytes:
+    """A PNG file of gray levels that prints at its size.
+
+    Args:
+        image: Gray levels, shape (height, width).
+        density: Pixels per meter.
+    """
+    from PIL import Image
+
+    data, per_inch = io.BytesIO(), 0.0254 * density
+    Image.fromarray(image).save(data, "PNG", dpi=(per_inch, per_inch))
+    return data.getvalue()
+
+
 def board_of(word: str) -> BoardSetup:
     """The board that a word such as `charuco:7x5:0.03:0.022` states.
 
@@ -199,6 +214,12 @@ def word_of(board: BoardSetup) -> str:
     parts += [board.dictionary] if board.dictionary else []
     parts += [f"first={board.first}"] if board.first else []
     return ":".join([*parts, "legacy"] if board.legacy else parts)
+
+
+def ambiguous(board: BoardSetup) -> bool:
+    """Whether a board looks the same from two sides."""
+    even = (board.columns + board.rows) % 2 == 0
+    return board.type == "circles" or (board.type == "chessboard" and even)
 
 
 @dataclass(frozen=True)

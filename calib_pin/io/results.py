@@ -20,6 +20,7 @@ manifest at any time.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -592,6 +593,20 @@ def encode_urdf(model: CalibratedModel, path: str | Path) -> bytes:
 
 
 # --- the folder -------------------------------------------------------------------
+
+
+def urdf_name(robot: str) -> str:
+    """Name of the corrected URDF of a robot.
+
+    Examples:
+        >>> urdf_name("ur 10"), urdf_name("Nominal"), urdf_name("../arm")
+        ('ur_10.urdf', 'Nominal-corrected.urdf', '_arm.urdf')
+    """
+    # The name comes from the file: it must not lead out of the folder.
+    name = re.sub(r"[^\w.-]", "_", robot).lstrip(".") or "robot"
+    # Some file systems do not tell capitals apart.
+    taken = f"{name}.urdf".casefold() == NOMINAL
+    return f"{name}-corrected.urdf" if taken else f"{name}.urdf"
 
 
 def require_one_run(record: Document, robot: bytes, path: Path) -> None:

@@ -12,13 +12,17 @@ from PIL import Image
 
 from calib_pin.io.boards import board_of
 from calib_pin.io.setup import read_setup
+from calib_pin.setup import BoardSetup
 
 pytestmark = pytest.mark.needs("vision")
 
-BOARDS = (
-    *("charuco:7x5:0.03:0.022", "chessboard:8x5:0.03", "apriltag:4x3:0.03:0.015"),
-    *("circles:7x5:0.03", "marker:1x1:0.06"),
-)
+BOARDS = {
+    "charuco:7x5:0.03:0.022": BoardSetup("charuco", 7, 5, 0.03, 0.022),
+    "chessboard:8x5:0.03": BoardSetup("chessboard", 8, 5, 0.03),
+    "apriltag:4x3:0.03:0.015": BoardSetup("apriltag", 4, 3, 0.03, gap=0.015),
+    "circles:7x5:0.03": BoardSetup("circles", 7, 5, 0.03),
+    "marker:1x1:0.06": BoardSetup("marker", 1, 1, 0.06),
+}
 
 
 @pytest.mark.parametrize("word", BOARDS)
@@ -28,7 +32,7 @@ def test_corners_and_their_sigma(word, run, tmp_path, monkeypatch):
     from tests.io.rendered import pixels, pose, rendered
 
     monkeypatch.chdir(tmp_path)
-    board = board_of(word)
+    board = BOARDS[word]
     rng = np.random.default_rng(3)
     T = pose(rng, board, 0.4)
     cv2.imwrite("a.png", rendered(board, T, rng, noise=3.0, blur=0.8))

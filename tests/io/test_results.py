@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
@@ -410,28 +409,39 @@ def test_the_robot_is_found(
 def test_a_robot_that_is_another_one_is_refused(
     simple: tuple[CalibrationResult, Path], refused: Callable[..., Any]
 ) -> None:
-    result, file = simple
+    (result, file), given, beside = simple, Path("arm.urdf"), Path("out/arm.urdf")
     # Both have the same name, as the commands write them.
-    write_urdf(result.model, Path("out/arm.urdf"))
+    write_urdf(result.model, beside)
     assert read_calibration(file).chains.robot.file == "arm.urdf"
-    Path("arm.urdf").unlink()
+    given.unlink()
     with refused(InputError, file=str(file)):
         read_calibration(file)
     # With the original back at its side, a wrong one at the stated place is passed.
-    Path("out/arm.urdf").write_text(ARM)
-    Path("arm.urdf").write_text(ARM.replace("0.4", "0.41"))
+    beside.write_text(ARM)
+    given.write_text(ARM.replace("0.4", "0.41"))
     assert read_calibration(file).chains.robot.file == "out/arm.urdf"
-    Path("out/arm.urdf").unlink()
-    with refused(InputError, file=str(file)):
-        read_calibration(file)
-    Path("arm.urdf").unlink()
-    with refused(RobotError, file=str(file)):
-        read_calibration(file)
+    beside.unlink()
+    for kind in (InputError, RobotError):
+        with refused(kind, file=str(file)):
+            read_calibration(file)
+        given.unlink(missing_ok=True)
 
 
 # --- damage ------------------------------------------------------------------------
 
+POSITION, SAMPLES = ("errors", "position"), ("predicted", "", "tip", "samples")
 DAMAGE: list[tuple[str, tuple[Any, ...], Any]] = [
+    *(("", (key,), ...) for key in ("errors", "statistics", "verdict")),
+    ("", ("errors",), [1]),
+    ("", (*POSITION, "unit"), "furlong"),
+    ("", (*POSITION, "training", "after", "rms"), ...),
+    ("", ("identifiability", "coupled", 0, "value"), [[[]]]),
+    ("", (*SAMPLES, "points", 0, 0), 10**400),
+    ("", (*SAMPLES, "position", 0), ...),
+    ("", ("measurements", "training"), ...),
+    ("", ("verdict", "status"), "fine"),
+    ("", ("provenance",), 7),
+    ("", ("files",), {"../a": ""}),
     (POINTS, ("sockets", "top"), ...),
     ("sphere-contact", ("spheres", "s.1", "radius"), ...),
     ("point-distance", ("reference", "anchors", "bar", "xyz"), [0.0]),
@@ -467,8 +477,6 @@ def checked(calibrated_robot: Callable[..., Any]) -> CalibrationResult:
 def test_a_checked_result_comes_back(checked: CalibrationResult) -> None:
     found, document, _ = read_written(written(checked))
     assert found.robot_errors == checked.robot_errors != ()
-    assert found.accuracy.tip and checked.accuracy.tip
-    assert found.accuracy.tip.rms == checked.accuracy.tip.rms
     assert (found.validation.method, len(found.fitted)) == ("5-fold", 40)
     assert found.provenance.created == PROVENANCE.created
     assert_same_document(json.loads(encode(calibration_document(found))), document)
@@ -481,30 +489,12 @@ def test_a_checked_result_comes_back(checked: CalibrationResult) -> None:
     assert found.accuracy.tip is found.errors[0].validation_before is None
 
 
-POSITION, SAMPLES = ("errors", "position"), ("predicted", "", "tip", "samples")
-DAMAGED_PARTS: list[tuple[tuple[Any, ...], Any]] = [
-    *(((key,), ...) for key in ("errors", "statistics", "verdict")),
-    (("errors",), [1]),
-    ((*POSITION, "unit"), "furlong"),
-    ((*POSITION, "training", "after", "rms"), ...),
-    (("identifiability", "coupled", 0, "value"), [[[]]]),
-    ((*SAMPLES, "points", 0, 0), 10**400),
-    ((*SAMPLES, "position", 0), ...),
-    (("measurements", "training"), ...),
-    (("verdict", "status"), "fine"),
-    (("provenance",), 7),
-    (("files",), {"../a": ""}),
-]
-
-
 def test_damaged_parts_are_refused(
     checked: CalibrationResult, refused: Callable[..., Any]
 ) -> None:
-    whole = json.loads(encode(calibration_document(checked, PROVENANCE)))
-    damage = [(document_of(case), path, to) for case, path, to in DAMAGE]
-    damage += [(deepcopy(whole), path, to) for path, to in DAMAGED_PARTS]
-    for document, path, to in damage:
-        edit(document, path, to)
+    whole = encode(calibration_document(checked, PROVENANCE))
+    for case, path, to in DAMAGE:
+        edit(document := document_of(case) if case else json.loads(whole), path, to)
         with refused(InputError, file="calibration.json"):
             read_result(stored(document))
 

@@ -13,7 +13,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -128,15 +127,14 @@ def vision() -> Any:
     Raises:
         OptionError: If the extra is missing.
     """
-    if find_spec("cv2") is None:
-        raise OptionError(
-            "images need OpenCV, which is missing: pip install 'calib-pin[vision]'"
-        )
     # It reads these where it is loaded.
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(PIXELS))
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
-    import cv2
-
+    try:
+        import cv2
+    except ImportError as error:
+        reason = "images need OpenCV, which is missing: pip install 'calib-pin[vision]'"
+        raise OptionError(reason) from error
     return cv2
 
 

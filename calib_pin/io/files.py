@@ -69,15 +69,14 @@ def write_files(
         }
         yield
         for home, new in staged.items():
-            with _writing(home), locked(home):
-                if home != folder:
-                    for name in homes[home]:
-                        (new / name).replace(home / name)
-                    continue
-                complete(home)
+            with _writing(home), settled(home):
                 try:
-                    new.replace(home / COMMIT)
-                    complete(home)
+                    if home == folder:
+                        new.replace(home / COMMIT)
+                        complete(home)
+                    else:
+                        for name in homes[home]:
+                            (new / name).replace(home / name)
                 finally:  # Also where a signal comes in between.
                     complete(home)
 

@@ -111,14 +111,14 @@ def reading(path: str | Path, what: str = "calibration") -> Iterator[None]:
 
 def plain(value: Any) -> Any:
     """Declared data as mappings, lists, texts and numbers that JSON knows."""
-    if hasattr(value, "_asdict"):
-        return plain(value._asdict())
-    if is_dataclass(value):
-        return merged(*(_written(f, getattr(value, f.name)) for f in fields(value)))
     if isinstance(value, float):
         if math.isfinite(value):
             return float(value)
         return None if math.isnan(value) else f"{'-' * (value < 0.0)}Infinity"
+    if hasattr(value, "_asdict"):
+        return plain(value._asdict())
+    if is_dataclass(value):
+        return merged(*(_written(f, getattr(value, f.name)) for f in fields(value)))
     if isinstance(value, np.ndarray | np.generic):
         listed = value.tolist()
         return listed if np.isfinite(value).all() else plain(listed)

@@ -21,10 +21,9 @@ if TYPE_CHECKING:
     from calib_pin.calibration import calibrate
     from calib_pin.control.compensation import compensate
     from calib_pin.errors import CalibPinError
-    from calib_pin.io.calibrated_model import write_urdf
     from calib_pin.io.collision import load_collisions
     from calib_pin.io.measurements import read_measurements, write_measurements
-    from calib_pin.io.results import read_calibration, read_result
+    from calib_pin.io.results import read_calibration, read_result, write_urdf
     from calib_pin.io.setup import read_setup
     from calib_pin.io.urdf import load_chain, load_chains, robot_file
     from calib_pin.kinematics.chain import Chain
@@ -98,7 +97,7 @@ _HOMES = {
     "robot_file": "io.urdf",
     "simulate": "simulation",
     "write_measurements": "io.measurements",
-    "write_urdf": "io.calibrated_model",
+    "write_urdf": "io.results",
 }
 """Where each public name lives; imported when it is first used."""
 

@@ -338,10 +338,10 @@ def _urdf(
         return None
     fitted = model.fit
     if judgement.verdict[0] == "untrusted":
-        return UrdfResult(None, (), "the calibration is untrusted")
+        return UrdfResult((), "the calibration is untrusted")
     setup = geometric_setup(chains, training, fitted.problem.setup)
     if not setup.parameters:
-        return UrdfResult(None, (), "nothing of this calibration has a place in a URDF")
+        return UrdfResult((), "nothing of this calibration has a place in a URDF")
     if setup.parameters == fitted.problem.setup.parameters:
         geometry = FittedModel(fitted, *fitted.problem.rebased(fitted.theta))
     else:
@@ -359,9 +359,9 @@ def _urdf(
     errors = fitted_errors(geometry, training)
     own = judge(chains, geometry, errors, held_out, seed, seek=False)
     return UrdfResult(
-        CalibratedModel.create(geometry.problem, geometry.theta),
         own.errors,
         "" if own.verdict[0] == "good" else own.verdict[1],
+        CalibratedModel.create(geometry.problem, geometry.theta),
     )
 
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from calib_pin.control.compensation import Compensation
 from calib_pin.estimation.evidence import Finding
-from calib_pin.io.calibrated_model import model_name
 from calib_pin.io.json_text import Json, format_keys, merged, plain
+from calib_pin.io.results import model_name
 from calib_pin.io.targets import Targets
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats

@@ -194,7 +194,7 @@ def finished(orders: Orders, job: Job, request: Request) -> CalibrationResult | 
     """
     folder, robot = orders.output / job.name, Path(request.robot)
     try:
-        document = read_document(folder / DOCUMENT)
+        document, _ = read_document(folder / DOCUMENT)
         used = [*document["measurements"]["files"], document["setup_file"]]
         same = [sha256(read_bytes(f["file"])) == f["sha256"] for f in used if f]
         words = tuple(document["provenance"]["command"])
@@ -202,7 +202,7 @@ def finished(orders: Orders, job: Job, request: Request) -> CalibrationResult | 
         same += [REPORT in document["files"] or not orders.pages]
         if request.start is not None:
             begun = document["recalibration"]["steps"][-1]["created"]
-            started = read_document(document_file(request.start))
+            started, _ = read_document(document_file(request.start))
             same += [begun == started["provenance"]["created"]]
         result = read_result(folder) if all(same) else None
         if result is None or not robot.is_file():

@@ -55,7 +55,6 @@ def report(asked: Report) -> int:
     from calib_pin.io.results import (
         REPORT,
         document_file,
-        read_suggestions,
         read_written,
     )
     from calib_pin.io.robot_shapes import robot_shapes
@@ -69,7 +68,7 @@ def report(asked: Report) -> int:
         require_pdf()
     require_folders(folders)
     file = document_file(asked.calibration)
-    result, document = read_written(file)
+    result, document, suggestions = read_written(file)
     page = asked.output or file.parent / REPORT
     own = asked.output is None and REPORT in document.get("files", {})
     pictures = figure_files(asked.figures, asked.figure_format, "calibration")
@@ -79,7 +78,6 @@ def report(asked: Report) -> int:
     check_outputs([pdf], inputs, asked.force)
     if MEASUREMENTS not in document.get("files", {}):
         notice(f"{file} has no {MEASUREMENTS}: nothing is known of single measurements")
-    suggestions = read_suggestions(document)
     with progress_bar(quiet=asked.quiet) as bar:
         robot = result.model.chains.robot
         shapes = robot_shapes(robot, folders).parts

@@ -82,16 +82,18 @@ def result_contents(
     The corrected URDF is there if it can be trusted, and is the nominal one where
     there is no gain; the page is there if figures for it are given, however few.
     """
-    from calib_pin.io.calibrated_model import encode_urdf
-    from calib_pin.io.files import inside, listed, sha256
-    from calib_pin.io.json_text import encode
+    from calib_pin.io.files import listed, sha256
+    from calib_pin.io.json_text import encode, merged
     from calib_pin.io.measurement_errors import encode_errors
-    from calib_pin.io.results import calibration_document, run_id
+    from calib_pin.io.results import calibration_document, encode_urdf
     from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 
     document = calibration_document(result, made, suggestions)
-    document["run"] = run_id(document)
+    # The same input and seed lead to the same id.
+    unlike = {"solver": ["seconds"], "provenance": ["command", "created"]}
+    left = {key: dict.fromkeys(names) for key, names in unlike.items()}
+    document["run"] = sha256(encode(merged(document, left)))[:16]
     robot = result.model.chains.robot
     contents = {files.nominal: robot.source}
     if result.verdict == "no-gain":
@@ -107,7 +109,7 @@ def result_contents(
     document["files"] = {
         name: None if path == files.report else sha256(data)
         for path, data in contents.items()
-        if inside(name := listed(path, files.json.parent))
+        if (name := listed(path, files.json.parent))
     }
     if is_source(files.nominal, robot):
         del contents[files.nominal]  # It is an input, and stays as it is.

@@ -70,13 +70,13 @@ def simulate(asked: Simulation, context: typer.Context) -> int:
     import numpy as np
 
     from calib_pin.estimation.formulation import nominal_problem
-    from calib_pin.io.calibrated_model import encode_urdf
     from calib_pin.io.measurements import (
         encode_table,
         measurement_columns,
         read_configurations,
         read_held,
     )
+    from calib_pin.io.results import encode_urdf
     from calib_pin.io.setup import read_true_errors
     from calib_pin.io.table import read_table
     from calib_pin.simulation import draw_errors

@@ -76,6 +76,10 @@ class TipByCount:
         counts, errors = zip(*found, strict=True) if found else ((), ())
         return np.array(counts, float), np.array(errors)
 
+    def _asdict(self) -> dict[str, Floats]:
+        """The curve as `FoundCurve` is written: it is found when somebody asks."""
+        return dict(zip(("measurements", "position"), self.curve, strict=True))
+
     def _found(self) -> Iterator[tuple[int, float]]:
         problem = self.problem
         _, J = problem.linearize_rows(self.theta)

@@ -10,10 +10,10 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from importlib.util import find_spec
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, OptionError
-from calib_pin.io.board_fit import (
-    Lines,
-    dictionary_of,
-    drawn_board,
-    lines_of,
-    restated_lines,
-    restated_tags,
-    tags_of,
-)
 from calib_pin.io.files import read_bytes
 from calib_pin.observations.corners import (
     corner_sigmas,
@@ -38,7 +29,7 @@ from calib_pin.observations.corners import (
     sampled,
 )
 from calib_pin.setup import DICTIONARIES, TAGS, BoardSetup, CameraSetup
-from calib_pin.setup.arguments import Refused, Taker
+from calib_pin.setup.arguments import taken
 
 PIXELS = 1 << 27
 """Most pixels of an image."""
@@ -54,6 +45,8 @@ FORMATS = (
 
 Gray = NDArray[np.uint8]
 Floats = NDArray[np.float64]
+Tags = Mapping[int, Floats]
+"""Corners of tags by number, clockwise from the upper left one, shape (4, 2) [px]."""
 
 GRIDS = ("chessboard", "circles")
 """Types of boards without markers."""
@@ -81,10 +74,32 @@ OFF_CENTER = 0.08
 ellipse off it, by 0.065 px in rendered images, whatever their noise."""
 
 SAMPLE = 4
-"""Images of which a better statement of the board is taken."""
+"""Images that other boards are compared with."""
 
 NEAR = (0, 1, -1)
 """By how many columns and rows a grid may be stated wrong."""
+
+PLACE = 0.3
+"""Distance from a place of the grid within which a tag lies there, in its pitch."""
+
+RIGHT = 0.8
+"""Part of the tags that lie where the right board has them, whatever the lens."""
+
+WIDEST = 40
+"""Most columns of a board that is looked for."""
+
+BESIDE = 1.5
+"""Distance of neighbors, at most [pitch]."""
+
+PRINT = 2e-4, 5e-3
+"""Error of an edge that printers make: in m, and as part of the pitch."""
+
+FINE, SHIFT = 20.0, 0.6
+"""Edge of a tag below which its cells blur into its border, by which amount [px]."""
+
+LINE = 0.75
+"""Contrast of a line of the grid in that of a full one: outside the last corners of a
+chessboard it is half."""
 
 MARKED = 2
 """Images in which markers of other dictionaries are looked for."""
@@ -112,15 +127,14 @@ def vision() -> Any:
     Raises:
         OptionError: If the extra is missing.
     """
-    if find_spec("cv2") is None:
-        raise OptionError(
-            "images need OpenCV, which is missing: pip install 'calib-pin[vision]'"
-        )
     # It reads these where it is loaded.
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(PIXELS))
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
-    import cv2
-
+    try:
+        import cv2
+    except ImportError as error:
+        reason = "images need OpenCV, which is missing: pip install 'calib-pin[vision]'"
+        raise OptionError(reason) from error
     return cv2
 
 
@@ -175,16 +189,15 @@ def board_of(word: str) -> BoardSetup:
     """
     if (match := WORD.fullmatch(word)) is None:
         raise OptionError("--board is no board", value=word, allowed=FORM)
-    stated = {key: text for key, text in match.groupdict().items() if text}
+    stated: dict[str, Any] = {k: text for k, text in match.groupdict().items() if text}
     if size := stated.pop("size", ""):
         stated["marker" if stated.get("type") == "charuco" else "gap"] = size
-    about = stated | ({"legacy": True} if "legacy" in stated else {})
+    stated["legacy"] = "legacy" in stated
     try:
-        board: BoardSetup = Taker().taken(about, BoardSetup)
-        return board
-    except Refused as error:
-        allowed = error.allowed if error.shown else FORM
-        raise OptionError("--board is no board", value=word, allowed=allowed) from None
+        board: BoardSetup = taken("--board", stated, BoardSetup)
+    except OptionError as error:
+        raise OptionError(error.reason, value=word, allowed=error.allowed) from None
+    return board
 
 
 def word_of(board: BoardSetup) -> str:
@@ -217,14 +230,14 @@ class Found:
         sigma: Standard deviations, shape (N, 2) [px].
         tags: Corners and their standard deviations, shape (4, 2) each [px], of all tags
             of its dictionary, whether they are of the board or not.
-        lines: The lines of a grid, if one was found.
+        sure: Whether the image shows what is around the grid that was found.
     """
 
     names: tuple[str, ...] = ()
     pixels: Floats = field(default_factory=lambda: np.empty((0, 2)))
     sigma: Floats = field(default_factory=lambda: np.empty((0, 2)))
     tags: Mapping[int, tuple[Floats, Floats]] = field(default_factory=dict)
-    lines: Lines | None = None
+    sure: bool = False
 
 
 class Detector:
@@ -241,6 +254,7 @@ class Detector:
         """
         self.board, self._cv2 = board, vision()
         self.points = {n: p.xyz or (0.0, 0.0, 0.0) for n, p in board.points.items()}
+        self._free = 0.4 * board.square
         if board.type not in GRIDS:
             self._search = self._tags_search()
         elif board.type == "chessboard" and min(board.columns, board.rows) < 4:
@@ -248,9 +262,26 @@ class Detector:
             allowed = "4x4 squares or more"
             raise OptionError("a chessboard is too small", value=size, allowed=allowed)
 
+    def _tags_search(self) -> Any:
+        """The search for tags by OpenCV's own board."""
+        board, aruco, last = self.board, self._cv2.aruco, tags_of(self.board)[-1]
+        known, settings = dictionary_of(board), aruco.DetectorParameters()
+        if last >= (count := len(known.bytesList)):
+            reason, allowed = f"the board has tags up to {last}", f"more than {count}"
+            raise OptionError(reason, allowed=f"a dictionary of {allowed}")
+        self._cells, self._drawn = known.markerSize + 2, drawn_board(board)
+        if board.type == "charuco":
+            # To the corner of the marker in the square, along each axis.
+            self._free = 0.9 * 0.5 * (board.square - (board.marker or 0.0))
+            search = aruco.CharucoDetector(self._drawn, detectorParams=settings)
+            return search.detectBoard
+        self._free = 0.9 * board.square / self._cells
+        settings.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
+        return aruco.ArucoDetector(known, settings).detectMarkers
+
     def find(self, image: Gray) -> Found:
         """The board in an image; without names where it is not there."""
-        levels = image.astype(float)
+        levels, cv2 = image.astype(float), self._cv2
         search = self._grid if self.board.type in GRIDS else self._tags
         found = search(image, levels)
         if not found.names or self.board.type == "circles":
@@ -260,7 +291,7 @@ class Detector:
             met = [found.tags[int(name[:-2])] for name in found.names[::4]]
             fine, sigma = (np.concatenate(part) for part in zip(*met, strict=True))
         else:
-            cv2, start = self._cv2, np.array(rough[:, None], np.float32, order="C")
+            start = np.array(rough[:, None], np.float32, order="C")
             criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, *STEPS)
             fine = cv2.cornerSubPix(image, start, (half, half), (-1, -1), criteria)
             fine = np.asarray(fine, float).reshape(-1, 2)
@@ -291,23 +322,6 @@ class Detector:
         gap = self.board.gap or 0.0
         return np.asarray(counts * (self.board.square + gap) - gap)
 
-    def _tags_search(self) -> Any:
-        """The search for tags by OpenCV's own board."""
-        board, aruco, last = self.board, self._cv2.aruco, tags_of(self.board)[-1]
-        name, settings = dictionary_of(board), aruco.DetectorParameters()
-        known = aruco.getPredefinedDictionary(getattr(aruco, name))
-        if board.type == "charuco" and board.marker is None:
-            raise OptionError("a charuco board is found by the edge of its 'marker'")
-        if last >= (count := len(known.bytesList)):
-            reason, allowed = f"the board has tags up to {last}", f"more than {count}"
-            raise OptionError(reason, value=name, allowed=f"a dictionary of {allowed}")
-        self._cells, self._drawn = known.markerSize + 2, drawn_board(board)
-        if board.type == "charuco":
-            search = aruco.CharucoDetector(self._drawn, detectorParams=settings)
-            return search.detectBoard
-        settings.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-        return aruco.ArucoDetector(known, settings).detectMarkers
-
     def _tags(self, image: Gray, levels: Floats) -> Found:
         charuco = self.board.type == "charuco"
         *corners, around, ids = self._search(image)[: 4 if charuco else 2]
@@ -318,8 +332,7 @@ class Detector:
             for k, four in zip(every, around or (), strict=True)
             if every.count(k) == 1
         }
-        cells = self._cells
-        met = {k: marker_corners(levels, four, cells) for k, four in rough.items()}
+        tags = {k: marker_corners(levels, c, self._cells) for k, c in rough.items()}
         if charuco:
             # OpenCV numbers them as the model does, row by row from 0.
             names = [str(k) for k in np.ravel([] if corners[1] is None else corners[1])]
@@ -328,7 +341,7 @@ class Detector:
             own = [k for k in rough if k in tags_of(self.board)]
             names = [f"{k}/{n}" for k in own for n in range(4)]
             pixels = [rough[k] for k in own]
-        return Found(tuple(names), np.array(pixels, float).reshape(-1, 2), tags=met)
+        return Found(tuple(names), np.array(pixels, float).reshape(-1, 2), tags=tags)
 
     def _grid(self, image: Gray, levels: Floats) -> Found:
         cv2, board = self._cv2, self.board
@@ -342,9 +355,7 @@ class Detector:
         if not seen:
             return Found()
         grid = np.asarray(points, float).reshape(size[1], size[0], 2)
-        lines = lines_of(levels, grid, not chess)
-        if not lines.whole:
-            return Found(lines=lines)
+        whole, sure = whole_grid(levels, grid, not chess)
         if np.linalg.det([grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]]) < 0.0:
             grid = grid[:, ::-1]  # As it is seen from the front.
         ways = [np.rot90(grid, k) for k in range(4)]
@@ -352,28 +363,21 @@ class Detector:
         ways = [w for w in ways if chess and _first_is_dark(levels, w)] or ways
         chosen = min(ways, key=lambda way: float(way[0, 0].sum()))
         across = chosen[0, -1] - chosen[0, 0]
-        if len(ways) > 1 and across[0] < abs(across[1]):
-            # A right angle further, it is clear which corner is the upper left one.
-            lines = replace(lines, columns=lines.rows, rows=lines.columns)
-            return Found(lines=lines)
+        # A right angle further, it is clear which corner is the upper left one.
+        if not whole or (len(ways) > 1 and across[0] < abs(across[1])):
+            return Found(sure=sure)
         pixels = chosen.reshape(-1, 2)
-        names, sigma = tuple(map(str, range(len(pixels)))), np.full((1, 2), OFF_CENTER)
-        return Found(names, pixels, sigma.repeat(len(pixels), axis=0), lines=lines)
+        names, sigma = map(str, range(len(pixels))), np.full_like(pixels, OFF_CENTER)
+        return Found(tuple(names), pixels, sigma, sure=sure)
 
     def _half(self, found: Found) -> int:
         """Half width of the window of a corner, in which there is no other edge."""
         sites = np.array([self.points[name][:2] for name in found.names])
-        apart = np.linalg.norm(sites[:, None] - sites, axis=2)
-        seen = np.linalg.norm(found.pixels[:, None] - found.pixels, axis=2)
+        both = sites, found.pixels
+        apart, seen = (np.linalg.norm(at[:, None] - at, axis=2) for at in both)
         near = (apart > 0.0) & (apart < 1.5 * self.board.square)
         scale = float((seen[near] / apart[near]).min()) if near.any() else 0.0
-        free = 0.4 * self.board.square
-        if self.board.type == "charuco":
-            # To the corner of the marker in the square, along each axis.
-            free = 0.9 * 0.5 * (self.board.square - (self.board.marker or 0.0))
-        elif self.board.type in TAGS:
-            free = 0.9 * self.board.square / self._cells
-        return int(np.clip(scale * free, *WINDOWS))
+        return int(np.clip(scale * self._free, *WINDOWS))
 
 
 def _first_is_dark(levels: Floats, grid: Floats) -> bool:
@@ -382,6 +386,43 @@ def _first_is_dark(levels: Floats, grid: Floats) -> bool:
     at = grid[0, 0] + 0.5 * np.array([-x - y, x - y, x + y, y - x])
     a, b, c, d = sampled(levels, *at.T)
     return bool(a + c < b + d)
+
+
+def whole_grid(levels: Floats, grid: Floats, circles: bool) -> tuple[bool, bool]:
+    """Whether a grid has no more lines than were found, and whether that is sure.
+
+    Outside the last corners of a chessboard the contrast is half that of a corner, and
+    outside the last circles there is none. It is sure where the image goes on there.
+
+    Args:
+        levels: Gray levels, shape (height, width).
+        grid: Corners of squares or centers of circles, shape (rows, columns, 2) [px].
+        circles: Whether they are centers.
+    """
+    # One line more on every side, as far away as the last one.
+    beside = (1, 1), (1, 1), (0, 0)
+    grid = np.pad(grid, beside, mode="reflect", reflect_type="odd")
+    reach = 0.5 if circles else 0.3
+    x, y = (reach * np.gradient(grid, axis=k) for k in (1, 0))
+    at = np.array([grid - x - y, grid + x - y, grid + x + y, grid - x + y, grid])
+    around = sampled(levels, at[..., 0], at[..., 1])
+    inside = (at == at.clip(0.0, np.array(levels.shape[::-1]) - 1.0)).all(axis=(0, -1))
+    if circles:
+        value = around[:4].mean(axis=0) - around[4]
+    else:
+        value = 0.5 * (around[0] - around[1] + around[2] - around[3])
+        value *= (-1.0) ** np.indices(value.shape).sum(axis=0)
+    spread, inner = np.ptp(around, axis=0), (slice(1, -1), slice(1, -1))
+    # Noise alone has no contrast.
+    value /= np.maximum(spread, PLACE * np.median(spread[inner]) + 1e-9)
+    value *= np.sign(np.median(value[inner]))
+    # At the edge of the image, a point that was found is one, and others are not.
+    value[~inside] = 0.0
+    value[inner][~inside[inner]] = 1.0
+    full = [np.median(part, axis=0) > LINE for part in (value[1:-1], value[:, 1:-1].T)]
+    whole = all(part[1:-1].all() and not part[[0, -1]].any() for part in full)
+    rims = inside[0], inside[-1], inside[:, 0], inside[:, -1]
+    return whole, all(rim.mean() > 0.5 for rim in rims)
 
 
 def find_board(
@@ -397,37 +438,21 @@ def find_board(
     Raises:
         InputError: If one cannot be read, or is of another size.
     """
-    size, found = (0, 0), list[Found]()
+    found, sizes = list[Found](), list[tuple[int, int]]()
     for k, path in enumerate(paths):
         image = read_image(path)
-        height, width = image.shape
-        size = size if k else (width, height)
-        if (width, height) != size:
-            raise InputError(
-                f"is not of the size of {paths[0]}: one camera has one",
-                file=path,
-                value=f"{width} x {height}",
-                allowed=f"{size[0]} x {size[1]}",
-            )
+        sizes.append((image.shape[1], image.shape[0]))
+        if sizes[k] != sizes[0]:
+            reason = f"is not of the size of {paths[0]}: one camera has one"
+            value, allowed = ("{} x {}".format(*sizes[i]) for i in (k, 0))
+            raise InputError(reason, file=path, value=value, allowed=allowed)
         found.append(detector.find(image))
         if tell is not None:
             tell((k + 1) / len(paths))
-    return size, found
+    return sizes[0], found
 
 
-def restated(board: BoardSetup, images: Sequence[Found]) -> BoardSetup | None:
-    """The board as images show it.
-
-    Returns:
-        The stated one, if nothing speaks against it; None where images do not show
-        enough to tell.
-    """
-    if board.type not in GRIDS:
-        tags = [{k: four for k, (four, _) in image.tags.items()} for image in images]
-        return restated_tags(board, tags)
-    lines = [image.lines for image in images if image.lines]
-    fit = restated_lines(board, lines)
-    return fit if fit != board or any(one.sure for one in lines) else None
+# --- whether images show the board as it is stated ----------------------------------
 
 
 def require_stated(
@@ -446,18 +471,17 @@ def require_stated(
     Raises:
         InputError: If they show another, or none.
     """
-    fit, seen = restated(board, images), any(image.names for image in images)
-    if seen and fit in (None, board):
-        return fit is not None
+    told = agrees(board, images)
+    if told is not False and any(one.names for one in images):
+        return told is True
     some = [read_image(path) for path in paths[:: len(paths) // SAMPLE + 1]]
-    for other in [fit] if fit and board.type not in GRIDS else _near(board, some):
+    grid = board.type in GRIDS
+    others = _near(board, some) if grid else [restated(board, images)]
+    for other in filter(None, others):
         with suppress(OptionError):  # The dictionary may have fewer tags.
             found = [Detector(other).find(image) for image in some]
-            if restated(other, found) == other and any(one.names for one in found):
+            if agrees(other, found) and any(one.names for one in found):
                 reason = f"the images do not show {word_of(board)}"
-                if other == replace(board, legacy=True):
-                    reason = "its markers are found, its corners are not: a board of "
-                    reason += "OpenCV before 4.6? add ':legacy'"
                 raise InputError(f"{reason}; this fits: --board {word_of(other)}")
     raise InputError(
         f"no image shows the board as stated ({board.type}, {board.columns} x "
@@ -466,29 +490,176 @@ def require_stated(
     )
 
 
+def agrees(board: BoardSetup, images: Sequence[Found]) -> bool | None:
+    """Whether images show a board as it is stated; None where they do not tell."""
+    if board.type in GRIDS:
+        whole = [bool(one.names) for one in images if one.sure]
+        return 2 * sum(whole) >= len(whole) if whole else None
+    fit = restated(board, images)
+    return None if fit is None else fit == board
+
+
 def _near(board: BoardSetup, images: Sequence[Gray]) -> list[BoardSetup]:
     """Boards of squares or circles with a few more or fewer, where a part is seen."""
-    cv2, flags, least = vision(), vision().CALIB_CB_LARGER, 2
-    if board.type == "chessboard":
-        # Images without a part of one are slow to search.
-        seen = [cv2.findChessboardCornersSB(i, (3, 3), flags=flags)[0] for i in images]
-        least = 4 if any(seen) else max(board.columns, board.rows) + 2
+    cv2 = vision()
+    flags, search = cv2.CALIB_CB_LARGER, cv2.findChessboardCornersSB
+    # Images without a part of one are slow to search.
+    if board.type == "chessboard" and not any(
+        search(image, (3, 3), flags=flags)[0] for image in images
+    ):
+        return []
     sizes = [(board.columns + i, board.rows + j) for i in NEAR for j in NEAR][1:]
-    sizes = [*sizes, (board.rows, board.columns)] if board.type in GRIDS else []
-    return [replace(board, columns=c, rows=r) for c, r in sizes if min(c, r) >= least]
+    sizes.append((board.rows, board.columns))
+    return [replace(board, columns=c, rows=r) for c, r in sizes if min(c, r) > 1]
 
 
 def _markers(board: BoardSetup, images: Sequence[Gray]) -> str:
     """The markers of one dictionary, that with most of them, in images."""
-    aruco, seen = vision().aruco, list[tuple[int, str]]()
-    for name in (dictionary_of(board), *DICTIONARIES):
-        dictionary = aruco.getPredefinedDictionary(getattr(aruco, name))
-        search = aruco.ArucoDetector(dictionary)
-        met = [search.detectMarkers(image)[1] for image in images]
-        if ids := {int(k) for found in met if found is not None for k in found.ravel()}:
-            said = f"; seen: {len(ids)} markers of {name}, {min(ids)} to {max(ids)}"
-            seen.append((len(ids), said))
-    return max(seen, default=(0, ""), key=lambda found: found[0])[1]
+    most, said = 0, ""
+    for name in DICTIONARIES:
+        known = dictionary_of(replace(board, dictionary=name))
+        search = vision().aruco.ArucoDetector(known).detectMarkers
+        met = [found for image in images if (found := search(image)[1]) is not None]
+        ids = {int(k) for found in met for k in found.ravel()}
+        if len(ids) > most:
+            most = len(ids)
+            said = f"; seen: {most} markers of {name}, {min(ids)} to {max(ids)}"
+    return said
+
+
+def tags_of(board: BoardSetup) -> range:
+    """Numbers of the tags of a board with tags."""
+    cells = board.columns * board.rows
+    # The white squares: of an odd number of squares the first one is black.
+    count = cells // 2 if board.type == "charuco" else cells
+    return range(board.first, board.first + count)
+
+
+def dictionary_of(board: BoardSetup) -> Any:
+    """OpenCV's dictionary of a board with tags, or that of most boards."""
+    usual = "DICT_APRILTAG_36h11" if board.type == "apriltag" else "DICT_4X4_50"
+    aruco = vision().aruco
+    return aruco.getPredefinedDictionary(getattr(aruco, board.dictionary or usual))
+
+
+def drawn_board(board: BoardSetup) -> Any:
+    """A board with tags as OpenCV has it.
+
+    Raises:
+        OptionError: If it does not say all.
+    """
+    aruco, size, ids = vision().aruco, (board.columns, board.rows), tags_of(board)
+    charuco, edge = board.type == "charuco", board.marker
+    if charuco and edge is None:
+        raise OptionError("a charuco board is found by the edge of its 'marker'")
+    make = aruco.CharucoBoard if charuco else aruco.GridBoard
+    inner = edge if charuco else board.gap or board.square
+    known = dictionary_of(board)
+    drawn = make(size, board.square, inner, known, np.array(ids, np.int32))
+    if charuco:
+        drawn.setLegacyPattern(board.legacy)
+    return drawn
+
+
+def restated(board: BoardSetup, found: Sequence[Found]) -> BoardSetup | None:
+    """The board with tags that images show.
+
+    Nothing here needs a camera: tags of an image lie as a plane is seen.
+
+    Args:
+        board: The board as it was stated.
+        found: What was found in the images.
+
+    Returns:
+        The stated board, if nothing speaks against it; None where no two of its tags,
+        nor its only one, are seen.
+    """
+    tags = ({k: four for k, (four, _) in one.tags.items()} for one in found)
+    images = sorted(tags, key=len)[-SAMPLE:]
+    seen = sorted(set().union(*images))
+    if len(own := tags_of(board)) == 1:
+        if own[0] in seen or len(seen) != 1:
+            return board if own[0] in seen else None
+        return replace(board, first=seen[0])
+    (right, of_board), most = _hits(board, images), RIGHT * sum(map(len, images))
+    if len(seen) > 1 and right < most:
+        rivals = {other: _hits(other, images)[0] for other in _others(board, seen)}
+        best = max(rivals, key=lambda r: (rivals[r], -r.columns * r.rows))
+        # Where its own lie right, other tags are of another board or of a larger one.
+        least = max(right, most if right >= RIGHT * of_board else 0.0)
+        board = best if rivals[best] > least else board
+    right, of_board = _hits(board, images)
+    return _with_edge(board, images) if right >= RIGHT * of_board else None
+
+
+def _others(board: BoardSetup, seen: Sequence[int]) -> Iterator[BoardSetup]:
+    """Boards that the tags which are seen may be of."""
+    per = 2 if board.type == "charuco" else 1
+    firsts = {board.first, 0, seen[0]}
+    for columns, first, turned in product(range(per, WIDEST), firsts, range(per)):
+        rows = max(per * (seen[-1] - first) // columns + 1, per)
+        other = replace(board, columns=columns, rows=rows, first=first)
+        yield replace(other, legacy=board.legacy != bool(turned))
+
+
+def _flat(board: BoardSetup, images: Sequence[Tags]) -> Iterator[tuple[Floats, Floats]]:
+    """Corners of the tags of a board in each image: as stated, and as they are seen.
+
+    Yields:
+        Shapes (n, 4, 2), both in the plane of the board [pitch].
+    """
+    cv2, drawn = vision(), drawn_board(board)
+    places = np.array(drawn.getObjPoints())[..., :2] / _pitch(board)
+    sites = dict(zip(drawn.getIds().ravel().tolist(), places, strict=True))
+    for tags in images:
+        own = [k for k in tags if k in sites]
+        if len(own) > 1:
+            stated, seen = (np.array([of[k] for k in own]) for of in (sites, tags))
+            H, _ = cv2.findHomography(seen.reshape(-1, 2), stated.reshape(-1, 2))
+            yield stated, cv2.perspectiveTransform(seen, H)
+
+
+def _pitch(board: BoardSetup) -> float:
+    """Distance of neighboring cells of a board [m]."""
+    return board.square + (board.gap or 0.0)
+
+
+def _hits(board: BoardSetup, images: Sequence[Tags]) -> tuple[int, int]:
+    """Number of tags that lie where a board has them, and of all that it has."""
+    apart = [(seen - stated).mean(axis=1) for stated, seen in _flat(board, images)]
+    far = np.abs(np.concatenate([np.empty((0, 2)), *apart])).max(axis=1)
+    return int(np.sum(far < PLACE)), len(far)
+
+
+def _with_edge(board: BoardSetup, images: Sequence[Tags]) -> BoardSetup | None:
+    """The board with the size of markers, or gap, that images show; None for none."""
+    found, pitch = list[float](), _pitch(board)
+    for both in _flat(board, images):
+        (stated, at), (sizes, seen) = map(_sizes, both)
+        # The scale of a lens is that of neighbors.
+        i, j = np.nonzero((at > 0.0) & (at < BESIDE))
+        found += (np.sqrt(sizes[i] * sizes[j]) * at[i, j] / seen[i, j]).tolist()
+    if not found:
+        return None
+    edges = [np.linalg.norm(t[0] - t[1]) for tags in images for t in tags.values()]
+    blurred = SHIFT / np.median(edges) if np.median(edges) < FINE else 0.0
+    edge = float(np.median(found))
+    if abs(edge - stated[0]) <= PRINT[0] / pitch + PRINT[1] + blurred:
+        return board
+    charuco = board.type == "charuco"
+    exact = board.square * (edge if charuco else 1.0 / edge - 1.0)
+    size = round(exact, 4) or exact
+    return replace(board, marker=size) if charuco else replace(board, gap=size)
+
+
+def _sizes(corners: Floats) -> tuple[Floats, Floats]:
+    """Edges of tags (n, 4, 2), and how far their centers are apart, (n,) and (n, n)."""
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1)
+    centers = corners.mean(axis=1)
+    return edges, np.linalg.norm(centers[:, None] - centers, axis=2)
+
+
+# --- the camera ---------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -529,10 +700,9 @@ def start_camera(
     focal = (ASSUMED * largest, ASSUMED * largest)
     assumed = CameraSetup(mount, focal, center, size=size, estimate=True)
     usable = {n: found for n, found in images.items() if len(found.names) >= CORNERS}
-    sites, pixels = [], []
-    for one in usable.values():
-        sites.append(np.array([board.points[n] for n in one.names], np.float32))
-        pixels.append(one.pixels.astype(np.float32))
+    names = [found.names for found in usable.values()]
+    sites = [np.array([board.points[n] for n in own], np.float32) for own in names]
+    pixels = [found.pixels.astype(np.float32) for found in usable.values()]
     # The sixth power of the radius is left to the calibration.
     K, flags = np.diag([*focal, 1.0]), cv2.CALIB_FIX_K3
     K[:2, 2] = center
@@ -541,12 +711,12 @@ def start_camera(
         flags += cv2.CALIB_FIX_PRINCIPAL_POINT + cv2.CALIB_ZERO_TANGENT_DIST
         flags += cv2.CALIB_FIX_K2
     try:
-        _, K, lens, _, _, spread, _, each = cv2.calibrateCameraExtended(
+        rms, K, lens, _, _, spread, _, each = cv2.calibrateCameraExtended(
             sites, pixels, size, K, None, flags=flags
         )
     except cv2.error:  # None is usable, or corners are on a line.
         return Start(assumed, True, None)
-    rms = _require_flat(usable, np.ravel(each))
+    _require_flat(usable, rms, np.ravel(each))
     numbers = np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *np.ravel(lens)[:5]])
     sane = (0.1 * largest < numbers[:2]) & (numbers[:2] < 100.0 * largest)
     sane &= np.ravel(spread)[:2] < UNKNOWN * numbers[:2]
@@ -554,25 +724,26 @@ def start_camera(
         return Start(assumed, True, rms)
     # A start needs no more digits.
     fx, fy, cx, cy = numbers[:4].round(3).tolist()
-    lens = tuple(numbers[4:].round(6).tolist())
-    camera = CameraSetup(mount, (fx, fy), (cx, cy), lens, size, estimate=True)
-    return Start(camera, False, rms)
+    about = (fx, fy), (cx, cy), tuple(numbers[4:].round(6).tolist()), size
+    return Start(CameraSetup(mount, *about, estimate=True), False, rms)
 
 
-def _require_flat(images: Mapping[str, Found], rms: Floats) -> float:
-    """Rms of the corners of all images about their camera, by those of each [px].
+def _require_flat(images: Mapping[str, Found], rms: float, each: Floats) -> None:
+    """Refuse corners that are not those of one flat board before a camera.
+
+    Args:
+        images: The corners in each image, by its name.
+        rms: Rms of all about the camera that fits them [px].
+        each: The same of each image.
 
     Raises:
-        InputError: If they are not those of one flat board before a camera.
+        InputError: If they are not.
     """
-    counts = [len(found.names) for found in images.values()]
-    total = float(np.sqrt(np.average(rms**2, weights=counts)))
     sigma = float(np.median(np.concatenate([f.sigma for f in images.values()])))
-    worst, name = max(zip(rms.tolist(), images, strict=True))
-    if total > np.clip(NOISE * sigma, *MOST) or worst > MOST[1]:
+    worst, name = max(zip(each.tolist(), images, strict=True))
+    if rms > np.clip(NOISE * sigma, *MOST) or worst > MOST[1]:
         raise InputError(
-            f"corners do not fit the board: rms {total:.3g} px with a noise of "
+            f"corners do not fit the board: rms {rms:.3g} px with a noise of "
             f"{sigma:.2g} px, {worst:.3g} px in {name}; is the board flat, and as "
             "stated?"
         )
-    return total

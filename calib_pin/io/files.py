@@ -9,14 +9,13 @@ place what the run that decided did not live to.
 from __future__ import annotations
 
 import difflib
-import errno
 import hashlib
 import os
 import shutil
 import stat
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from uuid import uuid4
 
 from calib_pin.errors import InputError, OptionError, OutputError
@@ -60,11 +59,9 @@ def write_files(
     """
     homes: dict[Path, dict[str, bytes]] = {}
     for path, data in {**dict.fromkeys(removed, b""), **contents}.items():
-        name = path.name if folder is None else listed(path, folder)
-        if folder is None or not inside(name):
-            homes.setdefault(path.parent, {})[path.name] = data
-        else:
-            homes.setdefault(folder, {})[name] = data
+        name = "" if folder is None else listed(path, folder)
+        home = folder if folder is not None and name else path.parent
+        homes.setdefault(home, {})[name or path.name] = data
     with ExitStack() as stack:
         staged = {
             home: stack.enter_context(_staged(home, own, force))
@@ -72,17 +69,16 @@ def write_files(
         }
         yield
         for home, new in staged.items():
-            with _writing(home), locked(home):
-                if home == folder:
-                    complete(home)
-                    try:
+            with _writing(home), settled(home):
+                try:
+                    if home == folder:
                         new.replace(home / COMMIT)
                         complete(home)
-                    finally:  # Also where a signal comes in between.
-                        complete(home)
-                else:
-                    for name in homes[home]:
-                        (new / name).replace(home / name)
+                    else:
+                        for name in homes[home]:
+                            (new / name).replace(home / name)
+                finally:  # Also where a signal comes in between.
+                    complete(home)
 
 
 @contextmanager
@@ -111,7 +107,7 @@ def complete(folder: Path) -> None:
     with _writing(folder):
         for source in sorted(p for p in commit.rglob("*") if p.is_file()):
             path = folder / source.relative_to(commit)
-            if not inside(listed(path, folder)):  # No run has written that.
+            if not listed(path, folder):  # No run has written that.
                 continue
             if source.stat().st_size == 0:
                 path.unlink(missing_ok=True)
@@ -148,15 +144,9 @@ def locked(folder: Path, *, wait: bool = True) -> Iterator[bool]:
 
 
 def listed(path: Path, folder: Path) -> str:
-    """Name of a file within a folder; the whole path of one that lies elsewhere."""
+    """Name of a file within a folder; empty for one that lies elsewhere."""
     place, home = path.parent.resolve() / path.name, folder.resolve()
-    return str(place.relative_to(home) if place.is_relative_to(home) else place)
-
-
-def inside(name: str) -> bool:
-    """Whether a name of a list is one within the folder of the list."""
-    path = PurePosixPath(name)
-    return not path.is_absolute() and path.name != "" and ".." not in path.parts
+    return str(place.relative_to(home)) if place.is_relative_to(home) else ""
 
 
 def sha256(data: bytes) -> str:
@@ -181,7 +171,7 @@ def _staged(home: Path, contents: Mapping[str, bytes], force: bool) -> Iterator[
         for path in (home / name for name in contents):
             with _writing(path):
                 if path.is_dir():
-                    raise IsADirectoryError(errno.EISDIR, "it is a directory")
+                    raise OptionError("is a folder, not a file", file=path)
                 if path.exists() and not force:
                     reason = "exists already; --force replaces it"
                     raise OptionError(reason, file=path)
@@ -226,19 +216,17 @@ def _writing(path: Path) -> Iterator[None]:
 DATA = 1 << 30
 """Bytes of the largest file of measurements, or of anything made by a program."""
 
-BLOCK = 1 << 20
-"""Bytes that are read at a time."""
-
 TEXT = 1 << 26
 """Bytes of the largest description of a robot, whose tree takes many times as much."""
 
 
-def read_bytes(path: str | Path, largest: int = DATA) -> bytes:
+def read_bytes(path: str | Path, largest: int = DATA, first: int = -1) -> bytes:
     """Read a file.
 
     Args:
         path: The file; no pipe and no device.
         largest: Bytes that it may have.
+        first: How many of them to read; negative for all.
 
     Returns:
         Its bytes.
@@ -251,34 +239,17 @@ def read_bytes(path: str | Path, largest: int = DATA) -> bytes:
         Traceback (most recent call last):
         calib_pin.errors.InputError: /no/such/arm.urdf: no such file
     """
-    return b"".join(read_blocks(path, BLOCK, largest))
-
-
-def read_blocks(path: str | Path, size: int, largest: int = DATA) -> Iterator[bytes]:
-    """Read a file block by block, so that it need not fit into memory.
-
-    Args:
-        path: The file; no pipe and no device.
-        size: Bytes of a block.
-        largest: Bytes that the file may have.
-
-    Raises:
-        InputError: If there is no such file, or it is too large or cannot be read.
-    """
-    path, read = Path(path), 0
+    path = Path(path)
     try:
         # Before it is opened: that alone can wait for ever, or make a device act.
         about = path.stat()
-        mode, known = about.st_mode, about.st_size
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        if not (stat.S_ISREG(about.st_mode) or path.is_dir()):
             raise InputError("is not a regular file", file=path)
+        if about.st_size > largest:
+            limit = f"{largest >> 20} MiB"
+            raise InputError("is too large", file=path, allowed=limit)
         with path.open("rb") as stream:
-            while block := stream.read(size):
-                read += len(block)
-                if max(read, known) > largest:
-                    limit = f"{largest >> 20} MiB"
-                    raise InputError("is too large", file=path, allowed=limit)
-                yield block
+            return stream.read(first)
     except FileNotFoundError as error:
         reason = f"no such file{_nearest_sibling(path)}"
         raise InputError(reason, file=path) from error

@@ -3,8 +3,7 @@
 A document is the fields of its dataclasses, written and read back as they are declared:
 numbers, texts, enumerations, named tuples, mappings, tuples and arrays. A field stands
 under its own name, or where `metadata={"key": ...}` says: `verdict.status` within
-another key, the empty text among the keys of its record, None nowhere: it is
-read as its default, or None. Records that
+another key, the empty text among the keys of its record, None nowhere. Records that
 have a name may be a mapping by it, `metadata={"by": "name"}`. JSON knows neither
 infinity nor NaN: a number that is not known is null, an infinite one the text
 `Infinity` or `-Infinity`.
@@ -21,7 +20,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import Enum
-from functools import cache
+from functools import cache, reduce
 from pathlib import Path
 from reprlib import repr
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -50,8 +49,7 @@ NAMES = {float: "a number", int: "a whole number", str: "a name", bool: "true or
 
 def encode(document: object) -> bytes:
     """The JSON text of a document; lists of numbers stand on one line each."""
-    found = plain(document)
-    text = json.dumps(found, indent=1, allow_nan=False, ensure_ascii=False)
+    text = json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False)
     text = NUMBERS.sub(lambda found: f"[{' '.join(found[0][1:-1].split())}]", text)
     # Lone surrogates, of file names that are not UTF-8, become JSON's own escapes.
     return text.encode("utf-8", "backslashreplace") + b"\n"
@@ -86,10 +84,8 @@ def decoded(
     if not isinstance(document, dict) or document.get("format") != name:
         raise InputError(f"not a {what} of calib-pin", file=file)
     found = document.get("version")
-    if type(found) is not int or found != version:
-        newer = type(found) is int and found > version
-        remedy = "update calib-pin" if newer else "calibrate again"
-        reason = f"a {what} of another version: {remedy}"
+    if (type(found), found) != (int, version):
+        reason = f"a {what} of another version: update calib-pin, or calibrate again"
         raise InputError(reason, file=file, value=found, allowed=str(version))
     return document
 
@@ -115,37 +111,33 @@ def reading(path: str | Path, what: str = "calibration") -> Iterator[None]:
 
 def plain(value: Any) -> Any:
     """Declared data as mappings, lists, texts and numbers that JSON knows."""
-    if is_dataclass(value):
-        return merged(*(_written(f, getattr(value, f.name)) for f in fields(value)))
     if isinstance(value, float):
         if math.isfinite(value):
             return float(value)
         return None if math.isnan(value) else f"{'-' * (value < 0.0)}Infinity"
+    if hasattr(value, "_asdict"):
+        return plain(value._asdict())
+    if is_dataclass(value):
+        return merged(*(_written(f, getattr(value, f.name)) for f in fields(value)))
     if isinstance(value, np.ndarray | np.generic):
         listed = value.tolist()
         return listed if np.isfinite(value).all() else plain(listed)
     if isinstance(value, Enum):
         return value.value
-    if isinstance(value, tuple) and hasattr(value, "_asdict"):
-        return plain(value._asdict())
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    return value
+    return [*map(plain, value)] if isinstance(value, list | tuple) else value
 
 
 def _written(part: Field[Any], value: Any) -> Json:
     """A field as the document that holds nothing else."""
-    path, by = _path(part), part.metadata.get("by")
-    if path is None:
+    if (path := _path(part)) is None:
         return {}
-    found: Any = plain(value)
-    if by is not None:
+    found = plain(value)
+    if (by := part.metadata.get("by")) is not None:
         found = {one.pop(by): one for one in found}
-    for key in reversed(path):
-        found = {key: found}
-    return dict(found)
+    result: Json = reduce(lambda inner, key: {key: inner}, reversed(path), found)
+    return result
 
 
 def merged(*documents: Mapping[str, Any]) -> Json:
@@ -172,21 +164,20 @@ def typed(kind: type[_T], value: Any, **known: Any) -> _T:
         KeyError: If a field that has no default is missing.
         TypeError, ValueError, AttributeError: If a value is not of its declared type.
     """
-    result: _T = _record(kind, value, known) if known else _typed(kind, value)
+    result: _T = _typed(kind, value, known)
     return result
 
 
-def _typed(kind: Any, value: Any) -> Any:
+def _typed(kind: Any, value: Any, known: Mapping[str, Any] = {}) -> Any:
     origin, of = get_origin(kind), get_args(kind)
     if origin in (Union, types.UnionType):
         if value is None and type(None) in of:
             return None
-        known = [one for one in of if one is not type(None)]
         # Of a number or a text, a text is what is no number.
-        text = isinstance(value, str) and str in known and value not in INFINITE
-        return _typed(str if text else known[0], value)
+        text = isinstance(value, str) and str in of and value not in INFINITE
+        return _typed(str if text else of[of[0] is type(None)], value)
     if is_dataclass(kind):
-        return _record(kind, value, {})
+        return _record(kind, value, known)
     if hasattr(kind, "_fields"):
         hints = _hints(kind)
         return kind(*(_typed(hints[name], value[name]) for name in kind._fields))
@@ -209,25 +200,20 @@ def _typed(kind: Any, value: Any) -> Any:
 def _record(kind: Any, value: Any, known: Mapping[str, Any]) -> Any:
     found, hints = dict(known), _hints(kind)
     for part in fields(kind):
-        path, data, by = _path(part), value, part.metadata.get("by")
-        given = (part.default, part.default_factory) != NOTHING
-        if path is None and part.name not in known and not given:
-            found[part.name] = None
+        path, data = _path(part), value
         if path is None or part.name in known:
             continue
-        for key in path:
-            if key not in data and given:
-                break
-            data = data[key]
-        else:
-            if by is not None:
-                data = [{by: name, **record} for name, record in data.items()]
-            found[part.name] = _typed(hints[part.name], data)
+        try:
+            for key in path:
+                data = data[key]
+        except KeyError:
+            if part.default is part.default_factory is MISSING:
+                raise
+            continue
+        if by := part.metadata.get("by"):
+            data = [{by: name, **record} for name, record in data.items()]
+        found[part.name] = _typed(hints[part.name], data)
     return kind(**found)
-
-
-NOTHING = (MISSING, MISSING)
-"""Defaults of a field that has none."""
 
 
 def _scalar(kind: Any, value: Any) -> Any:
@@ -242,12 +228,10 @@ def _scalar(kind: Any, value: Any) -> Any:
     return kind(value)
 
 
-@cache
-def _hints(kind: Any) -> Mapping[str, Any]:
-    return get_type_hints(kind)
+_hints = cache(get_type_hints)
 
 
 def _path(part: Field[Any]) -> list[str] | None:
     """The keys to a field from its record; none if it stands there, None nowhere."""
     stated = part.metadata.get("key", part.name)
-    return None if stated is None else [key for key in stated.split(".") if key]
+    return None if stated is None else [*filter(None, stated.split("."))]

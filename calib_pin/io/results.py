@@ -4,6 +4,12 @@ The document holds the fields of `CalibrationResult` as they are declared there,
 beside them those of `Document`: the robot, the frames and reference objects of its
 model, and the files. Whoever adds a field to the result has it written and read back.
 
+Frames and reference objects are written as a setup file states them, where the fit has
+them; where it began, they are written once more: the values of their parameters are the
+way between both. A learned correction is plain numbers, nothing to execute. It means
+nothing for another robot, and nobody can see from its numbers that one of them has been
+changed: it is taken only as it was written, by its checksum.
+
 It is the document of a folder, of which one run wrote all, and which can be moved. It
 has the id of the run and a manifest, the SHA-256 of every file that was written with
 it. A URDF is known by its hash, so that it stays as it is. The page says when it was
@@ -15,26 +21,24 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError, RobotError
-from calib_pin.estimation.evidence import TRUSTED, VERDICTS, FoundCurve
-from calib_pin.io.calibrated_model import (
-    LearnedRecord,
-    ModelRecord,
-    Places,
-    learned_model,
-    learned_record,
-    model_of,
-    model_record,
-    places_of,
-)
-from calib_pin.io.files import inside, read_bytes, settled, sha256
+from calib_pin.errors import InputError, OptionError, OutputError, RobotError
+from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.estimation.formulation import make_terms
+from calib_pin.estimation.learning import with_learned
+from calib_pin.estimation.terms import FRAME, Term, Terms
+from calib_pin.io.files import listed, read_bytes, settled, sha256, write_atomically
 from calib_pin.io.json_text import Json, decoded, encode, merged, plain, reading, typed
 from calib_pin.io.measurement_errors import (
     MEASUREMENTS,
@@ -42,22 +46,30 @@ from calib_pin.io.measurement_errors import (
     decode_errors,
     unknown_errors,
 )
-from calib_pin.io.setup import setup_of
+from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.straightening import straight_source
-from calib_pin.io.urdf import is_xacro, locate_robot
+from calib_pin.io.urdf import corrected_urdf, is_xacro, locate_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import measurement_model
+from calib_pin.observations import BlockKey
+from calib_pin.parameterizations import frame_pose, frame_setup
 from calib_pin.planning.suggestions import Suggestion
-from calib_pin.units import DISPLAY
+from calib_pin.residual_models import LearnedCorrection, restore
+from calib_pin.residual_models.documents import numbers
+from calib_pin.setup import (
+    FrameSetup,
+)
 from calib_pin.validation.assessment import chi2_interval
-from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.result import (
     CalibrationResult,
     NamedArray,
     Provenance,
+    UrdfResult,
 )
 
 FORMAT, VERSION = "calib-pin/calibration", 2
@@ -70,11 +82,63 @@ REPORT = "report.html"
 NOMINAL = "nominal.urdf"
 """Names in a folder: the result, the page, and the robot as it was."""
 
-MADE = ("command", "created")
-"""Keys of the provenance that are new for every run; all others are versions."""
-
 PICTURES = (".png", ".pdf", ".svg")
 """Endings of files from which no program takes a number: these may be edited."""
+
+SECTIONS = ("targets", "planes", "sockets", "spheres", "anchors", "cameras")
+"""Keys of reference objects: sections of a setup, which knows a single camera."""
+
+LARGEST = 1e6
+"""Largest number that a value, a position or an offset can be [m, rad, px]."""
+
+AGREEMENT = 1e-9
+"""Largest difference of forward kinematics between model and written URDF [m, rad]."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of measurements, and the targets that they are of."""
+
+    key: BlockKey = field(metadata={"key": ""})
+    targets: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Value:
+    """The value of a parameter."""
+
+    name: str
+    value: float
+
+
+@dataclass(frozen=True)
+class ModelRecord:
+    """A calibrated robot, but for its chains and what was learned.
+
+    Attributes:
+        places: Frames, and reference objects by the `SECTIONS` of a setup, by name.
+    """
+
+    model: str = field(metadata={"key": "measurements.model"})
+    blocks: tuple[Block, ...] = field(metadata={"key": "measurements.blocks"})
+    parameters: tuple[Value, ...]
+    places: Mapping[str, Any] = field(metadata={"key": ""})
+    setup: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class LearnedRecord:
+    """A learned correction: its name, its numbers, and the SHA-256 of these.
+
+    Attributes:
+        shift: Of all parameters, in their order, shape (P,).
+        model: Document of the `ResidualModel`.
+    """
+
+    name: str
+    sha256: str
+    shift: tuple[float, ...]
+    model: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -145,7 +209,7 @@ class Document:
     training: int = field(metadata={"key": "measurements.training"})
     validation: int = field(metadata={"key": "measurements.validation"})
     model: ModelRecord = field(metadata={"key": ""})
-    reference: Places
+    reference: Mapping[str, Any]
     rotations: Mapping[str, Floats] = field(metadata={"key": "rotations_to_base"})
     residual_model: LearnedRecord | None
     urdf_model: ModelRecord | None
@@ -156,11 +220,6 @@ class Document:
         metadata={"key": "statistics.chi2_interval"}
     )
     setup_file: Source | None
-
-    def __post_init__(self) -> None:
-        """Refuse a manifest of files that are not those of a folder."""
-        if not all(map(inside, self.manifest)):
-            raise ValueError("'files' are not those of a folder")
 
 
 def calibration_document(
@@ -180,20 +239,21 @@ def calibration_document(
     Raises:
         InputError: If a measurement file cannot be read again for its hash.
     """
-    model, dof = result.model, result.statistics.dof
-    alone = None if result.urdf is None else result.urdf.model
-    made, chains = provenance or result.provenance, result.model.chains
-    chain, setup = model.moving.error.chain, model.setup.file
-    files = map(Source, result.files, made.hashes)
-    names = () if chains.names == ("",) else chains.names
+    model, made = result.model, provenance or result.provenance
+    urdf = None if result.urdf is None else result.urdf.model
+    dof = result.statistics.dof
+    chains, setup = model.chains, model.setup.file
+    ends = {name: Ends(chains[name].base, chains[name].tip) for name in chains.names}
+    chain = model.moving.error.chain
     parts = zip(SETS, (result.fitted, result.held_out), strict=True)
+    files = map(Source, result.files, made.hashes)
     record = Document(
         robot=RobotRecord(
             chains.robot.name,
             Source(chains.robot.file, sha256(chains.robot.source)),
             Ends(chain.base, chain.tip),
             chains.joints,
-            {n: Ends(chains[n].base, chains[n].tip) for n in names},
+            {} if chains.names == ("",) else ends,
         ),
         files=tuple(files if made.hashes else map(Source.of, result.files)),
         training=len(result.fitted),
@@ -202,18 +262,12 @@ def calibration_document(
         reference=places_of(result.reference),
         rotations={name: part.to_base for name, part in parts if part is not None},
         residual_model=learned_record(model),
-        urdf_model=None if alone is None else model_record(alone),
+        urdf_model=None if urdf is None else model_record(urdf),
         suggestions=tuple(suggestions),
         chi2_interval=chi2_interval(dof) if dof > 0 else (),
         setup_file=Source.of(setup) if setup else None,
     )
-    expected = dict(result.accuracies)
-    for name, accuracy in expected.items():
-        if (tip := accuracy.tip) is not None:
-            # The curve is found when somebody asks.
-            tip = replace(tip, by_count=FoundCurve(*tip.by_count.curve))
-            expected[name] = replace(accuracy, tip=tip)
-    own = plain(replace(result, provenance=made, accuracies=expected))
+    own = plain(replace(result, provenance=made))
     for errors in own["errors"].values():
         errors["validation"]["method"] = result.validation.method
     document = merged(plain(record), own)
@@ -228,12 +282,13 @@ def provenance(command: tuple[str, ...] = (), seconds: float = math.nan) -> Prov
         command: The command line; none for a program of its own.
         seconds: Time the solver took; NaN where nobody looked.
     """
-    names = {"calib_pin": "calib-pin", "pinocchio": "pin", "numpy": "numpy"}
     return Provenance(
         command=command,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         seconds=seconds,
-        versions={name: version(package) for name, package in names.items()},
+        calib_pin=version("calib-pin"),
+        pinocchio=version("pin"),
+        numpy=version("numpy"),
     )
 
 
@@ -266,24 +321,6 @@ def read_result(path: str | Path) -> CalibrationResult:
     return read_written(path)[0]
 
 
-@serial_blas
-def read_written(path: str | Path) -> tuple[CalibrationResult, Json]:
-    """A result, and the document that it was read from.
-
-    Args:
-        path: The folder of the result, or its `calibration.json`.
-
-    Raises:
-        InputError, OutputError, RobotError: As `read_result`.
-    """
-    file = document_file(path)
-    with settled(file.parent):
-        document, record, model = _read_model(file)
-        with reading(file):
-            return _result(document, record, model, file), document
-
-
-@serial_blas
 def read_calibration(
     path: str | Path, *, notice: Callable[[str], None] | None = None
 ) -> CalibratedModel:
@@ -294,57 +331,59 @@ def read_calibration(
     the one that was calibrated.
 
     Args:
-        path: The file.
+        path: The file, or its folder.
         notice: Called with one sentence if the calibration must not be trusted.
 
     Raises:
-        InputError: If the file is not such a document or of another version, the
-            robot has changed, or the files beside it are of another run.
-        OutputError: If what a killed run decided on cannot be put in place.
-        RobotError: If the robot cannot be found.
+        InputError, OutputError, RobotError: As `read_result`.
     """
-    path = Path(path)
-    with settled(path.parent):
-        document, _, model = _read_model(path)
-    verdict = document["verdict"]
-    if notice is not None and verdict["status"] not in TRUSTED:
-        notice(f"{path} must not be trusted: {verdict['reason']}")
-    return model
+    result, *_ = read_written(path, measured=False)
+    if notice is not None and result.verdict not in TRUSTED:
+        notice(f"{path} must not be trusted: {result.reason}")
+    return result.model
 
 
-def read_suggestions(document: Json) -> tuple[Suggestion, ...]:
-    """The suggested measurements in a document that was read."""
-    return typed(tuple[Suggestion, ...], document["identifiability"]["remedies"])
-
-
-def used_files(path: str | Path, files: Sequence[Path]) -> list[Path]:
-    """Those of some files whose content a calibration has used, to fit or to check.
+@serial_blas
+def read_written(
+    path: str | Path, *, measured: bool = True
+) -> tuple[CalibrationResult, Json, tuple[Suggestion, ...]]:
+    """A result, the document that it was read from, and what that suggests.
 
     Args:
-        path: A `calibration.json`, which can be read.
-        files: Measurement files; what is no file, such as a pipe, is left alone.
-    """
-    known = {source.sha256 for source in read_record(path).files} - {""}
-    return [file for file in files if Source.of(str(file)).sha256 in known]
-
-
-def _read_model(path: Path) -> tuple[Json, Document, CalibratedModel]:
-    """A `calibration.json`, and the calibrated robot that it tells of.
+        path: The folder of the result, or its `calibration.json`.
+        measured: Whether the errors of single measurements are read.
 
     Raises:
-        InputError, RobotError: As `read_calibration`.
+        InputError, OutputError, RobotError: As `read_result`.
     """
-    document = read_document(path)
-    with reading(path):
-        record, verdict = typed(Document, document), document["verdict"]
-        if verdict["status"] not in VERDICTS or not isinstance(verdict["reason"], str):
-            raise ValueError(f"{verdict['status']!r} is no verdict")
-    robot = find_robot(record.robot.source, path)
-    with reading(path):
-        model = model_of(record.model, _chains(record, robot))
-        model = learned_model(model, record.residual_model)
-    require_one_run(record, robot.source, path)
-    return document, record, model
+    file = document_file(path)
+    with settled(file.parent):
+        document, record = read_document(file)
+        robot = find_robot(record.robot.source, file)
+        require_one_run(record, robot.source, file)
+        with reading(file):
+            model = model_of(record.model, chains := _chains(record, robot))
+            model = learned_model(model, record.residual_model)
+            fitted, held_out = unknown_errors(model, record.training), None
+            if measured and (errors := file.parent / MEASUREMENTS).is_file():
+                data = read_bytes(errors)
+                fitted, held_out = decode_errors(data, model, record.rotations)
+            urdf, alone, names = document["urdf"], record.urdf_model, model.given.names
+            geometry = alone and model_of(alone, chains)
+            hashes = tuple(source.sha256 for source in record.files)
+            result = typed(
+                CalibrationResult,
+                document,
+                model=model,
+                reference=model_of(record.model, chains, record.reference),
+                covariance=NamedArray.of(document["covariance"], names, names),
+                fitted=fitted,
+                held_out=held_out,
+                files=tuple(source.file for source in record.files),
+                urdf=None if urdf is None else typed(UrdfResult, urdf, model=geometry),
+                provenance=typed(Provenance, document, file=str(file), hashes=hashes),
+            )
+            return result, document, record.suggestions
 
 
 def _chains(record: Document, robot: Robot) -> Chains:
@@ -354,43 +393,203 @@ def _chains(record: Document, robot: Robot) -> Chains:
     built = {name: Chain(robot, e.base, e.tip) for name, e in ends.items()}
     default = built.get("", setup)
     stated = default.base, default.tip, setup.chains
-    chains = Chains(robot, *stated, tuple(built), built)
-    if chains.joints != about.joints:
-        raise ValueError("the joints are not those from base to tip")
-    return chains
+    return Chains(robot, *stated, tuple(built), built)
 
 
-def _result(
-    document: Json, record: Document, model: CalibratedModel, file: Path
-) -> CalibrationResult:
-    fitted, held_out = unknown_errors(model, record.training), None
-    if (measured := file.parent / MEASUREMENTS).is_file():
-        data = read_bytes(measured)
-        fitted, held_out = decode_errors(data, model, record.rotations)
-    names, about = model.given.names, document["provenance"]
-    result = typed(
-        CalibrationResult,
-        document,
-        model=model,
-        reference=model_of(record.model, model.chains, record.reference),
-        covariance=NamedArray.of(document["covariance"], names, names),
-        fitted=fitted,
-        held_out=held_out,
-        files=tuple(source.file for source in record.files),
-        provenance=typed(
-            Provenance,
-            document,
-            versions={n: text for n, text in about.items() if n not in MADE},
-            file=str(file),
-            hashes=tuple(source.sha256 for source in record.files),
-        ),
-    )
-    if (urdf := result.urdf) and (alone := record.urdf_model):
-        urdf = replace(urdf, model=model_of(alone, model.chains))
-    for error in (*result.errors, *(urdf.errors if urdf else ())):
-        if error.unit not in DISPLAY:
-            raise ValueError(f"'{error.unit}' is no unit of '{error.name}'")
-    return replace(result, urdf=urdf)
+def read_document(path: str | Path) -> tuple[Json, Document]:
+    """A `calibration.json`, and its robot and files as they are declared.
+
+    Raises:
+        InputError: If the file is not such a document, or of another version.
+    """
+    data, folder = read_bytes(path, JSON), Path(path).parent
+    document = decoded(data, "calibration", FORMAT, path, version=VERSION)
+    with reading(path):
+        record = typed(Document, document)
+        if not all(listed(folder / name, folder) for name in record.manifest):
+            raise ValueError("'files' are not those of a folder")
+    return document, record
+
+
+def used_files(path: str | Path, files: Sequence[Path]) -> list[Path]:
+    """Those of some files whose content a calibration has used, to fit or to check.
+
+    Args:
+        path: A `calibration.json`, which can be read.
+        files: Measurement files; what is no file, such as a pipe, is left alone.
+    """
+    known = {source.sha256 for source in read_document(path)[1].files} - {""}
+    return [file for file in files if Source.of(str(file)).sha256 in known]
+
+
+# --- the robot ---------------------------------------------------------------------
+
+
+def model_name(system: Terms) -> str:
+    """Names of the measurement models, joined by plus signs."""
+    return "+".join(dict.fromkeys(key.model for key in system.terms))
+
+
+def model_record(model: CalibratedModel) -> ModelRecord:
+    """A calibrated robot as plain data."""
+    blocks = (Block(k, tuple(p.measurement.targets)) for k, p in model.terms.items())
+    values = map(Value, model.given.names, model.theta.tolist())
+    about = places_of(model), setup_document(model.setup)
+    return ModelRecord(model_name(model), tuple(blocks), tuple(values), *about)
+
+
+def places_of(model: CalibratedModel) -> Json:
+    """Where the frames of all stations and tools are, each once, and all references."""
+    sections: dict[str, Json] = {key: {} for key in SECTIONS}
+    for (section, name), reference in model.references.items():
+        own = sections[section if section in SECTIONS else "cameras"]
+        own[name] = reference.stated()
+    stations, tools = dict[str, FrameSetup](), dict[str, FrameSetup]()
+    for key, term in model.terms.items():
+        free, (base, on) = model.given.free[term.of_error], _frame_keys(term)
+        tool = model.of(key).tool * term.frames.offset.inverse()
+        stations[base] = frame_setup(term.error.base, known=not free[:FRAME].any())
+        tools[on] = frame_setup(tool, known=not free[-FRAME:].any())
+    return {"frames": stations | tools, **sections}
+
+
+def _frame_keys(term: Term) -> Iterator[str]:
+    """Keys of the station and of the tool of a part under `frames`."""
+    names = term.frames.station, term.frames.tool
+    return (name.removesuffix(".frame") for name in names)
+
+
+def model_of(
+    record: ModelRecord, chains: Chains, reference: Mapping[str, Any] | None = None
+) -> CalibratedModel:
+    """The calibrated robot of plain data.
+
+    Args:
+        record: What `model_record` made.
+        chains: The nominal chains.
+        reference: Where the fit began, for the nominal robot there.
+
+    Raises:
+        CalibPinError, KeyError, TypeError, ValueError, AttributeError: If a part is
+            missing or is not what it should be, see `json_text.reading`.
+    """
+    setup, places = setup_of(record.setup), reference or record.places
+    frames = typed(dict[str, FrameSetup], places["frames"])
+    # A model that looks at nothing with a name has no targets.
+    blocks = {block.key: list(block.targets) or [""] for block in record.blocks}
+    terms, given = make_terms(chains, blocks, setup)
+    values = {one.name: one.value for one in record.parameters}
+    theta = np.array([*values.values()])
+    if tuple(values) != given.names or not np.all(np.abs(theta) < LARGEST):
+        raise ValueError("the parameters are not those of this chain, in their order")
+    theta = theta if reference is None else np.zeros(len(given))
+    for key, term in terms.items():
+        own: dict[str, Json] = {}
+        for one in term.measurement.references:
+            section, name = term.frames.place(one)
+            found = places[section if section in SECTIONS else "cameras"][name]
+            own.setdefault(section, {})[one.name] = found
+        stated = {**record.setup, "camera": None, **own, **own.get("camera", {})}
+        measurement = measurement_model(key.model, setup_of(stated), blocks[key])
+        ends = [frames[name] for name in _frame_keys(term)]
+        base, tool = map(frame_pose, ends)
+        far = max(np.abs(pose.homogeneous).max() for pose in (base, tool))
+        known = all(None not in (frame.xyz, frame.rpy) for frame in ends)
+        known &= all(one.located for one in measurement.references)
+        if not (known and far < LARGEST):
+            raise ValueError("a place is not known")
+        # An error of the tip is carried by the tool: a URDF has no place for it.
+        error = term.error.with_frames(base, pin.SE3.Identity())
+        tip = CalibratedChain(error, theta[term.of_error], setup).tool
+        error = error.with_frames(base, tip.actInv(tool) * term.frames.offset)
+        terms[key] = replace(term, measurement=measurement, error=error)
+    model = CalibratedModel(chains, terms, given, theta, setup)
+    # Frames and reference objects hold their own values.
+    return replace(model, theta=np.where(model.referred, 0.0, theta))
+
+
+def learned_record(model: CalibratedModel) -> LearnedRecord | None:
+    """The learned correction of a robot; None where nothing was learned."""
+    learned, shift = None, np.zeros(len(model.given))
+    for term in model.terms.values():
+        if isinstance(own := term.error.learned, LearnedCorrection):
+            learned, shift[term.of_error] = own, own.shift
+    if learned is None:
+        return None
+    content = tuple(shift.tolist()), learned.model.document()
+    return LearnedRecord(learned.model.name, sha256(encode({"": content})), *content)
+
+
+def learned_model(
+    model: CalibratedModel, record: LearnedRecord | None
+) -> CalibratedModel:
+    """A robot with what it has learned.
+
+    Raises:
+        ValueError: If that is not as it was written, or does not belong to the robot.
+    """
+    if (record is None) != (model.setup.learned is None):
+        raise ValueError("'residual_model' and 'setup.learned' need each other")
+    if record is None:
+        return model
+    if sha256(encode({"": (record.shift, record.model)})) != record.sha256:
+        raise ValueError("'residual_model' is not the one that was learned")
+    shift = numbers({"shift": record.shift}, "shift", (len(model.given),))
+    learned = restore(record.model, len(model.moving.error.chain.joints))
+    return with_learned(model, LearnedCorrection(learned, shift))
+
+
+def write_urdf(
+    model: CalibratedModel, path: str | Path, *, force: bool = False
+) -> None:
+    """Write the corrected URDF of a calibrated robot.
+
+    Args:
+        model: The calibrated robot, `CalibrationResult.geometry`.
+        path: The new file.
+        force: Replace an existing file; the robot's own file is never replaced.
+
+    Raises:
+        OptionError: If the file exists or is the robot's own, or the model has
+            corrections that a URDF cannot hold.
+        OutputError: If it cannot be written or does not agree with the model.
+    """
+    write_atomically(Path(path), encode_urdf(model, path), force=force)
+
+
+def encode_urdf(model: CalibratedModel, path: str | Path) -> bytes:
+    """The corrected URDF of a calibrated robot.
+
+    Only the joint origins that change are edited. The result is read again and its
+    forward kinematics compared with the model.
+
+    Args:
+        model: The calibrated robot, `CalibrationResult.geometry`.
+        path: The file it is for, never the robot's own.
+
+    Raises:
+        OptionError: If the file is the robot's own, or the model has corrections that
+            a URDF cannot hold.
+        OutputError: If it does not agree with the model.
+    """
+    if not model.geometric:
+        reason = "a URDF cannot hold corrections of joints; write the geometry alone"
+        raise OptionError(reason, file=path, allowed="CalibrationResult.geometry")
+    chains = model.chains
+    q = chains.random_configurations(20, np.random.default_rng(0))
+
+    def check(robot: Robot) -> None:
+        for name in model.measured_chains:
+            own, nominal = q[:, chains.columns(name)], chains[name]
+            fitted, there = model.of(name), Chain(robot, nominal.base, nominal.tip)
+            written = fitted.error.base.homogeneous @ there.poses(own)
+            expected = fitted.poses(own) @ fitted.tool.inverse().homogeneous
+            difference = float(np.abs(written - expected).max())
+            if not difference < AGREEMENT:
+                reason = f"the written robot differs from the model by {difference:.2g}"
+                raise OutputError(f"{path}: {reason}")
+
+    return corrected_urdf(path, chains.robot, model.urdf_corrections(), check)
 
 
 # --- the folder -------------------------------------------------------------------
@@ -408,38 +607,6 @@ def urdf_name(robot: str) -> str:
     # Some file systems do not tell capitals apart.
     taken = f"{name}.urdf".casefold() == NOMINAL
     return f"{name}-corrected.urdf" if taken else f"{name}.urdf"
-
-
-def run_id(document: Json) -> str:
-    """Id of the run that led to a document; the same input and seed lead to the same.
-
-    Args:
-        document: The `calibration.json`, without an id.
-    """
-    made = {key: None for key in MADE}
-    unlike = {"solver": {"seconds": None}, "provenance": made}
-    return sha256(encode(merged(document, unlike)))[:16]
-
-
-def read_document(path: str | Path) -> Json:
-    """The content of a `calibration.json`.
-
-    Raises:
-        InputError: If the file is not such a document, or of another version.
-    """
-    data = read_bytes(path, JSON)
-    return decoded(data, "calibration", FORMAT, path, version=VERSION)
-
-
-def read_record(path: str | Path) -> Document:
-    """The robot and the files of a `calibration.json`.
-
-    Raises:
-        InputError: If the file is not such a document, or of another version.
-    """
-    document = read_document(path)
-    with reading(path):
-        return typed(Document, document)
 
 
 def require_one_run(record: Document, robot: bytes, path: Path) -> None:
@@ -463,12 +630,9 @@ def require_one_run(record: Document, robot: bytes, path: Path) -> None:
         data = read_bytes(file)
         known = sha256(data) == content or data == robot
         if not (record.run.encode() in data if content is None else known):
-            raise InputError(
-                f"not the file that '{path.name}' beside it was written with, but of "
-                "another run or edited; keep the files of one run together, or remove "
-                "this one",
-                file=file,
-            )
+            reason = f"not the file that '{path.name}' beside it was written with, but "
+            reason += "of another run or edited; keep the files of one run together, or"
+            raise InputError(f"{reason} remove this one", file=file)
 
 
 def find_robot(source: Source, path: Path) -> Robot:
@@ -484,18 +648,16 @@ def find_robot(source: Source, path: Path) -> Robot:
         InputError: If there is only another one.
         RobotError: If there is none.
     """
-    copy = path.parent / NOMINAL
-    try:
+    given = copy = path.parent / NOMINAL
+    with suppress(RobotError):  # The package it came from may not be installed here.
         given = locate_robot(source.file)
-    except RobotError:  # The package it came from is not installed here.
-        given = copy
-    places = [given, path.parent / given, path.parent / given.name, copy]
     # A xacro file was expanded, and what came of it is in the copy.
-    expanded = is_xacro(given)
-    found = [place for place in places[3 * expanded :] if place.is_file()]
+    expanded, beside = is_xacro(given), [path.parent / given, path.parent / given.name]
+    places = [copy] if expanded else [given, *beside, copy]
+    found = [place for place in places if place.is_file()]
     for place in found:
         data = read_bytes(place)
-        if sha256(data) != source.sha256 and place != copy:
+        if sha256(data) != source.sha256:
             data = straight_source(data)
         if sha256(data) == source.sha256:
             there = given != copy and ((expanded and given.is_file()) or place == given)
@@ -503,11 +665,8 @@ def find_robot(source: Source, path: Path) -> Robot:
     if not found:
         reason = f"the robot '{source.file}' that was calibrated is neither there nor"
         raise RobotError(f"{reason} beside the calibration", file=path)
-    raise InputError(
-        f"'{found[0]}' is not the robot that was calibrated: its content differs; keep "
-        "the files of one run together",
-        file=path,
-    )
+    reason = f"'{found[0]}' is not the robot that was calibrated: its content differs; "
+    raise InputError(f"{reason}keep the files of one run together", file=path)
 
 
 def written_before(path: Path) -> list[Path]:
@@ -523,7 +682,7 @@ def written_before(path: Path) -> list[Path]:
     """
     try:
         with settled(path.parent):
-            names = read_record(path).manifest
+            names = read_document(path)[1].manifest
     except InputError:
         return []
     return [path.parent / name for name in names if (path.parent / name).is_file()]

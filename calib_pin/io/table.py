@@ -40,7 +40,7 @@ from calib_pin.io.columns import (
 )
 from calib_pin.io.dialects import Heading, heading, reading, side_by_side
 from calib_pin.io.dialects.base import cells_of
-from calib_pin.io.files import read_blocks
+from calib_pin.io.files import read_bytes
 from calib_pin.observations import Booleans, Indices, Labels
 from calib_pin.progress import Progress
 from calib_pin.units import as_number, steps_of
@@ -556,7 +556,7 @@ def read_cells(
     if isinstance(source, bytes):
         start = source[:START]
     else:
-        file, start = str(source), next(read_blocks(source, START), b"")
+        file, start = str(source), read_bytes(source, first=START)
         if start.startswith(PARQUET):
             return _read_parquet(file)
     kinds = (k for a, b, k in BINARY if start.startswith(a) and b in start)

@@ -21,7 +21,6 @@ from calib_pin.io.files import write_atomically
 from calib_pin.io.results import (
     calibration_document,
     provenance,
-    read_suggestions,
     read_written,
 )
 from calib_pin.io.robot_shapes import robot_shapes
@@ -170,11 +169,10 @@ def report(
             result,
             seed=result.solver.seed,
         )
-        made = result.provenance if result.provenance.versions else provenance()
+        made = result.provenance if result.provenance.calib_pin else provenance()
         document = calibration_document(result, made, suggestions=suggested)
     else:
-        result, document = read_written(result)
-        suggested = read_suggestions(document)
+        result, document, suggested = read_written(result)
     shapes = robot_shapes(result.model.chains.robot).parts
     figures = list(drawn("calibration", result, shapes))
     page = html_report(result, document, figures=figures, suggestions=suggested)

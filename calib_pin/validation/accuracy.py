@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.units import DISPLAY
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,9 @@ class QuantityErrors:
 
     *Before* is registration only: base, tool and instrument fitted to the training
     measurements, the robot nominal.
+
+    Raises:
+        ValueError: If the unit is none.
     """
 
     name: str
@@ -51,3 +55,8 @@ class QuantityErrors:
     after: Accuracy = field(metadata={"key": "training.after"})
     validation_before: Accuracy | None = field(metadata={"key": "validation.before"})
     validation_after: Accuracy | None = field(metadata={"key": "validation.after"})
+
+    def __post_init__(self) -> None:
+        """Refuse a unit that is none."""
+        if self.unit not in DISPLAY:
+            raise ValueError(f"'{self.unit}' is no unit of '{self.name}'")

@@ -13,6 +13,7 @@ import numpy as np
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import (
+    VERDICTS,
     ExpectedAccuracy,
     Finding,
     Gain,
@@ -250,7 +251,9 @@ class Provenance:
         command: The command line.
         created: Time of writing, ISO 8601; empty where it is unknown.
         seconds: Time the solver took.
-        versions: Version of each package by name.
+        calib_pin: Version of this package; empty where it is unknown.
+        pinocchio: Version of Pinocchio.
+        numpy: Version of numpy.
         file: The `calibration.json` that a result was read from.
         hashes: SHA-256 of the measurement files; of a pipe there is none.
     """
@@ -258,9 +261,9 @@ class Provenance:
     command: tuple[str, ...] = field(default=(), metadata={"key": "provenance.command"})
     created: str = field(default="", metadata={"key": "provenance.created"})
     seconds: float = field(default=math.nan, metadata={"key": "solver.seconds"})
-    versions: Mapping[str, str] = field(
-        default_factory=dict, metadata={"key": "provenance"}
-    )
+    calib_pin: str = field(default="", metadata={"key": "provenance.calib_pin"})
+    pinocchio: str = field(default="", metadata={"key": "provenance.pinocchio"})
+    numpy: str = field(default="", metadata={"key": "provenance.numpy"})
     file: str = field(default="", metadata={"key": None})
     hashes: tuple[str, ...] = field(default=(), metadata={"key": None})
 
@@ -722,15 +725,16 @@ class UrdfResult:
     """The geometry alone, of a calibration that is more than a URDF can hold.
 
     Attributes:
+        errors: Accuracy by quantity, judged like that of the calibration; empty without
+            a model.
+        reason: Why there must be no URDF; empty where it is good.
         model: The robot calibrated by its geometry; None without parameters of it, and
             where the whole calibration is untrusted.
-        errors: Accuracy by quantity, judged like that of the calibration; empty then.
-        reason: Why there must be no URDF; empty where it is good.
     """
 
-    model: CalibratedModel | None = field(metadata={"key": None})
     errors: tuple[QuantityErrors, ...] = field(metadata={"by": "name"})
     reason: str
+    model: CalibratedModel | None = field(default=None, metadata={"key": None})
 
 
 class Prediction(NamedTuple):
@@ -908,6 +912,11 @@ class CalibrationResult(Tables):
     findings: tuple[Finding, ...] = ()
     provenance: Provenance = field(default_factory=Provenance, metadata={"key": ""})
     recalibration: Recalibration | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse a verdict that is none."""
+        if self.verdict not in VERDICTS:
+            raise ValueError(f"{self.verdict!r} is no verdict")
 
     @property
     def geometry(self) -> CalibratedModel | None:

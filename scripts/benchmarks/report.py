@@ -25,7 +25,7 @@ ROWS = (10_000, 100_000)
 """Numbers of fitted measurements; as many others validate the fit."""
 
 TOOL = FrameSetup((0.05, 0.03, 0.1))
-PROVENANCE = Provenance((), "", 0.0, {"calib_pin": "", "pinocchio": "", "numpy": ""})
+PROVENANCE = Provenance(seconds=0.0)
 
 
 def main() -> None:

@@ -143,9 +143,6 @@ def test_images_and_joints_are_paired(run, fails, tmp_path, monkeypatch):
     fails(f"{words} log.csv --times log.csv --force", "log.csv", "'image'")
 
 
-LEGACY = "its markers are found, its corners are not: a board of OpenCV before 4.6? add"
-
-
 @pytest.mark.parametrize(
     ("true", "wrong"),
     [
@@ -168,8 +165,7 @@ def test_another_board_than_stated_is_named(
     seen_from(board, 1)
     for stated in wrong:
         words = f"detect 0.png -o m.csv --board {board.type}:{stated}"
-        line = fails(words, f"--board {true}").err
-        assert (LEGACY in line) == (f"{stated}:legacy" in true)
+        fails(words, f"--board {true}")
     result = run(f"detect 0.png -o m.csv --board {true}")
     assert result.status == 0 and "how it is stated" not in result.err
 

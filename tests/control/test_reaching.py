@@ -21,7 +21,7 @@ from calib_pin.control import (
     search,
 )
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.calibrated_model import write_urdf
+from calib_pin.io.results import write_urdf
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, so3_log

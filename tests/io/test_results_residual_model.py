@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 
 import calib_pin
+import calib_pin.io.results as results
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.learning import with_learned
-from calib_pin.io.calibrated_model import learned_model, learned_record, write_urdf
 from calib_pin.io.json_text import encode
-from calib_pin.io.results import calibration_document, read_calibration
 from calib_pin.observations import BlockKey
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
@@ -40,7 +39,7 @@ def learned(simulated: Callable[..., Any]) -> CalibrationResult:
 @pytest.fixture
 def file(learned: CalibrationResult, tmp_path: Path) -> Path:
     file = tmp_path / "calibration.json"
-    file.write_bytes(encode(calibration_document(learned, Provenance())))
+    file.write_bytes(encode(results.calibration_document(learned, Provenance())))
     return file
 
 
@@ -53,7 +52,7 @@ def network_of(result: CalibrationResult) -> LearnedCorrection:
 def test_it_predicts_as_before(
     learned: CalibrationResult, file: Path, refused: Callable[..., Any]
 ) -> None:
-    model = read_calibration(file)
+    model = results.read_calibration(file)
     q = model.chains.random_configurations(50, np.random.default_rng(0))
     assert model.setup.learned == "network"
     found = model.only.error.learned
@@ -65,10 +64,10 @@ def test_it_predicts_as_before(
     plain = model.without_corrections.of().poses(q)
     assert np.abs(plain - poses).max() > 1e-5
     assert not model.of().outside(q).all()
-    assert learned_record(model.without_corrections) is None
+    assert results.learned_record(model.without_corrections) is None
     with refused(OptionError):
-        write_urdf(model, file.with_name("corrected.urdf"))
-    write_urdf(model.without_corrections, file.with_name("corrected.urdf"))
+        results.write_urdf(model, file.with_name("corrected.urdf"))
+    results.write_urdf(model.without_corrections, file.with_name("corrected.urdf"))
 
 
 def test_it_belongs_to_all_tools_of_a_chain(learned: CalibrationResult) -> None:
@@ -82,7 +81,7 @@ def test_it_belongs_to_all_tools_of_a_chain(learned: CalibrationResult) -> None:
     shift = np.arange(1.0, len(problem.given) + 1.0) * 1e-4
     model = with_learned(model, replace(network_of(learned), shift=shift))
     model = replace(model, setup=replace(setup, learned="network"))
-    found = learned_model(model, learned_record(model))
+    found = results.learned_model(model, results.learned_record(model))
     q = model.chains.random_configurations(5, np.random.default_rng(0))
     for key in keys:
         np.testing.assert_array_equal(found.of(key).poses(q), model.of(key).poses(q))
@@ -107,4 +106,4 @@ def test_what_was_edited_is_refused(file: Path, refused: Callable[..., Any]) -> 
         with refused(
             InputError, "residual_model" * isinstance(part, dict), file=str(file)
         ):
-            read_calibration(file)
+            results.read_calibration(file)

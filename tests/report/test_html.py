@@ -31,7 +31,7 @@ PROVENANCE = Provenance(
     ("calib-pin", "calibrate", "<img src=x onerror=alert(2)>.urdf", "a b.csv"),
     "2026-01-01T00:00:00+00:00",
     1.25,
-    {"calib_pin": "0.1.0", "pinocchio": "4.1", "numpy": "2.4"},
+    *("0.1.0", "4.1", "2.4"),
 )
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from calib_pin.cli.results import result_contents, result_files
 from calib_pin.io.measurement_errors import decode_errors, encode_errors
-from calib_pin.io.results import provenance, read_suggestions, read_written
+from calib_pin.io.results import provenance, read_written
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.figures import Drawn
 from calib_pin.report.figures import drawn as draw_all
@@ -49,14 +49,13 @@ def test_page_and_figures_from_files_are_the_same_bytes(
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(data)
 
-    found, document = read_written(tmp_path / "out")
+    found, document, stated = read_written(tmp_path / "out")
     for side in ("fitted", "held_out"):
         one, other = getattr(found, side), getattr(result, side)
         for part in ("before", "after", "sigma", "points", "leverage"):
             np.testing.assert_array_equal(getattr(one, part), getattr(other, part))
     again = figures(found)
     assert [f.name for f in again] == [f.name for f in drawn]
-    stated = read_suggestions(document)
     assert stated == better
     page = html_report(found, document, figures=again, suggestions=stated)
     assert page == files.report.read_bytes()

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.calibrated_model import write_urdf
+from calib_pin.io.results import write_urdf
 from calib_pin.io.robot_shapes import robot_shapes
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.io.urdf_tree import parse_robot

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from calib_pin.io.dialects.base import Columns, Dialect, Reading
-from calib_pin.io.files import read_blocks
+from calib_pin.io.files import read_bytes
 
 HEAD = re.compile(rb"# joined by time: (\d+) standstills, (\d+) readings\r?\n")
 
@@ -20,7 +20,7 @@ class Joined(Dialect):
 
     def read(self, columns: Columns, file: Path) -> Reading | None:
         """The columns of a file as ours; None for a file of another layout."""
-        found = HEAD.match(next(read_blocks(file, 99), b"") if file.is_file() else b"")
+        found = HEAD.match(read_bytes(file, first=99) if file.is_file() else b"")
         rows = len(next(iter(columns.values())).numbers)
         if not found or not int(found[1]) == rows < int(found[2]):
             return None

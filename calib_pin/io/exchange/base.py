@@ -16,7 +16,7 @@ import numpy as np
 
 from calib_pin.errors import InputError, OptionError, enumerated
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.io.calibrated_model import encode_urdf
+from calib_pin.io.results import encode_urdf
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains

@@ -33,6 +33,7 @@ from calib_pin.kinematics.joint_columns import advice, drives_of
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.tree import turns
 from calib_pin.observations import Observations
+from calib_pin.parameterizations.placement import HAND_SET
 from calib_pin.setup import WORLD, CameraSetup, ChainSetup, Setup
 from calib_pin.units import steps_of
 from calib_pin.validation.evaluation import prepared
@@ -219,6 +220,10 @@ def first_look(
     if len(ends) > 1 and found.share < inf:
         tip = choose("which link was measured", ends, "--tip")
         found = best([look for look in looks if look.setup.tip == tip])
+    if found.hand_set:
+        prior = {"*.joint-offset.q": round(HAND_SET, 3)}
+        setup = replace(found.setup, parameters=("joint-offset",), prior=prior)
+        found = replace(found, setup=setup)
     return replace(found, next_share=next_share)
 
 

@@ -56,8 +56,7 @@ def init(asked: Draft, context: typer.Context) -> int:
     The setup file that `detect` wrote (--setup) has the board and the camera.
     """
     from calib_pin.io.boards import board_of
-    from calib_pin.io.drafts import draft
-    from calib_pin.io.first_look import first_look
+    from calib_pin.io.first_look import draft, first_look
     from calib_pin.io.setup import setup_document
     from calib_pin.io.urdf import load_robot
     from calib_pin.setup import Setup

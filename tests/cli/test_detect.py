@@ -83,10 +83,7 @@ def test_what_cannot_be_used(fails):
         ("empty.png -o m.csv --board charuco:7", "'charuco:7'"),
         (f"empty.png --draw b.png {board}", "--draw"),
         (board, "images"),
-        (
-            "empty.png -o m.csv --board charuco:7x5:0.022:0.03",
-            "smaller than the square",
-        ),
+        ("empty.png -o m.csv --board charuco:7x5:0.022:0.03", "smaller than"),
         ("empty.png -o m.csv --board charuco:7x5:0.03:0.02:0.01", "TYPE:COLUMNS"),
         ("--draw c.png --board chessboard:7x5:0.03", "chessboard"),
     ):

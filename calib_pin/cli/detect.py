@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,21 +11,13 @@ import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, open_setup, require_distinct
-from calib_pin.cli.printing import (
-    notice,
-    progress_bar,
-    say,
-    say_json,
-    say_written,
-    stage,
-    told_command,
-)
+from calib_pin.cli.printing import progress_bar, stage, told_command
+from calib_pin.cli.request import Told
 from calib_pin.errors import InputError, OptionError, enumerated, require_known
 
 if TYPE_CHECKING:
-    from calib_pin.io.boards import Found, Start
-    from calib_pin.io.logs import Notice
-    from calib_pin.io.table import Table
+    from calib_pin.io.boards import Detector, Found, Start
+    from calib_pin.io.table import Notice, Table
 
 OURS = ("u", "v", "target", "sigma_u", "sigma_v")
 """Columns of the measurement file, beside `image` and those of the joints."""
@@ -41,78 +33,45 @@ SHEET = 200
 
 ASSUMED = "the focal lengths are assumed: the images do not determine them"
 
-_option = partial(options.option, "Images")
+
+@dataclass(frozen=True, kw_only=True)
+class Detection(options.QuietAnswer):
+    """Images of a board, and what is to be found in them.
+
+    Attributes:
+        images: Images of one camera: PNG, JPEG, TIFF, BMP, PGM.
+        output: Measurement file to write.
+        board: The board, lengths in m: charuco:7x5:SQUARE:MARKER:DICT_4X4_50 (':legacy'
+            at the end for boards of OpenCV before 4.6), chessboard:9x6:SQUARE,
+            circles:9x6:DISTANCE, apriltag:6x6:EDGE:GAP,
+            marker:1x1:EDGE:DICT_4X4_50:first=7; columns x rows of squares (not of inner
+            corners), circles or tags. Default is 'board' of the setup file.
+        setup: Setup file with the 'board'.
+        joints: Configurations: those of a column 'image' (file name); a log with times,
+            see --times; or in the order of the images, img_2 before img_10. All its
+            columns are passed on, as 'time'. Without it the output has no joints; its
+            column 'image' tells which to add.
+        times: When the images were taken, columns 'image' and 'time': each gets the
+            joints of its standstill in the log of --joints.
+        mount: Where the camera is: hand (default) or world (board on the robot).
+        setup_output: Write a setup file for calibrate: the board, and the camera with
+            intrinsics to start from.
+        draw: Write the board to print (charuco and tags) at its size; no images then.
+    """
+
+    images: Annotated[list[Path] | None, Told("IMAGES...")] = None
+    output: Annotated[Path | None, Told("CSV", "Output")] = None
+    board: Annotated[str | None, Told("SPEC", "Images")] = None
+    setup: Annotated[Path | None, Told("FILE", "Images")] = None
+    joints: Annotated[Path | None, Told("CSV", "Images")] = None
+    times: Annotated[Path | None, Told("CSV", "Images")] = None
+    mount: Annotated[str, Told("WHERE", "Images")] = "hand"
+    setup_output: Annotated[Path | None, Told("FILE", "Output")] = None
+    draw: Annotated[Path | None, Told("PNG", "Output")] = None
 
 
-def detect(
-    context: typer.Context,
-    images: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="IMAGES...", help="Images of one camera: PNG, JPEG, TIFF, BMP, PGM."
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None, options.output("-o --output CSV", "Measurement file to write.")
-    ] = None,
-    board: Annotated[
-        str | None,
-        _option(
-            "--board SPEC",
-            "The board, lengths in m: charuco:7x5:SQUARE:MARKER:DICT_4X4_50 (':legacy' "
-            "at the end for boards of OpenCV before 4.6), chessboard:9x6:SQUARE, "
-            "circles:9x6:DISTANCE, apriltag:6x6:EDGE:GAP, "
-            "marker:1x1:EDGE:DICT_4X4_50:first=7; columns x rows of squares (not of "
-            "inner corners), circles or tags. Default is 'board' of the setup file.",
-        ),
-    ] = None,
-    setup: Annotated[
-        Path | None, _option("--setup FILE", "Setup file with the 'board'.")
-    ] = None,
-    joints: Annotated[
-        Path | None,
-        _option(
-            "--joints CSV",
-            "Configurations: those of a column 'image' (file name); a log with times, "
-            "see --times; or in the order of the images, img_2 before img_10. All its "
-            "columns are passed on, as 'time'. Without it the output has no joints; "
-            "its column 'image' tells which to add.",
-        ),
-    ] = None,
-    times: Annotated[
-        Path | None,
-        _option(
-            "--times CSV",
-            "When the images were taken, columns 'image' and 'time': each gets the "
-            "joints of its standstill in the log of --joints.",
-        ),
-    ] = None,
-    mount: Annotated[
-        str,
-        _option(
-            "--mount WHERE",
-            "Where the camera is: hand (default) or world (board on the robot).",
-        ),
-    ] = "hand",
-    setup_output: Annotated[
-        Path | None,
-        options.output(
-            "--setup-output FILE",
-            "Write a setup file for calibrate: the board, and the camera with "
-            "intrinsics to start from.",
-        ),
-    ] = None,
-    draw: Annotated[
-        Path | None,
-        options.output(
-            "--draw PNG",
-            "Write the board to print (charuco and tags) at its size; no images then.",
-        ),
-    ] = None,
-    force: options.Force = False,
-    quiet: options.Quiet = False,
-    json: options.Json = False,
-) -> int:
+@options.spread
+def detect(asked: Detection, context: typer.Context) -> int:
     """Find the corners of a board in images, as measurements of the model 'camera'.
 
     Corners are numbered row by row from 0, those of tag 7 are 7/0 to 7/3, clockwise.
@@ -123,48 +82,35 @@ def detect(
     import numpy as np
 
     import calib_pin.io.boards as boards
-    from calib_pin.io.files import write_files
     from calib_pin.io.measurements import encode_table
     from calib_pin.io.setup import setup_document, yaml_text
     from calib_pin.setup import Setup
 
-    require_known("mount", mount, MOUNTS)
-    if board is not None and setup is not None:
+    require_known("mount", asked.mount, MOUNTS)
+    if asked.board is not None and asked.setup is not None:
         raise OptionError("give --board or --setup, not both")
-    wanted = open_setup(setup).board if board is None else boards.board_of(board)
-    if wanted is None:
+    board = asked.board and boards.board_of(asked.board)
+    board = board or open_setup(asked.setup).board
+    if board is None:
         raise OptionError("give --board, or a setup file with 'board' (--setup)")
-    detector = boards.Detector(wanted)
-    if draw is not None:
-        if images or output or joints or setup_output:
-            raise OptionError("--draw takes --board or --setup, and nothing else")
-        check_outputs([draw], [setup], force)
-        picture = boards.encode_png(detector.drawn(SHEET), SHEET / wanted.square)
-        with write_files({draw: picture}, force=force):
-            pass
-        if not quiet:
-            width, height = 1e3 * detector.extent
-            say(f"print it at 100 %: {width:g} x {height:g} mm\n")
-            say_written([f"wrote {draw}"])
-        return 0
+    detector = boards.Detector(board)
+    if asked.draw is not None:
+        return _drawn(asked, asked.draw, detector)
+    images, output, extra = asked.images or [], asked.output, asked.setup_output
     if not images or output is None:
         raise OptionError("give the images, and -o, the measurement file to write")
     require_distinct(images)
-    check_outputs((output, setup_output), (*images, setup, joints, times), force)
-    if times is not None and joints is None:
+    inputs = (*images, asked.setup, asked.joints, asked.times)
+    check_outputs((output, extra), inputs, asked.force)
+    if asked.times is not None and asked.joints is None:
         raise OptionError("--times needs --joints: a log of the joints, with times")
-    tell: Notice = (lambda remark: None) if quiet else notice
-    # img_2 before img_10.
-    images = sorted(
-        images, key=lambda path: [int(w or 0) for w in re.split(r"\D+", str(path))]
-    )
-    images, rows = _configurations(joints, times, images, tell)
-    with progress_bar(quiet=quiet) as bar:
+    images, rows = _configurations(asked, sorted(images, key=_numbers))
+    with progress_bar(quiet=asked.quiet) as bar:
         size, every = boards.find_board(detector, images, stage(bar, "images"))
-    if not boards.require_stated(wanted, every, images):
-        tell("no image shows enough of the board to check how it is stated")
+    if not boards.require_stated(board, every, images):
+        asked.tell("no image shows enough of the board to check how it is stated")
     found = {path.name: one for path, one in zip(images, every, strict=True)}
-    start = boards.start_camera(mount, detector, size, found)
+    start = boards.start_camera(asked.mount, detector, size, found)
     image_of = [k for k, one in enumerate(every) for _ in one.names]
     pixels = np.concatenate([one.pixels for one in every])
     sigma = np.concatenate([one.sigma for one in every])
@@ -175,39 +121,55 @@ def detect(
         columns |= {name: pixels[:, k].round(4), f"sigma_{name}": sigma[:, k].round(4)}
     comment = f"found by: {told_command(context)}"
     contents = {output: encode_table(columns, [comment])}
-    document = setup_document(Setup(model="camera", board=wanted, camera=start.camera))
-    if setup_output is not None:
+    setup = setup_document(Setup(model="camera", board=board, camera=start.camera))
+    if extra is not None:
         remark = f"# {ASSUMED}\n" if start.assumed else ""
-        text = yaml_text({key: document[key] for key in ("model", "board", "camera")})
-        contents[setup_output] = f"# {comment}\n{remark}{text}\n".encode()
-    _remarks(found, start, tell)
-    if boards.ambiguous(wanted):
-        tell(
+        text = yaml_text({key: setup[key] for key in ("model", "board", "camera")})
+        contents[extra] = f"# {comment}\n{remark}{text}\n".encode()
+    _remarks(found, start, asked.tell)
+    if boards.ambiguous(board):
+        asked.tell(
             "the board looks the same when it is turned: corner 0 is the one nearest "
             "to the upper left of each image, so the camera must not roll"
         )
-    with write_files(contents, force=force):
-        pass
     shown, median = sum(bool(one.names) for one in every), float(np.median(sigma))
-    if json:
-        about: dict[str, Any] = {"images": len(images), "shown": shown}
-        about |= {"corners": len(pixels), "sigma": median, "camera": document["camera"]}
-        about |= {"assumed": start.assumed, "rms": start.rms}
-        say_json(about, contents)
-    elif not quiet:
-        ends = start.camera.focal, start.camera.center
-        focal, center = (f"({a:.1f}, {b:.1f})" for a, b in ends)
-        rms = "not checked: too few corners"
-        rms = rms if start.rms is None else f"rms {start.rms:.3f} px"
-        say(
-            f"{shown} of {len(images)} images show the board, {size[0]} x {size[1]} px"
-            f"\n{len(pixels)} of {shown * len(detector.points)} corners in them, sigma "
-            f"{median:.3f} px (median)\nstart of the camera: "
-            f"{'assumed ' if start.assumed else ''}focal {focal}, center {center} px\n"
-            f"  ({rms})\n"
-        )
-        say_written([f"wrote {path}" for path in contents])
+    document: dict[str, Any] = {"images": len(images), "shown": shown}
+    document |= {"corners": len(pixels), "sigma": median, "camera": setup["camera"]}
+    document |= {"assumed": start.assumed, "rms": start.rms}
+    document["written"] = [*map(str, contents)]
+    ends = start.camera.focal, start.camera.center
+    focal, center = (f"({a:.1f}, {b:.1f})" for a, b in ends)
+    checked = start.rms is not None
+    rms = f"rms {start.rms:.3f} px" if checked else "not checked: too few corners"
+    told = (
+        f"{shown} of {len(images)} images show the board, {size[0]} x {size[1]} px\n"
+        f"{len(pixels)} of {shown * len(detector.points)} corners in them, sigma "
+        f"{median:.3f} px (median)\nstart of the camera: "
+        f"{'assumed ' * start.assumed}focal {focal}, center {center} px\n  ({rms})\n"
+    )
+    written = [f"wrote {path}" for path in contents]
+    asked.give(contents, lambda: document, told, written)
     return 0
+
+
+def _drawn(asked: Detection, file: Path, detector: Detector) -> int:
+    """Write the board to print."""
+    from calib_pin.io.boards import encode_png
+
+    if asked.images or asked.output or asked.joints or asked.setup_output:
+        raise OptionError("--draw takes --board or --setup, and nothing else")
+    check_outputs([file], [asked.setup], asked.force)
+    picture = encode_png(detector.drawn(SHEET), SHEET / detector.board.square)
+    width, height = 1e3 * detector.extent
+    told = f"print it at 100 %: {width:g} x {height:g} mm\n"
+    document = {"written": [str(file)]}
+    asked.give({file: picture}, lambda: document, told, [f"wrote {file}"])
+    return 0
+
+
+def _numbers(image: Path) -> list[int]:
+    """The numbers in a name: img_2 comes before img_10."""
+    return [int(word or 0) for word in re.split(r"\D+", str(image))]
 
 
 def _remarks(found: dict[str, Found], start: Start, tell: Notice) -> None:
@@ -225,7 +187,7 @@ def _remarks(found: dict[str, Found], start: Start, tell: Notice) -> None:
 
 
 def _configurations(
-    file: Path | None, times: Path | None, images: list[Path], tell: Notice
+    asked: Detection, images: list[Path]
 ) -> tuple[list[Path], dict[str, list[Any]]]:
     """Images of known joints, and for each the cells of the columns of their file.
 
@@ -234,19 +196,21 @@ def _configurations(
     """
     from calib_pin.io.table import read_table
 
-    if file is None:
+    if (file := asked.joints) is None:
         return images, {}
     table = read_table(file)
     if clash := [name for name in OURS if name in table]:
         raise table.error("is a column that detect writes itself", clash[0])
-    if times is not None:
-        table = _at_times(table, read_table(times), images, tell)
+    if asked.times is not None:
+        table = _at_times(table, read_table(asked.times), images, asked.tell)
         stood = table.texts(["image"])["image"].distinct
         images = [path for path in images if path.name in stood]
     count = len(table.lines)
     if "image" not in table and count == len(images):
         ends = (f"{images[k].name} with line {table.lines[k]}" for k in (0, -1))
-        tell(f"images and rows of {file} are paired in order: {' to '.join(ends)}")
+        asked.tell(
+            f"images and rows of {file} are paired in order: {' to '.join(ends)}"
+        )
     elif "image" not in table:
         reason = f"has {count} rows for {len(images)} images; a column 'image' or, for "
         reason += "a log, --times tells which belong together"
@@ -284,12 +248,13 @@ def _at_times(joints: Table, taken: Table, images: list[Path], tell: Notice) -> 
     import numpy as np
 
     import calib_pin.io.logs as logs
-    from calib_pin.cli.join import STAND
+    from calib_pin.cli.join import Logs
     from calib_pin.io.table import read_table
 
     taken = logs.with_images(taken)
     taken = taken.rows(np.array(_rows(taken, images)))
     positions = logs.read_joint_log(joints, {}, tell)
     readings = logs.read_reading_log(taken, tell)
-    readings, found = logs.join_logs(positions, readings, STAND, STAND, tell)
+    stand = Logs.settle, Logs.tolerance
+    readings, found = logs.join_logs(positions, readings, *stand, tell)
     return read_table(logs.encode_joined(found, positions, readings, keep=True))

@@ -47,8 +47,8 @@ def evaluate(asked: Evaluate) -> int:
     from functools import partial
 
     from calib_pin.cli.documents import evaluation_document
-    from calib_pin.io.other_robots import other_robots
     from calib_pin.io.results import used_files
+    from calib_pin.io.urdf import other_robots
     from calib_pin.kinematics.chains import Chains
     from calib_pin.report.accuracy import evaluated
     from calib_pin.validation.calibrated_model import CalibratedModel

@@ -231,8 +231,8 @@ def types_of(
 def priors(folder: Path, populations: Sequence[Population]) -> dict[Path, bytes]:
     """The files of the priors; all but the first have the name of their robot."""
     from calib_pin.io.json_text import encode
-    from calib_pin.io.population_prior import prior_document
     from calib_pin.io.results import urdf_name
+    from calib_pin.io.setup import prior_document
 
     found: dict[Path, bytes] = {}
     for number, population in enumerate(populations, 1):

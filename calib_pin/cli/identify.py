@@ -50,7 +50,7 @@ def identify(asked: Identify) -> int:
     from calib_pin.calibration import calibrate as run
     from calib_pin.cli.documents import identification_document
     from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.other_robots import other_robots
+    from calib_pin.io.urdf import other_robots
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.report.identification import identified
     from calib_pin.report.trust import below, findings, judged

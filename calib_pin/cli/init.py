@@ -6,20 +6,16 @@ import re
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 import calib_pin.cli.options as options
-from calib_pin.cli.files import (
-    check_outputs,
-    open_setup,
-    require_distinct,
-    require_folders,
-)
-from calib_pin.cli.printing import notice, say, say_json, say_written, told_command
+from calib_pin.cli.files import check_outputs, require_distinct, require_folders
+from calib_pin.cli.printing import notice, told_command
+from calib_pin.cli.request import Told
 from calib_pin.errors import OptionError, enumerated, stated_in
 from calib_pin.units import as_number
 
@@ -30,49 +26,28 @@ SIGMA = 1e-5
 """Standard deviation of a distance between sockets [m]: they are gauged."""
 
 
-def init(
-    context: typer.Context,
-    robot: options.RobotName,
-    measurements: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="MEASUREMENTS...",
-            help="CSV or Parquet files with one row per measurement, as they are.",
-        ),
-    ],
-    output: Annotated[
-        Path | None,
-        options.output(
-            "-o --output YAML", "Setup file to write; without it, it is printed."
-        ),
-    ] = None,
-    package_dir: options.PackageDirs = None,
-    model: options.Model = None,
-    base: options.Base = None,
-    tip: Annotated[
-        str | None,
-        options.robot(
-            "--tip LINK",
-            "Last link of the chain; of chains that the measurements name, "
-            "NAME=LINK,...",
-        ),
-    ] = None,
-    distance: Annotated[
-        str | None,
-        options.robot(
-            "--distance LENGTH",
-            "Known distance of the two sockets of each place, such as '50 mm'.",
-        ),
-    ] = None,
-    board: Annotated[
-        str | None,
-        options.robot("--board SPEC", "Board of a camera, as for 'detect'."),
-    ] = None,
-    setup: options.SetupFile = None,
-    station_per_file: options.StationPerFile = False,
-    force: options.Force = False,
-    json: options.Json = False,
-) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Draft(options.Answer, options.OfRobot):
+    """A setup file that is to be drafted.
+
+    Attributes:
+        measurements: CSV or Parquet files with one row per measurement, as they are.
+        output: Setup file to write; without it, it is printed.
+        tip: Last link of the chain; of chains that the measurements name, NAME=LINK,...
+        distance: Known distance of the two sockets of each place, such as '50 mm'.
+        board: Board of a camera, as for 'detect'.
+    """
+
+    measurements: Annotated[list[Path], Told("MEASUREMENTS...")]
+    output: Annotated[Path | None, Told("YAML", "Output")] = None
+    tip: Annotated[str | None, Told("LINK", "Robot")] = None
+    distance: Annotated[str | None, Told("LENGTH", "Robot")] = None
+    board: Annotated[str | None, Told("SPEC", "Robot")] = None
+    station_per_file: options.StationPerFile = False
+
+
+@options.spread
+def init(asked: Draft, context: typer.Context) -> int:
     """Look at a robot and its measurements, and draft a setup file.
 
     Finds the tip, the joints, what was measured, foreign names of columns and their
@@ -81,50 +56,42 @@ def init(
     The setup file that `detect` wrote (--setup) has the board and the camera.
     """
     from calib_pin.io.boards import board_of
-    from calib_pin.io.drafts import draft
-    from calib_pin.io.files import write_files
-    from calib_pin.io.first_look import first_look
+    from calib_pin.io.first_look import draft, first_look
     from calib_pin.io.setup import setup_document
     from calib_pin.io.urdf import load_robot
-    from calib_pin.parameterizations.placement import HAND_SET
     from calib_pin.setup import Setup
 
-    require_folders(package_dir or [])
-    require_distinct(measurements)
-    check_outputs([output], [robot, *measurements, setup], force)
-    loaded = load_robot(robot, package_dir or ())
-    given = open_setup(setup)
-    seen = given.board if board is None else board_of(board)
-    start = Setup(base, tip, model=model, board=seen, camera=given.camera)
-    with stated_in(str(measurements[0])):
-        look = first_look(loaded, measurements, start, _choose, station_per_file)
-    if look.setup.camera is None and (board is not None or setup is not None):
+    files, folders = asked.measurements, asked.package_dir or []
+    require_folders(folders)
+    require_distinct(files)
+    inputs = [asked.robot, *files, asked.setup]
+    check_outputs([asked.output], inputs, asked.force)
+    robot, given = load_robot(asked.robot, folders), asked.stated()
+    seen = given.board if asked.board is None else board_of(asked.board)
+    start = Setup(asked.base, asked.tip, model=asked.model, board=seen)
+    start = replace(start, camera=given.camera)
+    with stated_in(str(files[0])):
+        look = first_look(robot, files, start, _choose, asked.station_per_file)
+    if look.setup.camera is None and (asked.board or asked.setup):
         reason = "--board and --setup are for a camera, and there are no columns u, v"
         raise OptionError(reason)
     if look.data is not None and "fixed-point" in look.data.models:
-        look = _with_distances(look, distance)
-    elif distance is not None:
+        look = _with_distances(look, asked.distance)
+    elif asked.distance is not None:
         raise OptionError("--distance is that of sockets (fixed-point)")
-    if look.hand_set:
-        prior = {"*.joint-offset.q": round(HAND_SET, 3)}
-        offsets = replace(look.setup, parameters=("joint-offset",), prior=prior)
-        look = replace(look, setup=offsets)
-    text = draft(loaded, look, told_command(context))
+    text = draft(robot, look, told_command(context))
     for remark in look.remarks:
         notice(remark)
     if not look.fits:
         notice("no reading of the columns fits the robot; see the draft")
-    files = {} if output is None else {output: text.encode()}
-    with write_files(files, force=force):
-        pass
-    if json:
-        found = {"setup": setup_document(look.setup), "nominal": look.errors}
-        say_json(found, files)
-    else:
-        say(text)
-        words = shlex.join(map(str, [robot, *measurements, "--setup", output]))
-        after = [f"wrote {output}", f"next: calib-pin calibrate {words} -o out"]
-        say_written(after if files else [])
+    found: dict[str, Any] = {"setup": setup_document(look.setup)}
+    found["nominal"] = look.errors
+    written, contents = list[str](), dict[Path, bytes]()
+    if asked.output is not None:
+        contents, found["written"] = {asked.output: text.encode()}, [str(asked.output)]
+        words = shlex.join(map(str, [asked.robot, *files, "--setup", asked.output]))
+        written = [f"wrote {asked.output}", f"next: calib-pin calibrate {words} -o out"]
+    asked.give(contents, lambda: found, text, written)
     return 0
 
 

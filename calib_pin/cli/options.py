@@ -14,7 +14,7 @@ import typer
 
 from calib_pin.cli.completion import completed, robots
 from calib_pin.cli.files import FLAGS, open_chains, open_setup
-from calib_pin.cli.printing import say, say_written, show
+from calib_pin.cli.printing import notice, say, say_written, show
 from calib_pin.cli.request import Request, Told
 from calib_pin.cli.request import number as number
 from calib_pin.errors import OptionError
@@ -26,7 +26,10 @@ if TYPE_CHECKING:
     from calib_pin.report.blocks import Block
     from calib_pin.setup import ReportSetup, Setup
 
-ARGUMENTS = {"robot", "measurements", "calibration", "targets", "first", "second"}
+ARGUMENTS = {
+    *("robot", "measurements", "calibration", "targets", "first", "second"),
+    *("images", "log", "name"),
+}
 """Fields of requests that are arguments; all others are options."""
 
 ANSWER = ("force", "quiet", "json")
@@ -206,7 +209,7 @@ class Answer:
         self,
         contents: Mapping[Path, bytes],
         document: Callable[[], Mapping[str, Any]],
-        blocks: Iterable[Block] = (),
+        blocks: Iterable[Block] | str = (),
         written: Iterable[str] = (),
     ) -> None:
         """Write files, and print what is found; neither if one of both fails.
@@ -214,7 +217,7 @@ class Answer:
         Args:
             contents: The files.
             document: Makes what is printed as JSON.
-            blocks: The report that is printed else.
+            blocks: The report that is printed else, or its text as it is.
             written: Lines on the files that are in place.
         """
         from calib_pin.io.files import write_files
@@ -224,6 +227,8 @@ class Answer:
         with write_files(contents, force=self.force):
             if self.json:
                 say(encode(document()).decode())
+            elif told and isinstance(blocks, str):
+                say(blocks)
             elif told and (shown := [*blocks]):
                 show(shown)
         if told:
@@ -235,6 +240,11 @@ class QuietAnswer(Answer):
     """The same, of a command that may say nothing."""
 
     quiet: Quiet = False
+
+    def tell(self, remark: str) -> None:
+        """A remark on standard error, of a command that may speak."""
+        if not self.quiet:
+            notice(remark)
 
 
 def parse_limits(

@@ -156,7 +156,7 @@ def calibrated(
         workers: Who fits the folds and candidates.
     """
     from calib_pin.calibration import calibrate
-    from calib_pin.io.other_robots import other_robots
+    from calib_pin.io.urdf import other_robots
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.validation.candidate_scores import USES
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,47 +13,40 @@ import typer
 import calib_pin.cli.options as options
 from calib_pin.cli.files import (
     open_calibration,
-    open_chains,
     open_measurements,
-    open_setup,
     require_distinct,
     require_file,
     require_folders,
 )
 from calib_pin.cli.printing import notice, progress_bar, stage, tell_notices
+from calib_pin.cli.request import Told, number
 from calib_pin.errors import OptionError, require_known
 
-window_option = partial(options.option, "Window")
+PORT = number(int, "--port", "0 to 65535", 0, 65535)
 
 
-def view(
-    robot: options.RobotOrCalibration,
-    measurements: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="[MEASUREMENTS...]", help="CSV or Parquet files."),
-    ] = None,
-    plan: Annotated[
-        Path | None, window_option("--plan CSV", "Configurations to play in order.")
-    ] = None,
-    port: Annotated[
-        int,
-        window_option(
-            "--port N",
-            "Port on this machine; 0 for any free port.",
-            options.number(int, "--port", "0 to 65535", 0, 65535),
-        ),
-    ] = 8080,
-    once: Annotated[
-        bool, window_option("--once", "Stop when the last window is closed.")
-    ] = False,
-    package_dir: options.PackageDirs = None,
-    setup: options.SetupFile = None,
-    model: options.Model = None,
-    base: options.Base = None,
-    tip: options.Tip = None,
-    chain: options.ChainName = None,
-    station_per_file: options.StationPerFile = False,
-) -> int:
+@dataclass(frozen=True, kw_only=True)
+class View(options.OfRobot):
+    """A window as it is asked for.
+
+    Attributes:
+        measurements: CSV or Parquet files.
+        plan: Configurations to play in order.
+        port: Port on this machine; 0 for any free port.
+        once: Stop when the last window is closed.
+    """
+
+    robot: options.RobotOrCalibration
+    measurements: Annotated[list[Path] | None, Told("[MEASUREMENTS...]")] = None
+    plan: Annotated[Path | None, Told("CSV", "Window")] = None
+    port: Annotated[int, Told("N", "Window", PORT)] = 8080
+    once: Annotated[bool, Told("", "Window")] = False
+    chain: options.ChainName = None
+    station_per_file: options.StationPerFile = False
+
+
+@options.spread
+def view(asked: View) -> int:
     """Show a robot in the browser, with the errors of measurements and a plan.
 
     A calibration shows the nominal robot beside the corrected one. Errors are those of
@@ -66,43 +60,41 @@ def view(
     from calib_pin.viewer.scene import make_scene
     from calib_pin.viewer.server import Window
 
-    stated = open_setup(setup, base=base, tip=tip, model=model)
+    stated, robot, chain = asked.stated(), asked.robot, asked.chain
+    files, folders = asked.measurements or [], asked.package_dir or []
     require_file(robot, ", or a robot")
-    require_folders(package_dir or [])
-    require_distinct(measurements or [])
+    require_folders(folders)
+    require_distinct(files)
     calibrated = None
     if robot.endswith(".json"):
-        calibrated, stated = open_calibration(robot, setup, stated, notice)
+        calibrated, stated = open_calibration(robot, asked.setup, stated, notice)
         chains = calibrated.chains
         if chain is not None:
             require_known("chain", chain, calibrated.measured_chains)
     else:
-        chains = open_chains(robot, stated, chain, package_dir)
+        chains = asked.chains(stated, chain)
     with progress_bar() as bar:
+        own = asked.station_per_file
         read = partial(
-            open_measurements,
-            measurements or [],
-            chain=chain,
-            station_per_file=station_per_file,
-            bar=bar,
+            open_measurements, files, chain=chain, station_per_file=own, bar=bar
         )
         scene = make_scene(
             chains,
             calibrated,
             stated,
-            read if measurements else None,
-            plan,
-            package_dir or [],
+            read if files else None,
+            asked.plan,
+            folders,
             tell=notice,
             stage=partial(stage, bar),
         )
-    window = Window(scene, port)
+    window = Window(scene, asked.port)
     try:
-        if port not in (0, window.port):
-            notice(f"port {port} cannot be used; {window.port} is free")
+        if asked.port not in (0, window.port):
+            notice(f"port {asked.port} cannot be used; {window.port} is free")
         tell_notices()
         typer.echo(f"viewing at {window.url} (Ctrl-C ends it)")
-        window.run(once)
+        window.run(asked.once)
     except KeyboardInterrupt:
         typer.echo()
     finally:

@@ -9,6 +9,7 @@ the one. A wrong unit or another link leaves errors a hundred times as large.
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -20,21 +21,25 @@ from typing import Any
 import numpy as np
 
 import calib_pin.io.foreign_headers as headers
+import calib_pin.io.measured_columns as measured_columns
 from calib_pin.errors import CalibPinError, InputError, OptionError, enumerated
 from calib_pin.estimation.problem import distinct_values, error_table
 from calib_pin.io.columns import ANGLE, LENGTH, counted
-from calib_pin.io.foreign_headers import GAUGED, VECTORS, Foreign
-from calib_pin.io.measured_columns import asked_models, optional, reserved
+from calib_pin.io.foreign_headers import Foreign
+from calib_pin.io.measured_columns import POSITION, measured
 from calib_pin.io.measurements import read_measurements
+from calib_pin.io.setup import setup_document, yaml_text
 from calib_pin.io.table import read_table
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.joint_columns import advice, drives_of
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.tree import turns
+from calib_pin.measurement_models import declared
 from calib_pin.observations import Observations
+from calib_pin.parameterizations.placement import HAND_SET
 from calib_pin.setup import WORLD, CameraSetup, ChainSetup, Setup
-from calib_pin.units import steps_of
+from calib_pin.units import DISPLAY, steps_of
 from calib_pin.validation.evaluation import prepared
 from calib_pin.validation.findings.case import some_of
 from calib_pin.validation.findings.computed_values import COMPUTED, spread
@@ -56,12 +61,6 @@ DROPPED = 0.17
 """Orientation errors of the nominal robot from which an orientation is read wrongly, as
 one of another convention [rad]."""
 
-LENGTHS = {*VECTORS[0], "distance", *GAUGED}
-"""Columns of lengths."""
-
-SPATIAL = {name for vector in VECTORS[:4] for name in vector}
-"""Columns of positions and orientations."""
-
 CLEAR = 0.5
 """Part of the errors of another reading that a less likely one must leave, at most."""
 
@@ -82,32 +81,55 @@ the points of a small arm, rms [m]."""
 DATE = 1e11
 """Numbers from here on are dates with their digits in a row, and no seconds."""
 
+WIDTH = 88
+"""Longest line of a comment."""
+
+FRAMES = "\nframes:\n  base: {estimate: true}\n  tool: {estimate: true}"
+"""Lines on what is estimated of frames, by where the instrument stands."""
+
+TEXTS = {
+    "external": "The instrument may stand anywhere, and the target may sit anywhere on "
+    "the tool: both are estimated. State them if you know them.",
+    "internal": "Tool and instrument are estimated; the base link is the frame of "
+    "reference. State 'frames', 'targets' or 'planes' that you know.",
+    "gauge": " Readings of the gauge count. In 'dial' pushed in is positive; if yours "
+    "counts the other way, name its column 'deviation' under 'columns'.",
+    "zeros": "The zeros of the joints alone: {}. From 100 measurements on try "
+    "placement: six errors at every joint.",
+    "families": "Six errors at every joint, the usual choice. Others: joint-offset for "
+    "zeros alone; transmission, compliance beside it for gears and loads.",
+}
+"""Comments on what is estimated, and on gauges."""
+
+COMMENTS = {
+    "base": "The chain starts here.",
+    "tip": "The link that carries the tool.",
+    "chains": "The links that the names in the column 'chain' stand for.",
+    "model": "Measured: ",
+    "parameters": "",
+    "prior": "Zeros that were set by hand are off by about 5 degrees [rad].",
+    "columns": "Our names of columns, and those of the file with their units.",
+    "board": "The board; its points are known.",
+    "camera": "The camera; a first guess that is estimated, but for the size of the "
+    "images, 'size: [width, height]', which export to camera-info needs.",
+    "distances": "Known distances [m]: they give the robot its size.",
+}
+"""Comments of keys, in the order of the file."""
+
 Choose = Callable[[str, Sequence[str], str], str]
 """The choice of a user: of a question, the choices, and the option that says it."""
 
 
 @dataclass(frozen=True)
-class Joints:
-    """The columns of joints, and where on the robot they end.
-
-    Attributes:
-        columns: Column by joint.
-        tips: Links that these joints move, and no others, likeliest first; empty where
-            the measurements name their chains.
-        order: How columns stand that are known to be theirs by their order alone.
-    """
-
-    columns: dict[str, Foreign]
-    tips: Sequence[str] = ()
-    order: str = ""
-
-
-@dataclass(frozen=True)
 class Look:
-    """A reading of measurement files.
+    """A reading of measurement files, or as much of it as is known.
 
     Attributes:
         setup: The setup that reads them so.
+        joints: The columns of the joints, by joint.
+        tips: Links that these joints move, and no others, likeliest first; empty where
+            the measurements name their chains.
+        order: How columns stand that are known to be theirs by their order alone.
         data: The measurements; None where they cannot be read or the robot cannot be
             located on them.
         errors: Root mean square errors of the registered nominal robot, by quantity
@@ -115,24 +137,21 @@ class Look:
         share: The first of them as a part of how far the tool moved, or the points
             moved in an image: a wrong unit can make both of them small.
         fault: Why not; None where they can.
-        joints: The columns of the joints.
         units: Column to unit, where nobody stated it.
-        ignored: Names of columns without a meaning.
-        next_share: The share in other units; infinite where there are none.
         position: Name of the column that is taken for x.
         remarks: Sentences about how the files were read.
         computed: Names of columns of x that the controller computed.
     """
 
     setup: Setup
+    joints: Mapping[str, Foreign]
+    tips: Sequence[str] = ()
+    order: str = ""
     data: Observations | None = None
     errors: Mapping[str, float] = field(default_factory=dict)
     share: float = inf
     fault: CalibPinError | None = None
-    joints: Joints = field(default_factory=lambda: Joints({}))
     units: Mapping[str, str] = field(default_factory=dict)
-    ignored: Sequence[str] = ()
-    next_share: float = inf
     position: str = ""
     remarks: Sequence[str] = ()
     computed: Sequence[str] = ()
@@ -145,14 +164,13 @@ class Look:
     @property
     def hand_set(self) -> str:
         """How it shows that zeros were set by hand, as a servo's; empty if nothing."""
-        columns = self.joints.columns
-        units = {j: self.units.get(j, of.unit or "") for j, of in columns.items()}
+        units = {j: self.units.get(j, of.unit or "") for j, of in self.joints.items()}
         if any(map(steps_of, units.values())):
             return "the joints are counted in steps of servos"
-        degrees = [columns[j].column.numbers for j in units if units[j] == "deg"]
+        degrees = [self.joints[j].column.numbers for j in units if units[j] == "deg"]
         if degrees and not np.nansum(np.array(degrees) % 1.0):
             return "the joints were read in whole degrees"
-        few = self.data is not None and len(self.data) < FEW * (len(columns) + 2)
+        few = len(self.data or ()) < FEW * (len(units) + 2)
         size = next(iter(self.errors.values()), inf)
         if few and self.share > ROUGH and size < SMALL * self.share:
             return "few measurements of a small arm, which is off by 1 % of its motion"
@@ -160,11 +178,7 @@ class Look:
 
 
 def first_look(
-    robot: Robot,
-    files: Sequence[Path],
-    setup: Setup,
-    choose: Choose,
-    station_per_file: bool = False,
+    robot: Robot, files: Sequence[Path], setup: Setup, choose: Choose, apart: bool
 ) -> Look:
     """The reading of measurement files that fits the nominal robot best.
 
@@ -174,52 +188,48 @@ def first_look(
         setup: What is known: base, tip (of chains that the files name, NAME=LINK,...),
             model, board and camera.
         choose: Called where only a user can tell readings apart.
-        station_per_file: Whether each file is a station.
+        apart: Whether each file is a station.
 
     Raises:
         CalibPinError: If the files cannot be read in any way, numbers do not tell their
             units, or all positions were computed by the controller.
     """
     columns = headers.foreign(read_table(files[0]).whole(robot.model.names).columns)
-    start, joints = _ends(robot, setup, columns, choose)
-    start = _with_camera(start, columns)
-
-    def tried(joints: Sequence[Joints]) -> list[Look]:
-        ways = (way for own in joints for way in readings(start, robot, own, columns))
-        return [looked(way, robot, files, station_per_file) for way in ways]
-
-    looks = tried(joints)
-    found = best(looks)
-    others = unlikely_joints(robot, start.base, joints)
-    while not found.fits and (other := next(others, None)) is not None:
-        if (better := best(tries := tried([other]))).share < found.share:
+    looks, found = list[Look](), None
+    for joints in _joints(robot, _with_camera(setup, columns), columns, choose):
+        ways = (way for own in joints for way in readings(own, robot, columns))
+        tries = [looked(way, robot, files, apart) for way in ways]
+        better = best(tries)
+        if found is None or better.share < found.share:
             looks, found = tries, better
+        if found.fits:
+            break
+    assert found is not None
     question, models = "of which kind is the distance", _answers("model", looks, found)
     if found.setup.model in TOUCHES:
         question = "did the tool rest in sockets or touch planes or spheres"
-        models = [] if found.share < AT_REST or start.model else [*TOUCHES]
+        models = [] if found.share < AT_REST or setup.model else [*TOUCHES]
     if len(models) > 1 and models[0] in (*TOUCHES, *DISTANCES):
         setup = replace(setup, model=choose(question, models, "--model"))
-        return first_look(robot, files, setup, choose, station_per_file)
+        return first_look(robot, files, setup, choose, apart)
     if found.fault is not None:
         raise found.fault
-    looks = [
-        look
-        for look in looks
-        if look.setup.model == found.setup.model and look.position not in found.computed
-    ]
+    looks = [look for look in looks if look.setup.model == found.setup.model]
+    looks = [look for look in looks if look.position not in found.computed]
     same = [look for look in looks if look.joints is found.joints]
     next_share = min((k.share for k in same if k.units != found.units), default=inf)
     if CLEAR * next_share <= found.share < inf:
-        raise InputError(
-            "the robot fits about as well with other units; state the units in the "
-            "header, such as 'x [mm]', or in 'columns' of a setup file"
-        )
+        reason = "the robot fits about as well with other units; state them in the "
+        raise InputError(f"{reason}header, such as 'x [mm]', or in 'columns'")
     ends = _answers("tip", looks, found)
     if len(ends) > 1 and found.share < inf:
         tip = choose("which link was measured", ends, "--tip")
         found = best([look for look in looks if look.setup.tip == tip])
-    return replace(found, next_share=next_share)
+    if found.hand_set:
+        prior = {"*.joint-offset.q": round(HAND_SET, 3)}
+        setup = replace(found.setup, parameters=("joint-offset",), prior=prior)
+        return replace(found, setup=setup)
+    return found
 
 
 def _answers(key: str, looks: Sequence[Look], found: Look) -> list[str]:
@@ -228,15 +238,41 @@ def _answers(key: str, looks: Sequence[Look], found: Look) -> list[str]:
     return [*dict.fromkeys(getattr(k.setup, key) or "" for k in [found, *close])]
 
 
-def _ends(
+def _with_camera(setup: Setup, columns: Sequence[Foreign]) -> Setup:
+    """The setup with a camera to start from, where columns are those of a camera.
+
+    Raises:
+        OptionError: If nothing says which board it saw.
+    """
+    found = headers.measured(columns)
+    if not {"u", "v"} <= found.keys() or setup.model not in (None, "camera"):
+        return setup
+    if setup.board is None:
+        reason = "the points that the camera saw must be known: state --board, or "
+        reason += "--setup, the file of detect's --setup-output"
+        raise OptionError(reason, allowed="charuco:7x5:0.03:0.022, lengths in m")
+    # The image is larger than where corners were seen, by how much nobody knows.
+    width, height = (100.0 * -(-found[axis][0].largest // 100.0) for axis in "uv")
+    center = ((width - 1.0) / 2.0, (height - 1.0) / 2.0)
+    camera = CameraSetup("hand", (width, width), center, estimate=True)
+    return replace(setup, model="camera", camera=setup.camera or camera)
+
+
+def _joints(
     robot: Robot, setup: Setup, columns: Sequence[Foreign], choose: Choose
-) -> tuple[Setup, list[Joints]]:
-    """The setup with the chains that a column names, and what may be the joints."""
+) -> Iterator[Sequence[Look]]:
+    """Columns that may be those of the joints, likeliest first, and chains they name.
+
+    Raises:
+        InputError: If nothing may, there is no such base or tip, or a chain lacks
+            columns for some of its joints.
+        RobotError: If no chain can be used.
+    """
     every = [name for name in robot.model.names if name != "universe"]
     by_name = headers.joints_by_name(columns, every)
     named = headers.measured(columns).get("chain")
     if named is None or (setup.tip is not None and "=" not in setup.tip):
-        joints = joint_columns(robot, setup, columns, by_name)
+        found = _of_one_chain(robot, setup, columns, by_name)
     else:
         tips = dict(word.partition("=")[::2] for word in (setup.tip or "").split(","))
         names = named[0].column.texts().map(str.strip).distinct
@@ -248,14 +284,29 @@ def _ends(
             tip = tips.get(name) or choose(asked, links or robot.links, option)
             chains[name] = ChainSetup(tip=tip)
         setup = replace(setup, tip=None, chains=chains)
-        joints = [Joints(by_name)] if by_name else []
-    if not joints:
-        raise InputError(
-            "joint positions are needed (a pose of the controller hides the branch and "
-            "the errors of the robot), and no columns are found for them; map them "
-            f"with 'columns' in a setup file (joints: {enumerated(every)})"
-        )
-    return setup, joints
+        found = [Look(setup, by_name)] if by_name else []
+    if not found:
+        reason = "joint positions are needed (the controller's pose hides the branch), "
+        reason += "and no columns are found for them; state 'columns' in a setup file"
+        raise InputError(f"{reason} (joints: {enumerated(every)})")
+    yield found
+    # Joints at the end of a chain that stand still may be in units of their own, such
+    # as a gripper in percent.
+    for own in (own for own in found if own.tips):
+        moving = {joint for joint, one in own.joints.items() if one.moves}
+        for chain, links in chains_of(robot, setup.base).items():
+            if moving <= {*chain} < own.joints.keys():
+                few = {joint: own.joints[joint] for joint in chain}
+                yield [replace(own, joints=few, tips=links)]
+    # Columns without names may be those of other joints: ROS writes by the alphabet.
+    for own in (own for own in found if own.order):
+        known, order = [*own.joints], "other than on the robot"
+        others = [sorted(known)]
+        for a, b in combinations(known, 2):
+            others.append([{a: b, b: a}.get(name, name) for name in known])
+        for other in others:
+            joints = zip(other, own.joints.values(), strict=True)
+            yield [replace(own, joints=dict(joints), order=order)]
 
 
 def _parts(link: str) -> list[str]:
@@ -269,49 +320,15 @@ def _links_called(
 
     Of these the ones count that the most of the joints of the file move.
     """
-    called = {
-        one: [link for link in links if {*_parts(name)} <= {*_parts(link)}]
-        for one, links in chains.items()
-        if joints >= {*one}
-    }
-    most = max((len(one) for one, links in called.items() if links), default=0)
-    found = [links for one, links in called.items() if links and len(one) == most]
     # Of links that the same joints move, one is as good as another.
-    return found[0][:1] if len(found) == 1 else [k for links in found for k in links]
-
-
-def _with_camera(setup: Setup, columns: Sequence[Foreign]) -> Setup:
-    """The setup with a camera to start from, where columns are those of a camera.
-
-    Raises:
-        OptionError: If nothing says which board it saw.
-    """
-    found = headers.measured(columns)
-    if not {"u", "v"} <= found.keys() or setup.model not in (None, "camera"):
-        return setup
-    if setup.board is None:
-        raise OptionError(
-            "the points that the camera saw must be known: state --board, or --setup, "
-            "the file of detect's --setup-output",
-            allowed="such as charuco:7x5:0.03:0.022, lengths in m",
-        )
-    # The image is larger than where corners were seen, by how much nobody knows.
-    width, height = (100.0 * -(-found[axis][0].largest // 100.0) for axis in "uv")
-    center = ((width - 1.0) / 2.0, (height - 1.0) / 2.0)
-    camera = setup.camera or CameraSetup(
-        mount="hand", focal=(width, width), center=center, estimate=True
-    )
-    return replace(setup, model="camera", camera=camera)
-
-
-def likely_tip(links: Sequence[str], robot: Robot) -> list[str]:
-    """Links ordered: those usual for a tool first, then leaves, as in the file."""
-
-    def order(link: str) -> tuple[int, bool]:
-        ranks = (k for k, part in enumerate(USUAL) if part in _parts(link))
-        return next(ranks, len(USUAL)), link not in robot.leaves
-
-    return sorted(links, key=order)
+    called = {
+        one: link
+        for one, links in chains.items()
+        for link in reversed(links)
+        if joints >= {*one} and {*_parts(name)} <= {*_parts(link)}
+    }
+    most = max(map(len, called), default=0)
+    return [link for one, link in called.items() if len(one) == most]
 
 
 def chains_of(
@@ -319,37 +336,39 @@ def chains_of(
 ) -> dict[tuple[str, ...], list[str]]:
     """The links that drives move, by their joints, the likeliest tips first.
 
+    Those usual for a tool come first, then leaves.
+
     Raises:
         InputError: If there is no such base or tip.
         RobotError: If no chain can be used.
     """
+
+    def order(link: str) -> tuple[int, bool]:
+        ranks = (k for k, part in enumerate(USUAL) if part in _parts(link))
+        return next(ranks, len(USUAL)), link not in robot.leaves
+
     found = dict[tuple[str, ...], list[str]]()
     for link in robot.links if tip is None else ():
         with suppress(CalibPinError):
-            chain = Chain(robot, base, link)
-            if chain.joints:
-                found.setdefault(tuple(drives_of(chain)), []).append(link)
+            drives = drives_of(Chain(robot, base, link))
+            found.setdefault(tuple(drives), []).append(link)
+    found.pop((), None)
     if not found:  # Of which the robot says why.
-        tip = tip or likely_tip(robot.leaves, robot)[0]
+        tip = tip or min(robot.leaves, key=order)
         found[tuple(drives_of(Chain(robot, base, tip)))] = [tip]
-    return {joints: likely_tip(links, robot) for joints, links in found.items()}
+    return {joints: sorted(links, key=order) for joints, links in found.items()}
 
 
-def joint_columns(
+def _of_one_chain(
     robot: Robot, setup: Setup, columns: Sequence[Foreign], named: dict[str, Foreign]
-) -> list[Joints]:
-    """Columns that may be those of the joints, likeliest first; empty if none may.
+) -> list[Look]:
+    """Columns that may be those of the joints of a chain, likeliest first.
 
     Args:
         robot: The robot.
         setup: Base and tip of the chain, as far as they are known.
         columns: Those of a file.
         named: Those that are called like joints of the robot, by joint.
-
-    Raises:
-        InputError: If there is no such base or tip, or a chain lacks columns for some
-            of its joints.
-        RobotError: If no chain can be used.
     """
     chains = chains_of(robot, setup.base, setup.tip)
     whole = [one for one in chains if named.keys() >= {*one}]
@@ -364,9 +383,9 @@ def joint_columns(
         # A file may hold those that follow, too.
         follow = {j: mimic.leader for j, mimic in robot.mimics.items()}
         return [
-            Joints({j: named[j] for j in named if follow.get(j, j) in one}, chains[one])
-            for one in whole
-            if not any({*one} < {*other} for other in whole)
+            Look(setup, {j: named[j] for j in named if follow.get(j, j) in one}, tips)
+            for one, tips in chains.items()
+            if one in whole and not any({*one} < {*other} for other in whole)
         ]
     found, ordered = [], headers.without_meaning(columns)
     for family in [*headers.families(columns), ordered]:
@@ -376,94 +395,52 @@ def joint_columns(
             break
         for one in (one for one in chains if len(one) == most >= FEWEST):
             own = dict(zip(one, family, strict=False))
-            kinds = (ANGLE if turns(robot.model, joint) else LENGTH for joint in one)
-            units = (column.unit for column in own.values())
-            if all(
-                u is None or u in k.units for k, u in zip(kinds, units, strict=True)
-            ):
-                found.append(Joints(own, chains[one], "as on the robot"))
+            kinds = {j: ANGLE if turns(robot.model, j) else LENGTH for j in own}
+            if all(k.unit is None or k.unit in kinds[j].units for j, k in own.items()):
+                found.append(Look(setup, own, chains[one], "as on the robot"))
     return found
 
 
-def unlikely_joints(
-    robot: Robot, base: str | None, likely: Sequence[Joints]
-) -> Iterator[Joints]:
-    """Other columns of joints, the likelier first, for files that fit in no usual way.
-
-    Joints at the end of a chain that stand still may be in units of their own, such as
-    a gripper in percent. Columns without names may be those of other joints: ROS writes
-    joints by the alphabet.
-
-    Args:
-        robot: The robot.
-        base: Link at which chains start; None for the root.
-        likely: What fits in no way.
-    """
-    for own in (own for own in likely if own.tips):
-        moving = {joint for joint, one in own.columns.items() if one.moves}
-        for one, links in chains_of(robot, base).items():
-            if moving <= {*one} < own.columns.keys():
-                yield Joints({joint: own.columns[joint] for joint in one}, links)
-    for own in (own for own in likely if own.order):
-        columns = own.columns
-        others = [dict(zip(sorted(columns), columns.values(), strict=True))]
-        for a, b in combinations(columns, 2):
-            others.append(columns | {a: columns[b], b: columns[a]})
-        for other in others:
-            yield replace(own, columns=other, order="other than on the robot")
-
-
-def readings(
-    setup: Setup, robot: Robot, own: Joints, columns: Sequence[Foreign]
-) -> Iterator[Look]:
+def readings(own: Look, robot: Robot, columns: Sequence[Foreign]) -> Iterator[Look]:
     """Readings of a file that its names and numbers allow, likeliest first."""
-    joints, by_name = own.columns, {one.name: one for one in columns}
+    joints, setup = own.joints, own.setup
     headers.require_units(joints.values())
-    if own.tips:
-        setup = replace(setup, tip=setup.tip or own.tips[0])
+    setup = replace(setup, tip=setup.tip or next(iter(own.tips), None))
     used = {one.name for one in joints.values()}
     rest = [one for one in columns if one.name not in used]
-    gauges = frozenset[str]().union(*map(optional, asked_models(setup.model)))
+    asked = measured_columns.asked_models(setup.model)
+    gauges = {name for model in asked for name in measured_columns.optional(model)}
+    others = {*POSITION, *measured_columns.ORIENTED, *measured_columns.optional()}
     names = {
         ours: one
         for ours, (one, *_) in headers.measured(rest).items()
-        if ours not in SPATIAL and (ours not in GAUGED or ours in gauges)
+        if ours not in others or ours in gauges
         if ours != "time" or one.largest < DATE
     }
-    ways = [
-        {**names, **position, **turned}
-        for position, orientation in headers.vectors(rest) or [({}, {})]
-        for turned in _distinct([orientation, {}])
-    ]
-    mounts = [setup]
+    setups = [setup]
     if (camera := setup.camera) is not None:
-        cameras = (replace(camera, mount=mount) for mount in ("hand", "world"))
-        mounts = [replace(setup, camera=camera) for camera in cameras]
-    for way, mount in product(ways, mounts):
+        mounts = (replace(camera, mount=mount) for mount in ("hand", "world"))
+        setups = [replace(setup, camera=camera) for camera in mounts]
+    for spatial, start in product(headers.vectors(rest) or [{}], setups):
         models: Sequence[str | None] = [setup.model]
-        if setup.model is None and "x" in way:  # Whatever else is in the file.
-            models = [None if SPATIAL & {*way} - {*VECTORS[0]} else "position"]
+        if setup.model is None and spatial:  # Whatever else is in the file.
+            models = [None if {*spatial} - {*POSITION} else "position"]
         elif setup.model is None:
-            models = DISTANCES if "distance" in way else TOUCHES[:1]
+            models = DISTANCES if "distance" in names else TOUCHES[:1]
+        way = {**names, **spatial}
+        # The scatter of numbers is in their unit.
+        sigmas = {f"sigma_{ours}" for ours, one in way.items() if one.unit is None}
+        way |= {k.name: k for k in rest if k.name in sigmas and k.unit is None}
         for units, model in product(_units(robot, joints, way), models):
-            stated = dict[str, str]()
-            for ours, one in [*joints.items(), *way.items()]:
-                told = one.stated(units.get(ours, one.unit))
-                if one.name != ours or told not in (ours, one.column.header):
-                    stated[ours] = told
-            for ours in (ours for ours in units if ours in way):
-                # The scatter of numbers is in their unit.
-                sigma = by_name.get(f"sigma_{ours}")
-                if sigma is not None and sigma.unit is None:
-                    stated[sigma.name] = sigma.stated(units[ours])
-            meant = {*used, *(one.name for one in way.values()), *reserved()}
-            yield Look(
-                replace(mount, model=model, columns=stated),
-                joints=own,
-                units=units,
-                ignored=tuple(one.name for one in columns if one.name not in meant),
-                position=way["x"].name if "x" in way else "",
-            )
+            told = {
+                ours: text
+                for ours, one in {**joints, **way}.items()
+                for text in [one.stated(units.get(ours, one.unit))]
+                if one.name != ours or text not in (ours, one.column.header)
+            }
+            position = spatial["x"].name if spatial else ""
+            stated = replace(start, model=model, columns=told)
+            yield replace(own, setup=stated, units=units, position=position)
 
 
 def _units(
@@ -472,28 +449,24 @@ def _units(
     """Units of columns that state none, where they may be in others than rad and m."""
     free = {joint: one for joint, one in joints.items() if one.unit is None}
     turning = {joint: one for joint, one in free.items() if turns(robot.model, joint)}
-    numbers = [np.zeros(0), *(one.column.numbers for one in turning.values())]
-    steps = counted(np.concatenate(numbers))
+    steps = counted(np.concatenate([[], *(k.column.numbers for k in turning.values())]))
     every = dict.fromkeys(turning, steps or "deg")
     # A joint that stands still, as a gripper in percent, tells no unit.
     far = {j: "deg" for j, one in turning.items() if one.moves and one.largest > TURNED}
-    slides = dict.fromkeys((joint for joint in free if joint not in turning), "mm")
-    lengths = [ours for ours in way if ours in LENGTHS and way[ours].unit is None]
+    slides = dict.fromkeys(free.keys() - turning.keys(), "mm")
+    kinds = {f"{p}{n}": k for n, k in measured().items() for p in ("", "sigma_")}
+    lengths = [n for n, one in way.items() if one.unit is None and n in kinds]
+    lengths = [name for name in lengths if kinds[name].si == LENGTH.si]
     ways = (
         [every] if steps else [every, far] if far else [far, every],
         [{}, slides],
         [{}, dict.fromkeys(lengths, "mm")],
     )
-    return [{**a, **b, **c} for a, b, c in product(*map(_distinct, ways))]
+    found = [{**a, **b, **c} for a, b, c in product(*ways)]
+    return [one for k, one in enumerate(found) if one not in found[:k]]
 
 
-def _distinct(ways: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    return [one for k, one in enumerate(ways) if one not in ways[:k]]
-
-
-def looked(
-    look: Look, robot: Robot, files: Sequence[Path], station_per_file: bool = False
-) -> Look:
+def looked(look: Look, robot: Robot, files: Sequence[Path], apart: bool) -> Look:
     """A reading with the errors that it leaves the nominal robot."""
     setup, remarks = look.setup, list[str]()
     names = () if setup.tip is None else ("",)
@@ -504,7 +477,7 @@ def looked(
             chains,
             model=setup.model,
             columns=setup.columns,
-            station_per_file=station_per_file,
+            station_per_file=apart,
             notice=remarks.append,
         )
         chains = chains.named(tuple(key.chain for key in data.keys))
@@ -513,13 +486,9 @@ def looked(
         parameters = ready.problem.parameters
         unknown = int(np.sum(parameters.free & parameters.nuisance))
         if known <= unknown:
-            reason = (
-                f"{len(data)} measurement{'s' * (len(data) > 1)} ({known} numbers) "
-            )
-            reason += (
-                f"are too few: where instrument and tool are takes {unknown} already"
-            )
-            raise InputError(reason, file=files[0])
+            reason = f"{len(data)} measurement{'s' * (len(data) > 1)} ({known} numbers)"
+            reason += " are too few: where instrument and tool are takes "
+            raise InputError(f"{reason}{unknown} already", file=files[0])
     except CalibPinError as error:
         return replace(look, fault=error)
     residual = error_table(ready.problem, ready.theta)
@@ -553,13 +522,87 @@ def best(looks: Sequence[Look]) -> Look:
     computed = {look.position for look in whole if look.share <= COMPUTED} - {""}
     seen = [look for look in whole if look.position not in computed]
     if computed and not seen:
-        size = 1e3 * next(iter(whole[0].errors.values()))
-        raise InputError(
-            f"the positions fit to the nominal robot to {size:.2g} mm, which no "
-            "instrument does: they are computed from the joints by the controller, and "
-            "no measurement"
-        )
+        size = f"{1e3 * next(iter(whole[0].errors.values())):.2g} mm"
+        reason = f"the positions fit to the nominal robot to {size}, as those of no "
+        reason += "instrument: they are computed from the joints by the controller"
+        raise InputError(reason)
     turned = [k for k in seen if k.errors.get("orientation", 0.0) <= DROPPED] or seen
     least = min((look.share for look in turned), default=inf)
     chosen = (look for look in turned if CLEAR * look.share <= least)
     return replace(next(chosen, looks[0]), computed=sorted(computed))
+
+
+def draft(robot: Robot, look: Look, command: str) -> str:
+    """The setup file that a reading of measurements leads to.
+
+    Args:
+        robot: The robot.
+        look: The reading.
+        command: The command line that it comes from.
+    """
+    data, document = look.data, setup_document(look.setup)
+    assert data is not None
+    document["model"] = "+".join(data.models)
+    models = [declared(name) for name in data.models]
+    others = enumerated(link for link in look.tips if link != look.setup.tip)
+    why = look.hand_set
+    gauged = any(declared(b.model).contact and b.values.shape[1] for b in data.blocks)
+    more = {
+        "tip": f" The same joints move {others}." * bool(others),
+        "model": "; ".join(m.help for m in models) + "." + TEXTS["gauge"] * gauged,
+        "parameters": TEXTS["zeros"].format(why) if why else TEXTS["families"],
+    }
+    parts = ["\n".join(map(_comment, _head(robot, look, command)))]
+    for key in filter(document.__contains__, COMMENTS):
+        text = _comment(COMMENTS[key] + more.get(key, ""))
+        parts.append(f"{text}\n{_lines(key, document[key], look)}")
+    external = any(m.external for m in models)
+    parts.append(_comment(TEXTS["external" if external else "internal"]))
+    parts[-1] += FRAMES * external
+    quantity = next(iter(look.errors))
+    unit, usual = ("px", "0.3") if quantity == "pixel" else ("m", "1.0e-4")
+    parts[-1] += f"\n# State the noise of the instrument if you know it [{unit}]:"
+    parts[-1] += f"\n# noise: {{{quantity}: {usual}}}\n"
+    return "\n\n".join(parts)
+
+
+def _head(robot: Robot, look: Look, command: str) -> Iterator[str]:
+    """Comments on the whole, and on how well the nominal robot fits."""
+    yield f"Setup file of calib-pin, drafted by: {command}"
+    told = []
+    for quantity, size in look.errors.items():
+        unit = {"orientation": "rad", "pixel": "px"}.get(quantity, "m")
+        shown, factor = DISPLAY[unit]
+        told.append(f"{factor * size:.3g} {shown} ({quantity})")
+    text = f"{len(look.data or ())} measurements of {robot.name}. The nominal robot "
+    text += f"fits to {', '.join(told)} rms with this setup"
+    text += f": {100 * look.share:.2g} % of its motion" * (look.share < inf)
+    no_fit = ". That is NO fit: a column has another meaning, or these are not "
+    no_fit += "measurements of this robot. Correct what is wrong below."
+    yield text + ("." if look.fits else no_fit)
+    if look.computed:
+        names = enumerated(look.computed)
+        yield (
+            f"The controller computed {names} from the joints: no measurement, other "
+            "columns are taken."
+        )
+
+
+def _lines(key: str, value: Any, look: Look) -> str:
+    """A key as it stands in the file, columns each on a line of its own."""
+    if isinstance(value, str):
+        return yaml_text({key: value}).strip("{}")
+    if key != "columns":
+        return yaml_text({key: value})
+    order = f"# Joints are known by the order alone, {look.order}.\n" * bool(look.order)
+    lines = [f"{order}columns:"]
+    for ours, theirs in value.items():
+        told = "  # (unit by its numbers)" * (ours in look.units)
+        lines.append(f"  {_lines(ours, theirs, look)}{told}")
+    return "\n".join(lines)
+
+
+def _comment(text: str) -> str:
+    """A comment, of a long text in several lines."""
+    line, more = f"# {text}", "#   "
+    return textwrap.fill(line, WIDTH, subsequent_indent=more, break_long_words=False)

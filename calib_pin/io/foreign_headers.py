@@ -16,7 +16,8 @@ import numpy as np
 
 from calib_pin.errors import InputError
 from calib_pin.io.columns import ANGLE, LENGTH, STEPS, Column, Floats, split_header
-from calib_pin.io.measured_columns import reserved
+from calib_pin.io.measured_columns import NAMES, POSITION, optional, reserved
+from calib_pin.io.measured_columns import measured as measured_kinds
 from calib_pin.io.table import Table
 from calib_pin.setup import STATED
 
@@ -34,19 +35,12 @@ UNITS = {
 }
 """Ways of writing each unit; *Grad* is German for degrees."""
 
-DEVIATION = "deviation|abweichung"
-DIAL = (
-    "(?:dial|test)*(?:gauge|gage|indicator)|dial|dti|lvdt|plunger|comparator|messuhr|"
-    "messtaster|taster|reading"
-)
-"""Words of how far a contact is off, and of gauges, where pushed in is positive."""
-
-GAUGED = {
-    name + axis: f"(?:{words}){axis[1:]}"
-    for name, words in (("deviation", DEVIATION), ("dial", DIAL))
-    for axis in ("", "_x", "_y", "_z")
+GAUGES = {
+    "deviation": "deviation|abweichung",
+    "dial": "(?:dial|test)*(?:gauge|gage|indicator)|dial|dti|lvdt|plunger|comparator|"
+    "messuhr|messtaster|taster|reading",
 }
-"""Columns of deviations, and their words."""
+"""Words of how far a contact is off, and of gauges, where pushed in is positive."""
 
 MEANINGS: Mapping[str, str] = {
     **{axis: rf"(?:pos|p|t|position|tcp)?{axis}" for axis in "xyz"},
@@ -55,7 +49,11 @@ MEANINGS: Mapping[str, str] = {
     **{name: name for name in ("roll", "pitch", "yaw")},
     "distance": "distance|dist|abstand|entfernung|range|length|wire|cable|string|"
     "extension|seil|seilzug|ballbar",
-    **GAUGED,
+    **{
+        name + axis: f"(?:{words}){axis[1:]}"
+        for name, words in GAUGES.items()
+        for axis in ("", "_x", "_y", "_z")
+    },
     **{axis: rf"(?:pixel|px|p)?{axis}" for axis in "uv"},
     "target": "target|point|punkt|ziel|socket|pfanne|marker|corner|ecke|feature|ball|"
     "kugel",
@@ -69,22 +67,12 @@ MEANINGS: Mapping[str, str] = {
 }
 """A word of a header, or two joined, that has a meaning, as patterns."""
 
-NAMES = ("target", "station", "tool", "chain", "payload", "set")
-"""Meanings of columns that hold names."""
-
 SHARED = 3
 """Measurements of each name of a column with a foreign name, on the average, from which
 it names what they have in common; one that numbers the measurements names nothing."""
 
-VECTORS = (("x", "y", "z"), *STATED.values(), ("u", "v"))
+VECTORS = (POSITION, *STATED.values(), ("u", "v"))
 """Columns that mean something together only: positions, orientations, pixels."""
-
-UNITS_OF: Mapping[str, Collection[str | None]] = {
-    **dict.fromkeys((*VECTORS[0], "distance", *GAUGED), (None, *LENGTH.units)),
-    **dict.fromkeys((*VECTORS[2], *VECTORS[3]), (None, *ANGLE.units)),
-    **dict.fromkeys(VECTORS[1], (None,)),
-}
-"""Units that columns of a meaning may state."""
 
 OTHER = re.compile(
     r"(?:^|[ _.\-])(?:sigma|std|dev|var|err|abw|diff|delta|vel|speed|acc|force|torque|"
@@ -94,7 +82,7 @@ OTHER = re.compile(
 """Words of uncertainties, differences, speeds, forces and the like."""
 
 TURNED = re.compile(
-    rf"rvec|rotvec|quat|orient|rot|angle|normal|euler|^[qr]$|^(?:{DIAL})$"
+    rf"rvec|rotvec|quat|orient|rot|angle|normal|euler|^[qr]$|^(?:{GAUGES['dial']})$"
 )
 """Words with which an x is none of a position."""
 
@@ -179,7 +167,7 @@ def foreign(columns: Mapping[str, Column]) -> tuple[Foreign, ...]:
     if "x" not in (known := measured(found)):
         found = _with_axes(found)
         known = measured(found)
-    require_units(one for ours in UNITS_OF for one in known.get(ours, ()))
+    require_units(one for ours in measured_kinds() for one in known.get(ours, ()))
     return tuple(found)
 
 
@@ -198,18 +186,17 @@ def require_units(columns: Iterable[Foreign]) -> None:
 
 def _with_axes(columns: Sequence[Foreign]) -> list[Foreign]:
     """The same, elements of vectors of three called by their axes."""
-    axes, result = dict[str, dict[str, str]](), list[Foreign]()
-    elements = [ELEMENT.fullmatch(one.words) for one in columns]
-    for stem in {match[1] for match in elements if match}:
-        numbers = sorted(match[2] for match in elements if match and match[1] == stem)
-        if "".join(numbers) in ("012", "123"):
-            axes[stem] = dict(zip(numbers, "xyz", strict=True))
-    for one, match in zip(columns, elements, strict=True):
-        axis = match and axes.get(match[1], {}).get(match[2])
-        result.append(
-            replace(one, words=f"{match[1]} {axis}") if match and axis else one
-        )
-    return result
+    found = {one.name: ELEMENT.fullmatch(one.words) for one in columns}
+    vectors = defaultdict[str, str](str)
+    for element in sorted(filter(None, found.values()), key=lambda match: match[2]):
+        vectors[element[1]] += element[2]
+    axes = {"012": "xyz", "123": " xyz"}
+    return [
+        replace(one, words=f"{match[1]} {axes[vectors[match[1]]][int(match[2])]}")
+        if (match := found[one.name]) and vectors[match[1]] in axes
+        else one
+        for one in columns
+    ]
 
 
 def _split(name: str, column: Column) -> Foreign:
@@ -237,24 +224,23 @@ def _unit(text: str) -> str | None:
 
 
 def measured(columns: Sequence[Foreign]) -> dict[str, list[Foreign]]:
-    """The columns that may be each of ours, the likeliest first.
-
-    Vectors are whole, and their columns are alike but for the word of the axis: those
-    in the same place are of one vector.
-    """
+    """The columns that may be each of ours, the likeliest first."""
     return {ours: [*choices.values()] for ours, choices in _meant(columns).items()}
 
 
 def _meant(columns: Sequence[Foreign]) -> dict[str, dict[str, Foreign]]:
-    """The columns that may be each of ours, by the words beside, as `measured` does."""
-    found = defaultdict[str, dict[str, Foreign]](dict)
+    """The columns that may be each of ours, the likeliest first, by the words beside.
+
+    Vectors are whole, and their columns are alike but for the word of the axis: those
+    of the same words are of one vector.
+    """
+    found, kinds = defaultdict[str, dict[str, Foreign]](dict), measured_kinds()
+    likely = sorted(columns, key=_likelihood)
     for ours in MEANINGS:
-        for one in sorted(
-            columns, key=lambda one: (one.name != ours, _likelihood(one))
-        ):
-            stem = _stem(one, ours)
-            fits = stem is not None and one.unit in UNITS_OF.get(ours, (one.unit,))
-            if stem is not None and fits and (ours not in NAMES or _names(one, ours)):
+        for one in sorted(likely, key=lambda one: one.name != ours):
+            fits = ours not in kinds or one.unit in (None, *kinds[ours].units)
+            stem = _stem(one, ours) if fits else None
+            if stem is not None and (ours not in NAMES or _names(one, ours)):
                 found[ours].setdefault(stem, one)
     for vector in VECTORS:
         # Points of a sheet have no z.
@@ -264,24 +250,24 @@ def _meant(columns: Sequence[Foreign]) -> dict[str, dict[str, Foreign]]:
     return {ours: choices for ours, choices in found.items() if choices}
 
 
-def vectors(
-    columns: Sequence[Foreign],
-) -> list[tuple[dict[str, Foreign], dict[str, Foreign]]]:
+def vectors(columns: Sequence[Foreign]) -> list[dict[str, Foreign]]:
     """Positions that a file may state, the likeliest first, each with an orientation.
 
     The orientation is that of the same words; of another position's words it is not.
-    One that never moves, while others do, is none.
+    One that never moves, while others do, is none. Behind each is the position alone.
     """
-    found, result = _meant(columns), []
+    found, result = _meant(columns), list[dict[str, Foreign]]()
     for stem in (stems := found.get("x", {})):
-        position = {axis: found[axis][stem] for axis in VECTORS[0] if axis in found}
-        beside, ways = PLACES.sub("", stem).strip(), list[dict[str, Foreign]]()
-        for names in (names for names in VECTORS[1:4] if names[0] in found):
-            alone = [*found[names[0]]][: len(stems) == 1]
-            for own in [beside] if beside in found[names[0]] else alone:
-                ways.append({name: found[name][own] for name in names})
-        moving = (way for way in ways if any(one.moves for one in way.values()))
-        result.append((position, next(moving, {})))
+        position = {axis: found[axis][stem] for axis in POSITION if axis in found}
+        beside = PLACES.sub("", stem).strip()
+        for names in (names for names in STATED.values() if names[0] in found):
+            ways = found[names[0]]
+            own = [beside] if beside in ways else [*ways][: len(stems) == 1]
+            turned = {name: found[name][own[0]] for name in names if own}
+            if any(one.moves for one in turned.values()):
+                result.append(position | turned)
+                break
+        result.append(position)
     return result
 
 
@@ -291,16 +277,12 @@ def understood(table: Table) -> Table:
     Of several that may be one of ours, the likeliest is; a column of ours stays.
     """
     columns = foreign(table.columns)
-    names = {
-        ours: choices[0].name
-        for ours, choices in measured(columns).items()
-        if ours not in table and choices[0].name not in reserved()
-    }
-    stated = {
-        one.name: replace(one.column, unit=one.unit or one.column.unit)
-        for one in columns
-    }
-    return replace(table, columns=stated).renamed(names)
+    likeliest = {ours: one.name for ours, (one, *_) in measured(columns).items()}
+    names = {ours: n for ours, n in likeliest.items() if ours not in table}
+    units = {one.name: one.unit or one.column.unit for one in columns}
+    stated = {n: replace(c, unit=units[n]) for n, c in table.columns.items()}
+    free = {ours: n for ours, n in names.items() if n not in reserved()}
+    return replace(table, columns=stated).renamed(free)
 
 
 def check_gauges(table: Table, names: Iterable[str]) -> None:
@@ -316,14 +298,14 @@ def check_gauges(table: Table, names: Iterable[str]) -> None:
     found = measured(foreign({name: table.columns[name] for name in names}))
     for ours, (one, *_) in found.items():
         # Whole numbers without a unit count readings.
-        if ours in GAUGED and (one.unit or (one.numbers % 1.0 != 0.0).any()):
+        if ours in optional() and (one.unit or (one.numbers % 1.0 != 0.0).any()):
             lines = f"columns: {{{ours}: '{one.stated(one.unit)}'}}"
-            raise table.error(
-                "these look like readings of a gauge, how far the contact is off; "
-                f"state in the setup '{lines}' ('dial' where pushed in is positive, "
-                "'deviation' where away from the surface is), or leave the column out",
-                one.name,
+            reason = "these look like readings of a gauge, how far the contact is off; "
+            reason += (
+                f"state in the setup '{lines}' ('dial' where pushed in is positive,"
             )
+            reason += " 'deviation' where away from the surface is), or leave them out"
+            raise table.error(reason, one.name)
 
 
 def _stem(one: Foreign, ours: str) -> str | None:
@@ -372,16 +354,16 @@ def joints_by_name(
     is a measured one.
     """
     words = {joint: _parts(_spaced(joint)) for joint in joints}
-    found = defaultdict[str, list[tuple[bool, int, int, int]]](list)
-    for k, one in enumerate(columns):
+    found = dict[str, Foreign]()
+    # Of several the likeliest, with the fewest other words.
+    for one in sorted(columns, key=lambda k: (_likelihood(k), len(_parts(k.words)))):
         own = _parts(one.words)
         named = [j for j, parts in words.items() if one.numeric and _holds(own, parts)]
         # The longest: the elbow of the left arm is no other elbow.
-        longest = sorted(named, key=lambda joint: len(words[joint]))[-1:]
-        for joint in [one.name] if one.name in words else longest:
-            order = one.name != joint, _likelihood(one), len(own)
-            found[joint].append((*order, k))
-    return {joint: columns[min(found[joint])[-1]] for joint in joints if joint in found}
+        for joint in sorted(named, key=lambda joint: len(words[joint]))[-1:]:
+            found.setdefault(joint, one)
+    found |= {one.name: one for one in columns if one.name in words}
+    return {joint: found[joint] for joint in joints if joint in found}
 
 
 def _parts(text: str) -> list[str]:

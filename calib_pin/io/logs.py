@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from typing import Any
@@ -11,23 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import calib_pin.io.foreign_headers as headers
+import calib_pin.io.measured_columns as measured_columns
 import calib_pin.observations.joining as joining
 from calib_pin.errors import InputError, enumerated
 from calib_pin.io.columns import ANGLE, LENGTH, PIXEL, PURE, Floats, Kind
 from calib_pin.io.dialects.base import header
-from calib_pin.io.foreign_headers import Foreign, foreign, understood, vectors
-from calib_pin.io.foreign_headers import measured as meanings
-from calib_pin.io.measured_columns import (
-    NAMES,
-    ORIENTED,
-    measured,
-    optional,
-    orientation_columns,
-    read_quaternions,
-    reserved,
-)
+from calib_pin.io.measured_columns import NAMES
 from calib_pin.io.measurements import encode_table
-from calib_pin.io.table import Table, require_columns, with_readings
+from calib_pin.io.table import Notice, Table, require_columns, with_readings
 from calib_pin.measurement_models.declaration import QUATERNION, ROTATION_VECTOR
 from calib_pin.setup import STATED
 from calib_pin.units import steps_of
@@ -38,8 +31,8 @@ SECONDS = 1e8
 """Times from here on are counted from 1970, and their digits tell the unit."""
 
 STAMPS = re.compile(
-    r"(?:^|[ _.\-/])(?:seq|frame|count|counter|index|sec|secs|nsec|nsecs|nanosec|"
-    r"stamp|time|timestamp)(?:$|[ _.\-#])"
+    r"(?:^|[ _.\-/])(?:seq|frame|count|counter|index|n?secs?|nanosec|stamp|time|"
+    r"timestamp)(?:$|[ _.\-#])"
 )
 """Words of counters and of times."""
 
@@ -61,9 +54,6 @@ LEAST = 1e-11
 POSE = "pose"
 """Column of the names by which two files are joined, in the result."""
 
-Notice = Callable[[str], None]
-"""Called with sentences about the file and what was left out."""
-
 
 @dataclass(frozen=True)
 class Series:
@@ -82,34 +72,26 @@ class Series:
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
     loose: bool = False
 
-    @property
-    def oriented(self) -> bool:
-        """Whether the last four values are a quaternion."""
-        return QUATERNION[0] in self.units
 
-
-def named_alike(joints: Table, readings: Table) -> tuple[Table, Table]:
+def named_alike(*tables: Table) -> tuple[Table, ...]:
     """Two files; where these have no times, columns of the same names called `POSE`.
 
     Args:
-        joints: The file of the joints; each name stands there once.
-        readings: The file of the readings.
+        tables: The file of the joints, in which each name stands once, and that of the
+            readings. Numbers with decimals are no names.
     """
-    if all(map(_time_column, (joints, readings))):
-        return joints, readings
-    found = joining.shared_names(_names_of(joints), _names_of(readings))
-    if found is None:
-        return joints, readings
-    return joints.renamed({POSE: found[0]}), readings.renamed({POSE: found[1]})
-
-
-def _names_of(table: Table) -> dict[str, list[str]]:
-    """Cells in lower case of all columns but those of numbers with decimals."""
-    return {
-        name: [cell.strip().lower() for cell in column.texts()]
-        for name, column in table.columns.items()
-        if not np.any(column.numbers[np.isfinite(column.numbers)] % 1.0)
-    }
+    if all(map(_time_column, tables)):
+        return tables
+    names = (
+        {
+            name: [cell.strip().lower() for cell in column.texts()]
+            for name, column in table.columns.items()
+            if not np.any(column.numbers[np.isfinite(column.numbers)] % 1.0)
+        }
+        for table in tables
+    )
+    found = joining.shared_names(*names) or (POSE, POSE)
+    return tuple(t.renamed({POSE: n}) for t, n in zip(tables, found, strict=True))
 
 
 def read_joint_log(table: Table, columns: Mapping[str, str], notice: Notice) -> Series:
@@ -123,18 +105,16 @@ def read_joint_log(table: Table, columns: Mapping[str, str], notice: Notice) -> 
     Raises:
         InputError: If it has no time or nothing else, or the time goes back.
     """
-    stamp, found = _stamp(table), foreign(table.columns)
+    stamp, found = _stamp(table), headers.foreign(table.columns)
     # The pose that a controller computes, or an instrument's in the same log.
-    points = {
-        one.name for pair in vectors(found) for way in pair for one in way.values()
-    }
+    points = (one.name for way in headers.vectors(found) for one in way.values())
     others = {stamp, *NAMES, *points}
-    names = [
-        name for name in columns if name in table and name not in {stamp, *reserved()}
-    ] or [one.name for one in found if one.name not in others and _is_position(one)]
+    reserved = {stamp, *measured_columns.reserved()}
+    names = [name for name in columns if name in table and name not in reserved]
+    names = names or [k.name for k in found if k.name not in others and _is_position(k)]
     if not names:
         raise table.error("there are no columns of joints beside the time")
-    return _read(table, stamp, names, notice)
+    return _read(table, names, notice, "", ())
 
 
 def read_reading_log(table: Table, notice: Notice) -> Series:
@@ -151,67 +131,62 @@ def read_reading_log(table: Table, notice: Notice) -> Series:
             goes back.
     """
     # Other columns that the setup names may be those of the joints.
-    lacking = {ours: table.missing[ours] for ours in table.missing.keys() & measured()}
+    measured, oriented = measured_columns.measured(), measured_columns.ORIENTED
+    lacking = {ours: table.missing[ours] for ours in table.missing.keys() & measured}
     require_columns([replace(table, missing=lacking)])
-    table = with_images(understood(table))
-    stamp = _stamp(table)
-    own = [n for n in table.columns if n in measured() and n not in ORIENTED]
+    table = with_images(headers.understood(table))
+    stamp, own = _stamp(table), [n for n in table.columns if n in measured]
+    turned = any(name in oriented for name in own)
+    way = measured_columns.orientation_columns(table) if turned else ""
+    own = [name for name in own if name not in oriented]
     # Beside other values a deviation is one from some nominal value.
-    own = [n for n in own if n not in optional()] or own
-    way = orientation_columns(table) if ORIENTED & table.columns.keys() else ""
+    own = [n for n in own if n not in measured_columns.optional()] or own
     if not (own or way or IMAGE in table):
-        raise table.error(
-            "there are no measured columns; 'columns' in the setup says which they are",
-            allowed="x, y, z, distance, u, v, an orientation, or a column 'image'",
-        )
-    passed = [name for name in table.columns if name == IMAGE]
-    if IMAGE in table or stamp == POSE:
-        passed += [name for name in table.columns if _is_sigma(name)]
-    used = {stamp, *own, *NAMES, *ORIENTED, *passed, "temperature"}
-    read = _read(table, stamp, own, notice, way, NAMES, passed)
+        reason = "there are no measured columns; 'columns' in the setup says which are"
+        allowed = "x, y, z, distance, u, v, an orientation, or a column 'image'"
+        raise table.error(reason, allowed=allowed)
+    texts = [name for name in (*NAMES, IMAGE) if name in table]
+    if IMAGE in texts or stamp == POSE:
+        texts += [name for name in table.columns if name.startswith("sigma")]
+    used = {stamp, *own, *oriented, *texts, "temperature"}
+    read = _read(table, own, notice, way, texts)
     if ignored := table.ignored([name for name in table.columns if name not in used]):
         notice(ignored)
     return replace(read, units=dict.fromkeys(read.units))
 
 
 def _read(
-    table: Table,
-    stamp: str,
-    names: Sequence[str],
-    notice: Notice,
-    way: str = "",
-    kinds: Sequence[str] = (),
-    passed: Sequence[str] = (),
+    table: Table, names: Sequence[str], notice: Notice, way: str, kept: Sequence[str]
 ) -> Series:
     """The rows of a log in the order of their times.
 
     Args:
         table: The log.
-        stamp: Column of its times or names.
         names: Columns of numbers.
         notice: Called with sentences about the file and what was left out.
         way: How it states orientations; empty where it does not.
-        kinds: Columns of names of what a row is of.
-        passed: Columns whose cells are kept as they are.
+        kept: Columns of texts: of names of what a row is of, and others.
     """
-    table = _whole(table, stamp, [*names, *(STATED[way] if way else ())], notice)
+    stamp = _stamp(table)
+    table = _whole(table, stamp, [*names, *STATED.get(way, ())], notice)
     units = {name: table.columns[name].unit for name in names}
     values = [table.numbers(name, _kind(unit)) for name, unit in units.items()]
     # Steps of servos are told in radians.
     units = {n: None if steps_of(unit or "") else unit for n, unit in units.items()}
     if way:
-        values += [*read_quaternions(table, way).T]
+        values += [*measured_columns.read_quaternions(table, way).T]
         units |= dict.fromkeys(QUATERNION)
-    labels = table.texts(kinds)
+    labels = table.texts([name for name in kept if name in NAMES])
     kind = np.zeros(len(table.lines), np.int64)
     for texts in labels.values():
         kind = kind * len(texts.names) + texts.codes
-    for name, texts in ((n, table.columns[n].texts()) for n in passed):
+    others = [(n, table.columns[n].texts()) for n in kept if n not in NAMES]
+    for name, texts in others:
         labels[IMAGE if name == IMAGE else table.columns[name].header] = texts
     # Images may stand in any order.
-    ordered = np.arange(len(kind)) if IMAGE in passed else kind
+    ordered = np.arange(len(kind)) if IMAGE in labels else kind
     time, loose = _times(table, stamp, ordered)
-    labels |= {POSE: table.texts([POSE])[POSE]} if stamp == POSE else {}
+    labels |= table.texts([POSE]) if stamp == POSE else {}
     order = np.argsort(time, kind="stable")
     rows = np.vstack([np.empty((0, len(time))), *values]).T[order]
     log = joining.Log(time[order], rows, kind[order])
@@ -231,7 +206,7 @@ def encode_joined(
         keep: Whether every reading is a row, as of images, or the mean of a standstill
             with its standard deviation.
     """
-    rows, log, oriented = [*joined.standstills], readings.log, readings.oriented
+    rows, log, oriented = [*joined.standstills], readings.log, "qx" in readings.units
     if keep or IMAGE in readings.texts:
         rows = [replace(one, readings=k) for one in rows for k in one.readings[:, None]]
         rows.sort(key=lambda one: int(one.readings[0]))
@@ -248,7 +223,7 @@ def encode_joined(
         table |= zip((f"sigma_{name}" for name in names), sigma.T, strict=True)
     averaged = any(len(one.readings) > 1 for one in rows)
     for name, cells in readings.texts.items():
-        if not (averaged and _is_sigma(name)):
+        if not (averaged and name.startswith("sigma")):
             table[name] = [cells[one.readings[0]] for one in rows]
     if joined.clock:
         time = np.array([log.time[one.readings].mean() for one in rows])
@@ -278,16 +253,15 @@ def join_logs(
     if POSE in joints.texts:
         names = joints.texts[POSE], readings.texts[POSE]
         found = joining.join_by_name(q, values, *names)
-        if found.alone:
-            told = enumerated(found.alone)
-            notice(f"in one of both files only, and left out: {told}")
+        if alone := enumerated(found.alone):
+            notice(f"in one of both files only, and left out: {alone}")
         return readings, found
     if joints.loose and readings.loose:
         q, values, steps = joining.in_one_unit(q, values)
         if steps:
-            longer, unit = "joints" if steps > 0 else "readings", [*TIME.units]
-            read = f"the times of the {longer} are read as {unit[abs(steps)]}"
-            notice(f"{read}: so both last as long")
+            read = f"{'joints' if steps > 0 else 'readings'} are read as "
+            read += [*TIME.units][abs(steps)]
+            notice(f"the times of the {read}: so both last as long")
     found = joining.join(q, values, settle, tolerance)
     if not found.standstills:
         raise InputError("no reading falls into a standstill of the joints")
@@ -315,25 +289,19 @@ def _whole(table: Table, stamp: str, names: Sequence[str], notice: Notice) -> Ta
     kept = ~table.columns[stamp].missing()
     for name in names:
         column = table.columns[name]
-        kept &= ~column.missing()
-        sign = column.sentinel
-        if sign is not None:
-            rows = column.numbers == sign
-            kept &= ~rows
-            told = f"{sign:g} in {np.count_nonzero(rows)} rows of '{name}'"
+        rows = column.numbers == column.sentinel
+        kept &= ~(column.missing() | rows)
+        if rows.any():
+            told = f"{column.sentinel:g} in {np.count_nonzero(rows)} rows of '{name}'"
             notice(f"{table.file}: {told} is taken for a reading that is missing")
     if not kept.any():
         raise table.error(f"no row has all of {enumerated([stamp, *names])}")
     return with_readings(table, kept, "rows", notice)
 
 
-def _is_sigma(name: str) -> bool:
-    return name.partition("_")[0] == "sigma"
-
-
-def _is_position(one: Foreign) -> bool:
+def _is_position(one: headers.Foreign) -> bool:
     """Whether a column of a log may be one of joint positions: no counter, no stamp."""
-    unit = one.column.unit or "rad"
+    unit = one.column.unit or ANGLE.si
     known = unit in ANGLE.units or unit in LENGTH.units
     steps = np.unique(np.diff(one.numbers))
     counter = len(steps) == 1 and steps[0] > 0.0 and len(one.numbers) > COUNTED
@@ -342,8 +310,9 @@ def _is_position(one: Foreign) -> bool:
 
 def _time_column(table: Table) -> str:
     """The likeliest column of times; empty where there is none."""
-    found = [one.name for one in meanings(foreign(table.columns)).get("time", ())]
-    return [*found, *(name for name in table.columns if name.lower() == "t"), ""][0]
+    found = headers.measured(headers.foreign(table.columns)).get("time", ())
+    names = (one.name for one in found)
+    return next(names, next((n for n in table.columns if n.lower() == "t"), ""))
 
 
 def _stamp(table: Table) -> str:
@@ -354,11 +323,9 @@ def _stamp(table: Table) -> str:
     """
     if name := POSE if POSE in table else _time_column(table):
         return name
-    raise table.error(
-        "there is no column 'time', and no column of names that both logs share",
-        allowed="one of time, timestamp, stamp, zeit, t, "
-        "'columns: {time: NAME}' in the setup, or the names of points in both",
-    )
+    reason = "there is no column 'time', and no column of names that both logs share"
+    allowed = "time, timestamp, stamp, zeit, t, or 'columns: {time: NAME}' in the setup"
+    raise table.error(reason, allowed=allowed)
 
 
 def _times(table: Table, name: str, kind: NDArray[np.int64]) -> tuple[Floats, bool]:
@@ -383,11 +350,10 @@ def _times(table: Table, name: str, kind: NDArray[np.int64]) -> tuple[Floats, bo
         # Seconds since 1970 have ten digits, others are of smaller units.
         steps = int(np.log10(max(time[0], 1.0))) // 3 - 3 if column.unit is None else 0
         time = time * 1e-3 ** max(steps, 0)
+    back = np.zeros(len(time), bool)
     for rows in joining.Log(time, time, kind).kinds:
-        back = np.diff(time[rows]) <= 0.0
-        if back.any():
-            row = int(rows[int(np.argmax(back)) + 1])
-            raise table.error("the time does not go on here", name, row=row)
+        back[rows[1:]] = np.diff(time[rows]) <= 0.0
+    table.refuse(back, "the time does not go on here", name)
     if len(time) < 3:
         raise InputError("is too short to be joined by time", file=table.file)
     return time, loose
@@ -397,23 +363,22 @@ def _dates(table: Table, name: str) -> Floats:
     """Times of dates, or of clocks with or without a column of dates, (N,) [s]."""
     from dateutil.parser import parse  # type: ignore[import-untyped]
 
+    def seconds(text: str) -> float:
+        with suppress(ValueError):
+            return datetime.fromisoformat(text).timestamp()
+        with suppress(ValueError, OverflowError):
+            # Points separate day, month and year, where slashes do not say.
+            points = "." in text.split()[0]
+            found = parse(text, default=datetime(1970, 1, 1), dayfirst=points)
+            return float(found.timestamp())
+        return np.nan
+
     days = [other for other in table.columns if other.lower() in ("date", "datum")]
-    columns = [table.texts([each])[each] for each in (*days[:1], name)]
-    stamps, first = [], datetime(1970, 1, 1)
-    for row, cells in enumerate(zip(*columns, strict=True)):
-        text = " ".join(cells).replace(",", ".")
-        try:
-            try:
-                stamp = datetime.fromisoformat(text)
-            except ValueError:
-                # Points separate day, month and year, where slashes do not say.
-                points = "." in text.split()[0]
-                stamp = parse(text, default=first, dayfirst=points)
-        except (ValueError, OverflowError):
-            allowed = "seconds, or a date such as 2026-01-31T12:00:00.5"
-            raise table.error("not a time", name, allowed, row) from None
-        stamps.append(stamp.timestamp())
-    time: Floats = np.array(stamps)
+    cells = table.texts([*days[:1], name]).values()
+    texts = (" ".join(row).replace(",", ".") for row in zip(*cells, strict=True))
+    time = np.array([*map(seconds, texts)])
+    allowed = "seconds, or a date such as 2026-01-31T12:00:00.5"
+    table.refuse(np.isnan(time), "not a time", name, allowed)
     # A clock without a date begins anew at midnight.
     return np.asarray(time + DAY * np.cumsum(np.diff(time, prepend=time[0]) < -DAY / 2))
 

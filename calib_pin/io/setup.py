@@ -3,6 +3,19 @@
 What may stand in a file is declared in `calib_pin.setup`; here are the lines, the names
 that there are, and what fits together. PyYAML imports slowly, and most commands read no
 setup file.
+
+Joint priors are JSON: that of robots of one type, a file that a setup file names, and
+that of one robot, a part of the results that an older calibration began
+(`calib-pin/robot-prior`, which has neither robots nor spreads).
+
+    {"format": "calib-pin/fleet-prior", "version": 1,
+     "robot": {"name", "joints": [{"name", "axis", "placement"}]},
+     "robots": 200,       # that it was made from
+     "parameters": [{"name", "unit", "mean", "sigma", "spread", "robots"}],
+     "covariance": [],    # of the next robot's errors about the means
+     "noise": {}}         # by quantity
+
+All numbers are in SI units. What they mean stands at `setup.population`.
 """
 
 from __future__ import annotations
@@ -12,20 +25,18 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from calib_pin.errors import InputError, OptionError, nearest
+import numpy as np
+
+from calib_pin.errors import OptionError, nearest
 from calib_pin.estimation.robust.weights import LOSSES
 from calib_pin.estimation.solve import SOLVERS
-from calib_pin.io.json_text import plain
-from calib_pin.io.population_prior import (
-    prior_document,
-    prior_of,
-    read_population_prior,
-)
+from calib_pin.io.files import read_bytes, write_atomically
+from calib_pin.io.json_text import decoded, encode, format_keys, plain, reading, typed
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import AT
 from calib_pin.parameterizations import NOTHING, PARAMETERIZATIONS, required_keys
 from calib_pin.residual_models import RESIDUAL_MODELS
-from calib_pin.setup import WORLD, JointPrior, Setup
+from calib_pin.setup import WORLD, JointPrior, PopulationPrior, Setup
 from calib_pin.setup.arguments import Path as Place
 from calib_pin.setup.arguments import Refused, Taker, dotted, stated, unknown
 from calib_pin.setup.values import Value
@@ -44,6 +55,12 @@ TrueErrors = Mapping[
     str, Annotated[float, Value("m, rad", -LARGEST_ERROR, LARGEST_ERROR)]
 ]
 """Values of parameters by name."""
+
+FLEET, ROBOT = "calib-pin/fleet-prior", "calib-pin/robot-prior"
+"""The format of a prior by other robots, and of one by an older calibration."""
+
+SYMMETRIC = 1e-9
+"""Largest part of a correlation that may differ from its mirror image."""
 
 FAMILIES: Mapping[str, Collection[str]] = {
     "model": MEASUREMENT_MODELS,
@@ -79,10 +96,7 @@ def read_true_errors(
     from calib_pin.io.yaml_tree import read_tree
 
     tree = read_tree(path)
-    try:
-        found: dict[str, float] = Taker().taken(tree.data, TrueErrors)
-    except Refused as error:
-        raise _error(tree, error) from None
+    found: dict[str, float] = _taken(tree, tree.data, TrueErrors)
     for name in found:
         if known is not None and name not in known:
             raise tree.error(f"no parameter '{name}'{nearest(name, known)}", (name,))
@@ -121,12 +135,8 @@ def read_setup(path: str | Path | Mapping[str, object]) -> Setup:
     data = tree.data
     prior = data.get("prior") if isinstance(data, Mapping) else None
     if isinstance(prior, str) and prior.strip():
-        data = {**data, "prior": read_population_prior(folder / prior)}
-    try:
-        setup: Setup = Taker(FAMILIES).taken(data, Setup)
-        _check(setup)
-    except Refused as error:
-        raise _error(tree, error) from None
+        data = {**data, "prior": _read_prior(folder / prior)}
+    setup: Setup = _taken(tree, data, Setup)
     obstacles = tuple(
         replace(one, mesh=one.mesh and str(folder / one.mesh))
         for one in setup.obstacles
@@ -163,7 +173,7 @@ def setup_of(document: Mapping[str, Any]) -> Setup:
     """
     prior = document.get("prior")
     if isinstance(prior, Mapping) and "format" in prior:
-        document = {**document, "prior": prior_of(prior)}
+        document = {**document, "prior": _prior_of(prior)}
     try:
         setup: Setup = Taker(FAMILIES, lenient=True).taken(document, Setup)
         _check_evolution(setup)
@@ -171,6 +181,62 @@ def setup_of(document: Mapping[str, Any]) -> Setup:
         place = dotted(("setup", *error.path))
         raise ValueError(f"'{place}' cannot have this value") from None
     return setup
+
+
+def prior_document(prior: JointPrior) -> dict[str, Any]:
+    """A joint prior as plain data."""
+    name = FLEET if isinstance(prior, PopulationPrior) else ROBOT
+    return {**format_keys(name), **plain(prior)}
+
+
+def _prior_of(document: Mapping[str, Any]) -> JointPrior:
+    """The joint prior of plain data.
+
+    Raises:
+        KeyError, TypeError, ValueError, AttributeError: If it is none, see
+            `json_text.reading`.
+    """
+    kind = JointPrior if document.get("format") == ROBOT else PopulationPrior
+    prior = typed(kind, document)
+    C = np.array(prior.covariance)
+    if not np.isfinite([*C.flat, *(p.mean for p in prior.parameters)]).all():
+        raise ValueError("a number is missing, or infinite")
+    if not all(0.0 < sigma < np.inf for sigma in prior.noise.values()):
+        raise ValueError("'noise' has a standard deviation that is none")
+    if C.shape != (count := len(set(prior.names)), len(prior.names)):
+        raise ValueError(f"'covariance' does not have {count} rows and columns")
+    deviations = np.diag(np.linalg.cholesky(C))
+    if np.abs((C - C.T) / np.outer(deviations, deviations)).max() > SYMMETRIC:
+        raise ValueError("'covariance' is not symmetric")
+    return prior
+
+
+def _read_prior(path: Path) -> JointPrior:
+    """The joint prior of a file.
+
+    Raises:
+        InputError: If it is no such file, of a later version, or damaged.
+    """
+    document = decoded(read_bytes(path), "fleet's prior", FLEET, path)
+    with reading(path, "prior"):
+        return replace(_prior_of(document), file=str(path))
+
+
+def write_population_prior(
+    prior: PopulationPrior, path: str | Path, *, force: bool = False
+) -> None:
+    """Write a joint prior to a file that a setup file can name.
+
+    Args:
+        prior: The prior.
+        path: The new file.
+        force: Replace an existing file.
+
+    Raises:
+        OptionError: If the file exists.
+        OutputError: If it cannot be written.
+    """
+    write_atomically(Path(path), encode(prior_document(prior)), force=force)
 
 
 def yaml_text(lines: Mapping[str, Any]) -> str:
@@ -184,20 +250,21 @@ def yaml_text(lines: Mapping[str, Any]) -> str:
     """
     import yaml
 
-    text = yaml.safe_dump(
-        plain(lines),
-        sort_keys=False,
-        default_flow_style=None,
-        width=WIDTH,
-        allow_unicode=True,
-    )
+    style: dict[str, Any] = {"sort_keys": False, "allow_unicode": True, "width": WIDTH}
+    text = yaml.safe_dump(plain(lines), default_flow_style=None, **style)
     return str(text).rstrip("\n")
 
 
-def _error(tree: Tree, refused: Refused) -> InputError:
-    """A refusal with its line."""
-    value = tree.written(refused.path) if refused.shown else None
-    return tree.error(refused.reason, refused.path, value, refused.allowed)
+def _taken(tree: Tree, data: object, hint: Any) -> Any:
+    """Data as a type has them; refusals have their line."""
+    try:
+        found = Taker(FAMILIES).taken(data, hint)
+        if isinstance(found, Setup):
+            _check(found)
+    except Refused as error:
+        value = tree.written(error.path) if error.shown else None
+        raise tree.error(error.reason, error.path, value, error.allowed) from None
+    return found
 
 
 NAMES: Mapping[str, str] = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +13,7 @@ from pathlib import Path
 import pinocchio as pin
 
 from calib_pin.errors import (
+    CalibPinError,
     InputError,
     OptionError,
     OutputError,
@@ -28,7 +29,7 @@ from calib_pin.io.urdf_tree import edit_origins, parse_document, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
-from calib_pin.setup import ChainSetup
+from calib_pin.setup import ChainSetup, Setup
 
 ARGUMENT = re.compile(r"([^\W\d]\w*):=(.*)", re.DOTALL)
 """A word that is an argument of a xacro file, as ROS writes them."""
@@ -293,3 +294,24 @@ def is_source(path: Path, robot: Robot) -> bool:
         return path.samefile(locate_robot(robot.file))
     except (OSError, ValueError, RobotError):
         return False  # One of them does not exist.
+
+
+def other_robots(chains: Chains, setup: Setup) -> Iterator[Chains]:
+    """Robots known by name that may have been measured: of chains with the same joints.
+
+    Args:
+        chains: The chains that were taken to be measured.
+        setup: The setup.
+    """
+    ends = (setup.base, setup.tip)
+    joints = [f'"{joint}"'.encode() for joint in chains.joints]
+    # Of robots with the same geometry the plainest name counts.
+    for name, path in sorted(known_robots().items(), key=lambda known: len(known[0])):
+        with suppress(CalibPinError):
+            source = read_bytes(path)
+            if source != chains.robot.source and all(j in source for j in joints):
+                robot = load_robot(name)
+                base, tip = (k if k in robot.links else None for k in ends)
+                other = Chains(robot, base, tip, setup.chains, chains.names)
+                if {*other.joints} == {*chains.joints}:
+                    yield other

@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,9 @@ _QUOTED = 'a glob needs quotes, as in "*.placement.z"'
 Place = Sequence[str | int]
 """Keys and positions that lead to a value."""
 
+Nodes = dict[tuple[str | int, ...], tuple[int, yaml.Node | None]]
+"""Line of each key or list item, and the node of its value, by its place."""
+
 
 @dataclass(frozen=True)
 class Tree:
@@ -38,12 +41,12 @@ class Tree:
     Attributes:
         file: Path as the caller gave it; empty for data that are in no file.
         data: Mappings with text keys, lists, text, numbers, truth values and None.
-        root: The node of the whole.
+        nodes: What it was made from.
     """
 
     file: str
     data: Any
-    root: yaml.Node | None = None
+    nodes: Nodes = field(default_factory=dict)
 
     def line(self, path: Place) -> Any:
         """Line of a key or list item, or of the last part of the path that exists."""
@@ -69,19 +72,10 @@ class Tree:
 
     def _find(self, path: Place) -> tuple[int | None, yaml.Node | None]:
         """Line and value node of the last part of a path that exists."""
-        node = self.root
-        line = _line(node) if node else 1 if self.file else None
-        for step in path:
-            below: dict[Any, Any] = {}
-            if isinstance(node, yaml.MappingNode):
-                below = {key.value: (key, value) for key, value in node.value}
-            elif isinstance(node, yaml.SequenceNode):
-                below = {k: (item, item) for k, item in enumerate(node.value)}
-            if step not in below:
-                break
-            key, node = below[step]
-            line = _line(key)
-        return line, node
+        ways = (tuple(path[:k]) for k in range(len(path), -1, -1))
+        return next(
+            (self.nodes[way] for way in ways if way in self.nodes), (None, None)
+        )
 
 
 class _Loader(yaml.SafeLoader):
@@ -93,11 +87,8 @@ class _Loader(yaml.SafeLoader):
         alias = isinstance(event, yaml.AliasEvent)
         halves = _HALVES.search(getattr(event, "value", ""))
         if alias or event.anchor or event.tag or halves:
-            raise InputError(
-                "an alias (*x), an anchor (&x), a tag (!x) or half of a character is "
-                f"not allowed; {_QUOTED}",
-                line=_line(event),
-            )
+            reason = "an alias (*x), an anchor (&x), a tag (!x) or half of a character"
+            raise InputError(f"{reason} is not allowed; {_QUOTED}", line=_line(event))
         return super().compose_node(parent, index)
 
 
@@ -122,7 +113,8 @@ def read_tree(path: str | Path) -> Tree:
     content, line, file = read_bytes(path, _LARGEST), None, str(path)
     try:
         root = _Loader(content.decode("utf-8-sig")).get_single_node()
-        return Tree(file, None if root is None else _plain(root), root)
+        nodes: Nodes = {(): (_line(root) if root else 1, root)}
+        return Tree(file, root and _plain(root, (), nodes), nodes)
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
         reason = "not UTF-8 text"
@@ -142,28 +134,26 @@ def read_tree(path: str | Path) -> Tree:
     raise InputError(reason, file=file, line=line)
 
 
-def _plain(node: yaml.Node) -> Any:
-    """The data of a node."""
-    if isinstance(node, yaml.SequenceNode):
-        return [_plain(item) for item in node.value]
+def _plain(node: yaml.Node, path: tuple[str | int, ...], nodes: Nodes) -> Any:
+    """The data of a node, and the nodes of its parts."""
     if isinstance(node, yaml.ScalarNode):
-        if node.style is not None:
-            return str(node.value)
-        if node.tag.endswith(":null"):
+        if node.style is None and node.tag.endswith(":null"):
             return None
-        if node.tag.endswith(":bool"):
+        if node.style is None and node.tag.endswith(":bool"):
             return node.value.lower() in ("true", "yes", "on")
-        number = as_number(node.value)
+        number = as_number(node.value) if node.style is None else None
         return str(node.value) if number is None else number
-    result: dict[str, Any] = {}
-    for key, value in node.value:
-        if not isinstance(key, yaml.ScalarNode):
+    listed, result = isinstance(node, yaml.SequenceNode), dict[str | int, Any]()
+    for k, item in enumerate(node.value):
+        key, value = (item, item) if listed else item
+        if not (listed or isinstance(key, yaml.ScalarNode)):
             raise InputError("a key must be a name", line=_line(key))
-        if key.value in result:
-            reason = f"the key '{key.value}' occurs twice"
+        if (step := k if listed else key.value) in result:
+            reason = f"the key '{step}' occurs twice"
             raise InputError(reason, line=_line(key))
-        result[key.value] = _plain(value)
-    return result
+        nodes[*path, step] = _line(key), value
+        result[step] = _plain(value, (*path, step), nodes)
+    return [*result.values()] if listed else result
 
 
 def _line(item: Any) -> int:

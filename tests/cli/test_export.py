@@ -7,13 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from calib_pin.cli.export import FORMAT_NAMES
+from calib_pin.cli.export import Export
+from calib_pin.cli.options import meanings
 from calib_pin.io.exchange import FORMATS
 
 
 def test_formats_are_explained(here, run):
     lines = run("export done --format list").out.splitlines()
-    assert [line.split()[0] for line in lines] == [*FORMATS] == FORMAT_NAMES.split(", ")
+    named = meanings(Export)["format"].removeprefix("One of ").partition(";")[0]
+    assert [line.split()[0] for line in lines] == [*FORMATS] == named.split(", ")
 
 
 def test_a_table_is_written(here, run):

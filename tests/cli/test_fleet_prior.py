@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 import calib_pin
-from calib_pin.io.population_prior import write_population_prior
 from calib_pin.io.results import read_result
+from calib_pin.io.setup import write_population_prior
 from calib_pin.setup import PopulationPrior
 from calib_pin.validation.robot_state import robot_evidence
 from tests.cli.files import document

@@ -88,9 +88,13 @@ def poses_of(logs: Recording, time: np.ndarray) -> np.ndarray:
 JOIN = "join joints.csv tracker.txt --setup setup.yaml -o m.csv"
 
 
-@pytest.fixture
-def logs(tmp_path, monkeypatch) -> Recording:
+@pytest.fixture(autouse=True)
+def there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def logs() -> Recording:
     made = recording(7)
     written(made)
     return made
@@ -184,9 +188,8 @@ def test_points_that_are_read_by_turns_stay_apart(logs, run):
     of_means(data, 24, NOISE)
 
 
-def test_points_with_names_need_no_time(tmp_path, monkeypatch, run):
+def test_points_with_names_need_no_time(run):
     """Two targets of each point; what only one file has is left out and told."""
-    monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(3)
     q = CHAIN.random_configurations(8, rng)
     rows = [[f"P{k}", *row] for k, row in enumerate(q)]
@@ -256,9 +259,8 @@ def test_a_log_of_the_robot_as_it_is(logs, run):
     assert table("n.csv")[0][:4] == [*names[:3], "x"]
 
 
-def test_images_get_the_joints_of_their_standstill(tmp_path, monkeypatch, run):
+def test_images_get_the_joints_of_their_standstill(run):
     """Corners with their deviations, and a list of images alone, in any order."""
-    monkeypatch.chdir(tmp_path)
     made = recording(0, still_only=True)
     written(made)
     times = made.readings.time

@@ -24,8 +24,10 @@ from calib_pin.plugins import Members
 
 __all__ = ["DIALECTS", "Dialect", "Heading", "Reading", "side_by_side"]
 
-HEADINGS = (Motive, Vicon, Ndi, Points)
-NAMES = (Rostopic, PlotJuggler, Rtde, Franka, LeRobot, Pandas, Matrices, Stamps, Joined)
+MEMBERS = (
+    *(Motive, Vicon, Ndi, Points),  # Their headers are no line of names.
+    *(Rostopic, PlotJuggler, Rtde, Franka, LeRobot, Pandas, Matrices, Stamps, Joined),
+)
 
 
 def _fault(name: str, dialect: object) -> str:
@@ -35,9 +37,7 @@ def _fault(name: str, dialect: object) -> str:
 
 
 DIALECTS: Mapping[str, type[Dialect]] = Members(
-    "calib_pin.dialects",
-    {kind.__name__.lower(): kind for kind in (*HEADINGS, *NAMES)},
-    _fault,
+    "calib_pin.dialects", {kind.__name__.lower(): kind for kind in MEMBERS}, _fault
 )
 """Tried in this order: those that come with calib-pin, then others."""
 

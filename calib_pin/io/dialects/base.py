@@ -101,14 +101,12 @@ class Dialect:
 
     def converted(self, columns: Columns) -> dict[str, Column]:
         """The columns as ours."""
-        names, taken = dict[str, tuple[str, str | None]](), set[str]()
+        taken = dict[str, tuple[str, str | None]]()
         for pattern, ours, unit in self.ours:
-            for theirs in (theirs for theirs in columns if theirs not in names):
-                found = re.fullmatch(pattern, theirs)
+            for found in filter(None, (re.fullmatch(pattern, n) for n in columns)):
                 # A joint of the same name in a second topic keeps theirs.
-                if found and (name := found.expand(ours)) not in taken:
-                    names[theirs] = name, unit
-                    taken.add(name)
+                taken.setdefault(found.expand(ours), (found[0], unit))
+        names = {theirs: (ours, unit) for ours, (theirs, unit) in taken.items()}
         return {
             name: named(column, name, unit, self.lost)
             for theirs, column in columns.items()

@@ -58,9 +58,9 @@ class LeRobot(base.Dialect):
         }
         every = np.concatenate([*numbers.values()])
         largest = float(np.abs(np.nan_to_num(every)).max())
-        unit, remark = ("deg", "degrees") if largest > RADIANS else (None, "rad")
-        if steps := counted(every):
-            unit, remark = steps, "steps of its motors"
+        unit = counted(every) or ("deg" if largest > RADIANS else None)
+        words = {None: "rad", "deg": "degrees"}
+        remark = words.get(unit, "steps of its motors")
         if unit and largest <= 100.0 and (ranges := _ranges(file, joints)):
             name, half = ranges
             remark = f"parts of the ranges in {name}; are they degrees, move it away"
@@ -101,13 +101,12 @@ def _ranges(file: Path, joints: Collection[str]) -> tuple[str, dict[str, float]]
     found = {}
     for path in sorted(file.parent.glob("*.json")):
         with suppress(InputError, KeyError):
-            calibration = read_motors(path)
-            found[path.name] = {
-                name: (-1.0 if calibration[name].get("drive_mode") else 1.0)
-                * (calibration[name]["range_max"] - calibration[name]["range_min"])
-                * (1.8 / STEPS)
-                for name in joints
-            }
+            motors, half = read_motors(path), dict[str, float]()
+            for name in joints:
+                steps = motors[name]["range_max"] - motors[name]["range_min"]
+                sign = -1.0 if motors[name].get("drive_mode") else 1.0
+                half[name] = sign * steps * 1.8 / STEPS
+            found[path.name] = half
     if len(found) > 1:
         reason = f"there are several calibration files beside it: {', '.join(found)}"
         raise InputError(reason, file=file)

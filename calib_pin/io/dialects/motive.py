@@ -48,16 +48,14 @@ class Motive(base.Dialect):
         for k, (of, name, group, axis) in enumerate(columns):
             if k < 2 or not of:
                 names.append("time [s]" if axis.startswith("Time (") else axis)
-            elif name not in labels or of != kind or axis not in ("X", "Y", "Z", "W"):
-                names.append("")
-            elif group == "Position":
-                names.append(base.header(axis.lower(), unit))
-            else:
-                names.append(turned.format(axis.lower()))
+                continue
+            read = name in labels and of == kind and axis in ("X", "Y", "Z", "W")
+            place = base.header("{}", unit) if group == "Position" else turned
+            names.append(place.format(axis.lower()) * read)
         remark = f"an export of OptiTrack Motive (lengths in {unit or 'no unit'})"
-        read = partial(_converted, order)
         last, ours = lines[at][0], "target" if kind.endswith("Marker") else "tool"
-        return base.Heading(mark, names, last, remark, objects, ours, read)
+        own = partial(_converted, order)
+        return base.Heading(mark, names, last, remark, objects, ours, own)
 
 
 def _converted(order: str, columns: dict[str, Column]) -> dict[str, Column]:

@@ -42,8 +42,5 @@ class Ndi(Dialect):
             names.append("" if known else cell.replace("[sec]", "[s]"))
             tools.append(cell if port else tools[-1])
             there.add(name)
-        if not any(tools):
-            return None
-        return Heading(
-            mark, names, lines[0][0], self.remark, tools[1:], "tool", self.converted
-        )
+        own = names, lines[0][0], self.remark, tools[1:], "tool", self.converted
+        return Heading(mark, *own) if any(tools) else None

@@ -31,17 +31,13 @@ class Vicon(base.Dialect):
         )
         if axes[:2] != ["Frame", "Sub Frame"] or not re.fullmatch(r"[\d.]+", rate[0]):
             return None
-        kind, of = "tool" if "TX" in axes else "target", ["", ""]
-        names = axes[:2]
+        kind, of, names = "tool" if "TX" in axes else "target", ["", ""], axes[:2]
         columns = [*zip_longest(axes, units, objects, fillvalue="")][: len(axes)]
         for axis, unit, name in columns[2:]:
             of.append(name.removeprefix("Global Angle ") or of[-1])
-            last = axis[-1:].lower()
-            if axis.removeprefix("T") in ("X", "Y", "Z") and unit in ("mm", "m"):
-                names.append(base.header(last, unit))
-            else:
-                quaternion = axis.startswith("R") and "RW" in axes
-                names.append(f"q{last}" if quaternion else "")
+            length = axis.removeprefix("T") in ("X", "Y", "Z") and unit in ("mm", "m")
+            turn = f"q{axis[1:].lower()}" * (axis[:1] == "R" and "RW" in axes)
+            names.append(base.header(axis[-1].lower(), unit) if length else turn)
         turned = "RX" in axes and "RW" not in axes
         remark = "an export of Vicon" + "; angles of segments are left out" * turned
 

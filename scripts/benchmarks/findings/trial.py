@@ -20,8 +20,8 @@ from benchmarks.verdict.truth import judged
 from calib_pin.cli.files import open_chains, open_measurements
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import TRUSTED, Finding
-from calib_pin.io.other_robots import other_robots
 from calib_pin.io.setup import read_setup
+from calib_pin.io.urdf import other_robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import Setup

@@ -10,7 +10,7 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.other_robots import other_robots
+from calib_pin.io.urdf import other_robots
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, Setup

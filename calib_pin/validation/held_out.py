@@ -27,7 +27,6 @@ from calib_pin.progress import Stages
 from calib_pin.setup import Setup
 from calib_pin.validation.findings.moved_instrument import registered_if_moved
 from calib_pin.validation.gains import PRESS, gains
-from calib_pin.validation.learned_held_out import learned_left_out
 from calib_pin.validation.left_out import left_out, press_check, unusable
 from calib_pin.validation.model_errors import ModelErrors, model_errors, registered
 from calib_pin.validation.splits import FEWEST_HELD_OUT, Grouping, folds
@@ -154,11 +153,9 @@ def cross_validate(
         progress: Told the stage and the fraction done of all parts.
         workers: Who fits those parts that take a fit.
     """
-    found: Sequence[ModelErrors | None]
-    if whole.learned is not None:
-        found = learned_left_out(whole, masks, seed)
-    else:  # Where all of them taught nothing, some teach no more.
-        setup, found = replace(setup, learned=None), left_out(whole.fit, masks)
+    found = left_out(whole, masks, seed)
+    if whole.learned is None:  # Where all of them taught nothing, some teach no more.
+        setup = replace(setup, learned=None)
     if whole.fit.problem.many:
         # Their kernels keep all cores busy, and every worker would have a copy.
         workers = SERIAL

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.fit import FittedModel
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, Posterior
 from calib_pin.estimation.layout import alike
 from calib_pin.estimation.problem import Problem, distinct_values, error_table
 from calib_pin.estimation.registration import extended
@@ -144,6 +144,7 @@ def errors_of_registered(
     before: Registered,
     after: Registered,
     positions: NDArray[np.intp],
+    deviations: Posterior | None = None,
 ) -> ModelErrors:
     """Errors of measurements that both robots are registered on.
 
@@ -152,26 +153,27 @@ def errors_of_registered(
         before: The nominal robot.
         after: The fitted model.
         positions: Positions of the measurements among all, shape (N,).
+        deviations: Those of the fit that predicts; default of the model's own.
     """
-    problem, theta, known = after.problem, after.theta, located_names(model.problem)
+    problem, names = after.problem, after.problem.parameters.names
     estimated = (*after.refitted, *after.new)
-    there, fit = (problem, theta), model.fit
-    # A known point that only these name has no parameters, and yet it is new.
-    alike = fit.problem.terms.keys() == problem.terms.keys()
-    alike &= fit.problem.references.keys() == problem.references.keys()
-    if alike and not estimated:
-        there = replace(fit.problem, data=problem.data), fit.theta
-    variance = predicted_variance(model.fit, *there, estimated)
-    stated = problem.setup.known
-    anew = [d for d in stated if not set(known).intersection(d.between)]
+    variance = predicted_variance(
+        model.fit, problem, after.theta, estimated, deviations
+    )
+    placed = {names[k].rsplit(".", 2)[0] for k in after.new}
+    known = set(located_names(model.problem)) - placed
     given = {n for (_, n), found in problem.references.items() if not found.parameters}
     return ModelErrors(
         positions,
         error_table(before.problem, before.theta),
-        error_table(problem, theta),
+        error_table(problem, after.theta),
         problem.layout.table(variance, len(problem.data)),
-        found_distances(before, after, anew),
-        tuple(n for n in located_names(problem) if n not in known and n not in given),
+        found_distances(
+            before,
+            after,
+            [d for d in problem.setup.known if known.isdisjoint(d.between)],
+        ),
+        tuple(n for n in located_names(problem) if n not in known | given),
     )
 
 
@@ -299,7 +301,11 @@ ENTRIES = 4_000_000
 
 @serial_blas
 def predicted_variance(
-    fitted: Fit, problem: Problem, theta: Floats, estimated: Sequence[int] = ()
+    fitted: Fit,
+    problem: Problem,
+    theta: Floats,
+    estimated: Sequence[int] = (),
+    deviations: Posterior | None = None,
 ) -> Floats:
     """Variance of the errors of measurements that were not fitted, in their units.
 
@@ -313,12 +319,13 @@ def predicted_variance(
         problem: The problem of the N measurements.
         theta: Parameter values, shape (P,).
         estimated: Positions of parameters that were estimated from these.
+        deviations: Those of its parameters; default of a fit of all.
 
     Returns:
         Variances of the residual components, shape (M,); infinite for measurements that
         are set aside, NaN where the fit knows no covariance.
     """
-    sigma, deviations = problem.sigma, fitted.posterior
+    sigma, deviations = problem.sigma, deviations or fitted.posterior
     if not np.isfinite(deviations.by_noise).all():
         return np.full(sigma.shape, np.nan)
     names = {name: k for k, name in enumerate(fitted.problem.parameters.names)}

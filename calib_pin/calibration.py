@@ -37,7 +37,6 @@ from calib_pin.validation.assessment import (
     robot_errors,
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.candidate_scores import USES
 from calib_pin.validation.findings import explained
 from calib_pin.validation.findings.case import Others
 from calib_pin.validation.findings.older_calibration import older_calibration
@@ -51,7 +50,7 @@ from calib_pin.validation.judgement import (
 )
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
-from calib_pin.validation.model_selection import select_model
+from calib_pin.validation.model_selection import USES, select_model
 from calib_pin.validation.recalibration import started
 from calib_pin.validation.result import (
     CalibrationResult,

@@ -115,9 +115,12 @@ def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
         before, _ = press(nominal, labels)
         after, variance = press(calibrated, labels)
     # What cannot be predicted is infinitely wrong.
-    pair = (np.where(np.isnan(errors), np.inf, errors) for errors in (before, after))
-    values = *pair, fitted.unit**2 * variance
-    return ModelErrors(every, *(problem.layout.table(v, len(every)) for v in values))
+    before, after = (np.where(np.isnan(e), np.inf, e) for e in (before, after))
+    first, second, spread = (
+        problem.layout.table(values, len(every))
+        for values in (before, after, fitted.unit**2 * variance)
+    )
+    return ModelErrors(every, first, second, spread)
 
 
 @serial_blas
@@ -166,7 +169,8 @@ def left_out(
         return [None] * len(masks)
     robots = Linear.of(fit)
     pairs = [_pair(robots, mask, placed=learned is None) for mask in masks]
-    effects, anew = None, repeat(None)
+    effects: Floats | None = None
+    anew: Iterator[LearnedCorrection | None] = repeat(None)
     if learned is not None:
         parts = [mask for mask, pair in zip(masks, pairs, strict=True) if pair]
         about, rng = fit.problem.rebased(fit.theta), np.random.default_rng(seed)
@@ -235,11 +239,11 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
     if problem.many:
         some = replace(problem, data=problem.data.rows(mask))
         fun, jac = some.linearize(robot.theta)
-        own = slice(len(fun) - len(some.further))
-        B = jac[own] @ F
+        count = len(fun) - len(some.further)
+        B = jac[:count] @ F
         if (inverse := _inverse(B, 0)) is None:
             return None
-        step = inverse[0].T @ (robot.columns.T @ robot.fun - B.T @ fun[own])
+        step = inverse[0].T @ (robot.columns.T @ robot.fun - B.T @ fun[:count])
         return Rest(robot.theta - F @ (inverse[0] @ step), inverse[0])
     out, alone = _group(robot, mask[problem.layout.row])
     if (inverse := _inverse(robot.columns[out], int(alone.sum()))) is None:

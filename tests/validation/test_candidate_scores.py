@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.validation.candidate_scores import Judged, helps, simplest
+from calib_pin.validation.model_selection import Judged, helps, simplest
 from calib_pin.validation.result import Candidate
 
 

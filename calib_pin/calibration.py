@@ -177,10 +177,8 @@ def calibrate(
         # Fits to parts of what no robot explains are slow, and say nothing.
         hopeless = held is None and not ladder and _unexplained(model, fitted)
         held_out = check(
-            chains,
-            training,
-            setup,
             model,
+            training,
             seed,
             validation=held,
             method=method,
@@ -346,14 +344,7 @@ def _urdf(
     else:
         geometry = fit_model(chains, training, setup, seed)
     held_out = check(
-        chains,
-        training,
-        setup,
-        geometry,
-        seed,
-        validation=held,
-        validate=validate,
-        workers=workers,
+        geometry, training, seed, validation=held, validate=validate, workers=workers
     )
     errors = fitted_errors(geometry, training)
     own = judge(chains, geometry, errors, held_out, seed, seek=False)

@@ -25,7 +25,7 @@ from calib_pin.io.results import (
 )
 from calib_pin.setup import DATE
 from calib_pin.validation.comparison import compare
-from calib_pin.validation.fleet import FleetRow, fleet_row, with_drift
+from calib_pin.validation.fleet import Drift, FleetRow, fleet_row, with_drift
 from calib_pin.validation.robot_state import robot_evidence
 
 if TYPE_CHECKING:
@@ -133,7 +133,7 @@ def compare_job(orders: Orders, pair: tuple[FleetRow, Path, str]) -> FleetRow:
     except CalibPinError as error:
         said = f"no drift from {name}: {error}"
         reason = one_line(f"{row.reason}; {said}" if row.reason else said)
-        return replace(row, drift_previous=name, reason=reason)
+        return replace(row, drift=Drift(name), reason=reason)
 
 
 def request_of(orders: Orders, job: Job) -> Request:

@@ -42,7 +42,7 @@ def fleet_report(
     said = ", ".join(f"{count} {verdict}" for verdict, count in counts.most_common())
     good = all(row.trusted for row in rows)
     yield Line(f"{len(rows)} calibrations: {said}.", "good" if good else "bad")
-    if drifted := sum(row.drift_beyond for row in rows):
+    if drifted := sum(row.drift.beyond for row in rows):
         said = "calibration differs" if drifted == 1 else "calibrations differ"
         yield Line(
             f"{drifted} {said} from the one before by more than noise explains.", "bad"
@@ -60,22 +60,22 @@ def fleet_report(
     titles = ("job", "verdict|word", "nominal", "calibrated", "expected", "drift", UNIT)
     listed = [_listed(row) for row in shown]
     yield table("Robots, those that need attention first", titles, listed)
-    if any(row.drift_beyond for row in shown):
+    if any(row.drift.beyond for row in shown):
         yield Line(
             "!: the tool points differ from the calibration before by more than noise "
             "explains.",
             "note",
         )
     yield from _more(rows, most, "fleet.csv")
-    apart = [row for row in rows if row.joint_significant]
+    apart = [row for row in rows if row.joint.significant]
     if apart:
         yield table(
             "Joints that differ from those of other robots by more than chance",
             ("job", "joint|word", "spreads"),
             [
-                (row.job, row.joint_name, Cell(f"{spreads:+.1f}", spreads))
+                (row.job, row.joint.name, Cell(f"{spreads:+.1f}", spreads))
                 for row in apart[:most]
-                for spreads in [row.joint_spreads]
+                for spreads in [row.joint.spreads]
             ],
         )
     for population in types:
@@ -128,10 +128,10 @@ def _listed(row: FleetRow) -> tuple[Cell | str, ...]:
     unit = row.unit or "m"
     far, size = (
         quantity(x if unit == "m" else math.nan, "m")
-        for x in (row.expected_calibrated, row.drift_size)
+        for x in (row.expected.calibrated, row.drift.size)
     )
-    if row.drift_beyond:
-        size = Cell(f"{size.text} !", row.drift_size)
+    if row.drift.beyond:
+        size = Cell(f"{size.text} !", row.drift.size)
     verdict = row.verdict.upper() if row.verdict == FAILED else row.verdict
     pair = measures(unit, row.nominal, row.calibrated)[:2]
     return row.job, verdict, *pair, far, size, unit_of(unit)[0]

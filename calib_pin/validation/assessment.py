@@ -147,8 +147,7 @@ def estimates(
         structure: Their structural analysis.
         fitted: The estimates, if there are any; otherwise values are zero.
     """
-    groups = list[CoupledGroup]()
-    member = defaultdict[int, list[int]](list)
+    groups, member = list[CoupledGroup](), defaultdict[int, list[int]](list)
     alone, weak = dict[int, tuple[float | None, bool]](), set[int]()
     for combination in structure.combinations:
         row = combination.row(len(parameters))
@@ -157,8 +156,7 @@ def estimates(
             alone[combination.terms[0][0]] = sigma, told
             continue
         number = len(groups) + 1
-        if not told:
-            weak.add(number)
+        weak |= set() if told else {number}
         for position, _ in combination.terms:
             member[position].append(number)
         terms = tuple(Coefficient(parameters[k].name, c) for k, c in combination.terms)
@@ -182,18 +180,15 @@ def estimates(
             return "identifiable" if alone[k][1] else "weak"
         return "weak" if weak.issuperset(member[k]) else "coupled"
 
-    theta = np.zeros(len(parameters)) if fitted is None else fitted.theta
-    return tuple(
-        ParameterEstimate(
-            name=parameter.name,
-            unit=parameter.unit,
-            value=float(theta[k]),
-            sigma=sigmas.get(k),
-            status=status(k),
-            groups=tuple(member.get(k, ())),
+    found = []
+    for k, p in enumerate(parameters):
+        value = 0.0 if fitted is None else float(fitted.theta[k])
+        told_by = tuple(member.get(k, ()))
+        own = ParameterEstimate(
+            p.name, p.unit, value, sigmas.get(k), status(k), told_by
         )
-        for k, parameter in enumerate(parameters)
-    ), tuple(groups)
+        found.append(own)
+    return tuple(found), tuple(groups)
 
 
 def _estimate(
@@ -368,20 +363,22 @@ def _error(
     for k in columns.order:
         if columns.labels[k].kind == label.kind and abs(abs(full[k]) - 1.0) < EQUAL:
             signs.setdefault(columns.labels[k].of, "-" if full[k] < 0.0 else "")
-    kept = np.where(np.abs(row) * sizes >= least, row, 0.0)
+    kept = np.abs(row) * sizes >= least
     if not kept.any():
-        kept = np.where(np.abs(row) * sizes >= 0.5 * sizes[lead], row, 0.0)
-    terms = tuple((int(k), float(kept[k])) for k in np.flatnonzero(kept))
-    expression = Combination(terms, parameters[lead].unit).expression(parameters.names)
+        kept = np.abs(row) * sizes >= 0.5 * sizes[lead]
+    terms = tuple(
+        (k, float(row[k])) for k in np.flatnonzero(kept & (row != 0.0)).tolist()
+    )
+    unit, names = parameters[lead].unit, parameters.names
     return RobotError(
         label.kind,
         tuple(f"{sign}{of}" for of, sign in signs.items()),
-        parameters[lead].unit,
+        unit,
         value,
         sigma,
         "identifiable" if told else "weak",
-        expression=expression,
-        terms=tuple(Coefficient(parameters[k].name, c) for k, c in terms),
+        expression=Combination(terms, unit).expression(names),
+        terms=tuple(Coefficient(names[k], c) for k, c in terms),
     )
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.estimation.statistics.population_prior import JointDeviation
@@ -16,6 +17,51 @@ FAILED = "failed"
 
 ORDER = (FAILED, "untrusted", "unchecked")
 """Verdicts that need attention, the most urgent first."""
+
+
+class Expected(NamedTuple):
+    """Expected tool error over the workspace, root mean square [m].
+
+    Attributes:
+        nominal: Of the nominal robot.
+        calibrated: Of the calibrated one.
+        bound: Upper bound of that with 95 % confidence.
+    """
+
+    nominal: float = math.nan
+    calibrated: float = math.nan
+    bound: float = math.nan
+
+
+class Drift(NamedTuple):
+    """Difference of the tool points since an earlier calibration of the robot.
+
+    Attributes:
+        previous: Name of that calibration; empty if there is none.
+        size: The difference over the workspace, root mean square [m].
+        explained: The part of it that noise explains [m].
+        beyond: Whether it is more than that.
+    """
+
+    previous: str = ""
+    size: float = math.nan
+    explained: float = math.nan
+    beyond: bool = False
+
+
+class FarJoint(NamedTuple):
+    """The joint that is farthest from those of other robots of the type.
+
+    Attributes:
+        name: Its name; empty if nothing is known of the type.
+        spreads: Distance of its farthest error from the mean of the type, in spreads,
+            with its sign.
+        significant: Whether it stands out among all joints of all robots.
+    """
+
+    name: str = ""
+    spreads: float = math.nan
+    significant: bool = False
 
 
 @dataclass(frozen=True)
@@ -36,20 +82,9 @@ class FleetRow:
         nominal: Error of the nominal robot on these, on the fitted ones where none is
             held out, root mean square [unit].
         calibrated: That of the calibrated robot.
-        expected_nominal: Expected error of the nominal tool over the workspace, root
-            mean square [m].
-        expected_calibrated: That of the calibrated one.
-        expected_bound: Upper bound of that with 95 % confidence.
-        drift_previous: Name of an earlier calibration; empty if there is none.
-        drift_size: Difference of the tool points since that, root mean square over the
-            workspace [m].
-        drift_explained: The part of it that noise explains [m].
-        drift_beyond: Whether it is more than that.
-        joint_name: The joint that is farthest from those of other robots of the type;
-            empty if nothing is known of these.
-        joint_spreads: Distance of its farthest error from the mean of the type, in
-            spreads, with its sign.
-        joint_significant: Whether it stands out among all joints of all robots.
+        expected: Expected tool error.
+        drift: Difference from an earlier calibration.
+        joint: The joint that differs most from others of the type.
         outliers: Number of measurements that were set aside.
         findings: Codes of findings, errors and warnings.
     """
@@ -66,16 +101,9 @@ class FleetRow:
     held_out: int = 0
     nominal: float = math.nan
     calibrated: float = math.nan
-    expected_nominal: float = math.nan
-    expected_calibrated: float = math.nan
-    expected_bound: float = math.nan
-    drift_previous: str = ""
-    drift_size: float = math.nan
-    drift_explained: float = math.nan
-    drift_beyond: bool = False
-    joint_name: str = ""
-    joint_spreads: float = math.nan
-    joint_significant: bool = False
+    expected: Expected = field(default_factory=Expected)
+    drift: Drift = field(default_factory=Drift)
+    joint: FarJoint = field(default_factory=FarJoint)
     outliers: int = 0
     findings: tuple[str, ...] = ()
 
@@ -87,11 +115,11 @@ class FleetRow:
     @property
     def urgency(self) -> tuple[int, float]:
         """Small where somebody has to look at it first."""
-        stands_out = self.drift_beyond or self.joint_significant
+        stands_out = self.drift.beyond or self.joint.significant
         level = (*ORDER, self.verdict).index(self.verdict)
         # Among equals the robot that is least accurate, and those of which that is
         # unknown before it.
-        size = self.expected_calibrated
+        size = self.expected.calibrated
         level += level == len(ORDER) and not stands_out
         return level, -math.inf if math.isnan(size) else -size
 
@@ -112,7 +140,7 @@ def fleet_row(
     after = error.validation_after or error.after
     known = [a.workspace for a in result.accuracies.values() if a.workspace]
     worst = max(known, key=lambda one: one.calibrated.position, default=None)
-    parts = "nominal", "calibrated", "bound"
+    sizes = (worst.nominal, worst.calibrated, worst.bound) if worst else ()
     codes = [f.code for f in result.findings if f.severity != "info"]
     return FleetRow(
         job,
@@ -127,7 +155,7 @@ def fleet_row(
         held_out=result.validation.count,
         nominal=before.rms,
         calibrated=after.rms,
-        **{f"expected_{n}": getattr(worst, n).position for n in parts if worst},
+        expected=Expected(*(size.position for size in sizes)),
         outliers=len(result.statistics.outliers),
         findings=tuple(dict.fromkeys(codes)),
     )
@@ -141,16 +169,12 @@ def with_drift(row: FleetRow, found: Comparison, previous: str) -> FleetRow:
         found: The comparison of the earlier calibration with its own.
         previous: Name of the earlier one.
     """
-    size, (explained, _) = found.drift.position.rms, found.explained or (math.nan,) * 2
+    size, explained = found.drift.position.rms, math.nan
+    if found.drift.explained is not None:
+        explained = found.drift.explained[0]
     codes = (*row.findings, *(fault.code for fault in faults(found)))
-    return replace(
-        row,
-        drift_previous=previous,
-        drift_size=size,
-        drift_explained=explained,
-        drift_beyond=bool(found.drifted),
-        findings=tuple(dict.fromkeys(codes)),
-    )
+    drift = Drift(previous, size, explained, bool(found.drifted))
+    return replace(row, drift=drift, findings=tuple(dict.fromkeys(codes)))
 
 
 def with_joint(row: FleetRow, joints: Sequence[JointDeviation]) -> FleetRow:
@@ -161,12 +185,7 @@ def with_joint(row: FleetRow, joints: Sequence[JointDeviation]) -> FleetRow:
         joints: How far each joint is from the mean of the type.
     """
     far = min(joints, key=lambda joint: joint.chance)
-    return replace(
-        row,
-        joint_name=far.joint,
-        joint_spreads=far.spreads,
-        joint_significant=far.significant,
-    )
+    return replace(row, joint=FarJoint(far.joint, far.spreads, far.significant))
 
 
 def by_urgency(rows: Iterable[FleetRow]) -> tuple[FleetRow, ...]:
@@ -184,7 +203,10 @@ def fleet_columns(rows: Iterable[FleetRow]) -> dict[str, list[object]]:
     found: dict[str, list[object]] = {}
     for row in rows:
         for column, value in vars(row).items():
-            cell = " ".join(value) if isinstance(value, tuple) else value
-            unknown = isinstance(cell, float) and math.isnan(cell)
-            found.setdefault(column, []).append("" if unknown else cell)
+            parts = value._asdict() if hasattr(value, "_asdict") else {"": value}
+            for part, own in parts.items():
+                cell = " ".join(own) if isinstance(own, tuple) else own
+                unknown = isinstance(own, float) and math.isnan(own)
+                cells = found.setdefault(f"{column}_{part}".rstrip("_"), [])
+                cells.append("" if unknown else cell)
     return found

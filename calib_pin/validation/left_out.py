@@ -302,7 +302,7 @@ def _errors(
     effects: Floats | None,
     anew: Iterator[LearnedCorrection | None],
 ) -> ModelErrors:
-    """Errors of a group by a pair of robots that have not seen it.
+    """Errors of a group by a pair of robots that were fitted without it.
 
     Args:
         model: The model of all measurements.

@@ -23,6 +23,9 @@ from calib_pin.observations import Observations
 from calib_pin.setup import DistanceSetup
 from calib_pin.validation.result import FoundDistance
 
+ARRAYS = ("positions", "before", "after", "variance")
+"""Those that have a row for each measurement."""
+
 
 @dataclass(frozen=True)
 class ModelErrors:
@@ -55,36 +58,22 @@ class ModelErrors:
     @staticmethod
     def joined(parts: Sequence[ModelErrors]) -> ModelErrors:
         """Those of all parts, one after the other."""
-        positions, before, after, variance = (
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("positions", "before", "after", "variance")
-        )
-        return ModelErrors(
-            positions,
-            before,
-            after,
-            variance,
-            tuple(distance for part in parts for distance in part.distances),
-            tuple(dict.fromkeys(name for part in parts for name in part.registered)),
-        )
+        names = dict.fromkeys(name for part in parts for name in part.registered)
+        arrays = ([getattr(part, name) for part in parts] for name in ARRAYS)
+        positions, before, after, variance = map(np.concatenate, arrays)
+        distances = tuple(distance for part in parts for distance in part.distances)
+        return ModelErrors(positions, before, after, variance, distances, tuple(names))
 
     def at(self, kept: NDArray[np.generic]) -> ModelErrors:
         """Those of some of the measurements, a mask or positions within them."""
-        return replace(
-            self,
-            positions=self.positions[kept],
-            before=self.before[kept],
-            after=self.after[kept],
-            variance=self.variance[kept],
-        )
+        return replace(self, **{name: getattr(self, name)[kept] for name in ARRAYS})
 
     def replaced(self, kept: NDArray[np.intp], by: ModelErrors) -> ModelErrors:
         """The same with those of some measurements, at positions within them, anew."""
         anew = {distance.between: distance for distance in by.distances}
-        arrays = {}
-        for name in ("before", "after", "variance"):
-            arrays[name] = getattr(self, name).copy()
-            arrays[name][kept] = getattr(by, name)
+        arrays = {name: getattr(self, name).copy() for name in ARRAYS}
+        for name, values in arrays.items():
+            values[kept] = getattr(by, name)
         distances = tuple(anew.get(d.between, d) for d in self.distances)
         return replace(self, distances=distances, **arrays)
 
@@ -114,9 +103,7 @@ def model_errors(
         InputError: If a new station or reference object uses up all that its
             measurements say, or they are of something that was not fitted.
     """
-    before = registered(model.fit.problem, model.fit.before, measurements)
-    after = registered(model.problem, model.theta, measurements)
-    return errors_of_registered(model, before, after, positions)
+    return errors_of_registered(model, *both(model, measurements), positions)
 
 
 @serial_blas
@@ -127,8 +114,7 @@ def fitted_errors(model: FittedModel, training: Observations) -> ModelErrors:
         model: The fitted model.
         training: The measurements, those that the fit has set aside included.
     """
-    before = registered(model.fit.problem, model.fit.before, training)
-    after = registered(model.problem, model.theta, training)
+    before, after = both(model, training)
     shown = error_table(before.problem, before.theta)
     return ModelErrors(
         np.arange(len(training)),
@@ -205,17 +191,14 @@ def found_distances(
         stated: The distances; those that end elsewhere are left out.
         fitted: Whether they were fitted.
     """
-    (first, nominal), (second, found) = (
-        (distances, distances.lengths(at.theta))
+    nominal, found = (
+        KnownDistances.of(stated, at.problem.references, at.problem.given.names)
         for at in (before, after)
-        for distances in [
-            KnownDistances.of(stated, at.problem.references, at.problem.given.names)
-        ]
     )
-    assert first.stated == second.stated
+    lengths = nominal.lengths(before.theta), found.lengths(after.theta)
     return tuple(
         FoundDistance(d.between, d.value, d.sigma, float(n), float(f), fitted, d.unit)
-        for d, n, f in zip(first.stated, nominal, found, strict=True)
+        for d, n, f in zip(found.stated, *lengths, strict=True)
     )
 
 
@@ -265,6 +248,14 @@ def registered(
     _require_redundancy(plain, theta, new)
     basis = np.diag(problem.parameters.scales)[:, list(new)]
     return Registered(problem, least_squares(plain, theta, basis).x, new)
+
+
+def both(
+    model: FittedModel, measurements: Observations
+) -> tuple[Registered, Registered]:
+    """The nominal robot and the fitted model, `registered` on other measurements."""
+    before = registered(model.fit.problem, model.fit.before, measurements)
+    return before, registered(model.problem, model.theta, measurements)
 
 
 def _require_redundancy(problem: Problem, theta: Floats, new: Sequence[int]) -> None:

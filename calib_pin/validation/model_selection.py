@@ -355,11 +355,11 @@ class _Candidates:
 
     def _judge(self, candidate: Candidate, progress: Progress | None) -> Judged:
         """Fit a candidate to all measurements, and leave parts of them out."""
-        given = self.chains, self.measurements
+        stated = self.chains, self.measurements
         setup = replace(self.setup, learned=candidate.learned)
-        setup = with_parameters(*given, setup, candidate.parameters)
+        setup = with_parameters(*stated, setup, candidate.parameters)
         tell = portion(progress, 0.0, FIT_PART)
-        model = fit_model(*given, setup, self.seed, tell)
+        model = fit_model(*stated, setup, self.seed, tell)
         measurements = model.weighted(self.measurements)
         grouping = Grouping.of(measurements, setup)
         masks = folds(grouping, model.fit, self.seed)
@@ -368,19 +368,10 @@ class _Candidates:
             raise OptionError(f"{count} configurations are too few to hold out a fold")
         rest = portion(progress, FIT_PART, 1.0 - FIT_PART)
         stages = None if rest is None else (lambda stage, part: rest(part))
-        near, away = (
-            cross_validate(
-                self.chains,
-                measurements,
-                setup,
-                masks,
-                self.seed,
-                model,
-                tell,
-                self.workers,
-            )
-            for masks, tell in ((masks, stages), (regions(grouping, self.seed), None))
-        )
+        given = model, measurements
+        near = cross_validate(*given, masks, self.seed, stages, self.workers)
+        masks = regions(grouping, self.seed)
+        away = cross_validate(*given, masks, self.seed, None, self.workers)
         parts = tuple(near)
         far = [part for part in away if not part.reason and len(part.positions)]
         found = [scored(grouping, model, each) for each in (parts, far) if each]

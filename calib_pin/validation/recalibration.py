@@ -303,9 +303,7 @@ class Innovations:
         measured: Noise of the measurements in the rows, shape (r, m).
         known: The noise as it is known.
         sudden: What may have changed at once, by name.
-        causes: The same as they show in the rows, by name.
-        drifting: How the parameters drift, shape (P, k), and how that shows in the
-            rows, (r, k), by the names of drifts.
+        drifting: How the parameters drift, shapes (P, k), by the names of drifts.
         wrong: What may be wrong of the measurements.
     """
 
@@ -342,20 +340,9 @@ class Innovations:
         self.measured = np.eye(len(self.rows))[:, :count]
         self.values = self.measured @ told.values
         self.sudden = changes(problem, robot)
-        drifting = drifts(problem, robot, self.sudden.values())
-        self.drifting = {name: (own, self.rows @ own) for name, own in drifting.items()}
+        self.drifting = drifts(problem, robot, self.sudden.values())
         for (kind, name), own in frames.items():
             self.sudden[f"{kind} {name}"] = Change(name, kind, every[:, own])
-        counts = Counter(change.kind for change in self.sudden.values())
-        self.causes = {
-            name: Sparse(
-                name,
-                self.rows @ change.directions,
-                FAR if change.kind in FRAMES else SIZES,
-                CHANCES[change.kind] / counts[change.kind],
-            )
-            for name, change in self.sudden.items()
-        }
         groups = problem.data.groups()
         labels, of_value = np.unique(groups).tolist(), groups[problem.layout.row]
         along = self.measured @ told.along
@@ -408,7 +395,7 @@ class Innovations:
             wider = np.sqrt(part * worth / np.maximum(worth - 2.0, 1.0))
             found = calm if still > 0.0 else found
         effects = [
-            (by * drift.size, self.drifting[drift.name][0])
+            (by * drift.size, self.drifting[drift.name])
             for by, drift in zip(wider.tolist(), sizes, strict=True)
         ]
         sudden, jumps = [c for c in sparse if c.name in self.sudden], list[Jump]()
@@ -443,7 +430,7 @@ class Innovations:
         W, M = self.rows / self.parameters.scales, self.measured
         known = W @ self.state.covariance @ W.T + np.eye(len(W)) - M @ M.T
         causes = [
-            Cause(d.name, self.drifting[d.name][1], d.size, d.worth, most)
+            Cause(d.name, self.rows @ self.drifting[d.name], d.size, d.worth, most)
             for d in expected
             for most in [max(MOST.get(d.name, 0.0), d.size)]
         ]
@@ -454,9 +441,19 @@ class Innovations:
 
     def _sparse(self, kinds: Collection[str]) -> list[Sparse]:
         """Causes of some kinds that are there or not, and wrong measurements."""
-        own = [of for n, of in self.causes.items() if self.sudden[n].kind in kinds]
+        counts = Counter(change.kind for change in self.sudden.values())
+        found = [
+            Sparse(
+                name,
+                self.rows @ change.directions,
+                FAR if change.kind in FRAMES else SIZES,
+                CHANCES[change.kind] / counts[change.kind],
+            )
+            for name, change in self.sudden.items()
+            if change.kind in kinds
+        ]
         grown = [Sparse(NOISE_GREW, self.measured, NOISIER)] * (NOISE_GREW in kinds)
-        return [*own, *self.wrong, *grown]
+        return [*found, *self.wrong, *grown]
 
     def _others(
         self, found: Explanation, cause: Cause, sudden: Sequence[Cause]
@@ -467,13 +464,12 @@ class Innovations:
         """
         instead, beside = list[str](), list[str]()
         without, E = found.without({cause.name}), cause.effects
-        limit = without.misfit(E) + CLOSE
-        left = {*self.sudden} - {other.name for other in sudden}
-        for name in (name for name in self.sudden if name in left):
-            moved = self.causes[name].effects
-            kinds = {self.sudden[n].kind for n in (name, cause.name)}
+        limit, told = without.misfit(E) + CLOSE, {other.name for other in sudden}
+        for name, change in self.sudden.items():
+            moved = self.rows @ change.directions
+            simple = {change.kind, self.sudden[cause.name].kind} <= {*SIMPLE}
             # Nothing that is measured now depends on where a known frame has stood.
-            if not (self.measured.T @ moved).any() or not kinds <= {*SIMPLE}:
+            if name in told or not simple or not (self.measured.T @ moved).any():
                 continue
             rest = moved - E @ np.linalg.lstsq(E, moved, rcond=None)[0]
             if without.misfit(moved) <= limit:
@@ -482,11 +478,17 @@ class Innovations:
                 beside.append(name)
         return instead, beside
 
+    def _label(self, name: str) -> str:
+        """A change in words."""
+        change = self.sudden[name]
+        word = change.kind if change.kind in FRAMES else "joint"
+        return f"{word} '{change.name}'" if change.name else word
+
     def _jump(self, found: Explanation, cause: Cause, *others: Sequence[str]) -> Jump:
         """A sudden change as the innovations tell it, and what it may be instead."""
         change, parameters = self.sudden[cause.name], self.parameters
         effects, covariance = found.effects(cause)
-        words = (tuple(_label(self.sudden[n]) for n in names) for names in others)
+        words = (tuple(map(self._label, names)) for names in others)
         if change.kind == "offset":
             sigma = change.size * float(covariance[0, 0]) ** 0.5
             sizes = change.unit, change.size * float(effects[0]), sigma, 0.0
@@ -500,12 +502,6 @@ class Innovations:
         return Jump(change.name, change.kind, *sizes, *words)
 
 
-def _label(change: Change) -> str:
-    """A change in words."""
-    word = change.kind if change.kind in FRAMES else "joint"
-    return f"{word} '{change.name}'" if change.name else word
-
-
 def _factors(problem: Problem, noise: Sequence[NoiseSize]) -> Floats:
     """Noise of every quantity by what is stated now, where it is known to be larger.
 
@@ -516,7 +512,6 @@ def _factors(problem: Problem, noise: Sequence[NoiseSize]) -> Floats:
     found = np.ones(len(problem.layout.components))
     for k, component in enumerate(problem.layout.components):
         own = problem.given_sigma[problem.layout.of_components[k]]
-        if len(own):
-            sigma = sigmas.get(component.quantity.name, 0.0)
-            found[k] = max(sigma / rms(own), 1.0)
+        if len(own) and component.quantity.name in sigmas:
+            found[k] = max(sigmas[component.quantity.name] / rms(own), 1.0)
     return found

@@ -262,9 +262,15 @@ def robot_evidence(result: CalibrationResult) -> RobotEvidence:
         InputError: If it does not say what was measured, how large the noise is, or
             learned more than errors of parameters.
     """
-    if refuse := _refusal(result):
-        raise InputError(refuse, file=result.provenance.file or None)
     model, noise = result.model, result.statistics.noise
+    for refused, reason in (
+        (model.setup.learned, "with a learned correction tells a fleet nothing"),
+        (not np.isfinite(result.fitted.after).any(), "does not say what was measured"),
+        (not noise, "does not know its noise: its measurements are too few"),
+    ):
+        if refused:
+            file = result.provenance.file or None
+            raise InputError(f"the calibration {reason}", file=file)
     units = np.array([component.factor for component in noise])
     problem = replace(model.problem(result.fitted.rows), units=units)
     told = robot_rows(problem, model.theta, noise)
@@ -278,14 +284,3 @@ def robot_evidence(result: CalibrationResult) -> RobotEvidence:
         values=told.values,
         noise={c.quantity: c.estimate for c in noise if c.estimate > 0.0},
     )
-
-
-def _refusal(result: CalibrationResult) -> str:
-    """Why a calibration tells nothing of its robot; empty where it does."""
-    if result.model.setup.learned is not None:
-        return "a calibration with a learned correction tells a fleet nothing"
-    if not np.isfinite(result.fitted.after).any():
-        return "the calibration does not say what was measured"
-    if not result.statistics.noise:
-        return "the calibration does not know its noise: its measurements are too few"
-    return ""

@@ -136,12 +136,9 @@ class Grouping:
         stretched = bool((other >= 0).any())
         if not stretched:
             other = measurements.groups()
-        groups = other
-        if (place >= 0).any():
-            groups = labels(place, np.where(place < 0, other, -1))
+        groups = labels(place, np.where(place < 0, other, -1))
         telling = len(np.unique(place[place >= 0])) >= TELLING_PLACES
-        clusters = groups if telling else other
-        return cls(measurements, place, stretched, groups, clusters)
+        return cls(measurements, place, stretched, groups, groups if telling else other)
 
     def shuffled(self, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """The G groups in random order, one stratum after the other.
@@ -171,17 +168,16 @@ class Grouping:
         """
         data, mask = self.measurements, mask.copy()
         keys, configuration = data.keys, data.groups()
+        count = int(configuration.max(initial=-1)) + 1
         for names in (
             [own_name(key, keys, key.station) for key in keys],
             [own_name(key, keys, key.tool) for key in keys],
             [key.chain for key in keys],
         ):
-            of_block = labels(names)
-            if not of_block.any():
+            frame, kept = labels(names)[data.block_of], ~mask & (data.weight > 0.0)
+            if not frame.any():
                 continue
             # Distinct configurations of every frame among those that are left.
-            frame, count = of_block[data.block_of], int(configuration.max()) + 1
-            kept = ~mask & (data.weight > 0.0)
             pairs = np.unique((frame * count + configuration)[kept])
             left = np.bincount(pairs // count, minlength=len(keys))
             needed = mask & (left < FEWEST_OF_FRAME)[frame]
@@ -224,8 +220,8 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     Returns:
         One mask of shape (N,) for each part.
     """
-    rows, count = grouping.measurements, FOLDS
-    order, _ = grouping.shuffled(seed)
+    rows, (order, _) = grouping.measurements, grouping.shuffled(seed)
+    count = FOLDS
     if (grouping.places >= 0).any():
         count = min(FOLDS, len(order))
     if len(order) < count:
@@ -234,23 +230,23 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     fold[order] = np.arange(len(order)) % count
     every = (grouping.spared(fold[grouping.groups] == k) for k in range(count))
     masks = [mask for mask in every if mask.any()]
+    if fitted.problem.many:
+        masks = [_few(mask, grouping.groups) for mask in masks]
+    # Only what is estimated must be seen in every part.
+    sought = [seen & (grouping.places < 0) for seen in _estimated(fitted, rows)]
     # What priors hold counts among what is known and among what is needed.
     held = len(fitted.problem.further.priors) > 0
     needed = fitted.rank if held else fitted.structure.rank
-    # Only what is estimated must be seen in every part.
-    sought = [seen & (grouping.places < 0) for seen in _estimated(fitted, rows)]
-    if fitted.problem.many:
-        masks = [_few(mask, grouping.groups) for mask in masks]
     aside = int((rows.weight == 0.0).sum())
     for mask in masks:
         seen = (len(np.unique(rows.groups()[one & ~mask])) for one in sought)
-        # Every group that is left is a configuration or more.
-        few = len(order) - int(mask.sum()) - aside <= needed
-        if few:
-            rest = replace(fitted.problem, data=rows.rows(~mask))
-            few = known_values(rest) <= needed
-        if few or any(0 < number < FEWEST for number in seen):
+        if any(0 < number < FEWEST for number in seen):
             return []
+        # Every group that is left is a configuration or more.
+        if len(order) - int(mask.sum()) - aside <= needed:
+            rest = replace(fitted.problem, data=rows.rows(~mask))
+            if known_values(rest) <= needed:
+                return []
     return masks
 
 
@@ -263,11 +259,9 @@ def _few(mask: NDArray[np.bool_], groups: NDArray[np.int64]) -> NDArray[np.bool_
 
 
 def _estimated(fitted: Fit, rows: Observations) -> Iterator[NDArray[np.bool_]]:
-    """Masks of the measurements of each target that has something to estimate, (N,).
+    """Masks of the N measurements of each target that has something to estimate, (N,).
 
-    Args:
-        fitted: The fit.
-        rows: The N measurements.
+    From another station it may be another thing, or the same one.
     """
     found: dict[tuple[str, ...], NDArray[np.bool_]] = {}
     for block, part in zip(rows.blocks, rows.slices, strict=True):
@@ -278,9 +272,7 @@ def _estimated(fitted: Fit, rows: Observations) -> Iterator[NDArray[np.bool_]]:
             if any(parameter.free for parameter in reference.parameters)
         }
         for name in block.target.distinct:
-            halves = tuple(free[half] for half in name.split(AT) if half in free)
-            if halves:
-                # From another station it may be another thing, or the same one.
+            if halves := [free[half] for half in name.split(AT) if half in free]:
                 mask = found.setdefault((name, *halves), np.zeros(len(rows), bool))
                 mask[part] |= block.target.where(name)
     return iter(found.values())
@@ -310,12 +302,12 @@ def regions(grouping: Grouping, seed: int) -> list[NDArray[np.bool_]]:
         label = _clusters(np.concatenate([np.sin(q), np.cos(q)], axis=1), seed)
         masks += [label == k for k in range(REGIONS.clusters)]
     configuration = grouping.measurements.groups()
-    found: dict[bytes, NDArray[np.bool_]] = {}
-    for mask in map(grouping.spared, masks):
-        enough = len(np.unique(configuration[mask])) >= FEWEST
-        if enough and mask.mean() <= REGIONS.most:
-            found.setdefault(mask.tobytes(), mask)
-    return list(found.values())
+    spared = {mask.tobytes(): mask for mask in map(grouping.spared, masks)}
+    return [
+        mask
+        for mask in spared.values()
+        if len(np.unique(configuration[mask])) >= FEWEST and mask.mean() <= REGIONS.most
+    ]
 
 
 def _clusters(points: Floats, seed: int) -> NDArray[np.int64]:
@@ -420,28 +412,28 @@ def places(measurements: Observations, setup: Setup) -> NDArray[np.int64]:
     slash of their names, or a known distance. -1 for other measurements, and for all
     where there are fewer than three places.
     """
-    sockets = [np.full(len(block), -1) for block in measurements.blocks]
-    number: dict[str, int] = {}
-    home: list[str] = []
-    for codes, block in zip(sockets, measurements.blocks, strict=True):
+    home, own = dict[str, str](), list[tuple[str, NDArray[np.int64]]]()
+    for block, part in zip(measurements.blocks, measurements.slices, strict=True):
         if declared(block.model).naming.configurations == 1:
             continue
         for target in block.target.distinct:
             if name := target.rpartition(AT)[2]:
-                k = number.setdefault(_at(block.station, name), len(home))
-                if k == len(home):
-                    home.append(_at(block.station, name.rpartition("/")[0] or name))
-                codes[block.target.where(target)] = k
+                socket = _at(block.station, name)
+                place = _at(block.station, name.rpartition("/")[0] or name)
+                home.setdefault(socket, place)
+                index = np.flatnonzero(block.target.where(target))
+                own.append((socket, part.start + index))
     for distance in setup.distances:
         for station in dict.fromkeys(["", *(key.station for key in measurements.keys)]):
             ends = [_at(station, name) for name in distance.between]
-            first, second = (home[number[e]] if e in number else e for e in ends)
-            home = [first if name == second else name for name in home]
-    of = {name: k for k, name in enumerate(dict.fromkeys(home))}
-    if len(of) < FEWEST_PLACES:
-        return np.full(len(measurements), -1)
-    labels = np.array([*(of[name] for name in home), -1], np.int64)
-    return np.asarray(labels[np.concatenate(sockets)])
+            first, second = (home.get(end, end) for end in ends)
+            home = {s: first if at == second else at for s, at in home.items()}
+    found = np.full(len(measurements), -1)
+    number = {place: k for k, place in enumerate(dict.fromkeys(home.values()))}
+    if len(number) >= FEWEST_PLACES:
+        for socket, index in own:
+            found[index] = number[home[socket]]
+    return found
 
 
 def _at(station: str, name: str) -> str:
@@ -472,15 +464,8 @@ def split(
     if validation is not None:
         if len(validation) == 0:
             raise InputError("there are no measurements to validate with")
-        for model in validation.models:
-            if model not in training.models:
-                raise InputError(
-                    f"cannot check '{', '.join(training.models)}' measurements with "
-                    f"'{model}' ones"
-                )
-        _require_fitted(
-            training, validation, "these cannot be checked: no {} is fitted"
-        )
+        reason = "these cannot be checked: no {} is fitted"
+        _require_fitted(training, validation, reason)
         return training, validation, "file"
     if holdout is not None:
         mask = _held_out(training, setup, holdout, seed)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 
 from calib_pin.validation.fleet import (
+    Drift,
+    Expected,
     FleetRow,
     by_urgency,
     fleet_columns,
@@ -12,13 +14,9 @@ from calib_pin.validation.fleet import (
 
 
 def row(job: str, verdict: str = "good", size: float = 1e-4, drifted: bool = False):
+    expected = Expected(1e-3, size, 2.0 * size)
     return FleetRow(
-        job,
-        verdict=verdict,
-        expected_calibrated=size,
-        expected_bound=2.0 * size,
-        drift_previous="x",
-        drift_beyond=drifted,
+        job, verdict=verdict, expected=expected, drift=Drift("x", 1e-3, 1e-4, drifted)
     )
 
 

@@ -194,13 +194,13 @@ def test_a_refit_where_one_step_cannot_tell(
     setup = replace(IN_SOCKETS, distances=FIFTY[:2])
     whole = fit_model(CHAIN, rows, setup, 0)
     assert left_out(whole, [back]) == [None]
-    (part,) = cross_validate(CHAIN, rows, setup, [back], 0, whole)
+    (part,) = cross_validate(whole, rows, [back], 0)
     assert "say no more than where it is" in part.reason and not len(part.positions)
     every = fit_model(CHAIN, in_sockets, IN_SOCKETS, 0)
     monkeypatch.setattr(module, "BENT", 0.0)
     first = np.arange(len(in_sockets)) < 5
     assert left_out(every, [first]) == [None]
-    (part,) = cross_validate(CHAIN, in_sockets, IN_SOCKETS, [first], 0, every)
+    (part,) = cross_validate(every, in_sockets, [first], 0)
     assert not part.reason and np.abs(part.after).max() < 3e-4
 
 

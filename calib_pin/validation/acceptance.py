@@ -212,21 +212,16 @@ def acceptance(
     for k in kept:
         own, effects = errors[visits[k]], frames.effects[first[k]]
         means = tuple(map(mean, own.T, effects, repeat(frames.dof)))
-        place = own[:, :3]
-        poses.append(
-            PoseTest(
-                pose=int(called[k]),
-                visits=len(own),
-                accuracy=UNTESTABLE
-                if frames.fitted
-                else mean_distance(place, rng, effects[:3], frames.dof),
-                components=means[:3],
-                repeatability=repeatability(place, rng),
-                angles=(UNTESTABLE,) * len(means[3:]) if frames.fitted else means[3:],
-                angle_repeatability=tuple(map(three_sigma, own.T[3:])),
-                directions=_directions(place, before[visits[k]]),
-            )
-        )
+        place, accuracy, turns = own[:, :3], UNTESTABLE, means[3:]
+        if frames.fitted:
+            turns = (UNTESTABLE,) * len(turns)
+        else:
+            accuracy = mean_distance(place, rng, effects[:3], frames.dof)
+        positions = accuracy, means[:3], repeatability(place, rng)
+        angles_of = turns, tuple(map(three_sigma, own.T[3:]))
+        ways = _directions(place, before[visits[k]])
+        found = *positions, *angles_of, ways
+        poses.append(PoseTest(int(called[k]), len(own), *found))
     for k, m in combinations(kept, 2):
         turns_of = cycles[visits[k]], cycles[visits[m]]
         _, a, b = np.intersect1d(*turns_of, return_indices=True)

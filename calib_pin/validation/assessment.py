@@ -109,11 +109,9 @@ def identify(
     require_known(problem.terms.values(), problem.setup)
     theta = np.zeros(len(problem.parameters))
     found, _ = analyze_structure(problem, theta, np.random.default_rng(seed))
-    parameters, groups = estimates(problem.parameters, found)
-    values, count = found.robot, found.configurations
-    ranks = _ranks(problem, found, values, count)
-    errors = robot_errors(problem, found)
-    return Identification(parameters, groups, ranks, robot_errors=errors)
+    ranks = _ranks(problem, found, found.robot, found.configurations)
+    errors, told = robot_errors(problem, found), estimates(problem.parameters, found)
+    return Identification(*told, ranks, robot_errors=errors)
 
 
 def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
@@ -217,18 +215,10 @@ def fitted_ranks(fitted: Fit) -> Identifiability:
         s = _told(fitted)
         rank += len(s) - fitted.directions.robot.shape[1]
         weak = max(len(fitted.structure.robot) - len(s), 0)
-    return replace(
-        _ranks(
-            problem,
-            fitted.structure,
-            s[s > 1e-12 * s.max(initial=0.0)],
-            len(problem.data),
-        ),
-        rank=rank,
-        weak=weak,
-        revealed=fitted.directions.revealed,
-        correlated=tuple(_correlated(fitted)),
-    )
+    s = s[s > 1e-12 * s.max(initial=0.0)]
+    found = _ranks(problem, fitted.structure, s, len(problem.data))
+    found = replace(found, rank=rank, weak=weak, correlated=tuple(_correlated(fitted)))
+    return replace(found, revealed=fitted.directions.revealed)
 
 
 def _told(fitted: Fit) -> Floats:
@@ -321,23 +311,21 @@ def robot_errors(
         structure: Its structural analysis.
         fitted: The estimates, if there are any; otherwise values are zero.
     """
-    parameters = structure.parameters
-    columns = geometric_columns(system, parameters)
-    free = np.flatnonzero(parameters.free)
-    nuisances = [int(k) for k in free if parameters[int(k)].nuisance]
-    order = np.array([*nuisances, *columns.order], np.intp)
+    parameters, nuisance = structure.parameters, structure.parameters.nuisance
+    columns, free = geometric_columns(system, parameters), parameters.free
+    order = np.array([*np.flatnonzero(free & nuisance), *columns.order], np.intp)
     A = np.zeros((len(structure.relations), len(parameters)))
     A[:, free] = structure.relations
-    pivots, C = combinations((A @ columns.turned)[:, order], structure.rank)
+    pivots, rows = combinations((A @ columns.turned)[:, order], structure.rank)
+    leads, C = order[np.array(pivots, np.intp)], np.zeros((len(rows), len(parameters)))
     # Columns are scaled by the expected sizes; the coefficients are not.
-    C = C / parameters.scales[order]
-    found = []
-    for pivot, row in zip(pivots, C, strict=True):
-        if pivot >= len(nuisances):
-            full = np.zeros(len(parameters))
-            full[order] = row / row[pivot]
-            found.append(_error(int(order[pivot]), full, columns, parameters, fitted))
-    found += _absorbed(pivots, C, order, columns, parameters)
+    C[:, order] = rows / parameters.scales[order]
+    found = [
+        _error(lead, row / row[lead], columns, parameters, fitted)
+        for lead, row in zip(leads.tolist(), C, strict=True)
+        if not nuisance[lead]
+    ]
+    found += _absorbed(leads, C, columns, parameters)
     ranks = {name: k for k, name in enumerate((*KINDS, *system.chains.joints))}
     last = len(ranks)
     return tuple(
@@ -383,22 +371,27 @@ def _error(
 
 
 def _absorbed(
-    pivots: Sequence[int],
-    C: Floats,
-    order: NDArray[np.intp],
-    columns: Columns,
-    parameters: ParameterSet,
+    leads: NDArray[np.intp], C: Floats, columns: Columns, parameters: ParameterSet
 ) -> Iterator[RobotError]:
-    """Errors that base, tool or instrument take along, so that none is known."""
-    sizes = np.array([expected_size(p.unit) for p in parameters])[order]
-    nuisance, leading = parameters.nuisance[order], np.array(pivots, np.intp)
-    weights = np.abs(C * sizes)
-    heavy = weights > SMALL * weights[np.arange(len(C)), leading, None]
-    for k in np.flatnonzero(~nuisance).tolist():
-        takers = leading[heavy[:, k]]
-        if k in pivots or not len(takers) or not nuisance[takers].all():
+    """Errors that base, tool or instrument take along, so that none is known.
+
+    Args:
+        leads: Leading direction of each sum that is known, shape (k,).
+        C: These sums by the named directions, shape (k, P).
+        columns: The named directions.
+        parameters: The parameters.
+    """
+    weights = np.abs(C * [expected_size(p.unit) for p in parameters])
+    heavy = weights > SMALL * weights[np.arange(len(C)), leads, None]
+    for k in columns.order:
+        takers = leads[heavy[:, k]]
+        if k in leads or not len(takers) or not parameters.nuisance[takers].all():
             continue
-        owners = [parameters[p].name.rpartition(".")[0] for p in order[takers].tolist()]
-        label, unit = columns.labels[int(order[k])], parameters[int(order[k])].unit
-        own, within = (label.kind, (label.of,), unit), tuple(dict.fromkeys(owners))
-        yield RobotError(*own, 0.0, None, "absorbed", within)
+        owners = (parameters[p].name.rpartition(".")[0] for p in takers.tolist())
+        label, unit, within = (
+            columns.labels[k],
+            parameters[k].unit,
+            dict.fromkeys(owners),
+        )
+        own = label.kind, (label.of,), unit, 0.0, None, "absorbed"
+        yield RobotError(*own, tuple(within))

@@ -265,30 +265,23 @@ def compare(
     same = same_nominal(first.model, second.model)
     here, there = (_known(record) if same else {} for record in (first, second))
     shared = [key for key in here if key in there and _alike(here[key], there[key])]
-    differences = [
-        Difference(
-            a.expression,
-            a.unit,
-            a.value,
-            b.value,
-            max(math.hypot(a.sigma, b.sigma), RESOLUTION),
-            a.terms if len(a.terms) > 1 else (),
-        )
-        for a, b in ((here[key], there[key]) for key in shared)
-        if a.sigma is not None and b.sigma is not None
-    ]
-    left = [
-        [one for key, one in known.items() if key not in shared]
-        for known in (here, there)
-    ]
-    names = [[one.expression for one in own if len(one.terms) == 1] for own in left]
+    differences = list[Difference]()
+    for a, b in ((here[key], there[key]) for key in shared):
+        if a.sigma is not None and b.sigma is not None:
+            sigma = max(math.hypot(a.sigma, b.sigma), RESOLUTION)
+            told = a.expression, a.unit, a.value, b.value, sigma
+            differences.append(Difference(*told, a.terms if len(a.terms) > 1 else ()))
+    left = [[own[key] for key in own if key not in shared] for own in (here, there)]
+    mine, theirs = (
+        tuple(one.expression for one in own if len(one.terms) == 1) for own in left
+    )
     found = Comparison(
-        first=first,
-        second=second,
-        same_nominal=same,
-        differences=tuple(sorted(differences, key=lambda d: -d.significance)),
-        alone=(tuple(names[0]), tuple(names[1])),
-        sums_alone=(len(left[0]) - len(names[0]), len(left[1]) - len(names[1])),
+        first,
+        second,
+        same,
+        tuple(sorted(differences, key=lambda d: -d.significance)),
+        alone=(mine, theirs),
+        sums_alone=(len(left[0]) - len(mine), len(left[1]) - len(theirs)),
         displacements=(),
         drifts=drifts,
     )

@@ -107,13 +107,9 @@ def check(
     if training.rows(held).configurations < FEWEST_HELD_OUT:
         kept = ()
     name = grouping.validation_name(min(len(kept), len(masks)))
-    return HeldOut(
-        training,
-        kept,
-        name,
-        gains(name, problem, kept, grouping.clusters) + pressed,
-        skipped=tuple(part.reason for part in parts if part.reason),
-    )
+    every = gains(name, problem, kept, grouping.clusters) + pressed
+    skipped = tuple(part.reason for part in parts if part.reason)
+    return HeldOut(training, kept, name, every, skipped=skipped)
 
 
 def cross_validate(

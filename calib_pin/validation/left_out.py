@@ -325,13 +325,10 @@ def _errors(
         theta = model.theta + step
     elif not problem.many:
         deviations = _deviations(fit, robot, after, mask, effects)
-    found = errors_of_registered(
-        model,
-        Registered(replace(fit.problem, data=rows), before.theta),
-        Registered(replace(problem, data=rows), theta, after.alone),
-        np.flatnonzero(mask),
-        deviations,
-    )
+    nominal = Registered(replace(fit.problem, data=rows), before.theta)
+    calibrated = Registered(replace(problem, data=rows), theta, after.alone)
+    given = np.flatnonzero(mask), deviations
+    found = errors_of_registered(model, nominal, calibrated, *given)
     return replace(found, reason=unusable(fit))
 
 

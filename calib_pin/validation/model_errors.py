@@ -115,14 +115,10 @@ def fitted_errors(model: FittedModel, training: Observations) -> ModelErrors:
         training: The measurements, those that the fit has set aside included.
     """
     before, after = both(model, training)
-    shown = error_table(before.problem, before.theta)
-    return ModelErrors(
-        np.arange(len(training)),
-        shown,
-        error_table(after.problem, after.theta),
-        np.full(shown.shape, np.nan),
-        found_distances(before, after, after.problem.setup.known, fitted=True),
-    )
+    shown, fitted = (error_table(at.problem, at.theta) for at in (before, after))
+    known = found_distances(before, after, after.problem.setup.known, fitted=True)
+    unknown = np.full(shown.shape, np.nan)
+    return ModelErrors(np.arange(len(training)), shown, fitted, unknown, known)
 
 
 def errors_of_registered(
@@ -149,16 +145,13 @@ def errors_of_registered(
     placed = {names[k].rsplit(".", 2)[0] for k in after.new}
     known = set(located_names(model.problem)) - placed
     given = {n for (_, n), found in problem.references.items() if not found.parameters}
+    anew = [d for d in problem.setup.known if known.isdisjoint(d.between)]
     return ModelErrors(
         positions,
         error_table(before.problem, before.theta),
         error_table(problem, after.theta),
         problem.layout.table(variance, len(problem.data)),
-        found_distances(
-            before,
-            after,
-            [d for d in problem.setup.known if known.isdisjoint(d.between)],
-        ),
+        found_distances(before, after, anew),
         tuple(n for n in located_names(problem) if n not in known | given),
     )
 
@@ -264,26 +257,26 @@ def _require_redundancy(problem: Problem, theta: Floats, new: Sequence[int]) -> 
     Raises:
         InputError: If there are such; their errors would all be zero.
     """
-    _, J = problem.linearize_rows(theta)
-    J = J[: len(problem.layout.row)]
+    row, names = problem.layout.row, problem.parameters.names
+    J = problem.linearize_rows(theta)[1][: len(row)]
     owners: dict[tuple[str, str], list[int]] = {}
     for k in new:
-        name, kind, _ = problem.parameters.names[k].rsplit(".", 2)
+        name, kind, _ = names[k].rsplit(".", 2)
         owners.setdefault((name, kind), []).append(k)
     for (name, kind), columns in owners.items():
         A = J[:, columns]
-        told = A.any(axis=1)
-        rows = np.unique(problem.layout.row[told])
-        values = distinct_values(replace(problem, data=problem.data.rows(rows)))
-        if values <= np.linalg.matrix_rank(A[told]):
-            reason = (
-                f"the measurements of '{name}', which was not fitted, say no more than "
-                "where it is; measure it in more configurations"
-            )
-            column = "station" if kind == "station" else "target"
-            if not len(rows):
-                raise InputError(reason, column=column)
+        rows = np.unique(row[A.any(axis=1)])
+        seen = replace(problem, data=problem.data.rows(rows))
+        if distinct_values(seen) > np.linalg.matrix_rank(A):
+            continue
+        reason = (
+            f"the measurements of '{name}', which was not fitted, say no more than "
+            "where it is; measure it in more configurations"
+        )
+        column = "station" if kind == "station" else "target"
+        if len(rows):
             raise problem.data.error(int(rows[0]), reason, column=column)
+        raise InputError(reason, column=column)
 
 
 ENTRIES = 4_000_000

@@ -331,11 +331,9 @@ class _Candidates:
                 return
             ordered = tuple(kind for kind in kinds if kind in added)
             fewer = (tried.get(added - {kind}) for kind in ordered)
-            tried[added] = self.add(
-                f"+ {' + '.join(ordered)}",
-                (*base.candidate.parameters, *ordered),
-                extends=[base, *(one for one in fewer if one)],
-            )
+            below = [base, *(one for one in fewer if one)]
+            every = (*base.candidate.parameters, *ordered)
+            tried[added] = self.add(f"+ {' + '.join(ordered)}", every, extends=below)
 
         for kind in kinds:
             judge(frozenset({kind}))
@@ -376,27 +374,23 @@ class _Candidates:
         far = [part for part in away if not part.reason and len(part.positions)]
         found = [scored(grouping, model, each) for each in (parts, far) if each]
         sizes, (errors, *others) = zip(*found, strict=True)
-        judged = replace(
-            candidate,
-            rank=model.fit.rank,
-            **vars(errors),
-            away=others[0] if others else None,
-        )
-        return Judged(judged, model, parts, sizes)
+        elsewhere = others[0] if others else None
+        known = vars(errors) | {"rank": model.fit.rank, "away": elsewhere}
+        return Judged(replace(candidate, **known), model, parts, sizes)
 
 
 def _further(measurements: Observations, setup: Setup) -> tuple[str, ...]:
     """Effects that may join the geometry: those for which enough is stated."""
-    return tuple(
-        name
-        for name in outside_urdf()
-        if all(
-            len(getattr(block.conditions, condition))
-            for condition in needed_conditions((name,))
-            for block in measurements.blocks
+    found = []
+    for name in outside_urdf():
+        needed = needed_conditions((name,))
+        held = [block.conditions for block in measurements.blocks]
+        stated = all(
+            len(getattr(own, condition)) for condition in needed for own in held
         )
-        and (name != MotorRipple.name or setup.gear_ratios)
-    )
+        if stated and (name != MotorRipple.name or setup.gear_ratios):
+            found.append(name)
+    return tuple(found)
 
 
 def _require_patterns(

@@ -142,16 +142,11 @@ def tested(
         there = registered_on(fit.problem, fit.theta, visits)
         errors = error_table(there.problem, there.theta)
         effects = derivatives(there.problem, there.theta) @ fit.known
-        test = acceptance(
-            x,
-            x + errors[:, :3],
-            group,
-            -errors[:, 3:6] if errors.shape[1] > 3 else None,
-            number[good],
-            cycle[good],
-            FrameErrors(effects, fit.dof or np.inf, fitted),
-        )
-        said = (*doubts, *further)
+        commanded, said = x + errors[:, :3], (*doubts, *further)
+        angles = -errors[:, 3:6] if errors.shape[1] > 3 else None
+        visited = group, angles, number[good], cycle[good]
+        off = FrameErrors(effects, fit.dof or np.inf, fitted)
+        test = acceptance(x, commanded, *visited, off)
         tests[name] = replace(test, moved=moved is not None, doubts=said)
     name = (robot if isinstance(robot, Chains) else robot.model.chains).robot.name
     about = f"{name}: {len(x)} visits of {len(test.poses)} poses; {how}."
@@ -186,19 +181,15 @@ def _frames(
         models = {"nominal": robot.reference, "calibrated": robot.model}
         there = visits.keys[0] in robot.model.terms
         if registration or others is not None or not there:
-            fits = {
-                name: fitted_station(model, on, others is None)
-                for name, model in models.items()
-            }
+            alone = others is None
+            fits = {n: fitted_station(model, on, alone) for n, model in models.items()}
             said, unlikely = misfit(robot, fits[NOW])
             doubts += [said] * unlikely
             how = f"tool as calibrated, station {own}; {said}"
         else:
             none = np.zeros((len(robot.model.theta), 0))
-            fits = {
-                name: FrameFit(model.problem(visits), model.theta, none)
-                for name, model in models.items()
-            }
+            given = {n: (m.problem(visits), m.theta) for n, m in models.items()}
+            fits = {name: FrameFit(*own, none) for name, own in given.items()}
             pair = fits[NOW], fitted_station(robot.model, visits)
             sizes = [np.linalg.norm(error_table(f.problem, f.theta)) for f in pair]
             doubts += [ELSEWHERE] * bool(sizes[0] > MOVED * sizes[1])

@@ -394,10 +394,8 @@ class Innovations:
             worth = np.array([d.worth for d in sizes])
             wider = np.sqrt(part * worth / np.maximum(worth - 2.0, 1.0))
             found = calm if still > 0.0 else found
-        effects = [
-            (by * drift.size, self.drifting[drift.name])
-            for by, drift in zip(wider.tolist(), sizes, strict=True)
-        ]
+        pairs = zip(wider.tolist(), sizes, strict=True)
+        effects = [(by * drift.size, self.drifting[drift.name]) for by, drift in pairs]
         sudden, jumps = [c for c in sparse if c.name in self.sudden], list[Jump]()
         hit = dict[str, float]()
         for cause in sudden:

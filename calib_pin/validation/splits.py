@@ -303,11 +303,8 @@ def regions(grouping: Grouping, seed: int) -> list[NDArray[np.bool_]]:
         masks += [label == k for k in range(REGIONS.clusters)]
     configuration = grouping.measurements.groups()
     spared = {mask.tobytes(): mask for mask in map(grouping.spared, masks)}
-    return [
-        mask
-        for mask in spared.values()
-        if len(np.unique(configuration[mask])) >= FEWEST and mask.mean() <= REGIONS.most
-    ]
+    some = [mask for mask in spared.values() if mask.mean() <= REGIONS.most]
+    return [mask for mask in some if len(np.unique(configuration[mask])) >= FEWEST]
 
 
 def _clusters(points: Floats, seed: int) -> NDArray[np.int64]:
@@ -367,10 +364,8 @@ def stretches(rows: Observations) -> NDArray[np.int64]:
     longest = count // options.fewest_blocks
     # Every lag of the short ones; of the long ones a tenth apart.
     lags = np.unique(np.geomspace(1, longest, 24 + count.bit_length() * 4).astype(int))
-    length = next(
-        (h for h in lags.tolist()[1:] if _variogram(z, file, h) > options.unlike),
-        longest,
-    )
+    unlike = (h for h in lags.tolist()[1:] if _variogram(z, file, h) > options.unlike)
+    length = next(unlike, longest)
     length = max(length, min(count // options.blocks, 2 * length), 1)
     of = np.empty(count, np.int64)
     of[configuration[order]] = _blocks(z, file, length)

@@ -144,7 +144,5 @@ def absorbed(
 def apart(A: Floats, B: Floats) -> tuple[Floats, Floats]:
     """Distances [m] and angles [rad] between poses, (N, 4, 4) -> (N,) each."""
     M = invert(A) @ B
-    return (
-        np.linalg.norm(M[:, :3, 3], axis=1),
-        np.linalg.norm(so3_log(M[:, :3, :3]), axis=1),
-    )
+    turns = so3_log(M[:, :3, :3])
+    return np.linalg.norm(M[:, :3, 3], axis=1), np.linalg.norm(turns, axis=1)

@@ -16,6 +16,7 @@ which tell more than the scores (Breiman et al., Classification and Regression T
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -402,10 +403,8 @@ def _require_patterns(
     """Refuse names and globs that no candidate has."""
     names: list[str] = []
     for name in parameterizations:
-        try:
+        with suppress(OptionError):  # The candidate will say so.
             names += parameter_names(chains, measurements, setup, (name,))
-        except OptionError:
-            continue  # The candidate will say so.
     for pattern in (*setup.fixed, *setup.bounds, *setup.prior_by_glob):
         if not matching(pattern, names):
             raise OptionError(

@@ -136,13 +136,13 @@ def tested(
     if moved is not None:
         at = places[np.flatnonzero(good)[moved]]
         doubts += [f"the instrument was moved before {at}; test both parts alone"]
-    frames, fitted, how, further = _frames(robot, visits, others, setup, registration)
+    frames, fitted, how, more = _frames(robot, visits, others, setup, registration)
     tests = {}
     for name, fit in frames.items():
         there = registered_on(fit.problem, fit.theta, visits)
         errors = error_table(there.problem, there.theta)
         effects = derivatives(there.problem, there.theta) @ fit.known
-        commanded, said = x + errors[:, :3], (*doubts, *further)
+        commanded, said = x + errors[:, :3], (*doubts, *more)
         angles = -errors[:, 3:6] if errors.shape[1] > 3 else None
         visited = group, angles, number[good], cycle[good]
         off = FrameErrors(effects, fit.dof or np.inf, fitted)

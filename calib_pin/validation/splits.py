@@ -221,9 +221,8 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
         One mask of shape (N,) for each part.
     """
     rows, (order, _) = grouping.measurements, grouping.shuffled(seed)
-    count = FOLDS
-    if (grouping.places >= 0).any():
-        count = min(FOLDS, len(order))
+    placed = (grouping.places >= 0).any()
+    count = min(FOLDS, len(order)) if placed else FOLDS
     if len(order) < count:
         return []
     fold = np.empty(len(order), np.int64)

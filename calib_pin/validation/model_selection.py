@@ -53,7 +53,10 @@ from calib_pin.validation.result import (
 from calib_pin.validation.splits import Grouping, folds, regions
 from calib_pin.workers import SERIAL, Workers
 
-USES = ("both", "near", "away")
+PLACES = {"both": slice(None), "near": slice(0, 1), "away": slice(-1, None)}
+"""What of errors near the fitted configurations and away from them is asked for."""
+
+USES = tuple(PLACES)
 """Where a model must hold: near the fitted configurations, away from them, or both."""
 
 SURE = 2.0
@@ -178,8 +181,8 @@ def helps(sizes: Sequence[Floats], before: Sequence[Floats], use: str) -> bool:
     """
     if use != "near" and len(sizes) < len(before):
         return False  # Nobody knows, away.
-    gains = asked([b - s for b, s in zip(before, sizes, strict=False)], use)
-    told = [_mean(gain) for gain in gains]
+    gains = [b - s for b, s in zip(before, sizes, strict=False)]
+    told = [_mean(gain) for gain in gains[PLACES[use]]]
     better = any(mean > sigma for mean, sigma in told)
     return not told or (better and all(mean >= -sigma for mean, sigma in told))
 
@@ -198,7 +201,7 @@ def simplest(found: Sequence[Judged], use: str) -> int:
     # What could be tried near alone is not compared with what others are away.
     tried = max(len(one.sizes) for one in found)
     full = [k for k, one in enumerate(found) if len(one.sizes) == tried]
-    sizes = {k: asked(found[k].sizes, use) for k in full}
+    sizes = {k: found[k].sizes[PLACES[use]] for k in full}
     places = range(len(sizes[full[0]]))
 
     def as_good(among: Sequence[int], place: int) -> list[int]:
@@ -224,15 +227,8 @@ def simplest(found: Sequence[Judged], use: str) -> int:
 
 def mean_score(found: Judged, use: str) -> float:
     """Mean of the logarithms of the scores where a candidate is used."""
-    means = [max(_mean(each)[0], TINY) for each in asked(found.sizes, use)]
+    means = [max(_mean(each)[0], TINY) for each in found.sizes[PLACES[use]]]
     return float(np.mean(np.log(means)))
-
-
-def asked(of_both: Sequence[Floats], use: str) -> Sequence[Floats]:
-    """Those near and away from what was fitted, as far as the use asks for them."""
-    if use == "near":
-        return of_both[:1]
-    return of_both[-1:] if use == "away" else of_both
 
 
 def _mean(values: Floats) -> tuple[float, float]:

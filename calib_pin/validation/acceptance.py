@@ -436,9 +436,8 @@ def judged(
     for name, most in zip(("AP", "RP", "AD", "orientation"), allowed, strict=True):
         if most is None:
             continue
-        unit = "rad" if name == "orientation" else "m"
+        unit, status = "rad" if name == "orientation" else "m", "undecided"
         interval = worst(found[name][0]) if name in found else UNTESTABLE
-        status = "undecided"
         if interval.high <= most and not test.doubts:
             status = "pass"
         elif interval.low > most and not test.moved:

@@ -76,6 +76,9 @@ SEEN = 1e-6
 SAME = 1e-9
 """Largest difference between places of one nominal robot, or of a frame [m, rad]."""
 
+ENDS = ("chain starts at", "chain ends at", "joints are")
+"""Properties by which a chain is the same one, in words."""
+
 UNKNOWN = PoseErrors(math.nan, math.nan)
 """Sizes that nobody knows."""
 
@@ -244,10 +247,8 @@ def compare(
     chains = partners(first.model, second.model)
     if not chains:
         raise _incomparable(first, second)
-    oriented = all(
-        any(error.name in ORIENTED for error in record.errors)
-        for record in (first, second)
-    )
+    told = ({error.name for error in record.errors} for record in (first, second))
+    oriented = all(not names.isdisjoint(ORIENTED) for names in told)
     drifts = {}
     for name, other in chains.items():
         pair = (first, name), (second, other)
@@ -269,8 +270,8 @@ def compare(
     for a, b in ((here[key], there[key]) for key in shared):
         if a.sigma is not None and b.sigma is not None:
             sigma = max(math.hypot(a.sigma, b.sigma), RESOLUTION)
-            told = a.expression, a.unit, a.value, b.value, sigma
-            differences.append(Difference(*told, a.terms if len(a.terms) > 1 else ()))
+            own = a.expression, a.unit, a.value, b.value, sigma
+            differences.append(Difference(*own, a.terms if len(a.terms) > 1 else ()))
     left = [[own[key] for key in own if key not in shared] for own in (here, there)]
     mine, theirs = (
         tuple(one.expression for one in own if len(one.terms) == 1) for own in left
@@ -351,33 +352,26 @@ def _alike(a: CoupledGroup, b: CoupledGroup) -> bool:
 
 def partners(first: CalibratedModel, second: CalibratedModel) -> dict[str, str]:
     """Names of the chains of one robot, and of the same chains in another."""
-    others = {(*_ends(t.error.chain).values(),): n for n, t in second.by_chain.items()}
-    return {
-        name: others[ends]
-        for name, term in first.by_chain.items()
-        if (ends := (*_ends(term.error.chain).values(),)) in others
-    }
+    others = {_ends(term.error.chain): name for name, term in second.by_chain.items()}
+    mine = {name: _ends(term.error.chain) for name, term in first.by_chain.items()}
+    return {name: others[ends] for name, ends in mine.items() if ends in others}
 
 
-def _ends(chain: Chain) -> dict[str, str]:
-    """The identity of a chain, its ends and its joints, in words."""
-    joints = ", ".join(
-        f"{joint} ({'turns' if revolute else 'slides'})"
-        for joint, revolute in zip(chain.joints, chain.revolute, strict=True)
-    )
-    ends = {"chain starts at": chain.base, "chain ends at": chain.tip}
-    return ends | {"joints are": joints}
+def _ends(chain: Chain) -> tuple[str, str, str]:
+    """The identity of a chain in words, see `ENDS`."""
+    pairs = zip(chain.joints, chain.revolute, strict=True)
+    joints = (f"{joint} ({'turns' if turns else 'slides'})" for joint, turns in pairs)
+    return chain.base, chain.tip, ", ".join(joints)
 
 
 def _incomparable(first: CalibrationResult, second: CalibrationResult) -> InputError:
     """Why the tips of two robots have nothing in common."""
-    mine, theirs = (_ends(record.model.of().chain) for record in (first, second))
-    what = next(what for what in mine if mine[what] != theirs[what])
-    return InputError(
-        f"cannot be compared with {first.provenance.file or 'the first'}: its {what} "
-        f"{theirs[what]}, there {mine[what]}",
-        file=second.provenance.file or None,
-    )
+    ends = (_ends(record.model.of().chain) for record in (first, second))
+    every = zip(ENDS, *ends, strict=True)
+    what, mine, theirs = next(one for one in every if one[1] != one[2])
+    known = first.provenance.file or "the first"
+    reason = f"cannot be compared with {known}: its {what} {theirs}, there {mine}"
+    return InputError(reason, file=second.provenance.file or None)
 
 
 def same_nominal(first: CalibratedModel, second: CalibratedModel) -> bool:

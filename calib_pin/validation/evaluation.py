@@ -78,9 +78,8 @@ def evaluate(
     if not ready.registered:
         findings += tuple(_unregistered(there, rows))
     reason = ready.reason or told([f for f in findings if f.severity == "error"])
-    unexplained = [said for error in errors if (said := too_large(*error))]
-    if unexplained and not reason:
-        reason = f"{unexplained[0]}; {CHECK}"
+    large = (f"{said}; {CHECK}" for error in errors if (said := too_large(*error)))
+    reason = reason or next(large, "")
     outside = (
         CalibratedChain(term.error, ready.theta, plain).outside(data.q).sum()
         for term, data, _, _ in ready.problem.blocks

@@ -137,11 +137,13 @@ def errors_of_registered(
         positions: Positions of the measurements among all, shape (N,).
         deviations: Those of the fit that predicts; default of the model's own.
     """
-    problem, names = after.problem, after.problem.parameters.names
-    estimated = (*after.refitted, *after.new)
-    variance = predicted_variance(
-        model.fit, problem, after.theta, estimated, deviations
+    problem, theta, estimated = (
+        after.problem,
+        after.theta,
+        (*after.refitted, *after.new),
     )
+    variance = predicted_variance(model.fit, problem, theta, estimated, deviations)
+    names = problem.parameters.names
     placed = {names[k].rsplit(".", 2)[0] for k in after.new}
     known = set(located_names(model.problem)) - placed
     given = {n for (_, n), found in problem.references.items() if not found.parameters}
@@ -149,7 +151,7 @@ def errors_of_registered(
     return ModelErrors(
         positions,
         error_table(before.problem, before.theta),
-        error_table(problem, after.theta),
+        error_table(problem, theta),
         problem.layout.table(variance, len(problem.data)),
         found_distances(before, after, anew),
         tuple(n for n in located_names(problem) if n not in known | given),
@@ -164,10 +166,8 @@ def located_names(problem: Problem) -> tuple[str, ...]:
         for term in problem.terms.values()
         if any(free[p.name] for p in term.parameters[:FRAME])
     )
-    return (
-        *(" ".join(reversed(name.rsplit(".", 1))) for name in stations),
-        *(name for _, name in problem.references),
-    )
+    words = (" ".join(reversed(name.rsplit(".", 1))) for name in stations)
+    return (*words, *(name for _, name in problem.references))
 
 
 def found_distances(

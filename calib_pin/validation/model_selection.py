@@ -54,7 +54,7 @@ from calib_pin.validation.splits import Grouping, folds, regions
 from calib_pin.workers import SERIAL, Workers
 
 PLACES = {"both": slice(None), "near": slice(0, 1), "away": slice(-1, None)}
-"""What of errors near the fitted configurations and away from them is asked for."""
+"""Errors near the fitted configurations and away from them that a use asks for."""
 
 USES = tuple(PLACES)
 """Where a model must hold: near the fitted configurations, away from them, or both."""
@@ -403,7 +403,5 @@ def _require_patterns(
             names += parameter_names(chains, measurements, setup, (name,))
     for pattern in (*setup.fixed, *setup.bounds, *setup.prior_by_glob):
         if not matching(pattern, names):
-            raise OptionError(
-                f"no parameter matches '{pattern}'{nearest(pattern, names)}",
-                file=setup.file or None,
-            )
+            reason = f"no parameter matches '{pattern}'{nearest(pattern, names)}"
+            raise OptionError(reason, file=setup.file or None)

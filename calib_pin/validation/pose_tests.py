@@ -114,11 +114,8 @@ def tested(
     """
     if len(rows.blocks) != 1 or rows.blocks[0].model not in MODELS:
         listed = ", ".join(dict.fromkeys(block.model for block in rows.blocks))
-        raise InputError(
-            "an acceptance test needs positions or poses from one station",
-            value=listed,
-            allowed=" or ".join(MODELS),
-        )
+        reason = "an acceptance test needs positions or poses from one station"
+        raise InputError(reason, value=listed, allowed=" or ".join(MODELS))
     visits, others = rows, None
     if rows.validate.any() and not rows.validate.all():
         visits, others = rows.rows(rows.validate), rows.rows(~rows.validate)

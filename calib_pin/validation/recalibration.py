@@ -155,10 +155,9 @@ def started(
     if start is None:
         raise OptionError("a process noise belongs to an older calibration, 'start'")
     if ladder:
-        raise OptionError(
-            "the model of an older calibration is kept; it is not selected anew",
-            allowed="an older calibration, or the selection of a model",
-        )
+        reason = "the model of an older calibration is kept; it is not selected anew"
+        allowed = "an older calibration, or the selection of a model"
+        raise OptionError(reason, allowed=allowed)
     require_usable(chains, setup, start)
     older, noise = RobotState.of(start), pooled_noise(start)
     known = {one.quantity: one.sigma for one in noise}
@@ -201,9 +200,8 @@ def expected_setup(
     state = RobotState.of(start)
     sudden = changes(state.system, state.robot).values()
     directions = drifts(state.system, state.robot, sudden)
-    effects = [
-        (d.size, directions[d.name]) for d in expected_drifts(start, process_noise)
-    ]
+    expected = expected_drifts(start, process_noise)
+    effects = [(drift.size, directions[drift.name]) for drift in expected]
     # Which joint was hit, if one was, must show as well.
     effects += [(SELDOM**0.5, c.directions) for c in sudden if c.kind == "offset"]
     known = {one.quantity: one.sigma for one in pooled_noise(start)}
@@ -261,11 +259,9 @@ def expected_drifts(
     """
     if process_noise is not None:
         if not 0.0 < process_noise < np.inf:
-            raise OptionError(
-                "the process noise is a standard deviation",
-                value=process_noise,
-                allowed="a positive number [m, rad]",
-            )
+            reason = "the process noise is a standard deviation"
+            allowed = "a positive number [m, rad]"
+            raise OptionError(reason, value=process_noise, allowed=allowed)
         return (DriftSize(EXPECTED[0].name, process_noise, np.inf),)
     before = () if start.recalibration is None else start.recalibration.last.drifts
     # What a user has stated once, says nothing of the next time.
@@ -347,10 +343,8 @@ class Innovations:
         labels, of_value = np.unique(groups).tolist(), groups[problem.layout.row]
         along = self.measured @ told.along
         chance = 1.0 / len(labels)
-        self.wrong = [
-            Sparse(f"measurement {k}", along[:, of_value == k], WRONG, chance)
-            for k in labels
-        ]
+        wrong = {f"measurement {k}": along[:, of_value == k] for k in labels}
+        self.wrong = [Sparse(name, E, WRONG, chance) for name, E in wrong.items()]
 
     def explained(
         self, start: CalibrationResult, process_noise: float | None, count: int
@@ -440,16 +434,12 @@ class Innovations:
     def _sparse(self, kinds: Collection[str]) -> list[Sparse]:
         """Causes of some kinds that are there or not, and wrong measurements."""
         counts = Counter(change.kind for change in self.sudden.values())
-        found = [
-            Sparse(
-                name,
-                self.rows @ change.directions,
-                FAR if change.kind in FRAMES else SIZES,
-                CHANCES[change.kind] / counts[change.kind],
-            )
-            for name, change in self.sudden.items()
-            if change.kind in kinds
-        ]
+        found = []
+        for name, change in self.sudden.items():
+            sizes = FAR if change.kind in FRAMES else SIZES
+            chance = CHANCES[change.kind] / counts[change.kind]
+            if change.kind in kinds:
+                found.append(Sparse(name, self.rows @ change.directions, sizes, chance))
         grown = [Sparse(NOISE_GREW, self.measured, NOISIER)] * (NOISE_GREW in kinds)
         return [*found, *self.wrong, *grown]
 
@@ -492,10 +482,9 @@ class Innovations:
             sizes = change.unit, change.size * float(effects[0]), sigma, 0.0
         else:
             moved = change.directions @ effects * parameters.scales
-            shift, turn = (
-                float(np.linalg.norm(moved[[p.unit == unit for p in parameters]]))
-                for unit in ("m", "rad")
-            )
+            units = np.array([parameter.unit for parameter in parameters])
+            parts = (moved[units == unit] for unit in ("m", "rad"))
+            shift, turn = (float(np.linalg.norm(part)) for part in parts)
             sizes = "m", shift, np.nan, turn
         return Jump(change.name, change.kind, *sizes, *words)
 

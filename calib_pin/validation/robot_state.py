@@ -110,11 +110,9 @@ class RobotState:
         known = {p.name: k for k, p in enumerate(self.system.given) if self.free[k]}
         names = [p.name for p, of in zip(parameters, robot, strict=True) if of]
         if lacking := [name for name in names if name not in known]:
-            raise OptionError(
-                f"the older calibration has not estimated {enumerated(lacking)}",
-                file=self.file or None,
-                allowed="the same 'fixed' in both",
-            )
+            reason = f"the older calibration has not estimated {enumerated(lacking)}"
+            allowed = "the same 'fixed' in both"
+            raise OptionError(reason, file=self.file or None, allowed=allowed)
         return [known[name] for name in names]
 
     def prior(
@@ -190,13 +188,11 @@ def drifts(
         robot: The errors of the robot among its parameters, shape (P,).
         sudden: What may change at once: offsets drift as well.
     """
-    sizes = [
-        1.0 / (p.scale if p.unit in ("m", "rad") else LENGTH_SCALE)
-        for p in system.given
-    ]
+    scales = [p.scale if p.unit in ("m", "rad") else LENGTH_SCALE for p in system.given]
     offsets = [c.directions / c.size for c in sudden if c.kind == "offset"]
     alone = np.hstack([np.zeros((len(robot), 0)), *offsets])
-    return {"geometry": np.diag(sizes)[:, robot], "joint offsets": alone}
+    geometry = np.diag(1.0 / np.array(scales))[:, robot]
+    return {"geometry": geometry, "joint offsets": alone}
 
 
 def changes(system: Terms, robot: NDArray[np.bool_]) -> dict[str, Change]:

@@ -169,11 +169,8 @@ class Grouping:
         data, mask = self.measurements, mask.copy()
         keys, configuration = data.keys, data.groups()
         count = int(configuration.max(initial=-1)) + 1
-        for names in (
-            [own_name(key, keys, key.station) for key in keys],
-            [own_name(key, keys, key.tool) for key in keys],
-            [key.chain for key in keys],
-        ):
+        ends = [(own_name(k, keys, k.station), own_name(k, keys, k.tool)) for k in keys]
+        for names in (*zip(*ends, strict=True), [key.chain for key in keys]):
             frame, kept = labels(names)[data.block_of], ~mask & (data.weight > 0.0)
             if not frame.any():
                 continue
@@ -265,11 +262,9 @@ def _estimated(fitted: Fit, rows: Observations) -> Iterator[NDArray[np.bool_]]:
     found: dict[tuple[str, ...], NDArray[np.bool_]] = {}
     for block, part in zip(rows.blocks, rows.slices, strict=True):
         model = fitted.problem.terms[block.key]
-        free = {
-            reference.name: model.frames.reference(reference)
-            for reference in model.measurement.references
-            if any(parameter.free for parameter in reference.parameters)
-        }
+        every = model.measurement.references
+        own = [one for one in every if any(p.free for p in one.parameters)]
+        free = {one.name: model.frames.reference(one) for one in own}
         for name in block.target.distinct:
             if halves := [free[half] for half in name.split(AT) if half in free]:
                 mask = found.setdefault((name, *halves), np.zeros(len(rows), bool))
@@ -497,11 +492,9 @@ def _held_out(
     held = measurements.rows(mask).configurations
     if held < FEWEST_HELD_OUT:
         least = np.ceil(100.0 * FEWEST_HELD_OUT / measurements.configurations) / 100.0
-        raise OptionError(
-            f"the holdout is of {held} configurations, too few for a check",
-            value=holdout,
-            allowed=f"at least {FEWEST_HELD_OUT} configurations, {least:.2g} here",
-        )
+        reason = f"the holdout is of {held} configurations, too few for a check"
+        allowed = f"at least {FEWEST_HELD_OUT} configurations, {least:.2g} here"
+        raise OptionError(reason, value=holdout, allowed=allowed)
     return mask
 
 

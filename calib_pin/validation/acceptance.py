@@ -202,11 +202,9 @@ def acceptance(
     kept = [k for k in np.argsort(called) if len(visits[k]) >= LEAST]
     if not kept:
         most = max(map(len, visits), default=0)
-        raise InputError(
-            f"no pose was visited {LEAST} times: {len(first)} poses, at most {most} "
-            "visits of one",
-            allowed="repeated poses; 'plan --accept --cycles N' asks for them",
-        )
+        reason = f"no pose was visited {LEAST} times: {len(first)} poses, at most "
+        allowed = "repeated poses; 'plan --accept --cycles N' asks for them"
+        raise InputError(f"{reason}{most} visits of one", allowed=allowed)
     rng, before = np.random.default_rng(0), np.concatenate([[-1], pose[:-1]])
     poses, distances = [], []
     for k in kept:

@@ -320,11 +320,8 @@ def robot_errors(
     leads, C = order[np.array(pivots, np.intp)], np.zeros((len(rows), len(parameters)))
     # Columns are scaled by the expected sizes; the coefficients are not.
     C[:, order] = rows / parameters.scales[order]
-    found = [
-        _error(lead, row / row[lead], columns, parameters, fitted)
-        for lead, row in zip(leads.tolist(), C, strict=True)
-        if not nuisance[lead]
-    ]
+    given, pairs = (columns, parameters, fitted), zip(leads.tolist(), C, strict=True)
+    found = [_error(k, row / row[k], *given) for k, row in pairs if not nuisance[k]]
     found += _absorbed(leads, C, columns, parameters)
     ranks = {name: k for k, name in enumerate((*KINDS, *system.chains.joints))}
     last = len(ranks)
@@ -358,16 +355,11 @@ def _error(
         (k, float(row[k])) for k in np.flatnonzero(kept & (row != 0.0)).tolist()
     )
     unit, names = parameters[lead].unit, parameters.names
-    return RobotError(
-        label.kind,
-        tuple(f"{sign}{of}" for of, sign in signs.items()),
-        unit,
-        value,
-        sigma,
-        "identifiable" if told else "weak",
-        expression=Combination(terms, unit).expression(names),
-        terms=tuple(Coefficient(names[k], c) for k, c in terms),
-    )
+    of = tuple(f"{sign}{of}" for of, sign in signs.items())
+    known = value, sigma, "identifiable" if told else "weak"
+    expression = Combination(terms, unit).expression(names)
+    coefficients = tuple(Coefficient(names[k], c) for k, c in terms)
+    return RobotError(label.kind, of, unit, *known, (), expression, coefficients)
 
 
 def _absorbed(
@@ -388,10 +380,6 @@ def _absorbed(
         if k in leads or not len(takers) or not parameters.nuisance[takers].all():
             continue
         owners = (parameters[p].name.rpartition(".")[0] for p in takers.tolist())
-        label, unit, within = (
-            columns.labels[k],
-            parameters[k].unit,
-            dict.fromkeys(owners),
-        )
+        label, unit = columns.labels[k], parameters[k].unit
         own = label.kind, (label.of,), unit, 0.0, None, "absorbed"
-        yield RobotError(*own, tuple(within))
+        yield RobotError(*own, tuple(dict.fromkeys(owners)))

@@ -276,16 +276,10 @@ def compare(
     mine, theirs = (
         tuple(one.expression for one in own if len(one.terms) == 1) for own in left
     )
-    found = Comparison(
-        first,
-        second,
-        same,
-        tuple(sorted(differences, key=lambda d: -d.significance)),
-        alone=(mine, theirs),
-        sums_alone=(len(left[0]) - len(mine), len(left[1]) - len(theirs)),
-        displacements=(),
-        drifts=drifts,
-    )
+    ordered = tuple(sorted(differences, key=lambda d: -d.significance))
+    sums = len(left[0]) - len(mine), len(left[1]) - len(theirs)
+    alone = mine, theirs
+    found = Comparison(first, second, same, ordered, alone, sums, (), drifts)
     return replace(found, displacements=tuple(_displacements(found, seed)))
 
 
@@ -334,12 +328,10 @@ def robot_groups(result: CalibrationResult) -> tuple[CoupledGroup, ...]:
 def _known(record: CalibrationResult) -> dict[frozenset[str], CoupledGroup]:
     """The parameters and sums of a robot that a calibration knows, by their terms."""
     robot = robot_parameters(record)
-    own = (
-        CoupledGroup(0, p.name, p.unit, p.value, p.sigma, (Coefficient(p.name, 1.0),))
-        for p in record.parameters
-        if p.name in robot and p.sigma is not None
-    )
-    every = *own, *robot_groups(record)
+    own = [p for p in record.parameters if p.name in robot and p.sigma is not None]
+    terms = [(p, (Coefficient(p.name, 1.0),)) for p in own]
+    alone = [CoupledGroup(0, p.name, p.unit, p.value, p.sigma, t) for p, t in terms]
+    every = *alone, *robot_groups(record)
     return {frozenset(dict(one.terms)): one for one in every}
 
 
@@ -459,12 +451,9 @@ def _moved(
         blurred = max(drift.ratio, 1.0) if known else 1.0
         C = blurred**2 * np.sum([_covariance(*one, q) for one in records], axis=0)
     frames = found.first.model.terms[mine].frames
-    for k, (scope, motion, tools) in enumerate(
-        (
-            (frames.station, invert(stood) @ left @ stood, left @ A),
-            (frames.tool, right, A @ right),
-        )
-    ):
+    base, tool = invert(stood) @ left @ stood, right
+    ends = (frames.station, base, left @ A), (frames.tool, tool, A @ right)
+    for k, (scope, motion, tools) in enumerate(ends):
         twist, told = pin.log6(pin.SE3(motion)).vector, drift.oriented or k == 0
         own = C[FRAME * k : FRAME * (k + 1), FRAME * k : FRAME * (k + 1)]
         seen, squares = slice(0, 6 if told else 3), np.diag(own).reshape(2, 3)

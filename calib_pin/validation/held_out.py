@@ -175,15 +175,12 @@ def _checked_on(
     labels = grouped(np.concatenate([q, validation.q]))
     new = ~np.isin(labels[len(q) :], labels[: len(q)])
     if repeated := len(new) - int(new.sum()):
+        said = f"{repeated} of {len(new)} validation measurements repeat "
+        said += "configurations that were fitted and do not count"
+        numbers = {"repeated": float(repeated), "all": float(len(new))}
+        remedy = "validate with configurations that were not fitted"
         findings.append(
-            Finding(
-                "repeated-validation",
-                "warning",
-                f"{repeated} of {len(new)} validation measurements repeat "
-                "configurations that were fitted and do not count",
-                {"repeated": float(repeated), "all": float(len(new))},
-                "validate with configurations that were not fitted",
-            )
+            Finding("repeated-validation", "warning", said, numbers, remedy)
         )
     if new.any():
         pair = both(model, validation.rows(new))

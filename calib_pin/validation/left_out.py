@@ -207,10 +207,15 @@ class Rest(NamedTuple):
 def _pair(
     robots: tuple[Linear, Linear], mask: NDArray[np.bool_], *, placed: bool
 ) -> tuple[Rest, Rest] | None:
-    """Nominal and fitted robot without a group of measurements, shape (N,).
+    """Nominal and fitted robot without a group of measurements.
 
-    None where the others do not determine them; whether what only the group knows may
-    be placed by it is given.
+    Args:
+        robots: Those of all N measurements.
+        mask: The group, shape (N,).
+        placed: Whether the group may place what only it knows.
+
+    Returns:
+        The robots; None where the others do not determine them.
     """
     before, after = (without(robot, mask) for robot in robots)
     if before is None or after is None or (after.alone and not placed):

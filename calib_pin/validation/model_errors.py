@@ -137,37 +137,28 @@ def errors_of_registered(
         positions: Positions of the measurements among all, shape (N,).
         deviations: Those of the fit that predicts; default of the model's own.
     """
-    problem, theta, estimated = (
-        after.problem,
-        after.theta,
-        (*after.refitted, *after.new),
-    )
+    problem, theta = after.problem, after.theta
+    estimated = *after.refitted, *after.new
     variance = predicted_variance(model.fit, problem, theta, estimated, deviations)
     names = problem.parameters.names
     placed = {names[k].rsplit(".", 2)[0] for k in after.new}
     known = set(located_names(model.problem)) - placed
     given = {n for (_, n), found in problem.references.items() if not found.parameters}
     anew = [d for d in problem.setup.known if known.isdisjoint(d.between)]
-    return ModelErrors(
-        positions,
-        error_table(before.problem, before.theta),
-        error_table(problem, theta),
-        problem.layout.table(variance, len(problem.data)),
-        found_distances(before, after, anew),
-        tuple(n for n in located_names(problem) if n not in known | given),
-    )
+    nominal, fitted = (error_table(at.problem, at.theta) for at in (before, after))
+    spread = problem.layout.table(variance, len(problem.data))
+    lengths = found_distances(before, after, anew)
+    own = tuple(name for name in located_names(problem) if name not in known | given)
+    return ModelErrors(positions, nominal, fitted, spread, lengths, own)
 
 
 def located_names(problem: Problem) -> tuple[str, ...]:
     """Names of the stations that are estimated, and of all reference objects."""
     free = dict(zip(problem.given.names, problem.parameters.free, strict=True))
-    stations = dict.fromkeys(
-        term.frames.station
-        for term in problem.terms.values()
-        if any(free[p.name] for p in term.parameters[:FRAME])
-    )
-    words = (" ".join(reversed(name.rsplit(".", 1))) for name in stations)
-    return (*words, *(name for _, name in problem.references))
+    terms = problem.terms.values()
+    found = [t for t in terms if any(free[p.name] for p in t.parameters[:FRAME])]
+    words = (" ".join(reversed(t.frames.station.rsplit(".", 1))) for t in found)
+    return (*dict.fromkeys(words), *(name for _, name in problem.references))
 
 
 def found_distances(

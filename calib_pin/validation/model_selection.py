@@ -258,10 +258,8 @@ def scored(
         totals = np.bincount(label[kept], size[kept], count)
         sizes: Floats = totals / np.bincount(label[kept], minlength=count)
     lengths = [(q, q.errors(counted.after)) for q in layout.quantities]
-    errors = tuple(
-        QuantityError(q.name, q.unit, float(e.mean()), root_mean_square(e))
-        for q, e in lengths
-    )
+    told = ((q, float(e.mean()), root_mean_square(e)) for q, e in lengths)
+    errors = tuple(QuantityError(q.name, q.unit, mean, rms) for q, mean, rms in told)
     return sizes, HeldOutErrors(errors, *_mean(sizes))
 
 

@@ -400,16 +400,11 @@ class Innovations:
         effects += [(size, self.sudden[name].directions) for name, size in hit.items()]
         # A tracker that was set up anew is no error of the prediction.
         moved = (c for c in sudden if self.sudden[c.name].kind in FRAMES)
+        chi2 = replace(first, causes=(*first.causes, *moved)).square
+        still = float(still - (CALM if begun is None else 0.0))
+        made = start.provenance.file, start.provenance.created, count, chi2
         step = RecalibrationStep(
-            start=start.provenance.file,
-            created=start.provenance.created,
-            measurements=count,
-            chi2=replace(first, causes=(*first.causes, *moved)).square,
-            dof=len(self.values),
-            noise=self.known,
-            drifts=sizes,
-            jumps=tuple(jumps),
-            still=float(still - (CALM if begun is None else 0.0)),
+            *made, len(self.values), self.known, sizes, tuple(jumps), still
         )
         # Beside what all have shown, as much more as these show by chance.
         more = max(found.square / len(self.values), 1.0) ** 0.5

@@ -262,16 +262,11 @@ def robot_evidence(result: CalibrationResult) -> RobotEvidence:
         if refused:
             file = result.provenance.file or None
             raise InputError(f"the calibration {reason}", file=file)
-    units = np.array([component.factor for component in noise])
-    problem = replace(model.problem(result.fitted.rows), units=units)
+    factors = np.array([component.factor for component in noise])
+    problem = replace(model.problem(result.fitted.rows), units=factors)
     told = robot_rows(problem, model.theta, noise)
     own = [p for p, of in zip(problem.parameters, told.robot, strict=True) if of]
-    return RobotEvidence(
-        robot_type(model.chains),
-        tuple(p.name for p in own),
-        tuple(p.unit for p in own),
-        np.array([p.scale for p in own]),
-        told.rows,
-        told.values,
-        {c.quantity: c.estimate for c in noise if c.estimate > 0.0},
-    )
+    names, units = tuple(p.name for p in own), tuple(p.unit for p in own)
+    scales, robot = np.array([p.scale for p in own]), robot_type(model.chains)
+    sizes = {c.quantity: c.estimate for c in noise if c.estimate > 0.0}
+    return RobotEvidence(robot, names, units, scales, told.rows, told.values, sizes)

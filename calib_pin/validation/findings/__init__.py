@@ -35,7 +35,6 @@ from calib_pin.validation.findings.gauge_readings import gauge_readings
 from calib_pin.validation.findings.hypotheses import finding
 from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
-from calib_pin.validation.findings.joint_offsets import joint_offset
 from calib_pin.validation.findings.joint_sets import joint_sets
 from calib_pin.validation.findings.joint_turns import joint_turns
 from calib_pin.validation.findings.line_order import line_order
@@ -50,7 +49,7 @@ from calib_pin.validation.findings.rehomed import rehomed
 from calib_pin.validation.findings.repetitions import repetitions
 from calib_pin.validation.findings.ripple import ripples
 from calib_pin.validation.findings.robot import robots
-from calib_pin.validation.findings.targets import targets
+from calib_pin.validation.findings.targets import target_frames, targets
 from calib_pin.validation.findings.units import units, units_of_some
 from calib_pin.validation.findings.unmoved_joints import unmoved_joints
 
@@ -68,6 +67,7 @@ EXPLANATIONS: tuple[Family, ...] = (
     units,
     robots,
     targets,
+    target_frames,
 )
 """Explanations of errors that no robot explains."""
 
@@ -186,7 +186,7 @@ def _sought(case: Case) -> tuple[Finding, ...]:
         # What one column lags behind another is no lag of its joint.
         return (min(better, key=lambda found: _left([found])),)
     turned = _told(rehomed, case)
-    sure = _tried(joint_motion, case) or _tried(joint_offset, case)
+    sure = _tried(joint_motion, case)
     if sure is not None and not _left(turned) < CLEARER * sure.after:
         # A nominal robot that is read wrong makes plateaus of its own.
         return tuple(finding(case, sure))

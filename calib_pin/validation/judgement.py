@@ -321,10 +321,14 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
         return ""
     times = "" if noise is None else f", {after / noise:.2g} times the noise"
     known = "" if noise else ", state the 'noise' if the instrument is so coarse"
+    advice = f"measure at rest{known}, and {CHECK}"
+    for finding in grounds.findings:
+        if finding.code == "model-lacks":
+            advice = f"{finding.message}; {finding.remedy}"
     return (
         f"{quantity.name} errors of {_shown(after, 'm')} rms remain of "
         f"{_shown(before, 'm')}{times}: nothing that was estimated explains them; "
-        f"measure at rest{known}, and {CHECK}"
+        f"{advice}"
     )
 
 

@@ -31,6 +31,7 @@ from calib_pin.validation.findings.computed_values import computed_values
 from calib_pin.validation.findings.design import design
 from calib_pin.validation.findings.drift import drift
 from calib_pin.validation.findings.explanations import Family, explain
+from calib_pin.validation.findings.families import families, lacking
 from calib_pin.validation.findings.gauge_readings import gauge_readings
 from calib_pin.validation.findings.hypotheses import finding
 from calib_pin.validation.findings.joint_columns import joint_columns
@@ -77,6 +78,7 @@ CONSEQUENCES: tuple[Kind, ...] = (
     outliers,
     noise,
     population,
+    families,
     approach,
     ripples,
 )
@@ -130,6 +132,9 @@ def find(case: Case, seek: bool = True) -> Found:
     if any(found.code == "joint-offset" for found in others):
         # The origin has taken it over.
         others = [found for found in others if found.code != "large-correction"]
+    if any(f.code == "model-lacks" and f.severity == "warning" for f in others):
+        # A robot that grows to explain what it lacks is no longer one.
+        others = [found for found in others if found.code != "scale"]
     wrong = {f.evidence["between"] for f in others if f.code == "known-distance"}
     distances = [d.between for d in case.setup.known]
     ends = {end for both in distances if " - ".join(both) in wrong for end in both}
@@ -187,6 +192,10 @@ def _sought(case: Case) -> tuple[Finding, ...]:
         return (min(better, key=lambda found: _left([found])),)
     turned = _told(rehomed, case)
     sure = _tried(joint_motion, case)
+    if sure is not None and sure.fitted:
+        # What bends follows joints as well, and the position of one most of all.
+        bent = case.fit.errors * np.sqrt(lacking(case)[1])
+        sure = None if bent < CLEARER * sure.after else sure
     if sure is not None and not _left(turned) < CLEARER * sure.after:
         # A nominal robot that is read wrong makes plateaus of its own.
         return tuple(finding(case, sure))

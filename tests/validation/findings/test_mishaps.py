@@ -189,6 +189,12 @@ MISHAPS = [
         severity="info",
     ),
     Mishap(
+        "model-lacks",
+        lines={"parameters": ["placement"]},
+        setup=Setup(parameters=("joint-offset",)),
+        severity="warning",
+    ),
+    Mishap(
         "joint-turns",
         joint(2, lambda q: q + TURN),
         {"joints": {J3: {"joint": J3, "offset": pytest.approx(-TURN)}}},
@@ -395,6 +401,7 @@ ELSEWHERE = {
     "instrument-drift": "test_drift",
     "robot-drift": "test_drift",
     "target": "test_targets",
+    "target-frames": "test_targets",
     "robot": "test_robot",
     "tip-link": "test_robot",
     "base-link": "test_robot",

@@ -179,7 +179,8 @@ def _image_before(job: Job, rows: Measurements, rng: np.random.Generator) -> Inp
     """The joints of every image are those of the image before."""
     many = len(BOARD)
     kept = rows.rows(np.arange(many, len(rows)))
-    return given(job, replace(kept, q=rows.q[:-many]))
+    right = _says("image", "line")
+    return given(job, replace(kept, q=rows.q[:-many]), right)
 
 
 def _targets(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
@@ -194,7 +195,8 @@ def _mount(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
     """A camera that stands still is said to be in the hand."""
     assert job.setup.camera is not None
     camera = replace(job.setup.camera, mount="hand")
-    return replace(given(job, rows), setup=replace(job.setup, camera=camera))
+    setup = replace(job.setup, camera=camera)
+    return replace(given(job, rows, _says("mount")), setup=setup)
 
 
 def _computed(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
@@ -209,14 +211,15 @@ def _lost(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
     values = rows.values.copy()
     index = rng.permutation(len(rows))[: max(2, len(rows) // 12)]
     values[index, :3] = rng.choice([0.0, -1.0, -9.99])
-    return given(job, replace(rows, values=values))
+    right = _says("set aside", "no reading", "the same")
+    return given(job, replace(rows, values=values), right)
 
 
 def _no_orientation(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
     """Orientations that nobody measured, and that are written as zero."""
     values = rows.values.copy()
     values[:, 3:] = [0.0, 0.0, 0.0, 1.0]
-    return given(job, replace(rows, values=values))
+    return given(job, replace(rows, values=values), _says("orientation"))
 
 
 def _stuck_encoder(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
@@ -247,7 +250,8 @@ def _wrong_tip(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
         for frame in model.frames
         if frame.type == pin.FrameType.BODY and frame.parentJoint == before
     )
-    return replace(given(job, rows), setup=replace(job.setup, tip=link))
+    right = _says("tip")
+    return replace(given(job, rows, right), setup=replace(job.setup, tip=link))
 
 
 def _stuck(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:

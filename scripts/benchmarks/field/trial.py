@@ -119,6 +119,11 @@ class Outcome:
         return self.mishap != NONE and (self.off or lost or self.hidden)
 
     @property
+    def silent(self) -> bool:
+        """Whether a mishap that costs is neither named nor taken for another."""
+        return self.costly and not self.named and not self.wrong
+
+    @property
     def refused(self) -> bool:
         """Whether the clean twin was refused although it is better than nominal."""
         twin = self.clean
@@ -251,6 +256,7 @@ _COLUMNS: Mapping[str, str] = {
     "false trust": "false",
     "named": "named",
     "false cause": "wrong",
+    "not named": "silent",
     "clean refused": "refused",
 }
 _HEAD = " ".join(f"{name:>13}" for name in (*_COLUMNS, "time ratio"))

@@ -250,7 +250,7 @@ def _wrong_tip(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
         for frame in model.frames
         if frame.type == pin.FrameType.BODY and frame.parentJoint == before
     )
-    right = _says("tip")
+    right = _says("tip link", "'tip'")
     return replace(given(job, rows, right), setup=replace(job.setup, tip=link))
 
 

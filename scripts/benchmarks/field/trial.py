@@ -28,6 +28,9 @@ KEPT = 1.5
 SIZED = re.compile(r"times the noise")
 """Words of a sentence that tells that more than noise is left."""
 
+CLAIM = "looks like"
+"""Words of a refusal that says what is wrong; others only say that something is."""
+
 SLOWER = 5.0
 """How many times as long a wrong job may take as the right one."""
 
@@ -208,11 +211,12 @@ def _graded(number: int, name: str, of: Day, clean: Answer, spoiled: Input) -> O
     usual = {f.code for f in clean.findings}
     known = {*mishap.codes, *mishap.also, *usual}
     wrong = [
-        f"{f.code}: {f.message}"
+        f"{f.code}{'!' if f in naming else ''}: {f.message}"
         for f in answer.findings
-        if f.severity != "info" and f.code not in known and f.code != "refused"
+        if (f.severity != "info" and f.code not in known)
+        or (f in naming and not spoiled.right(f))
     ]
-    wrong += [f"{f.code}!: {f.message}" for f in naming if not spoiled.right(f)]
+    wrong = [text for text in wrong if CLAIM in text or not text.startswith("refused")]
     named = any(map(spoiled.right, naming)) or any(worded)
     texts = (of.instrument, of.label)
     return Outcome(

@@ -76,9 +76,9 @@ def families(case: Case) -> Iterator[Finding]:
     yield Finding(
         "model-lacks",
         "warning" if left < HALVED else "info",
-        "most of what is left is explained by parameters that were not estimated, "
-        f"{enumerated(names)}: the {quantity.name} errors of a fit fall from "
-        f"{factor * before:.3g} {unit} to about {factor * after:.3g} {unit}",
+        f"{enumerated(names)}, not estimated here, explains most of it: the "
+        f"{quantity.name} errors of a fit fall from {factor * before:.3g} {unit} to "
+        f"about {factor * after:.3g} {unit}",
         {"families": ", ".join(names), "rms_before": before, "rms_after": after},
         f"estimate them: --parameters {','.join(lines['parameters'])}, or state in the "
         f"setup file: {written(lines)}",

@@ -374,14 +374,14 @@ MISHAPS: Mapping[str, Mishap] = {
     # What the robot is, and what is estimated.
     "elasticity left out": Mishap(
         ALL,
-        ("compliance",),
+        ("model-lacks",),
         _modeled("placement"),
         words=("compliance", "elastic"),
         changes=_effect("compliance"),
     ),
     "gears left out": Mishap(
         ALL,
-        ("transmission", "gear-ripple"),
+        ("model-lacks", "gear-ripple"),
         _modeled("placement"),
         words=("transmission",),
         changes=_effect("transmission"),
@@ -396,7 +396,7 @@ MISHAPS: Mapping[str, Mishap] = {
     ),
     "offsets alone": Mishap(
         ALL,
-        ("placement",),
+        ("model-lacks",),
         _modeled("joint-offset"),
         words=("placement", "geometry"),
         changes={"parameters": ("placement",)},

@@ -132,6 +132,9 @@ def find(case: Case, seek: bool = True) -> Found:
     if any(found.code == "joint-offset" for found in others):
         # The origin has taken it over.
         others = [found for found in others if found.code != "large-correction"]
+    if any(found.code == "joint-columns" and found.setup for found in others):
+        # Commanded positions differ from measured ones by the side they came from.
+        others = [found for found in others if found.code != "backlash"]
     if any(f.code == "model-lacks" and f.severity == "warning" for f in others):
         # A robot that grows to explain what it lacks is no longer one.
         others = [found for found in others if found.code != "scale"]

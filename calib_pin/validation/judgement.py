@@ -285,6 +285,9 @@ def _distrust(grounds: Judgement) -> str:
         return f"{SCALE}; {STATED if stated else MISSING}"
     if not fitted.result.status.success:
         return fitted.result.status.advice
+    for finding in grounds.findings:
+        if finding.severity == "error":
+            return "; ".join(filter(None, (finding.message, finding.remedy)))
     if grounds.aside > BREAKDOWN:
         return (
             f"{100.0 * grounds.aside:.0f} % of the configurations are outliers; beyond "
@@ -293,9 +296,6 @@ def _distrust(grounds: Judgement) -> str:
         )
     if reason := unexplained(fitted, grounds.errors):
         return f"{reason}; {CHECK}"
-    for finding in grounds.findings:
-        if finding.severity == "error":
-            return "; ".join(filter(None, (finding.message, finding.remedy)))
     return _unaccounted(grounds, COARSE)
 
 

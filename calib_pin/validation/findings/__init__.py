@@ -97,6 +97,14 @@ FACTS: tuple[Kind, ...] = (
 )
 """Faults in every fit that the measurements show whatever else is wrong."""
 
+FOLLOW = (
+    ("joint-offset", "large-correction"),  # The origin has taken it over.
+    ("joint-columns", "backlash"),  # Commanded positions are off by the side.
+    ("model-lacks", "scale"),  # A robot grows to explain what it lacks.
+    ("coarse-steps", "noise"),
+)
+"""Warnings, and findings that follow from them and then are not told."""
+
 CLEARER = 0.8
 """Part of the errors that moved frames leave, below which another zero is the cause: of
 the first joint and the last one frames explain as much."""
@@ -129,15 +137,9 @@ def find(case: Case, seek: bool = True) -> Found:
     kinds = FACTS if causes else CONSEQUENCES + FACTS
     others = [] if causes else [*sought]
     others += [found for kind in kinds for found in _told(kind, case)]
-    if any(found.code == "joint-offset" for found in others):
-        # The origin has taken it over.
-        others = [found for found in others if found.code != "large-correction"]
-    if any(found.code == "joint-columns" and found.setup for found in others):
-        # Commanded positions differ from measured ones by the side they came from.
-        others = [found for found in others if found.code != "backlash"]
-    if any(f.code == "model-lacks" and f.severity == "warning" for f in others):
-        # A robot that grows to explain what it lacks is no longer one.
-        others = [found for found in others if found.code != "scale"]
+    told = {found.code for found in others if found.severity == "warning"}
+    follow = {code for first, code in FOLLOW if first in told}
+    others = [found for found in others if found.code not in follow]
     wrong = {f.evidence["between"] for f in others if f.code == "known-distance"}
     distances = [d.between for d in case.setup.known]
     ends = {end for both in distances if " - ".join(both) in wrong for end in both}

@@ -365,7 +365,7 @@ MISHAPS: Mapping[str, Mishap] = {
     "rehomed": Mishap(FREE, ("joint-rehomed",), _rehomed),
     "two robots": Mishap(
         FREE,
-        ("robot-changed", "different-robots"),
+        ("another-job",),
         _two_robots,
         words=("two robots", "another robot", "robot changed"),
     ),

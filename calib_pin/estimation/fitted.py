@@ -24,6 +24,7 @@ from calib_pin.estimation.directions import Directions, half_covariance
 from calib_pin.estimation.elimination import own_deviations, with_response
 from calib_pin.estimation.evidence import Outlier, VarianceComponent
 from calib_pin.estimation.identifiability import Structure
+from calib_pin.estimation.places import expected_places
 from calib_pin.estimation.problem import Problem, known_count
 from calib_pin.estimation.shrinkage import Evidence
 from calib_pin.estimation.solve import Solution
@@ -175,7 +176,9 @@ def _held(
     if sizes is None:
         return directions.basis, np.zeros((0, len(parameters)))
     alone = parameters.free & ~parameters.nuisance & ~np.isfinite(parameters.priors)
-    rows = np.diag(1.0 / (sizes * parameters.scales))[alone]
+    spread = expected_places(problem, parameters) * sizes
+    inverse = np.linalg.solve(spread, np.diag(1.0 / parameters.scales))
+    rows = np.asarray(inverse[alone])
     return np.eye(len(parameters))[:, parameters.free], rows
 
 

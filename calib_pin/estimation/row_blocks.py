@@ -36,11 +36,14 @@ class Expected:
         directions: Of the parameters divided by their scale, shape (P, k).
         sizes: Standard deviation of every parameter, in scales, shape (P,).
         scales: Scales of the parameters, shape (P,).
+        places: Errors by independent ones of these sizes, in scales, see `places`,
+            shape (P, P).
     """
 
     directions: Floats
     sizes: Floats
     scales: Floats
+    places: Floats
 
     def __len__(self) -> int:
         """Number p of rows, at most k."""
@@ -56,7 +59,7 @@ class Expected:
 
     @cached_property
     def _rows(self) -> Floats:
-        root = inverse_root(self.sizes[:, None] * self.directions)
+        root = inverse_root(self.sizes[:, None] * (self.places.T @ self.directions))
         return np.asarray(root.T @ self.directions.T / self.scales)
 
 

@@ -125,6 +125,7 @@ def expected_errors(
     fun: Floats,
     jac: Floats,
     unit: float,
+    places: Floats,
 ) -> Evidence:
     """The prior of the robot's directions by the evidence of a least-squares fit.
 
@@ -135,6 +136,7 @@ def expected_errors(
         fun: Whitened residual there, shape (M,).
         jac: Whitened Jacobian there, shape (M, P).
         unit: Standard deviation of unit weight.
+        places: Errors by independent ones, see `places`, shape (P, P).
     """
     V = np.column_stack([directions.robot, directions.weak])
     V = V * ~np.isfinite(parameters.priors)[:, None]
@@ -153,7 +155,7 @@ def expected_errors(
     values = current - (U[:, seen].T @ triangle[:, -1]) / s
     quarter = np.quantile(deviations**2, 0.25) if len(s) else np.inf
     beside = deviations**2 * (1.0 + deviations**2 / (CLEAR**2 * quarter))
-    half = Wt @ V.T
+    half = Wt @ V.T @ places
     found, parts = expected_sizes(values, beside, half[:, own], kinds)
     sizes, likely = np.ones(len(V)), np.ones((PARTS, len(V)))
     sizes[own], likely[:, own] = found[kinds], parts[kinds].T
@@ -162,7 +164,7 @@ def expected_errors(
     change = kept @ (values / deviations) - current / deviations
     shift = change / np.sqrt(np.diag(kept))
     return Evidence(
-        expected=Expected(V, sizes, parameters.scales),
+        expected=Expected(V, sizes, parameters.scales, places),
         likely=likely,
         matters=bool(np.abs(shift).max(initial=0.0) > NOTICED),
         square=float(np.sum((values / deviations) ** 2)),

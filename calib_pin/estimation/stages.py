@@ -27,6 +27,7 @@ from calib_pin.estimation.directions import (
 )
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.nominal import analyze_structure
+from calib_pin.estimation.places import expected_places
 from calib_pin.estimation.problem import EXACT, Problem, absorbed, known_count
 from calib_pin.estimation.row_blocks import Expected
 from calib_pin.estimation.shrinkage import Evidence, expected_errors
@@ -283,7 +284,13 @@ def _shrunk(
     if not unit > EXACT or last.rank == 0:
         return None, found
     evidence = expected_errors(
-        last.directions, problem.parameters, found.x, found.fun, found.jac, unit
+        last.directions,
+        problem.parameters,
+        found.x,
+        found.fun,
+        found.jac,
+        unit,
+        expected_places(problem, problem.parameters),
     )
     # A search that was cut short, or met far from a minimum, stays what it is.
     led = Status.CONVERGED, Status.ITERATIONS, Status.STALLED

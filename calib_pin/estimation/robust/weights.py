@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import require_known
 from calib_pin.estimation.evidence import Outlier
 from calib_pin.estimation.fitted import Fit, RobustDecision
+from calib_pin.estimation.places import expected_places
 from calib_pin.estimation.problem import (
     EXACT,
     SAMPLE,
@@ -259,6 +260,7 @@ def _sought(
         np.eye(len(parameters))[:, robot],
         np.full(len(parameters), OPTIONS.size),
         parameters.scales,
+        expected_places(problem, parameters),
     )
     every = consensus(_plain(problem), rng)
     every = replace(every, expected=expected, units=np.zeros(0))

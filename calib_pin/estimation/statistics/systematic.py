@@ -223,10 +223,15 @@ def sampled(problem: Problem, count: int = ROWS) -> Observations:
     return data.sample(count)
 
 
-def candidates(problem: Problem) -> Systematic | None:
-    """All effects that are not estimated already, in their expected sizes."""
+def candidates(problem: Problem, whole: Sequence[str] = ()) -> Systematic | None:
+    """All effects that are not estimated already, in their expected sizes.
+
+    Args:
+        problem: The problem.
+        whole: Further parameterizations, all of whose parameters are tried.
+    """
     setup, chains = problem.setup, problem.chains
-    kinds = {
+    kinds = dict.fromkeys(whole, ("",)) | {
         name: member.effects.components
         for name, member in PARAMETERIZATIONS.items()
         if member.effects is not None and name not in setup.parameters
@@ -248,7 +253,8 @@ def candidates(problem: Problem) -> Systematic | None:
         for parameter in errors[name].parameters:
             joint, kind, component = parameter.name.rsplit(".", 2)
             # A mimic joint has the errors of its leader, which may be of no chain.
-            if component in kinds.get(kind, ()) and turns.get(joint):
+            told = component in kinds.get(kind, ()) and turns.get(joint)
+            if told or kind in whole:
                 sizes[parameter.name] = parameter.scale
     if not sizes:
         return None

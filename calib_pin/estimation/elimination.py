@@ -10,18 +10,13 @@ the measurements and not with the square of the stations.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
-
-WORTHWHILE = 60
-"""Parameters of single stations from which they are eliminated: as many as a robot has.
-
-With fewer, all together cost less, and every rank is that of all."""
 
 SINGULAR = 1e-10
 """Singular values below this part of the largest are rounding."""
@@ -48,27 +43,6 @@ class Station:
     root: Floats
     response: Floats
     settled: Floats
-
-
-def station_parameters(
-    indices: Mapping[str, Sequence[NDArray[np.intp]]], loose: NDArray[np.bool_]
-) -> dict[str, NDArray[np.intp]]:
-    """The parameters that only one station has, by station; empty where they are few.
-
-    Args:
-        indices: By station the parameters of each of its blocks.
-        loose: The parameters that nothing but measurements knows, shape (P,).
-    """
-    count = np.zeros(len(loose), np.int64)
-    of_station = {
-        name: np.unique(np.concatenate(list(parts))) for name, parts in indices.items()
-    }
-    for positions in of_station.values():
-        count[positions] += 1
-    alone = loose & (count == 1)
-    if len(of_station) == 1 or alone.sum() < WORTHWHILE:
-        return {}
-    return {name: found[alone[found]] for name, found in of_station.items()}
 
 
 def eliminate(own: NDArray[np.intp], rows: Sequence[Rows]) -> tuple[Station, Rows]:

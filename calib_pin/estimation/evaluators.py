@@ -2,64 +2,31 @@
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Protocol, Self
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from calib_pin.estimation.terms import Block, Term
-from calib_pin.estimation.tool_poses import (
-    ToolPoses,
-    kept,
-    whitened,
-    whitened_jacobian,
-)
+from calib_pin.estimation.terms import Block
+from calib_pin.estimation.tool_poses import ToolPoses, whitened, whitened_jacobian
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import Linearization
-from calib_pin.observations import BlockKey
 from calib_pin.parameterizations.error_model import ErrorModel, flexures
+
+if TYPE_CHECKING:
+    from calib_pin.estimation.many_rows import ManyRows
 
 PIECE = 4096
 """Measurements whose Jacobian is held at once, where there are very many."""
 
+Evaluator: TypeAlias = "RowByRow | ManyRows"
+"""The measurements of some blocks as a function of all parameters, shape (P,).
 
-class Evaluator(Protocol):
-    """The measurements of some blocks as a function of all parameters, shape (P,).
+What it says of each block is by the block's own parameters, shape (p,). Where it
+`reduces`, `factorize` returns fewer rows than there are values.
+"""
 
-    What it says of each block is by the block's own parameters, shape (p,).
-
-    Attributes:
-        reduces: Whether `factorize` returns fewer rows than there are values.
-    """
-
-    reduces: bool
-
-    def weighted(self, sigma: Floats) -> Self:
-        """The same with other standard deviations of all blocks, shape (M,)."""
-        ...
-
-    def about(self, blocks: Sequence[Block]) -> Self | None:
-        """The same measurements about other references; None where more has changed."""
-        ...
-
-    def errors(self, theta: Floats) -> Sequence[Floats]:
-        """Residuals of each block in their units, predicted minus measured, (N, d)."""
-        ...
-
-    def points(self, theta: Floats) -> Sequence[Floats]:
-        """Tool points of each block in the measurement frame, shape (N, 3)."""
-        ...
-
-    def factorize(self, theta: Floats) -> Sequence[tuple[Floats, Floats]]:
-        """Whitened residual, shape (M,), and Jacobian, shape (M, p), of each block.
-
-        Of very many measurements they are those of a smaller system with the same
-        normal equations, its triangular factor.
-        """
-        ...
+Evaluators: TypeAlias = Mapping[tuple[int, ...], Evaluator]
+"""Evaluators of all blocks, by the positions of those of each."""
 
 
 class RowByRow:
@@ -71,29 +38,26 @@ class RowByRow:
             problem, shape (M,).
         reduces: Whether only the triangular factor of the rows is wanted, which takes
             no more memory than a piece of them.
+        last: The evaluator of the same measurements before, whose references or
+            weights may have been others.
     """
 
-    def __init__(self, block: Block, sigma: Floats, reduces: bool = False) -> None:
+    def __init__(
+        self,
+        block: Block,
+        sigma: Floats,
+        reduces: bool = False,
+        last: Evaluator | None = None,
+    ) -> None:
         """Prepare nothing: what does not change is computed where it is needed."""
         self._block, self._sigma = block, block.table(sigma)
         self.reduces = reduces
-
-    def weighted(self, sigma: Floats) -> RowByRow:
-        """The same with other standard deviations of all blocks, shape (M,)."""
-        result = copy.copy(self)
-        result._sigma = self._block.table(sigma)
-        return result
-
-    def about(self, blocks: Sequence[Block]) -> RowByRow | None:
-        """Nothing: there is nothing prepared that would be worth keeping."""
-        return None
-
-    @cached_property
-    def _tool(self) -> ToolPoses:
-        return ToolPoses(self._block.term.error, self._block.data)
+        self._tool = ToolPoses(block.term.error, block.data)
+        if isinstance(last, RowByRow) and last._block.term is block.term:
+            self._tool = last._tool
 
     def errors(self, theta: Floats) -> list[Floats]:
-        """Residuals in their units, shape (N, d)."""
+        """Residuals in their units, predicted minus measured, shape (N, d)."""
         term, data = self._block.term, self._block.data
         of_robot, instrument = term.values(theta)
         return [term.measurement.residual(self._tool(of_robot), instrument, data)]
@@ -112,11 +76,15 @@ class RowByRow:
         """
         if not self.reduces:
             return [self._rows(theta)]
-        R = np.zeros((0, len(self._block.term.index) + 1))
-        for piece in self._pieces():
-            r, J = piece._rows(theta)
-            rows = np.vstack([R, np.column_stack([J, r])])
-            R = np.asarray(np.linalg.qr(rows, mode="r"))
+        block = self._block
+        R = np.zeros((0, len(block.term.index) + 1))
+        for start in range(0, len(block.data), PIECE):
+            rows = slice(start, start + PIECE)
+            data, sigma = block.data.rows(rows), self._sigma[rows].reshape(-1)
+            piece = block._replace(data=data, values=slice(0, len(sigma)))
+            r, J = RowByRow(piece, sigma)._rows(theta)
+            more = np.vstack([R, np.column_stack([J, r])])
+            R = np.asarray(np.linalg.qr(more, mode="r"))
         return [(R[:, -1], R[:, :-1])]
 
     def _rows(self, theta: Floats) -> tuple[Floats, Floats]:
@@ -125,24 +93,9 @@ class RowByRow:
         of_robot, instrument = term.values(theta)
         tool = self._tool.linearize(of_robot)
         linear = term.measurement.linearize(tool.T, instrument, data)
-        aside = np.isinf(self._sigma)
-        known = Linearization(
-            linear.residual,
-            kept(linear.J_pose, aside),
-            kept(linear.J_instrument, aside),
-        )
-        J = whitened_jacobian(tool, known, self._sigma)
+        J = whitened_jacobian(tool, linear, self._sigma)
         r = whitened(linear.residual, self._sigma)
-        return r, J.reshape(-1, len(term.index))
-
-    def _pieces(self) -> Iterator[RowByRow]:
-        """Some thousand measurements at a time."""
-        block = self._block
-        for start in range(0, len(block.data), PIECE):
-            rows = slice(start, start + PIECE)
-            data, sigma = block.data.rows(rows), self._sigma[rows]
-            own = block._replace(data=data, values=slice(0, sigma.size))
-            yield RowByRow(own, sigma.reshape(-1))
+        return r.reshape(-1), J.reshape(-1, len(term.index))
 
 
 def compilable(model: ErrorModel) -> bool:
@@ -153,92 +106,34 @@ def compilable(model: ErrorModel) -> bool:
     return model.learned is None and len(flexures(model)) == 0
 
 
-@dataclass(frozen=True)
-class Evaluated:
-    """The evaluators of a problem.
-
-    Attributes:
-        terms: The terms about whose references they are.
-        sigma: Standard deviations of the residual components, shape (M,).
-        many: Whether a Jacobian of all measurements would be too large to be handy.
-        evaluators: They, with the positions of the blocks of each.
-    """
-
-    terms: Mapping[BlockKey, Term]
-    sigma: Floats
-    many: bool
-    evaluators: Mapping[Evaluator, Sequence[int]]
-
-
-def evaluated(
-    terms: Mapping[BlockKey, Term],
-    blocks: Sequence[Block],
-    sigma: Floats,
-    many: bool,
-    last: Evaluated | None = None,
-) -> Evaluated:
+def evaluators(
+    blocks: Sequence[Block], sigma: Floats, many: bool, last: Evaluators
+) -> Evaluators:
     """Evaluators of measurements.
-
-    Args:
-        terms: The terms.
-        blocks: The measurements with these.
-        sigma: Standard deviations of their residual components, shape (M,).
-        many: Whether a Jacobian of all measurements would be too large to be handy.
-        last: Those of the same measurements with other weights or about other
-            references; they are used again.
-    """
-    found: Mapping[Evaluator, Sequence[int]] = {}
-    if last is not None and last.many == many:
-        found = last.evaluators
-        if terms is not last.terms:
-            found = _about(blocks, found)
-        if not np.array_equal(last.sigma, sigma):
-            found = {one.weighted(sigma): at for one, at in found.items()}
-    return Evaluated(terms, sigma, many, found or _created(blocks, sigma, many))
-
-
-def _about(
-    blocks: Sequence[Block], found: Mapping[Evaluator, Sequence[int]]
-) -> dict[Evaluator, Sequence[int]]:
-    """Evaluators about the references of blocks; none where one has to begin anew."""
-    result: dict[Evaluator, Sequence[int]] = {}
-    for one, at in found.items():
-        moved = one.about([blocks[k] for k in at])
-        if moved is None:
-            return {}
-        result[moved] = at
-    return result
-
-
-def _created(
-    blocks: Sequence[Block], sigma: Floats, many: bool
-) -> dict[Evaluator, Sequence[int]]:
-    """Evaluators, with the positions of the blocks of each.
 
     Compiled kernels take measurements that are many and that they can evaluate. Where
     places bend row by row, Pinocchio takes them piece by piece.
 
     Args:
-        blocks: The blocks.
+        blocks: The measurements with their terms.
         sigma: Standard deviations of their residual components, shape (M,).
         many: Whether a Jacobian of all measurements would be too large to be handy.
+        last: Those of the same measurements with other weights or about other
+            references; what they have prepared is used again.
     """
-    if not many:
-        return {RowByRow(block, sigma): [k] for k, block in enumerate(blocks)}
-    from calib_pin.estimation.many_rows import ManyRows, alike
-
     found: dict[object, list[int]] = {}
     for k, block in enumerate(blocks):
-        plain = compilable(block.term.error) and not block.data.start.size
-        found.setdefault(alike(block.term) if plain else k, []).append(k)
+        plain = many and compilable(block.term.error) and not block.data.start.size
+        found.setdefault(block.term.kind if plain else k, []).append(k)
+    result: dict[tuple[int, ...], Evaluator] = {}
+    for kind, positions in found.items():
+        at, (first, *_) = tuple(positions), positions
+        if isinstance(kind, int):
+            data, error = blocks[first].data, blocks[first].term.error
+            bent = many and len(flexures(error)) > 0 and len(data) > PIECE
+            result[at] = RowByRow(blocks[first], sigma, bent, last.get(at))
+            continue
+        from calib_pin.estimation.many_rows import ManyRows
 
-    def alone(block: Block) -> RowByRow:
-        bent = len(flexures(block.term.error)) and len(block.data) > PIECE
-        return RowByRow(block, sigma, reduces=bool(bent))
-
-    return {
-        alone(blocks[positions[0]])
-        if isinstance(kind, int)
-        else ManyRows([blocks[k] for k in positions], sigma): positions
-        for kind, positions in found.items()
-    }
+        result[at] = ManyRows.of([blocks[k] for k in at], sigma, last.get(at))
+    return result

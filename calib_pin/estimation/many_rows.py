@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TypeAlias
 
@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled import blocks as compiled
 from calib_pin.compiled import kernels, link_kernels, row_kernels
 from calib_pin.compiled.threads import Threads
-from calib_pin.estimation.terms import FRAME, Block, Term
+from calib_pin.estimation.terms import FRAME, Block
 from calib_pin.estimation.tool_poses import kept
 from calib_pin.kinematics.spatial import Floats, adjoint, invert, se3_exp
 from calib_pin.observations import Measurements
@@ -56,27 +56,11 @@ sample the fit ends a million positions with a noise of 0.1 mm after one pass, a
 thousandth of a standard deviation from where a second one ends."""
 
 
-def alike(term: Term) -> tuple[object, ...]:
-    """Things that are the same in terms which `ManyRows` evaluates together."""
-    model = term.measurement
-    if not is_dataclass(model):
-        return (term.key,)
-    values = [getattr(model, field.name) for field in fields(model)]
-    return (
-        term.key._replace(station=""),
-        term.error.tool.homogeneous.tobytes(),
-        term.error.payload,
-        term.index[FRAME:].tobytes(),
-        type(model),
-        *(tuple(map(id, v)) if isinstance(v, tuple) else id(v) for v in values),
-    )
-
-
 class ManyRows:
-    """Measurements of alike blocks, whitened; an `Evaluator` of `problem`.
+    """Measurements of blocks of one kind, whitened; see `evaluators.Evaluator`.
 
     Args:
-        blocks: The S blocks, see `alike`.
+        blocks: The S blocks, see `Term.kind`.
         sigma: Standard deviations of the residual components of all blocks of the
             problem, shape (M,).
     """
@@ -102,8 +86,7 @@ class ManyRows:
         self._stops = np.cumsum([len(block.data) for block in blocks])
         starts = range(0, len(data), CHUNK)
         self._chunks = list(self._threads.map(partial(self._chunk, data), starts))
-        self._sigma = np.zeros((0, 0))
-        self._weigh(sigma)
+        self._sigma = _stacked(blocks, sigma)
 
     def _refer(self, blocks: Sequence[Block]) -> None:
         """Take blocks with their references."""
@@ -116,22 +99,30 @@ class ManyRows:
         self._bases = np.array([block.term.error.base.homogeneous for block in blocks])
         self._known: list[_Linear] = []
 
-    def about(self, blocks: Sequence[Block]) -> ManyRows | None:
-        """The same measurements about other references; None where more has changed."""
-        before, terms = self._blocks[0].term.error, [block.term for block in blocks]
-        error = terms[0].error
-        same = error.chain is before.chain and error.screws is before.screws
-        same = same and error.payload == before.payload and error.learned is None
-        if not same or len(set(map(alike, terms))) > 1:
-            return None
-        result = copy.copy(self)
-        result._refer(blocks)
-        return result
+    @classmethod
+    def of(cls, blocks: Sequence[Block], sigma: Floats, last: object) -> ManyRows:
+        """Measurements by what the last evaluator of them has prepared, if it can.
 
-    def weighted(self, sigma: Floats) -> ManyRows:
-        """The same measurements with other standard deviations, shape (M,)."""
-        result = copy.copy(self)
-        result._weigh(sigma)
+        Args:
+            blocks: The blocks; their references may be others.
+            sigma: Standard deviations as above; those may be others as well.
+            last: The evaluator, or None.
+        """
+        error = blocks[0].term.error
+        if not isinstance(last, ManyRows):
+            return cls(blocks, sigma)
+        before = last._blocks[0].term.error
+        same = error.chain is before.chain and error.screws is before.screws
+        if not same or error.payload != before.payload:
+            return cls(blocks, sigma)
+        pairs, table = zip(blocks, last._blocks, strict=True), _stacked(blocks, sigma)
+        moved = any(block.term is not other.term for block, other in pairs)
+        if not moved and np.array_equal(table, last._sigma):
+            return last
+        result = copy.copy(last)
+        if moved:
+            result._refer(blocks)
+        result._weigh(table)
         return result
 
     def _chunk(self, data: Measurements, start: int) -> _Chunk:
@@ -150,9 +141,8 @@ class ManyRows:
                 first = stop
         return _Chunk(data, every, tuple(pieces))
 
-    def _weigh(self, sigma: Floats) -> None:
-        tables = [block.table(sigma) for block in self._blocks]
-        table = tables[0] if len(tables) == 1 else np.concatenate(tables)
+    def _weigh(self, table: Floats) -> None:
+        """Take other standard deviations, shape (N, d)."""
         moved = [one.reweighted(self._sigma, table) for one in self._known]
         self._known, self._sigma = [one for one in moved if one is not None], table
 
@@ -285,6 +275,12 @@ class ManyRows:
         result[:, np.arange(twists, others), FRAME + corrections] = 1.0
         result[:, others : others + own + 1, count:] = np.eye(own + 1)
         return result
+
+
+def _stacked(blocks: Sequence[Block], sigma: Floats) -> Floats:
+    """Standard deviations of the measurements of blocks, (M,) -> (N, d)."""
+    tables = [block.table(sigma) for block in blocks]
+    return tables[0] if len(tables) == 1 else np.concatenate(tables)
 
 
 _Motions: TypeAlias = "tuple[Floats, NDArray[np.int64]]"

@@ -23,12 +23,11 @@ from calib_pin.estimation.problem import (
     station_kinds,
 )
 from calib_pin.estimation.registration import registered
-from calib_pin.estimation.solve import least_squares
+from calib_pin.estimation.solve import Solution, least_squares
 from calib_pin.estimation.tool_poses import Configured, ToolPoses
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations.linearization import PoseLinearization
-from calib_pin.solvers import LeastSquaresResult
 
 EXPLAINED = 1e-6
 """Part of a change of scale that rounding leaves where parameters express it."""
@@ -50,7 +49,7 @@ The tip of an arm of a meter is then off by a centimeter.
 
 
 @serial_blas
-def register(problem: Problem, theta: Floats) -> tuple[Problem, LeastSquaresResult]:
+def register(problem: Problem, theta: Floats) -> tuple[Problem, Solution]:
     """Fit only base, tool and instrument; the robot keeps its values.
 
     Args:

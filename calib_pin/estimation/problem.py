@@ -11,18 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import stated_in
-from calib_pin.estimation.elimination import (
-    Station,
-    eliminate,
-    reduced,
-    station_parameters,
-)
-from calib_pin.estimation.evaluators import (
-    Evaluated,
-    Evaluator,
-    RowByRow,
-    evaluated,
-)
+from calib_pin.estimation.elimination import Station, eliminate, reduced
+from calib_pin.estimation.evaluators import Evaluator, Evaluators, RowByRow, evaluators
 from calib_pin.estimation.layout import Layout
 from calib_pin.estimation.row_blocks import Expected, Further, KnownDistances, Priors
 from calib_pin.estimation.terms import Block, Term, Terms
@@ -41,6 +31,10 @@ EXACT = 1e-6
 """Scatter, in standard deviations, below which measurements differ by rounding alone.
 """
 
+WORTHWHILE = 60
+"""Parameters of single stations from which they are eliminated: as many as a robot has.
+
+With fewer, all together cost less, and every rank is that of all."""
 
 ALIKE = 2
 """Stations of a kind that show what very many do; others only add frames."""
@@ -63,8 +57,7 @@ class Shared:
         keys: The blocks that there are terms of.
         layout: Measurement and quantity of each residual component.
         given_sigma: Standard deviations that are stated or assumed, shape (M,).
-        evaluated: The last evaluators: of which terms, with which standard deviations,
-            whether of very many measurements, with the positions of their blocks.
+        evaluators: The last evaluators.
     """
 
     data: Observations
@@ -72,7 +65,7 @@ class Shared:
     keys: tuple[BlockKey, ...]
     layout: Layout | None = None
     given_sigma: Floats | None = None
-    evaluated: Evaluated | None = None
+    evaluators: Evaluators = field(default_factory=dict)
 
     def holds(self, problem: Problem) -> bool:
         """Whether a problem differs in weights, references and priors alone."""
@@ -263,41 +256,46 @@ class Problem(Terms):
         Args:
             theta: Parameter values, shape (P,).
         """
-        if not self.own_of_stations:
-            return ()
-        known: dict[bytes, Sequence[Station]] = self._eliminated
-        if theta.tobytes() not in known:
+        if self.own_of_stations and theta.tobytes() not in self._eliminated:
             self.linearize(theta)
-        return known[theta.tobytes()]
+        return self._eliminated.get(theta.tobytes(), ())
 
     @cached_property
     def own_of_stations(self) -> Mapping[str, NDArray[np.intp]]:
-        """Parameters that are eliminated, by the station that alone has them."""
+        """Parameters that only one station has and nothing else knows, by station.
+
+        They are eliminated; empty where they are few.
+        """
         if not self._large:
             return {}
+        parameters = self.parameters
+        loose = parameters.free & parameters.nuisance
+        loose &= ~np.isfinite([*parameters.bounds, parameters.priors]).any(axis=0)
+        columns = self.further.distances.columns
+        loose[columns[columns >= 0]] = False
         indices: dict[str, list[NDArray[np.intp]]] = {}
         for term in self.terms.values():
             indices.setdefault(term.frames.station, []).append(term.index)
-        parameters = self.parameters
-        tied = np.isfinite([*parameters.bounds, parameters.priors]).any(axis=0)
-        tied |= ~parameters.free | ~parameters.nuisance
-        columns = self.further.distances.columns
-        tied[columns[columns >= 0]] = True
-        return station_parameters(indices, ~tied)
+        of = {name: np.unique(np.concatenate(parts)) for name, parts in indices.items()}
+        counts = np.bincount(np.concatenate([*of.values()]), minlength=len(loose))
+        alone = loose & (counts == 1)
+        if len(of) == 1 or alone.sum() < WORTHWHILE:
+            return {}
+        return {name: own[alone[own]] for name, own in of.items()}
 
     @property
     def many(self) -> bool:
         """Whether `linearize` returns a smaller system in place of the rows."""
-        reduces = any(one.reduces for one in self._evaluators)
+        reduces = any(one.reduces for one in self._evaluators.values())
         return reduces or bool(self.own_of_stations)
 
     @cached_property
-    def _evaluators(self) -> Mapping[Evaluator, Sequence[int]]:
-        """Residuals and derivatives of blocks, with the positions of these."""
-        last = self._shared.evaluated
-        found = evaluated(self.terms, self.blocks, self.sigma, self._large, last)
-        self._shared.evaluated = found
-        return found.evaluators
+    def _evaluators(self) -> Evaluators:
+        """Residuals and derivatives of blocks, by the positions of these."""
+        shared = self._shared
+        last, many = shared.evaluators, self._large
+        shared.evaluators = evaluators(self.blocks, self.sigma, many, last)
+        return shared.evaluators
 
     @cached_property
     def _large(self) -> bool:
@@ -343,7 +341,7 @@ class Problem(Terms):
         """Values by the evaluators, block after block."""
         found = {
             k: value
-            for one, positions in self._evaluators.items()
+            for positions, one in self._evaluators.items()
             for k, value in zip(positions, evaluate(one), strict=True)
         }
         return [found[k] for k in range(len(found))]
@@ -389,7 +387,7 @@ def known_count(problem: Problem) -> int:
 
 def evaluator(problem: Problem) -> str:
     """Name of the way in which measurements are evaluated."""
-    plain = all(isinstance(one, RowByRow) for one in problem._evaluators)
+    plain = all(isinstance(one, RowByRow) for one in problem._evaluators.values())
     return "pinocchio" if plain else "kernel"
 
 

@@ -13,13 +13,16 @@ measurements do not see it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.estimation.directions import Directions, projected
+from calib_pin.estimation.directions import projected
+from calib_pin.estimation.fitted import Evidence, Fit
+from calib_pin.estimation.problem import EXACT
 from calib_pin.estimation.row_blocks import Expected
+from calib_pin.estimation.solve import refine
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.estimation.statistics.restricted_likelihood import (
     KNOWN,
@@ -28,7 +31,7 @@ from calib_pin.estimation.statistics.restricted_likelihood import (
     estimate_variances,
 )
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.parameters import ParameterSet
+from calib_pin.solvers import Status
 
 STATED = 2.0
 """Directions that the stated size of errors is worth against those that are measured.
@@ -55,26 +58,6 @@ nominal (1.2 mm rms; 0.51 to 0.52 mm with any limit from 3 to 30).
 
 VISIBLE = 1e-9
 """Part of the largest singular value below which the rows do not see a direction."""
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """The size of the robot's errors by a least-squares fit.
-
-    Attributes:
-        expected: The prior.
-        likely: Sizes in the place of its own that are as likely, shape (PARTS, P).
-        matters: Whether it changes the solution by anything to speak of.
-        square: Sum of the squared estimates in their standard deviations: chi-square
-            of `count` degrees of freedom if the robot is as nominal.
-        count: Number of directions that the rows see.
-    """
-
-    expected: Expected
-    likely: Floats
-    matters: bool
-    square: float
-    count: int
 
 
 def expected_sizes(
@@ -118,31 +101,46 @@ def expected_sizes(
     return 10.0 ** np.round(0.5 * np.log10(found.values), 2), parts
 
 
-def expected_errors(
-    directions: Directions,
-    parameters: ParameterSet,
-    theta: Floats,
-    fun: Floats,
-    jac: Floats,
-    unit: float,
-) -> Evidence:
+def shrunk(fitted: Fit) -> Fit:
+    """The mode of the posterior from a least-squares fit, with the evidence for it.
+
+    Where the rows are exact or tell nothing there is none. Residual and Jacobian are
+    without the rows of the prior.
+    """
+    problem, result, unit = fitted.problem, fitted.result, fitted.unit
+    if not unit > EXACT or fitted.rank == 0:
+        return fitted
+    evidence = expected_errors(fitted)
+    # A search that was cut short, or met far from a minimum, stays what it is.
+    led = Status.CONVERGED, Status.ITERATIONS, Status.STALLED
+    if not evidence.matters or result.status not in led:
+        return replace(fitted, evidence=replace(evidence, matters=False))
+    # Whitened like the rows, whose unit weight is not in their standard deviations.
+    expected = replace(evidence.expected, sizes=evidence.expected.sizes / unit)
+    basis = problem.parameters.scales[:, None] * fitted.directions.every
+    found = refine(replace(problem, expected=expected), result.x, basis)
+    # The rows of the prior stand before those of priors of the setup.
+    stop = len(found.fun) - len(problem.further.priors)
+    rows = np.delete(np.arange(len(found.fun)), np.s_[stop - len(expected) : stop])
+    fun, jac = found.fun[rows], found.jac[rows]
+    found = replace(found, fun=fun, jac=jac, cost=0.5 * float(fun @ fun))
+    return replace(fitted, evidence=evidence, result=found.after(result))
+
+
+def expected_errors(fitted: Fit) -> Evidence:
     """The prior of the robot's directions by the evidence of a least-squares fit.
 
-    Args:
-        directions: Directions that the fit moved, and those held at nominal.
-        parameters: The parameters; what has a prior of its own has no other.
-        theta: The solution, shape (P,).
-        fun: Whitened residual there, shape (M,).
-        jac: Whitened Jacobian there, shape (M, P).
-        unit: Standard deviation of unit weight.
+    What has a prior of its own has no other.
     """
+    parameters, directions = fitted.problem.parameters, fitted.directions
+    theta, unit = fitted.theta, fitted.unit
     V = np.column_stack([directions.robot, directions.weak])
     V = V * ~np.isfinite(parameters.priors)[:, None]
     present = np.unique(parameters.kinds[V.any(axis=1)])
     own = np.isin(parameters.kinds, present)
     kinds = np.searchsorted(present, parameters.kinds[own])
-    A = jac * parameters.scales
-    system = projected(np.column_stack([A @ V, fun]), A, parameters)
+    A = fitted.result.jac * parameters.scales
+    system = projected(np.column_stack([A @ V, fitted.result.fun]), A, parameters)
     triangle = np.asarray(np.linalg.qr(system, mode="r"))
     U, s, Wt = np.linalg.svd(triangle[:, :-1], full_matrices=False)
     seen = s > VISIBLE * s.max(initial=0.0)

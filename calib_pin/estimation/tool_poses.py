@@ -144,16 +144,14 @@ def whitened_jacobian(
         linear: Linearized measurements of them.
         sigma: Standard deviations of the residual components, shape (N, d).
     """
-    weight = 1.0 / sigma[:, :, None]
-    J = tool.derivative(linear.J_pose * weight)
-    if not linear.J_instrument.shape[2]:
-        return J
-    return np.concatenate([J, linear.J_instrument * weight], axis=2)
+    J = tool.derivative(whitened(linear.J_pose, sigma))
+    return np.concatenate([J, whitened(linear.J_instrument, sigma)], axis=2)
 
 
-def whitened(errors: Floats, sigma: Floats) -> Floats:
-    """Residuals in standard deviations, (N, d) -> (N d,)."""
-    return np.asarray((kept(errors, np.isinf(sigma)) / sigma).reshape(-1))
+def whitened(values: Floats, sigma: Floats) -> Floats:
+    """Values of components in their standard deviations, (N, d, ...) and (N, d)."""
+    each = sigma.reshape(*sigma.shape, *[1] * (values.ndim - 2))
+    return np.asarray(kept(values, np.isinf(sigma)) / each)
 
 
 def kept(values: Floats, aside: NDArray[np.bool_]) -> Floats:

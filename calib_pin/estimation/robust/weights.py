@@ -49,7 +49,7 @@ from calib_pin.estimation.robust.studentized import (
 )
 from calib_pin.estimation.row_blocks import Expected
 from calib_pin.estimation.solve import Solver
-from calib_pin.estimation.unit_weights import balanced
+from calib_pin.estimation.stages import balanced
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 

@@ -25,17 +25,16 @@ from calib_pin.estimation.directions import (
     half_covariance,
     robot_singular_values,
 )
-from calib_pin.estimation.elimination import own_deviations, with_response
+from calib_pin.estimation.evaluators import own_deviations, with_response
 from calib_pin.estimation.evidence import Outlier, VarianceComponent
 from calib_pin.estimation.identifiability import Structure
-from calib_pin.estimation.problem import Problem, known_count
-from calib_pin.estimation.row_blocks import Expected
+from calib_pin.estimation.problem import Problem, current_units, known_count
+from calib_pin.estimation.row_blocks import Priors
 from calib_pin.estimation.solve import Solution
 from calib_pin.estimation.statistics.systematic import ROWS, Systematic, sampled
 from calib_pin.estimation.statistics.variance_components import (
     REJECTED,
     by_quantity,
-    current_units,
     repetitions,
 )
 from calib_pin.estimation.terms import Term
@@ -141,6 +140,7 @@ class Evidence:
 
     Attributes:
         expected: The prior.
+        sizes: Standard deviation of every error by it, in scales, shape (P,).
         likely: Sizes in the place of its own that are as likely, shape (K, P).
         matters: Whether it changes the solution by anything to speak of.
         square: Sum of the squared estimates in their standard deviations: chi-square
@@ -148,7 +148,8 @@ class Evidence:
         count: Number of directions that the rows see.
     """
 
-    expected: Expected
+    expected: Priors
+    sizes: Floats
     likely: Floats
     matters: bool
     square: float
@@ -224,12 +225,9 @@ class Fit:
         problem = replace(self.problem, expected=self.evidence.expected)
         found, further = self.result, problem.further
         own = len(found.fun) - len(self.problem.further)
-        result = replace(
-            found,
-            fun=np.append(found.fun[:own], further.residual(self.theta)),
-            jac=np.vstack([found.jac[:own], further.jacobian(self.theta)]),
-        )
-        return problem, result, self.directions.every
+        fun = np.append(found.fun[:own], further.residual(self.theta))
+        jac = np.vstack([found.jac[:own], further.jacobian(self.theta)])
+        return problem, replace(found, fun=fun, jac=jac), self.directions.every
 
     @cached_property
     def singular_values(self) -> Floats:
@@ -293,7 +291,7 @@ def posterior_about(
     stations = problem.stations(theta)
     basis, held = fitted.directions.basis, np.zeros((0, len(theta)))
     if sizes is None and fitted.evidence is not None:
-        sizes = fitted.evidence.expected.sizes
+        sizes = fitted.evidence.sizes
     if sizes is not None:
         # Under a prior all errors of the robot move, those too that nominal geometry
         # hides: away from it they show a little.
@@ -327,15 +325,9 @@ def posterior_about(
         X = effects.rows(few, theta) if known is None else known
         by_effects = inverse @ ((J @ inverse)[: len(X)].T @ X)
     # Without redundancy nobody knows, and the unit is not a number.
-    return Posterior(
-        problem=problem,
-        theta=theta,
-        by_noise=fitted.unit * with_response(stations, by_noise),
-        by_effects=by_effects,
-        by_station=fitted.unit * own_deviations(stations, len(theta)),
-        systematic=effects,
-        noise=noise,
-    )
+    by_noise = fitted.unit * with_response(stations, by_noise)
+    by_station = fitted.unit * own_deviations(stations, len(theta))
+    return Posterior(problem, theta, by_noise, by_effects, by_station, effects, noise)
 
 
 def likely_posteriors(fitted: Fit) -> tuple[Posterior, ...]:

@@ -74,22 +74,15 @@ class Layout:
             own = [position[key.model, key.station, q.name] for q in quantities]
             widths = [q.columns.stop - q.columns.start for q in quantities]
             of_keys[key] = np.repeat(own, widths)
-        row, component, column = [], [], []
+        parts = []
         for block, rows in zip(data.blocks, data.slices, strict=True):
             of_key = of_keys[block.key].astype(np.int32)
             place = first[block.model] + np.arange(len(of_key), dtype=np.int32)
             each = np.arange(rows.start, rows.stop, dtype=np.int32)
-            row.append(np.repeat(each, len(of_key)))
-            component.append(np.tile(of_key, len(block)))
-            column.append(np.tile(place, len(block)))
-        return Layout(
-            np.concatenate(row),
-            np.concatenate(component),
-            np.concatenate(column),
-            components,
-            shown,
-            of_keys,
-        )
+            row, tiled = np.repeat(each, len(of_key)), (of_key, place)
+            parts.append((row, *(np.tile(of, len(block)) for of in tiled)))
+        row, component, column = map(np.concatenate, zip(*parts, strict=True))
+        return Layout(row, component, column, components, shown, of_keys)
 
     @cached_property
     def of_components(self) -> Sequence[NDArray[np.intp]]:
@@ -144,14 +137,10 @@ def alike(layout: Layout, known: Layout) -> NDArray[np.intp]:
     """
     position: dict[tuple[str, ...], int] = {}
     for k, c in enumerate(known.components):
-        instrument = c.model, c.quantity.name
-        position[*instrument, c.station] = k
-        position.setdefault(instrument, k)
-    found = []
-    for c in layout.components:
-        instrument = c.model, c.quantity.name
-        found.append(position.get((*instrument, c.station), position[instrument]))
-    return np.array(found, np.intp)
+        position[c.model, c.quantity.name, c.station] = k
+        position.setdefault((c.model, c.quantity.name), k)
+    names = [(c.model, c.quantity.name, c.station) for c in layout.components]
+    return np.array([position.get(n, position[n[:2]]) for n in names], np.intp)
 
 
 def _components(

@@ -11,10 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import stated_in
-from calib_pin.estimation.elimination import Station, eliminate, reduced
-from calib_pin.estimation.evaluators import Evaluator, Evaluators, RowByRow, evaluators
+from calib_pin.estimation.evaluators import (
+    Evaluator,
+    Evaluators,
+    RowByRow,
+    Rows,
+    Station,
+    eliminate,
+    evaluators,
+    reduced,
+)
 from calib_pin.estimation.layout import Layout
-from calib_pin.estimation.row_blocks import Expected, Further, KnownDistances, Priors
+from calib_pin.estimation.row_blocks import Further, KnownDistances, Priors
 from calib_pin.estimation.terms import Block, Term, Terms
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Measurements, Observations
@@ -71,7 +79,12 @@ class Shared:
         """Whether a problem differs in weights, references and priors alone."""
         if problem.setup is not self.setup or tuple(problem.terms) != self.keys:
             return False
-        return problem.data is self.data or same_but_weights(problem.data, self.data)
+        names = [item.name for item in fields(Measurements) if item.name != "weight"]
+        ours, theirs = self.data.blocks, problem.data.blocks
+        if len(ours) != len(theirs):
+            return False
+        pairs = zip(ours, theirs, strict=True)
+        return all(getattr(a, n) is getattr(b, n) for a, b in pairs for n in names)
 
 
 @dataclass(frozen=True)
@@ -102,7 +115,7 @@ class Problem(Terms):
     units: Floats = field(default_factory=lambda: np.zeros(0))
     _known: Shared | None = field(default=None, repr=False, compare=False)
     held_at: Mapping[int, float] = field(default_factory=dict)
-    expected: Expected | None = None
+    expected: Priors | None = None
 
     def __post_init__(self) -> None:
         """Share what the problem knows that this one was made from, if it can."""
@@ -170,13 +183,13 @@ class Problem(Terms):
     @cached_property
     def parameters(self) -> ParameterSet:
         """Stations, robot, tools and instruments as the setup has them."""
-        with stated_in(self.setup.file):
-            return (
-                self.given.with_fixed(self.setup.fixed)
-                .with_bounds(self.setup.bounds)
-                .with_priors(self._deviations)
-                .without(self.held_at)
-            )
+        setup, priors = self.setup, self.setup.prior
+        if isinstance(priors, JointPrior):
+            names = [p.name for p in self.given if not p.nuisance]
+            priors = dict(priors.deviations(names))
+        with stated_in(setup.file):
+            stated = self.given.with_fixed(setup.fixed).with_bounds(setup.bounds)
+            return stated.with_priors(priors).without(self.held_at)
 
     @cached_property
     def further(self) -> Further:
@@ -231,12 +244,13 @@ class Problem(Terms):
         found = self.factorize(theta)
         if not self.own_of_stations:
             return self._with_further(theta, *self._stacked(found))
-        left, stations = [], []
-        for name, blocks in self._by_station.items():
-            rows = [(self.blocks[k].term.index, *found[k]) for k in blocks]
-            station, rest = eliminate(self.own_of_stations[name], rows)
-            stations.append(station)
-            left.append(rest)
+        rows: dict[str, list[Rows]] = {}
+        for block, of_block in zip(self.blocks, found, strict=True):
+            station = block.term.frames.station
+            rows.setdefault(station, []).append((block.term.index, *of_block))
+        own = self.own_of_stations
+        done = [eliminate(own[station], those) for station, those in rows.items()]
+        stations, left = zip(*done, strict=True)
         self._eliminated.clear()
         self._eliminated[theta.tobytes()] = stations
         return self._with_further(theta, *reduced(left, len(theta)))
@@ -245,9 +259,7 @@ class Problem(Terms):
         """The same with a row for every measured value, however many there are."""
         if not self.many:
             return self.linearize(theta)
-        rows = [
-            RowByRow(block, self.sigma).factorize(theta)[0] for block in self.blocks
-        ]
+        rows = [RowByRow(b, self.sigma).factorize(theta)[0] for b in self.blocks]
         return self._with_further(theta, *self._stacked(rows))
 
     def stations(self, theta: Floats) -> Sequence[Station]:
@@ -309,31 +321,13 @@ class Problem(Terms):
     @cached_property
     def _priors(self) -> Priors:
         prior, parameters = self.setup.prior, self.parameters
-        if isinstance(prior, JointPrior):
-            together = Priors.together(prior, parameters)
-            # What robots have says nothing of how an instrument drifts.
-            own = np.where(parameters.nuisance, parameters.priors, np.inf)
-            alone = Priors.alone(np.where(parameters.free, own, np.inf))
-            return Priors(np.vstack([together.rows, alone.rows]), together.mean)
-        return Priors.alone(np.where(parameters.free, parameters.priors, np.inf))
-
-    @property
-    def _deviations(self) -> Mapping[str, float]:
-        """Standard deviations of priors by name or glob."""
-        prior = self.setup.prior
-        if isinstance(prior, JointPrior):
-            return dict(
-                prior.deviations([p.name for p in self.given if not p.nuisance])
-            )
-        return prior
-
-    @cached_property
-    def _by_station(self) -> Mapping[str, Sequence[int]]:
-        """Positions of the blocks of every station."""
-        found: dict[str, list[int]] = {}
-        for k, block in enumerate(self.blocks):
-            found.setdefault(block.term.frames.station, []).append(k)
-        return found
+        alone = np.where(parameters.free, parameters.priors, np.inf)
+        if not isinstance(prior, JointPrior):
+            return Priors.alone(alone)
+        # What robots have says nothing of how an instrument drifts.
+        own = Priors.alone(np.where(parameters.nuisance, alone, np.inf))
+        together = Priors.together(prior, parameters)
+        return Priors(np.vstack([together.rows, own.rows]), together.mean)
 
     def _by_block(
         self, evaluate: Callable[[Evaluator], Iterable[_Found]]
@@ -365,13 +359,11 @@ class Problem(Terms):
         return np.concatenate([r, residual]), np.concatenate([J, jacobian])
 
 
-def same_but_weights(data: Observations, other: Observations) -> bool:
-    """Whether observations share all of their arrays but the weights."""
-    if len(data.blocks) != len(other.blocks):
-        return False
-    names = [field.name for field in fields(Measurements) if field.name != "weight"]
-    pairs = zip(data.blocks, other.blocks, strict=True)
-    return all(getattr(a, n) is getattr(b, n) for a, b in pairs for n in names)
+def current_units(problem: Problem) -> Floats:
+    """Standard deviation of unit weight of every quantity, shape (K,)."""
+    return (
+        problem.units if len(problem.units) else np.ones(len(problem.layout.components))
+    )
 
 
 def measured_count(problem: Problem) -> int:
@@ -422,15 +414,9 @@ def error_table(problem: Problem, theta: Floats) -> Floats:
 
 def assumed_sigma(term: Term, setup: Setup) -> Floats:
     """Standard deviations of the components of measurements that state none, (d,)."""
-    return np.concatenate(
-        [
-            np.full(
-                quantity.columns.stop - quantity.columns.start,
-                setup.noise.get(quantity.name, quantity.sigma),
-            )
-            for quantity in term.measurement.quantities
-        ]
-    )
+    quantities = term.measurement.quantities
+    widths = [q.columns.stop - q.columns.start for q in quantities]
+    return np.repeat([setup.noise.get(q.name, q.sigma) for q in quantities], widths)
 
 
 def sigma_at(problem: Problem, key: BlockKey, count: int) -> Floats:
@@ -442,10 +428,8 @@ def sigma_at(problem: Problem, key: BlockKey, count: int) -> Floats:
         count: Number of measurements.
     """
     term = problem.terms[key]
-    sigma = assumed_sigma(term, problem.setup)
-    if len(problem.units):
-        sigma = sigma * problem.units[problem.layout.of_keys[key]]
-    return np.tile(sigma, (count, 1))
+    units = current_units(problem)[problem.layout.of_keys[key]]
+    return np.tile(assumed_sigma(term, problem.setup) * units, (count, 1))
 
 
 def station_kinds(problem: Problem) -> Mapping[frozenset[BlockKey], Sequence[str]]:
@@ -464,11 +448,8 @@ def representative(problem: Problem) -> list[BlockKey]:
     keys = list(problem.terms)
     if not problem.own_of_stations:
         return keys
-    shown = {
-        station
-        for alike in station_kinds(problem).values()
-        for station in alike[:ALIKE]
-    }
+    kinds = station_kinds(problem).values()
+    shown = {station for alike in kinds for station in alike[:ALIKE]}
     return [key for key in keys if problem.terms[key].frames.station in shown]
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib_pin.errors import require_known, stated_in
 from calib_pin.estimation.directions import Directions
-from calib_pin.estimation.elimination import completed
+from calib_pin.estimation.evaluators import completed
 from calib_pin.estimation.problem import SAMPLE, Problem, evaluator, known_count
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import states_sigmas
@@ -76,13 +76,9 @@ class Solution(LeastSquaresResult):
     def after(self, last: Solution) -> Solution:
         """The solution with the steps of the one it started from, and its search."""
         searched = self if self.evolution or not last.evolution else last
-        return replace(
-            self,
-            nit=self.nit + last.nit,
-            nfev=self.nfev + last.nfev,
-            evaluator=searched.evaluator,
-            evolution=searched.evolution,
-        )
+        way, evolution = searched.evaluator, searched.evolution
+        found = replace(self, evaluator=way, evolution=evolution)
+        return replace(found, nit=self.nit + last.nit, nfev=self.nfev + last.nfev)
 
 
 class Solver:
@@ -243,15 +239,10 @@ def _box(problem: Problem, directions: Directions, nominal: Floats) -> Floats:
     linear = np.full(A.shape[1], np.inf)
     if np.isfinite(A).all() and np.isfinite(r).all():
         linear = np.abs(np.linalg.lstsq(A, -r, rcond=1e-9)[0])
-    count = directions.nuisances.shape[1]
-    half = []
-    for own, (least, most) in (
-        (linear[:count], NUISANCE_BOX),
-        (linear[count:], ROBOT_BOX),
-    ):
-        size = np.clip(MARGIN * own.max(initial=0.0), least, most)
-        half.append(np.full(len(own), size))
-    return np.concatenate(half)[:, None] * [-1.0, 1.0]
+    parts = np.split(linear, [directions.nuisances.shape[1]])
+    sizes = [MARGIN * part.max(initial=0.0) for part in parts]
+    half = np.clip(sizes, *np.transpose([NUISANCE_BOX, ROBOT_BOX]))
+    return np.repeat(half, list(map(len, parts)))[:, None] * [-1.0, 1.0]
 
 
 def _judged(problem: Problem, found: EvolutionResult, fun: Floats, A: Floats) -> Status:

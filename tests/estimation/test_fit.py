@@ -112,7 +112,7 @@ def test_noisy_rows_leave_weak_directions_to_the_prior(simulated: Simulated) -> 
     weak = found.directions.weak
     assert weak.shape[1] > 0
     assert found.evidence is not None and found.evidence.matters
-    (size,) = set(found.evidence.expected.sizes[~problem.parameters.nuisance])
+    (size,) = set(found.evidence.sizes[~problem.parameters.nuisance])
     scaled = found.theta / problem.parameters.scales
     # The rows tell them to ten sizes at best, so that they keep a hundredth of what
     # these say.

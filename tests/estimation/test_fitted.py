@@ -133,7 +133,7 @@ def test_without_effects_it_is_the_covariance_of_the_fit() -> None:
     by_noise, fitted = one.posterior.by_noise, one.fitted
     np.testing.assert_allclose(by_noise @ by_noise.T, one.posterior.covariance)
     assert fitted.evidence is not None
-    sizes = fitted.evidence.expected.sizes
+    sizes = fitted.evidence.sizes
     plain = replace(fitted, evidence=None, noise=(), unit=1.0)
     again = posterior_about(plain, fitted.problem, fitted.theta, sizes)
     deviations = np.sqrt(np.diag(fitted.covariance))

@@ -390,10 +390,26 @@ def _consensus(problem: Problem, rng: np.random.Generator) -> Problem:
     parameters, values = few.parameters, measured_count(few) / max(len(few.data), 1)
     unknown = int((parameters.free & parameters.nuisance).sum())
     size = max(ceil(unknown / (max(values, 1.0) * len(targets))) + 1, 3)
+    labels = few.data.groups()
+
+    def drawn() -> NDArray[np.intp]:
+        """Rows of some images, each of which tells a pose by all its corners.
+
+        Else of every target, of different configurations where there are.
+        """
+        if images:
+            some = rng.permutation(few.data.configurations)[: OPTIONS.images]
+            return np.flatnonzero(np.isin(labels, some))
+        chosen = []
+        for own in targets:
+            order = rng.permutation(own)
+            _, first = np.unique(labels[order], return_index=True)
+            chosen.append(order[np.sort(first)][:size])
+        return np.sort(np.concatenate(chosen))
+
     best, least, agreed = problem, np.inf, 0
     for _ in range(OPTIONS.trials):
-        drawn = _images(few, rng) if images else _drawn(few, targets, size, rng)
-        about, total = _concentrated(few, drawn, targets)
+        about, total = _concentrated(few, drawn(), targets)
         if about is None:
             continue
         agreed += abs(total - least) <= OPTIONS.same * least < np.inf
@@ -434,28 +450,6 @@ def _better(squares: Floats, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """The half of some rows that has the smaller squares, and at least three."""
     count = max(ceil(0.5 * len(rows)), min(len(rows), 3))
     return rows[np.argsort(squares[rows], kind="stable")[:count]]
-
-
-def _drawn(
-    problem: Problem,
-    targets: list[NDArray[np.intp]],
-    size: int,
-    rng: np.random.Generator,
-) -> NDArray[np.intp]:
-    """Random rows of every target, of different configurations where there are."""
-    labels = problem.data.groups()
-    chosen = []
-    for own in targets:
-        order = rng.permutation(own)
-        _, first = np.unique(labels[order], return_index=True)
-        chosen.append(order[np.sort(first)][:size])
-    return np.sort(np.concatenate(chosen))
-
-
-def _images(problem: Problem, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Rows of some random images: each tells a pose by all its corners."""
-    chosen = rng.permutation(problem.data.configurations)[: OPTIONS.images]
-    return np.flatnonzero(np.isin(problem.data.groups(), chosen))
 
 
 def _squares(problem: Problem, theta: Floats) -> Floats:

@@ -378,7 +378,7 @@ class PureError:
     def lack_of_fit(
         self, squares: float, redundancy: float
     ) -> tuple[float | None, float]:
-        """What is left over by more than noise.
+        """The excess over noise between configurations.
 
         Args:
             squares: Sum of squares of all residuals.

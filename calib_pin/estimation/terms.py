@@ -202,8 +202,8 @@ def whitened_jacobian(
 
 def whitened(values: Floats, sigma: Floats) -> Floats:
     """Values of components in their standard deviations, (N, d, ...) and (N, d)."""
-    each = sigma.reshape(*sigma.shape, *[1] * (values.ndim - 2))
-    return np.asarray(kept(values, np.isinf(sigma)) / each)
+    weight = 1.0 / sigma.reshape(*sigma.shape, *[1] * (values.ndim - 2))
+    return np.asarray(kept(values, np.isinf(sigma)) * weight)
 
 
 def kept(values: Floats, aside: NDArray[np.bool_]) -> Floats:

@@ -253,13 +253,13 @@ def _result(
         ),
         solver=SolverSummary(
             name=fitted.problem.setup.solver.name,
-            evaluator=fitted.solution.evaluator,
+            evaluator=fitted.result.evaluator,
             status=fitted.result.status.value,
             iterations=fitted.result.nit,
             evaluations=fitted.result.nfev,
             history=()
-            if fitted.solution.evolution is None
-            else tuple(fitted.solution.evolution.best_history.tolist()),
+            if fitted.result.evolution is None
+            else tuple(fitted.result.evolution.best_history.tolist()),
             at_bounds=tuple(names[k] for k in sorted(fitted.problem.held_at)),
             seed=seed,
         ),

@@ -113,7 +113,7 @@ def test_noisy_rows_leave_weak_directions_to_the_prior(simulated: Simulated) -> 
     weak = found.directions.weak
     assert weak.shape[1] > 0
     assert found.evidence is not None and found.evidence.matters
-    (size,) = set(found.evidence.expected.sizes[~problem.parameters.nuisance])
+    (size,) = set(found.evidence.sizes[~problem.parameters.nuisance])
     # Of independent errors, about the places where these are expected.
     places = expected_places(found.problem, problem.parameters)
     errors = np.linalg.solve(places, found.theta / problem.parameters.scales)

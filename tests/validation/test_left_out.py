@@ -70,9 +70,7 @@ def without(fitted: Fit, mask: NDArray[np.bool_]) -> tuple[Floats, Floats, Float
     fun, jac = replace(problem, data=data.rows(~mask)).linearize(theta)
     result = replace(fitted.result, x=theta, fun=fun, jac=jac)
     known = replace(problem, data=data.rows(~mask))
-    less = replace(
-        fitted, problem=known, solution=replace(fitted.solution, result=result)
-    )
+    less = replace(fitted, problem=known, result=result)
     before = least_squares(known, fitted.before, nuisance_basis(known.parameters)).x
     there = replace(problem, data=data.rows(mask))
     variance = predicted_variance(less, there, theta)

@@ -523,6 +523,14 @@ def _positions(table: Table, chains: Chains, columns: JointColumns, i: int) -> F
     # The chain gives free limits to joints without any, which may go further.
     if (lower, upper) != (-free, free) and (smaller := kind.smaller(unit)):
         excess = np.maximum(lower - q, q - upper)
+        if angle:  # Few joints stay within six degrees; an angle is none in degrees.
+            excess[np.abs(q) < 2.0 * np.pi] = 0.0
+        turned, travel = np.radians(q), upper - lower
+        if not angle and excess.max() > travel and 0.5 < np.ptp(turned) / travel <= 1.0:
+            gear = f"{{joint: {joint}, gear: {np.radians(1.0):.9g}}}"
+            reason = f"{q[np.argmax(excess)]:.6g} m looks converted as an angle; state "
+            reason += f"in the setup 'joints: {{{column}: {gear}}}'"
+            table.refuse(excess > travel, reason, column)
         ratio = kind.units[smaller[0]] / kind.units[unit]
         if lower <= ratio * q[np.argmax(excess)] <= upper:
             # A meter or radian of grace: limits are often narrower than the robot's.

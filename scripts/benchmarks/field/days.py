@@ -39,6 +39,10 @@ HALVES = (0.3, 1.0)
 """Smallest and largest half of the range of every joint in a region [rad]."""
 
 
+MARKED = 3.0
+"""Size of effects that somebody leaves out, by the expected one: they are to matter."""
+
+
 class Robot(NamedTuple):
     """A robot, and its size.
 
@@ -161,6 +165,10 @@ def day(
         changes={"parameters": TRUTHS[truth]} if changes is None else changes,
     )
     stated = replace(job.setup, model=model, base=robot.base, tip=robot.tip)
+    if changes is not None:
+        names = job.problem.parameters.names
+        effect = ["placement" not in name for name in names]
+        job = replace(job, theta=np.where(effect, MARKED, 1.0) * job.theta)
     job = sized(replace(job, setup=stated), off)
     if model == "fixed-point":
         # Where the sockets are, the tool has to be.

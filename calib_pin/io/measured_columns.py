@@ -518,6 +518,12 @@ def _positions(table: Table, chains: Chains, columns: JointColumns, i: int) -> F
     most, free = (ANGLE.largest, np.pi) if angle else (LONGEST_TRAVEL, FREE_TRAVEL)
     # A turntable may be allowed more turns than any threshold would guess.
     most = max(most, 2.0 * abs(lower), 2.0 * abs(upper))
+    travel, turned = upper - lower, np.radians(np.ptp(q))
+    if not angle and 0.5 * travel < turned <= travel:
+        gear = f"{{joint: {joint}, gear: {np.radians(1.0):.9g}}}"
+        reason = f"the positions of joint '{joint}' look converted as an angle; state "
+        reason += f"in the setup 'joints: {{{column}: {gear}}}'"
+        table.refuse(np.abs(q) > most, reason, column)
     table.check(column, q, replace(kind, largest=most), why)
     unit = table.columns[column].unit or kind.si
     # The chain gives free limits to joints without any, which may go further.
@@ -525,16 +531,10 @@ def _positions(table: Table, chains: Chains, columns: JointColumns, i: int) -> F
         excess = np.maximum(lower - q, q - upper)
         if angle:  # Few joints stay within six degrees; an angle is none in degrees.
             excess[np.abs(q) < 2.0 * np.pi] = 0.0
-        turned, travel = np.radians(q), upper - lower
-        if not angle and excess.max() > travel and 0.5 < np.ptp(turned) / travel <= 1.0:
-            gear = f"{{joint: {joint}, gear: {np.radians(1.0):.9g}}}"
-            reason = f"{q[np.argmax(excess)]:.6g} m looks converted as an angle; state "
-            reason += f"in the setup 'joints: {{{column}: {gear}}}'"
-            table.refuse(excess > travel, reason, column)
         ratio = kind.units[smaller[0]] / kind.units[unit]
         if lower <= ratio * q[np.argmax(excess)] <= upper:
             # A meter or radian of grace: limits are often narrower than the robot's.
-            grace = replace(kind, largest=max(upper - lower, 1.0))
+            grace = replace(kind, largest=max(travel, 1.0))
             why = f"the limits are {lower:.6g} to {upper:.6g}"
             table.check(column, q, grace, why, excess)
     return q

@@ -36,7 +36,7 @@ from calib_pin.validation.findings.drift import drift
 from calib_pin.validation.findings.explanations import Family, explain
 from calib_pin.validation.findings.families import families, lacking
 from calib_pin.validation.findings.gauge_readings import gauge_readings
-from calib_pin.validation.findings.hypotheses import finding
+from calib_pin.validation.findings.hypotheses import Explanation, finding
 from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
 from calib_pin.validation.findings.joint_sets import joint_sets
@@ -71,7 +71,6 @@ EXPLANATIONS: tuple[Family, ...] = (
     units,
     robots,
     targets,
-    target_frames,
 )
 """Explanations of errors that no robot explains."""
 
@@ -180,7 +179,7 @@ def explained(
         case = _tried(lambda given: Case.of_none(*given), (chains, data, setup, others))
         if case is None:
             raise
-        found = _tried(lambda case: explain(case, EXPLANATIONS), case)
+        found = _tried(_explanation, case)
         if found is None:
             raise
         first = next(finding(case, found))
@@ -214,7 +213,7 @@ def _sought(case: Case) -> tuple[Finding, ...]:
     in_time = in_time or _told(drift, case)
     causes = tuple(found for found in in_time if found.severity == "error")
     if case.doubtful and not _explained(case, causes):
-        explanation = _tried(lambda case: explain(case, EXPLANATIONS), case)
+        explanation = _tried(_explanation, case)
         # Of the nominal robot more is left than of a fit: the parts are compared, too.
         if explanation is not None and (
             explanation.after < _left(causes)
@@ -222,6 +221,11 @@ def _sought(case: Case) -> tuple[Finding, ...]:
         ):
             return tuple(finding(case, explanation))
     return causes or (*in_time, *sets)
+
+
+def _explanation(case: Case) -> Explanation | None:
+    """The likeliest one; boards apart cost few trials, and hide all others."""
+    return explain(case, (target_frames,)) or explain(case, EXPLANATIONS)
 
 
 def _tried(look: Callable[[_Given], _Fault | None], case: _Given) -> _Fault | None:

@@ -318,9 +318,8 @@ class Detector:
     @property
     def extent(self) -> Floats:
         """Width and height of the printed board [m]."""
-        counts = np.array([self.board.columns, self.board.rows], float)
-        gap = self.board.gap or 0.0
-        return np.asarray(counts * (self.board.square + gap) - gap)
+        counts, gap = np.array([self.board.columns, self.board.rows]), self.board.gap
+        return np.asarray(counts * _pitch(self.board) - (gap or 0.0))
 
     def _tags(self, image: Gray, levels: Floats) -> Found:
         charuco = self.board.type == "charuco"
@@ -679,10 +678,7 @@ class Start:
 
 
 def start_camera(
-    mount: Any,
-    board: Detector,
-    size: tuple[int, int],
-    images: Mapping[str, Found],
+    mount: Any, board: Detector, size: tuple[int, int], images: Mapping[str, Found]
 ) -> Start:
     """Intrinsics to start from.
 

@@ -24,7 +24,7 @@ import calib_pin.io.foreign_headers as headers
 import calib_pin.io.measured_columns as measured_columns
 from calib_pin.errors import CalibPinError, InputError, OptionError, enumerated
 from calib_pin.estimation.problem import distinct_values, error_table
-from calib_pin.io.columns import ANGLE, LENGTH, counted
+from calib_pin.io.columns import ANGLE, LENGTH, TURNED, counted
 from calib_pin.io.foreign_headers import Foreign
 from calib_pin.io.measured_columns import POSITION, measured
 from calib_pin.io.measurements import read_measurements
@@ -53,9 +53,6 @@ which it was in sockets."""
 
 USUAL = ("tool0", "tcp", "ee", "tip", "tool", "flange", "hand", "gripper")
 """Parts of the names of links at which a tool is usually mounted."""
-
-TURNED = 2.2 * np.pi
-"""Angles beyond this are degrees [rad]."""
 
 DROPPED = 0.17
 """Orientation errors of the nominal robot from which an orientation is read wrongly, as

@@ -20,12 +20,7 @@ from calib_pin.io.measurements import encode_table
 from calib_pin.io.table import read_cells
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity, declared
-from calib_pin.observations import (
-    BlockKey,
-    Conditions,
-    Measurements,
-    Observations,
-)
+from calib_pin.observations import BlockKey, Conditions, Measurements, Observations
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import AXES, MeasurementErrors

@@ -47,11 +47,6 @@ class Targets:
     T: Floats | None
     oriented: bool
 
-    @property
-    def lines(self) -> NDArray[np.int64]:
-        """Line number of each target in the file, shape (N,)."""
-        return self.table.lines
-
 
 def read_target_file(
     path: str | Path,
@@ -184,7 +179,7 @@ def encode_commands(
         if ROW in targets.columns.names:
             reason = f"a joint column is called '{ROW}', which is the line of a target"
             raise OutputError(reason)
-        columns[ROW] = np.where(via, "", targets.lines[rows].astype(str)).tolist()
+        columns[ROW] = np.where(via, "", targets.table.lines[rows].astype(str)).tolist()
     if times is not None:
         columns["time"] = times.tolist()
     return encode_table(columns, comments)

@@ -37,10 +37,6 @@ MASS = 1e-3
 LEAST = {"mass": repr(MASS), "pos": "0 0 0", "fullinertia": "1e-06 1e-06 1e-06 0 0 0"}
 """Its inertia [kg, m, kg m^2]."""
 
-SIX = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-"""The upper triangle of an inertia, row by row."""
-
-
 NAMES = {"base": ("measurement", "measured_frame"), "tool": ("tool", "measured_point")}
 """Names of the frames that have none of their own, by how they are called here."""
 
@@ -223,7 +219,8 @@ def _inertia(document: Document, link: Element) -> dict[str, str]:
     if mass is None or inertia is None:
         return {}
     size, full = float(mass.attrib["value"]), np.zeros((3, 3))
-    numbers = [float(inertia.get(key, 0.0)) for key in SIX]
+    # The upper triangle, row by row.
+    numbers = [float(inertia.get(key, 0.0)) for key in urdf_tree.NUMBERS["inertia"]]
     full[np.triu_indices(3)] = full.T[np.triu_indices(3)] = numbers
     if not (size > 0.0 and np.linalg.eigvalsh(full).min() > 0.0):
         return {}

@@ -153,10 +153,8 @@ def _move(
         allowed = f"{-FARTHEST} to {FARTHEST}"
         base.require(abs(homing) <= FARTHEST, reason, template, homing, allowed)
         motor |= zip(KEYS, (homing, low + less, high - less), strict=True)
-        reason, left = (
-            f"{moved} steps leave no range of '{name}'",
-            high - low - 2 * less,
-        )
+        left = high - low - 2 * less
+        reason = f"{moved} steps leave no range of '{name}'"
         base.require(left > 0, reason, template, left, "more than 0 steps")
 
 

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import RobotError
+from calib_pin.errors import RobotError, words_of
 from calib_pin.io.urdf_tree import branch, origin_of, words
 from calib_pin.kinematics.spatial import Floats
 
@@ -213,8 +213,7 @@ def read(file: str) -> tuple[str, str]:
         writer = Writer(model)
         urdf = writer.write()
     except Exception as failure:
-        said = " ".join(str(failure).split()) or type(failure).__name__
-        raise RobotError(f"this MJCF cannot be used: {said}") from None
+        raise RobotError(f"this MJCF cannot be used: {words_of(failure)}") from None
     if writer.free:
         told = f"{', '.join(writer.free)} moves freely"
         remark += f"; a URDF holds couplings by one factor only: {told}"

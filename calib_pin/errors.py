@@ -51,7 +51,7 @@ def one_line(message: str) -> str:
 
 
 def words_of(error: BaseException) -> str:
-    """What an error of foreign code says, in a line; its kind where that is nothing."""
+    """The message of an error of foreign code in a line, or its kind if it has none."""
     return " ".join(str(error).split()) or type(error).__name__
 
 

@@ -454,12 +454,9 @@ def _units(
     kinds = {f"{p}{n}": k for n, k in measured().items() for p in ("", "sigma_")}
     lengths = [n for n, one in way.items() if one.unit is None and n in kinds]
     lengths = [name for name in lengths if kinds[name].si == LENGTH.si]
-    ways = (
-        [every] if steps else [every, far] if far else [far, every],
-        [{}, slides],
-        [{}, dict.fromkeys(lengths, "mm")],
-    )
-    found = [{**a, **b, **c} for a, b, c in product(*ways)]
+    turned = [every] if steps else [every, far] if far else [far, every]
+    metric = [{}, dict.fromkeys(lengths, "mm")]
+    found = [{**a, **b, **c} for a, b, c in product(turned, [{}, slides], metric)]
     return [one for k, one in enumerate(found) if one not in found[:k]]
 
 
@@ -579,10 +576,7 @@ def _head(robot: Robot, look: Look, command: str) -> Iterator[str]:
     yield text + ("." if look.fits else no_fit)
     if look.computed:
         names = enumerated(look.computed)
-        yield (
-            f"The controller computed {names} from the joints: no measurement, other "
-            "columns are taken."
-        )
+        yield f"The controller computed {names} from the joints: others are taken."
 
 
 def _lines(key: str, value: Any, look: Look) -> str:

@@ -297,11 +297,9 @@ def check_gauges(table: Table, names: Iterable[str]) -> None:
     for ours, (one, *_) in found.items():
         # Whole numbers without a unit count readings.
         if ours in optional() and (one.unit or (one.numbers % 1.0 != 0.0).any()):
-            lines = f"columns: {{{ours}: '{one.stated(one.unit)}'}}"
+            way = f"columns: {{{ours}: '{one.stated(one.unit)}'}}"
             reason = "these look like readings of a gauge, how far the contact is off; "
-            reason += (
-                f"state in the setup '{lines}' ('dial' where pushed in is positive,"
-            )
+            reason += f"state in the setup '{way}' ('dial' where pushed in is positive,"
             reason += " 'deviation' where away from the surface is), or leave them out"
             raise table.error(reason, one.name)
 

@@ -125,9 +125,7 @@ def reserved() -> frozenset[str]:
 
 def orientation_columns(table: Table) -> str:
     """The one way in which a file states orientations, one of `STATED`."""
-    first = {
-        way: name for way, names in STATED.items() for name in names if name in table
-    }
+    first = {w: name for w, names in STATED.items() for name in names if name in table}
     if len(first) != 1:
         found = " and ".join(first.values()) or "none"
         reason = f"model 'pose' needs one orientation, the file has {found}"

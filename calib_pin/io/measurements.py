@@ -273,11 +273,9 @@ class _Reader:
                 reason = f"the row measures '{key.model}', which has no {name}"
                 allowed = "a blank cell; what else was measured is in a row of its own"
                 some.refuse(filled, reason, name, allowed)
-            part, names = self._block(
-                some, chains, key, q[rows], held.rows(rows), spare
-            )
+            part, own = self._block(some, chains, key, q[rows], held.rows(rows), spare)
             parts.append(part)
-            unread -= names
+            unread -= own
         ignored = [name for name in table.columns if name in unread]
         if any(declared(part.model).contact for part in parts):
             check_gauges(table, ignored)

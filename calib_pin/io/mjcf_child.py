@@ -52,10 +52,9 @@ class Writer:
         stated = [model.joint(j).name for j in range(model.njnt)]
         self.taken = {*self.bodies, *stated}
         owners = [self.bodies[b] for b in model.jnt_bodyid]
-        self.joints = [
-            name or self._unused(f"{owners[j]}_joint{j}")
-            for j, name in enumerate(stated)
-        ]
+        usual = [f"{owner}_joint{j}" for j, owner in enumerate(owners)]
+        pairs = zip(stated, usual, strict=True)
+        self.joints = [name or self._unused(other) for name, other in pairs]
 
     def write(self) -> str:
         """The text of the URDF."""

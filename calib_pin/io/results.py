@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+import calib_pin.io.measurement_errors as measurement_errors
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError
 from calib_pin.estimation.evidence import TRUSTED
@@ -40,12 +41,6 @@ from calib_pin.estimation.learning import with_learned
 from calib_pin.estimation.terms import Terms
 from calib_pin.io.files import listed, read_bytes, settled, sha256, write_atomically
 from calib_pin.io.json_text import Json, decoded, encode, merged, plain, reading, typed
-from calib_pin.io.measurement_errors import (
-    MEASUREMENTS,
-    SETS,
-    decode_errors,
-    unknown_errors,
-)
 from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.straightening import straightened
 from calib_pin.io.urdf import is_source, is_xacro, locate_robot
@@ -243,7 +238,7 @@ def calibration_document(
     chains, setup = model.chains, model.setup.file
     ends = {name: Ends(chains[name].base, chains[name].tip) for name in chains.names}
     chain = model.moving.error.chain
-    parts = zip(SETS, (result.fitted, result.held_out), strict=True)
+    parts = zip(measurement_errors.SETS, (result.fitted, result.held_out), strict=True)
     files = map(Source, result.files, made.hashes)
     record = Document(
         robot=RobotRecord(
@@ -362,10 +357,11 @@ def read_written(
         with reading(file):
             model = model_of(record.model, chains := _chains(record, robot))
             model = learned_model(model, record.residual_model)
-            fitted, held_out = unknown_errors(model, record.training), None
-            if measured and (errors := file.parent / MEASUREMENTS).is_file():
-                data = read_bytes(errors)
-                fitted, held_out = decode_errors(data, model, record.rotations)
+            fitted = measurement_errors.unknown_errors(model, record.training)
+            held_out, errors = None, file.parent / measurement_errors.MEASUREMENTS
+            if measured and errors.is_file():
+                given = read_bytes(errors), model, record.rotations
+                fitted, held_out = measurement_errors.decode_errors(*given)
             urdf, alone, names = document["urdf"], record.urdf_model, model.given.names
             geometry = alone and model_of(alone, chains)
             hashes = tuple(source.sha256 for source in record.files)

@@ -48,12 +48,10 @@ if TYPE_CHECKING:
 WIDTH = 60
 """Column after which a list is continued in the next line."""
 
-LARGEST_ERROR = 1e5
+LARGEST = 1e5
 """Largest value of a parameter, whatever its unit: that of a camera's focal length."""
 
-TrueErrors = Mapping[
-    str, Annotated[float, Value("m, rad", -LARGEST_ERROR, LARGEST_ERROR)]
-]
+TrueErrors = Mapping[str, Annotated[float, Value("m, rad", -LARGEST, LARGEST)]]
 """Values of parameters by name."""
 
 FLEET, ROBOT = "calib-pin/fleet-prior", "calib-pin/robot-prior"
@@ -267,9 +265,8 @@ def _check(setup: Setup) -> None:
     for name in setup.noise:
         if name not in known:
             raise unknown(("noise", name), known)
-    _check_twice(
-        (given.joint, ("joints", name, "joint")) for name, given in setup.joints.items()
-    )
+    joints = setup.joints.items()
+    _check_twice((given.joint, ("joints", name, "joint")) for name, given in joints)
     for key, word in NAMES.items():
         for name in getattr(setup, key):
             if not name.strip() or name == word or (word == AT and AT in name):

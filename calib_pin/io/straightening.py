@@ -65,9 +65,8 @@ def straightened(robot: Robot) -> Robot:
         f"{enumerated(map(repr, slides))} along their axes; the forward kinematics are "
         "the same, and the corrected URDF has these frames"
     )
-    found = urdf_tree.parse_robot(
-        urdf_tree.move_origins(document, _moved(document, slides)), robot.file
-    )
+    source = urdf_tree.move_origins(document, _moved(document, slides))
+    found = urdf_tree.parse_robot(source, robot.file)
     return replace(found, remarks=(*robot.remarks, remark))
 
 

@@ -248,7 +248,8 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
     """
     document, (links, remarks) = _corrected(exported), camera_links(exported)
     changed = {} if exported.geometry is None else exported.geometry.urdf_corrections()
-    owners, about = dict[str, str](), escape(exported.robot.name).replace("--", "- -")
+    taken, renamed = set[str](), list[str]()
+    about = escape(exported.robot.name).replace("--", "- -")
     lines = [
         '<?xml version="1.0"?>',
         f"<!-- joint origins of {about}, calibrated: "
@@ -259,18 +260,15 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
     for name, joint in document.named("joint").items():
         if name in {*exported.chains.joints, *changed}:
             own = re.sub(r"\W|^(?=\d)", "_", name)
-            while own in owners:
+            while own in taken:
                 own += "_"
-            owners[own] = name
+            taken.add(own)
+            if own != name:
+                renamed.append(f"{own}_xyz, {own}_rpy are those of '{name}'")
             numbers = origin_of(document.origin(joint))
             for key, three in (("xyz", numbers[:3]), ("rpy", numbers[3:])):
                 about = f'name={quoteattr(f"{own}_{key}")} value="{words(three)}"'
                 lines.append(f"  <xacro:property {about}/>")
-    renamed = [
-        f"{own}_xyz, {own}_rpy are those of '{name}'"
-        for own, name in owners.items()
-        if own != name
-    ]
     data = "\n".join([*lines, f"{links}</robot>", ""]).encode()
     return Encoded(data, (*renamed, *remarks))
 

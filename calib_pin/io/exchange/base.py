@@ -275,11 +275,10 @@ class Format:
             about = f"{self.name} holds no {', '.join(lacking)}: {about}"
         if lacking or distance >= ENOUGH:
             yield about
-        if any(
-            one.tool_carries_tip
-            or any(s.parameter.nuisance and s.parameter.free for s in one.error.screws)
-            for one in exported.fitted
-        ):
+        fitted = exported.fitted
+        placed = [s.parameter for one in fitted for s in one.error.screws]
+        found = any(one.tool_carries_tip for one in fitted)
+        if found or any(p.nuisance and p.free for p in placed):
             seen = CAMERA_LINK in self.holds and exported.result.model.cameras
             frames = "frames but the camera's" if seen else "base and tool frames"
             yield f"{self.name} holds no {frames}: see 'tf'"

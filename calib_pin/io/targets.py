@@ -126,11 +126,9 @@ def read_times(targets: Targets) -> Floats | None:
     if "time" not in targets.table:
         return None
     time = targets.table.numbers("time", TIME)
-    (back,) = np.nonzero(np.diff(time) <= 0.0)
-    if len(back):
-        row = int(back[0]) + 1
-        allowed = f"more than {time[row - 1]:.6g} s"
-        raise targets.table.error("the time does not go on", "time", allowed, row)
+    back = np.diff(time, prepend=-np.inf) <= 0.0
+    allowed = f"more than {time[int(np.argmax(back)) - 1]:.6g} s"
+    targets.table.refuse(back, "the time does not go on", "time", allowed)
     return time
 
 

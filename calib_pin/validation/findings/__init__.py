@@ -27,7 +27,10 @@ from calib_pin.validation.findings.approach import approach, approach_order
 from calib_pin.validation.findings.axes import axes
 from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
 from calib_pin.validation.findings.coarse_values import coarse_values
-from calib_pin.validation.findings.computed_values import computed_values
+from calib_pin.validation.findings.computed_values import (
+    computed_values,
+    constant_orientation,
+)
 from calib_pin.validation.findings.design import design
 from calib_pin.validation.findings.drift import drift
 from calib_pin.validation.findings.explanations import Family, explain
@@ -188,8 +191,9 @@ def explained(
 
 def _sought(case: Case) -> tuple[Finding, ...]:
     """Faults that change how measurements are read, the likeliest explanation alone."""
-    if reversed_gauges := _told(gauge_readings, case):
-        return reversed_gauges
+    for kind in (constant_orientation, gauge_readings):
+        if told := _told(kind, case):
+            return told
     sets = _told(joint_sets, case)
     better = [found for found in sets if found.setup]
     if better:

@@ -9,6 +9,7 @@ import numpy as np
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.problem import error_table
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import declared
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.coarse_values import coarse_step
@@ -34,6 +35,22 @@ def spread(blocks: Sequence[Floats]) -> float:
     """
     away = np.concatenate([np.sum((p - p.mean(0)) ** 2, axis=1) for p in blocks])
     return float(np.sqrt(away.mean()))
+
+
+def constant_orientation(case: Case) -> Iterator[Finding]:
+    """Orientations that are the same at all configurations, and were not measured."""
+    blocks = [b for b in case.data.blocks if declared(b.model).oriented]
+    if case.data.configurations < FEWEST or not blocks:
+        return
+    if not any(np.ptp(block.values[:, 3:], axis=0).any() for block in blocks):
+        yield Finding(
+            "constant-orientation",
+            "error",
+            "the measured orientation is the same at all configurations: no instrument "
+            "has measured it",
+            {"configurations": float(case.data.configurations)},
+            "take the positions alone: --model position",
+        )
 
 
 def computed_values(case: Case) -> Iterator[Finding]:

@@ -279,6 +279,11 @@ MISHAPS = [
         KNOWN,
     ),
     Mishap("scale", values(lambda v: 1.05 * v)),
+    Mishap(
+        "constant-orientation",
+        values(lambda v: np.hstack([v[:, :3], np.eye(4)[[3] * len(v)]])),
+        job={"model": "pose"},
+    ),
     Mishap("computed-values", computed),
     Mishap("computed-values", rounded),
     Mishap("coarse-steps", values(lambda v: np.round(v, 3)), severity="warning"),

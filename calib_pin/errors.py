@@ -50,6 +50,11 @@ def one_line(message: str) -> str:
     return _cut(_QUOTED.sub(lambda found: _cut(found[0], VALUE), line), MESSAGE)
 
 
+def words_of(error: BaseException) -> str:
+    """The message of an error of foreign code in a line, or its kind if it has none."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
 def enumerated(names: Iterable[str], room: int = ALLOWED) -> str:
     """Names with commas between them, and the number of those that find no room.
 

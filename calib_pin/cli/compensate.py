@@ -126,7 +126,7 @@ def compensate(asked: Commands, context: typer.Context) -> int:
     own: list[str | Path] = [robot, file.parent / robot, *written_before(file)]
     check_outputs([asked.output], own, asked.force)
     targets, timed = _read(asked, model, stated)
-    motion, lines = targets.T is None, targets.lines
+    motion, lines = targets.T is None, targets.table.lines
     remarks = [*_remarks(asked, result, key, targets, model)]
     for remark in () if asked.quiet else remarks:
         notice(remark)
@@ -273,7 +273,7 @@ def _remarks(
             "that of the tip link"
         )
     if targets.q is not None:
-        long = targets.lines[Joints.of(model.chain).long_ways(targets.q)]
+        long = targets.table.lines[Joints.of(model.chain).long_ways(targets.q)]
         if len(long):
             yield (
                 "a joint turns almost once around, where its limits allow a short way, "

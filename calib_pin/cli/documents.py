@@ -207,7 +207,7 @@ def compensation_document(
             where collisions are not looked at.
         hasty: Lines to which a joint would move faster than it can.
     """
-    lines, reached, motion = asked.lines, found.reached, asked.T is None
+    lines, reached, motion = asked.table.lines, found.reached, asked.T is None
     errors = {"position": ("m", found.position_before, found.position)}
     if found.oriented:
         errors["orientation"] = "rad", found.orientation_before, found.orientation

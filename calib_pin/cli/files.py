@@ -177,11 +177,10 @@ def open_calibration(
     """
     from dataclasses import replace
 
-    from calib_pin.io.results import read_calibration
+    from calib_pin.io.results import model_name, read_calibration
 
     model = read_calibration(name, notice=doubted)
-    chain = model.of().chain
-    models = "+".join(dict.fromkeys(key.model for key in model.terms))
+    chain, models = model.of().chain, model_name(model)
     known = replace(model.setup, base=chain.base, tip=chain.tip, model=models)
     require_joints_only(file, setup, *also, known=known)
     joints = setup.joints or model.setup.joints

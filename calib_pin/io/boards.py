@@ -20,14 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+import calib_pin.observations.corners as corners
 from calib_pin.errors import InputError, OptionError
 from calib_pin.io.files import read_bytes
-from calib_pin.observations.corners import (
-    corner_sigmas,
-    marker_corners,
-    noise_of,
-    sampled,
-)
 from calib_pin.setup import DICTIONARIES, TAGS, BoardSetup, CameraSetup
 from calib_pin.setup.arguments import taken
 
@@ -295,7 +290,8 @@ class Detector:
             criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, *STEPS)
             fine = cv2.cornerSubPix(image, start, (half, half), (-1, -1), criteria)
             fine = np.asarray(fine, float).reshape(-1, 2)
-            sigma = corner_sigmas(levels, fine, half, noise_of(levels))
+            noise = corners.noise_of(levels)
+            sigma = corners.corner_sigmas(levels, fine, half, noise)
         # A corner that ran away was none; one at the edge of the image has no window.
         edge = np.array(image.shape[::-1]) - 1.0 - half
         kept = np.hypot(*(fine - rough).T) < half
@@ -318,13 +314,12 @@ class Detector:
     @property
     def extent(self) -> Floats:
         """Width and height of the printed board [m]."""
-        counts = np.array([self.board.columns, self.board.rows], float)
-        gap = self.board.gap or 0.0
-        return np.asarray(counts * (self.board.square + gap) - gap)
+        counts, gap = np.array([self.board.columns, self.board.rows]), self.board.gap
+        return np.asarray(counts * _pitch(self.board) - (gap or 0.0))
 
     def _tags(self, image: Gray, levels: Floats) -> Found:
-        charuco = self.board.type == "charuco"
-        *corners, around, ids = self._search(image)[: 4 if charuco else 2]
+        charuco, cells = self.board.type == "charuco", self._cells
+        *inner, around, ids = self._search(image)[: 4 if charuco else 2]
         every = np.ravel([] if ids is None else ids).tolist()
         # A tag that is there twice tells nothing.
         rough = {
@@ -332,11 +327,11 @@ class Detector:
             for k, four in zip(every, around or (), strict=True)
             if every.count(k) == 1
         }
-        tags = {k: marker_corners(levels, c, self._cells) for k, c in rough.items()}
+        tags = {k: corners.marker_corners(levels, c, cells) for k, c in rough.items()}
         if charuco:
             # OpenCV numbers them as the model does, row by row from 0.
-            names = [str(k) for k in np.ravel([] if corners[1] is None else corners[1])]
-            pixels = corners[0] if names else ()
+            names = [str(k) for k in np.ravel([] if inner[1] is None else inner[1])]
+            pixels = inner[0] if names else ()
         else:
             own = [k for k in rough if k in tags_of(self.board)]
             names = [f"{k}/{n}" for k in own for n in range(4)]
@@ -384,7 +379,7 @@ def _first_is_dark(levels: Floats, grid: Floats) -> bool:
     """Whether the square outside the first corner is darker than its neighbors."""
     x, y = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
     at = grid[0, 0] + 0.5 * np.array([-x - y, x - y, x + y, y - x])
-    a, b, c, d = sampled(levels, *at.T)
+    a, b, c, d = corners.sampled(levels, *at.T)
     return bool(a + c < b + d)
 
 
@@ -405,7 +400,7 @@ def whole_grid(levels: Floats, grid: Floats, circles: bool) -> tuple[bool, bool]
     reach = 0.5 if circles else 0.3
     x, y = (reach * np.gradient(grid, axis=k) for k in (1, 0))
     at = np.array([grid - x - y, grid + x - y, grid + x + y, grid - x + y, grid])
-    around = sampled(levels, at[..., 0], at[..., 1])
+    around = corners.sampled(levels, at[..., 0], at[..., 1])
     inside = (at == at.clip(0.0, np.array(levels.shape[::-1]) - 1.0)).all(axis=(0, -1))
     if circles:
         value = around[:4].mean(axis=0) - around[4]
@@ -652,10 +647,10 @@ def _with_edge(board: BoardSetup, images: Sequence[Tags]) -> BoardSetup | None:
     return replace(board, marker=size) if charuco else replace(board, gap=size)
 
 
-def _sizes(corners: Floats) -> tuple[Floats, Floats]:
+def _sizes(tags: Floats) -> tuple[Floats, Floats]:
     """Edges of tags (n, 4, 2), and how far their centers are apart, (n,) and (n, n)."""
-    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1)
-    centers = corners.mean(axis=1)
+    edges = np.linalg.norm(tags - np.roll(tags, 1, axis=1), axis=2).mean(axis=1)
+    centers = tags.mean(axis=1)
     return edges, np.linalg.norm(centers[:, None] - centers, axis=2)
 
 
@@ -679,10 +674,7 @@ class Start:
 
 
 def start_camera(
-    mount: Any,
-    board: Detector,
-    size: tuple[int, int],
-    images: Mapping[str, Found],
+    mount: Any, board: Detector, size: tuple[int, int], images: Mapping[str, Found]
 ) -> Start:
     """Intrinsics to start from.
 

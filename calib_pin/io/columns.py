@@ -56,6 +56,9 @@ LENGTH = Kind("m", {"m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254}, LARGEST_LEN
 STEPS = "steps/4096"
 """The usual steps of a servo."""
 
+TURNED = 2.2 * np.pi
+"""Angles beyond this are in no rad, but in degrees or smaller units [rad]."""
+
 _DEG = np.pi / 180.0
 _ANGLES = {"rad": 1.0, "deg": _DEG, "mrad": 1e-3, "gon": 0.9 * _DEG}
 ANGLE = Kind("rad", _Angles(_ANGLES | {STEPS: 2.0 * np.pi / 4096.0}), LARGEST_ANGLE)

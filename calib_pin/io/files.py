@@ -63,10 +63,8 @@ def write_files(
         home = folder if folder is not None and name else path.parent
         homes.setdefault(home, {})[name or path.name] = data
     with ExitStack() as stack:
-        staged = {
-            home: stack.enter_context(_staged(home, own, force))
-            for home, own in homes.items()
-        }
+        enter = stack.enter_context
+        staged = {home: enter(_staged(home, own, force)) for home, own in homes.items()}
         yield
         for home, new in staged.items():
             with _writing(home), settled(home):

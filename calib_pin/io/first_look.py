@@ -24,7 +24,7 @@ import calib_pin.io.foreign_headers as headers
 import calib_pin.io.measured_columns as measured_columns
 from calib_pin.errors import CalibPinError, InputError, OptionError, enumerated
 from calib_pin.estimation.problem import distinct_values, error_table
-from calib_pin.io.columns import ANGLE, LENGTH, counted
+from calib_pin.io.columns import ANGLE, LENGTH, TURNED, counted
 from calib_pin.io.foreign_headers import Foreign
 from calib_pin.io.measured_columns import POSITION, measured
 from calib_pin.io.measurements import read_measurements
@@ -53,9 +53,6 @@ which it was in sockets."""
 
 USUAL = ("tool0", "tcp", "ee", "tip", "tool", "flange", "hand", "gripper")
 """Parts of the names of links at which a tool is usually mounted."""
-
-TURNED = 2.2 * np.pi
-"""Angles beyond this are degrees [rad]."""
 
 DROPPED = 0.17
 """Orientation errors of the nominal robot from which an orientation is read wrongly, as
@@ -457,12 +454,9 @@ def _units(
     kinds = {f"{p}{n}": k for n, k in measured().items() for p in ("", "sigma_")}
     lengths = [n for n, one in way.items() if one.unit is None and n in kinds]
     lengths = [name for name in lengths if kinds[name].si == LENGTH.si]
-    ways = (
-        [every] if steps else [every, far] if far else [far, every],
-        [{}, slides],
-        [{}, dict.fromkeys(lengths, "mm")],
-    )
-    found = [{**a, **b, **c} for a, b, c in product(*ways)]
+    turned = [every] if steps else [every, far] if far else [far, every]
+    metric = [{}, dict.fromkeys(lengths, "mm")]
+    found = [{**a, **b, **c} for a, b, c in product(turned, [{}, slides], metric)]
     return [one for k, one in enumerate(found) if one not in found[:k]]
 
 
@@ -582,10 +576,7 @@ def _head(robot: Robot, look: Look, command: str) -> Iterator[str]:
     yield text + ("." if look.fits else no_fit)
     if look.computed:
         names = enumerated(look.computed)
-        yield (
-            f"The controller computed {names} from the joints: no measurement, other "
-            "columns are taken."
-        )
+        yield f"The controller computed {names} from the joints: others are taken."
 
 
 def _lines(key: str, value: Any, look: Look) -> str:

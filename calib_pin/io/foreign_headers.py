@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib_pin.errors import InputError
-from calib_pin.io.columns import ANGLE, LENGTH, STEPS, Column, Floats, split_header
+from calib_pin.io.columns import ANGLE, LENGTH, Column, Floats, split_header
 from calib_pin.io.measured_columns import NAMES, POSITION, optional, reserved
 from calib_pin.io.measured_columns import measured as measured_kinds
 from calib_pin.io.table import Table
@@ -28,12 +28,10 @@ UNITS = {
     "in": ("in", "inch", "inches"),
     "rad": ("rad", "radian", "radians"),
     "deg": ("deg", "degree", "degrees", "grad", "°"),
-    "mrad": ("mrad",),
-    "gon": ("gon",),
     "px": ("px", "pixel", "pixels"),
     "s": ("s", "sec", "second", "seconds"),
 }
-"""Ways of writing each unit; *Grad* is German for degrees."""
+"""Ways of writing units; *Grad* is German for degrees. Others of angles have one."""
 
 GAUGES = {
     "deviation": "deviation|abweichung",
@@ -180,7 +178,7 @@ def require_units(columns: Iterable[Foreign]) -> None:
     for one in columns:
         if one.column.unit and one.unit is None:
             reason = f"the unit '{one.column.unit}' is not known"
-            allowed = ", ".join((*UNITS, STEPS))
+            allowed = ", ".join(dict.fromkeys((*UNITS, *ANGLE.units)))
             raise InputError(reason, column=one.name, allowed=allowed)
 
 
@@ -299,11 +297,9 @@ def check_gauges(table: Table, names: Iterable[str]) -> None:
     for ours, (one, *_) in found.items():
         # Whole numbers without a unit count readings.
         if ours in optional() and (one.unit or (one.numbers % 1.0 != 0.0).any()):
-            lines = f"columns: {{{ours}: '{one.stated(one.unit)}'}}"
+            way = f"columns: {{{ours}: '{one.stated(one.unit)}'}}"
             reason = "these look like readings of a gauge, how far the contact is off; "
-            reason += (
-                f"state in the setup '{lines}' ('dial' where pushed in is positive,"
-            )
+            reason += f"state in the setup '{way}' ('dial' where pushed in is positive,"
             reason += " 'deviation' where away from the surface is), or leave them out"
             raise table.error(reason, one.name)
 

@@ -125,9 +125,7 @@ def reserved() -> frozenset[str]:
 
 def orientation_columns(table: Table) -> str:
     """The one way in which a file states orientations, one of `STATED`."""
-    first = {
-        way: name for way, names in STATED.items() for name in names if name in table
-    }
+    first = {w: name for w, names in STATED.items() for name in names if name in table}
     if len(first) != 1:
         found = " and ".join(first.values()) or "none"
         reason = f"model 'pose' needs one orientation, the file has {found}"
@@ -370,10 +368,11 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
     turned = any(len(n) < FEW or bool(np.ptp(n) != 0.0) for n in numbers)
     there = {*table.columns, *["orientation"] * turned}
     about = {name: declared(name) for name in names}
-    needs = {n: {*needed(n), *["orientation"] * about[n].oriented} for n in names}
+    columns = {n: [*needed(n), *["orientation"] * about[n].oriented] for n in names}
+    needs = {name: {*own} for name, own in columns.items()}
     partly = [name for name in names if needs[name] & there]
-    lacking = {n for n in names if about[n].naming.required == "every"}
-    lacking = set() if "target" in there else lacking
+    named = {n for n in names if about[n].naming.required == "every"}
+    lacking = set() if "target" in there else named
     idle = {n for n in names if about[n].contact and (partly or n in lacking)}
     fitting = {n for n in names if needs[n] <= there} - idle
     # What is there in part is told as missing; `u` alone may mean something else.
@@ -390,16 +389,11 @@ def infer_model(table: Table, asked: Sequence[str] = ()) -> str:
         reason = f"the columns allow {ways}; name what is measured "
         reason += "with --model, or row by row in a column 'model'"
         raise table.error(reason)
-    told = ", ".join(f"{name} ({_columns_of(name)})" for name in names)
-    reason = f"no measured columns for {told}; contacts need --model"
+    for name in named:
+        columns[name].append("target")
+    told = [f"{n} ({', '.join(own) or 'nothing'})" for n, own in columns.items()]
+    reason = f"no measured columns for {', '.join(told)}; contacts need --model"
     raise table.error(reason + ELSEWHERE)
-
-
-def _columns_of(model: str) -> str:
-    about = declared(model)
-    others = ["orientation"] * about.oriented
-    others += ["target"] * (about.naming.required == "every")
-    return ", ".join([*needed(model), *others]) or "nothing"
 
 
 def own_columns(
@@ -595,11 +589,7 @@ def spare_columns(
 
 
 def spare_positions(
-    table: Table,
-    chains: Chains,
-    columns: JointColumns,
-    q: Floats,
-    spare: Sequence[str],
+    table: Table, chains: Chains, columns: JointColumns, q: Floats, spare: Sequence[str]
 ) -> dict[tuple[str, str], Floats]:
     """Positions that a file states beside those of the joints, by joint and column.
 

@@ -20,12 +20,7 @@ from calib_pin.io.measurements import encode_table
 from calib_pin.io.table import read_cells
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity, declared
-from calib_pin.observations import (
-    BlockKey,
-    Conditions,
-    Measurements,
-    Observations,
-)
+from calib_pin.observations import BlockKey, Conditions, Measurements, Observations
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import AXES, MeasurementErrors
@@ -88,9 +83,7 @@ def decode_errors(
         ValueError: If there is no measurement, or a cell is no number.
         InputError: If it is no CSV file.
     """
-    cells = {
-        column.header: column for column in read_cells(data, MEASUREMENTS).columns()
-    }
+    cells = {of.header: of for of in read_cells(data, MEASUREMENTS).columns()}
     words = {name: cells[name].texts() for name in WORDS}
     unknown, joints = unknown_errors(model, 0), model.chains.joints
     _, first = side_by_side(_quantities(model))
@@ -130,10 +123,8 @@ def decode_errors(
     if not sets[SETS[0]]:
         raise ValueError("there are no measurements")
     parts, stages = list[MeasurementErrors](), ("before", "after", "sigma")
-    for name, blocks in sets.items():
+    for name, blocks in ((name, own) for name, own in sets.items() if own):
         rows = [row for chosen in blocks.values() for row in chosen]
-        if not rows:
-            continue
         part: Any = {n: numbers(f"{{}}.{n}", unknown.components, rows) for n in stages}
         part |= {
             "rows": Observations(tuple(block(*found) for found in blocks.items())),
@@ -163,11 +154,5 @@ def unknown_errors(model: CalibratedModel, count: int) -> MeasurementErrors:
     values = np.zeros((count, model.only.measurement.width))
     rows = Measurements(joints, q, values=values, **model.only.key._asdict())
     points, to_base = np.full((count, 3), np.nan), np.full((1, 3, 3), np.nan)
-    return MeasurementErrors(
-        Observations.of(rows),
-        quantities,
-        *(unknown, unknown, unknown),
-        points,
-        to_base,
-        leverage=points[:, 0],
-    )
+    told = Observations.of(rows), quantities, unknown, unknown, unknown
+    return MeasurementErrors(*told, points, to_base, leverage=points[:, 0])

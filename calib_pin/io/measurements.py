@@ -273,11 +273,9 @@ class _Reader:
                 reason = f"the row measures '{key.model}', which has no {name}"
                 allowed = "a blank cell; what else was measured is in a row of its own"
                 some.refuse(filled, reason, name, allowed)
-            part, names = self._block(
-                some, chains, key, q[rows], held.rows(rows), spare
-            )
+            part, own = self._block(some, chains, key, q[rows], held.rows(rows), spare)
             parts.append(part)
-            unread -= names
+            unread -= own
         ignored = [name for name in table.columns if name in unread]
         if any(declared(part.model).contact for part in parts):
             check_gauges(table, ignored)
@@ -330,9 +328,8 @@ class _Reader:
         own = table.columns.items()
         columns = {n: c for n, c in own if n in needed or not c.missing().all()}
         table = replace(table, columns=columns)
-        read, values = measured_columns.read_values(
-            table, key.model, spare, self.orientation
-        )
+        about = key.model, spare, self.orientation
+        read, values = measured_columns.read_values(table, *about)
         # How far apart points stand that stand still has nothing to do with the robot.
         if "x" in read and key.chain != WORLD:
             measured_columns.check_spread(table, chains[key.chain], values[:, :3])
@@ -518,9 +515,8 @@ def encode_configurations(
         Traceback (most recent call last):
         calib_pin.errors.OutputError: target 'wall\n' would not read back
     """
-    columns: dict[str, Floats | Sequence[str] | Sequence[int]] = {
-        **measured_columns.shown_columns(q, JointColumns.of(chain, joints), degrees)
-    }
+    own = JointColumns.of(chain, joints)
+    columns = dict[str, Any](measured_columns.shown_columns(q, own, degrees))
     columns |= {joint + DIRECTION: column for joint, column in sides.items()}
     named = {**places, "target": target}
     columns |= {k: _writable(k, column) for k, column in named.items() if any(column)}

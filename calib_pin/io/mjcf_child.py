@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import RobotError
+from calib_pin.errors import RobotError, words_of
 from calib_pin.io.urdf_tree import branch, origin_of, words
 from calib_pin.kinematics.spatial import Floats
 
@@ -52,10 +52,9 @@ class Writer:
         stated = [model.joint(j).name for j in range(model.njnt)]
         self.taken = {*self.bodies, *stated}
         owners = [self.bodies[b] for b in model.jnt_bodyid]
-        self.joints = [
-            name or self._unused(f"{owners[j]}_joint{j}")
-            for j, name in enumerate(stated)
-        ]
+        usual = [f"{owner}_joint{j}" for j, owner in enumerate(owners)]
+        pairs = zip(stated, usual, strict=True)
+        self.joints = [name or self._unused(other) for name, other in pairs]
 
     def write(self) -> str:
         """The text of the URDF."""
@@ -213,8 +212,7 @@ def read(file: str) -> tuple[str, str]:
         writer = Writer(model)
         urdf = writer.write()
     except Exception as failure:
-        said = " ".join(str(failure).split()) or type(failure).__name__
-        raise RobotError(f"this MJCF cannot be used: {said}") from None
+        raise RobotError(f"this MJCF cannot be used: {words_of(failure)}") from None
     if writer.free:
         told = f"{', '.join(writer.free)} moves freely"
         remark += f"; a URDF holds couplings by one factor only: {told}"

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -32,37 +32,30 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+import calib_pin.io.measurement_errors as measurement_errors
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.estimation.formulation import make_terms
 from calib_pin.estimation.learning import with_learned
-from calib_pin.estimation.terms import FRAME, Term, Terms
+from calib_pin.estimation.terms import Terms
 from calib_pin.io.files import listed, read_bytes, settled, sha256, write_atomically
 from calib_pin.io.json_text import Json, decoded, encode, merged, plain, reading, typed
-from calib_pin.io.measurement_errors import (
-    MEASUREMENTS,
-    SETS,
-    decode_errors,
-    unknown_errors,
-)
 from calib_pin.io.setup import setup_document, setup_of
-from calib_pin.io.straightening import straight_source
-from calib_pin.io.urdf import corrected_urdf, is_xacro, locate_robot
-from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.io.straightening import straightened
+from calib_pin.io.urdf import is_source, is_xacro, locate_robot
+from calib_pin.io.urdf_tree import edit_origins, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import BlockKey
-from calib_pin.parameterizations import frame_pose, frame_setup
+from calib_pin.parameterizations import frame_pose
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.residual_models import LearnedCorrection, restore
 from calib_pin.residual_models.documents import numbers
-from calib_pin.setup import (
-    FrameSetup,
-)
+from calib_pin.setup import FrameSetup
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.result import (
@@ -245,7 +238,7 @@ def calibration_document(
     chains, setup = model.chains, model.setup.file
     ends = {name: Ends(chains[name].base, chains[name].tip) for name in chains.names}
     chain = model.moving.error.chain
-    parts = zip(SETS, (result.fitted, result.held_out), strict=True)
+    parts = zip(measurement_errors.SETS, (result.fitted, result.held_out), strict=True)
     files = map(Source, result.files, made.hashes)
     record = Document(
         robot=RobotRecord(
@@ -364,10 +357,11 @@ def read_written(
         with reading(file):
             model = model_of(record.model, chains := _chains(record, robot))
             model = learned_model(model, record.residual_model)
-            fitted, held_out = unknown_errors(model, record.training), None
-            if measured and (errors := file.parent / MEASUREMENTS).is_file():
-                data = read_bytes(errors)
-                fitted, held_out = decode_errors(data, model, record.rotations)
+            fitted = measurement_errors.unknown_errors(model, record.training)
+            held_out, errors = None, file.parent / measurement_errors.MEASUREMENTS
+            if measured and errors.is_file():
+                given = read_bytes(errors), model, record.rotations
+                fitted, held_out = measurement_errors.decode_errors(*given)
             urdf, alone, names = document["urdf"], record.urdf_model, model.given.names
             geometry = alone and model_of(alone, chains)
             hashes = tuple(source.sha256 for source in record.files)
@@ -444,19 +438,8 @@ def places_of(model: CalibratedModel) -> Json:
     for (section, name), reference in model.references.items():
         own = sections[section if section in SECTIONS else "cameras"]
         own[name] = reference.stated()
-    stations, tools = dict[str, FrameSetup](), dict[str, FrameSetup]()
-    for key, term in model.terms.items():
-        free, (base, on) = model.given.free[term.of_error], _frame_keys(term)
-        tool = model.of(key).tool * term.frames.offset.inverse()
-        stations[base] = frame_setup(term.error.base, known=not free[:FRAME].any())
-        tools[on] = frame_setup(tool, known=not free[-FRAME:].any())
-    return {"frames": stations | tools, **sections}
-
-
-def _frame_keys(term: Term) -> Iterator[str]:
-    """Keys of the station and of the tool of a part under `frames`."""
-    names = term.frames.station, term.frames.tool
-    return (name.removesuffix(".frame") for name in names)
+    frames = {name.removesuffix(".frame"): at for name, at in model.frames().items()}
+    return {"frames": frames, **sections}
 
 
 def model_of(
@@ -491,7 +474,8 @@ def model_of(
             own.setdefault(section, {})[one.name] = found
         stated = {**record.setup, "camera": None, **own, **own.get("camera", {})}
         measurement = measurement_model(key.model, setup_of(stated), blocks[key])
-        ends = [frames[name] for name in _frame_keys(term)]
+        names = term.frames.station, term.frames.tool
+        ends = [frames[name.removesuffix(".frame")] for name in names]
         base, tool = map(frame_pose, ends)
         far = max(np.abs(pose.homogeneous).max() for pose in (base, tool))
         known = all(None not in (frame.xyz, frame.rpy) for frame in ends)
@@ -570,26 +554,31 @@ def encode_urdf(model: CalibratedModel, path: str | Path) -> bytes:
     Raises:
         OptionError: If the file is the robot's own, or the model has corrections that
             a URDF cannot hold.
-        OutputError: If it does not agree with the model.
+        OutputError: If it does not read back, or agree with the model.
     """
     if not model.geometric:
         reason = "a URDF cannot hold corrections of joints; write the geometry alone"
         raise OptionError(reason, file=path, allowed="CalibrationResult.geometry")
-    chains = model.chains
+    chains, nominal = model.chains, model.chains.robot
+    if is_source(Path(path), nominal):
+        reason = "is the robot's own URDF, which is never changed"
+        raise OptionError(reason, file=path, allowed="another file")
+    data = edit_origins(nominal.source, model.urdf_corrections(), nominal.file)
+    try:
+        robot = parse_robot(data, str(path))
+    except RobotError as error:
+        raise OutputError(f"the corrected URDF does not read back: {error}") from error
     q = chains.random_configurations(20, np.random.default_rng(0))
-
-    def check(robot: Robot) -> None:
-        for name in model.measured_chains:
-            own, nominal = q[:, chains.columns(name)], chains[name]
-            fitted, there = model.of(name), Chain(robot, nominal.base, nominal.tip)
-            written = fitted.error.base.homogeneous @ there.poses(own)
-            expected = fitted.poses(own) @ fitted.tool.inverse().homogeneous
-            difference = float(np.abs(written - expected).max())
-            if not difference < AGREEMENT:
-                reason = f"the written robot differs from the model by {difference:.2g}"
-                raise OutputError(f"{path}: {reason}")
-
-    return corrected_urdf(path, chains.robot, model.urdf_corrections(), check)
+    for name in model.measured_chains:
+        own, chain = q[:, chains.columns(name)], chains[name]
+        fitted, there = model.of(name), Chain(robot, chain.base, chain.tip)
+        written = fitted.error.base.homogeneous @ there.poses(own)
+        expected = fitted.poses(own) @ fitted.tool.inverse().homogeneous
+        difference = float(np.abs(written - expected).max())
+        if not difference < AGREEMENT:
+            reason = f"the written robot differs from the model by {difference:.2g}"
+            raise OutputError(f"{path}: {reason}")
+    return data
 
 
 # --- the folder -------------------------------------------------------------------
@@ -658,7 +647,8 @@ def find_robot(source: Source, path: Path) -> Robot:
     for place in found:
         data = read_bytes(place)
         if sha256(data) != source.sha256:
-            data = straight_source(data)
+            with suppress(RobotError):
+                data = straightened(parse_robot(data, "")).source
         if sha256(data) == source.sha256:
             there = given != copy and ((expanded and given.is_file()) or place == given)
             return parse_robot(data, source.file if there else str(place))

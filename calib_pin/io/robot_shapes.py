@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from calib_pin.errors import InputError, RobotError
+from calib_pin.errors import InputError, RobotError, words_of
 from calib_pin.io.files import read_bytes
 from calib_pin.io.packages import locate_mesh
 from calib_pin.io.urdf import locate_robot
@@ -107,8 +107,7 @@ def _corners(path: Path) -> Floats:
         if corners.shape[1:] != (3, 3) or mesh.faces.min(initial=0) < 0:
             raise ValueError("it has a face with a vertex that is not there")
     except Exception as failure:
-        words = " ".join(str(failure).split()) or type(failure).__name__
-        raise InputError(f"cannot be read: {words}", file=path) from failure
+        raise InputError(f"cannot be read: {words_of(failure)}", file=path) from failure
     return np.asarray(corners, float)
 
 

@@ -30,8 +30,8 @@ import numpy as np
 from calib_pin.errors import OptionError, nearest
 from calib_pin.estimation.robust.weights import LOSSES
 from calib_pin.estimation.solve import SOLVERS
-from calib_pin.io.files import read_bytes, write_atomically
-from calib_pin.io.json_text import decoded, encode, format_keys, plain, reading, typed
+from calib_pin.io.files import read_bytes
+from calib_pin.io.json_text import decoded, format_keys, plain, reading, typed
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import AT
 from calib_pin.parameterizations import NOTHING, PARAMETERIZATIONS, required_keys
@@ -48,12 +48,10 @@ if TYPE_CHECKING:
 WIDTH = 60
 """Column after which a list is continued in the next line."""
 
-LARGEST_ERROR = 1e5
+LARGEST = 1e5
 """Largest value of a parameter, whatever its unit: that of a camera's focal length."""
 
-TrueErrors = Mapping[
-    str, Annotated[float, Value("m, rad", -LARGEST_ERROR, LARGEST_ERROR)]
-]
+TrueErrors = Mapping[str, Annotated[float, Value("m, rad", -LARGEST, LARGEST)]]
 """Values of parameters by name."""
 
 FLEET, ROBOT = "calib-pin/fleet-prior", "calib-pin/robot-prior"
@@ -114,7 +112,7 @@ def read_setup(path: str | Path | Mapping[str, object]) -> Setup:
 
     Raises:
         InputError: If the file is not YAML, or a key or value cannot be used; names
-            the first such line.
+            the first such line. If the prior that it names cannot be read.
 
     Examples:
         >>> import tempfile
@@ -135,7 +133,11 @@ def read_setup(path: str | Path | Mapping[str, object]) -> Setup:
     data = tree.data
     prior = data.get("prior") if isinstance(data, Mapping) else None
     if isinstance(prior, str) and prior.strip():
-        data = {**data, "prior": _read_prior(folder / prior)}
+        file = folder / prior
+        document = decoded(read_bytes(file), "fleet's prior", FLEET, file)
+        with reading(file, "prior"):
+            found = replace(_prior_of(document), file=str(file))
+        data = {**data, "prior": found}
     setup: Setup = _taken(tree, data, Setup)
     obstacles = tuple(
         replace(one, mesh=one.mesh and str(folder / one.mesh))
@@ -211,34 +213,6 @@ def _prior_of(document: Mapping[str, Any]) -> JointPrior:
     return prior
 
 
-def _read_prior(path: Path) -> JointPrior:
-    """The joint prior of a file.
-
-    Raises:
-        InputError: If it is no such file, of a later version, or damaged.
-    """
-    document = decoded(read_bytes(path), "fleet's prior", FLEET, path)
-    with reading(path, "prior"):
-        return replace(_prior_of(document), file=str(path))
-
-
-def write_population_prior(
-    prior: PopulationPrior, path: str | Path, *, force: bool = False
-) -> None:
-    """Write a joint prior to a file that a setup file can name.
-
-    Args:
-        prior: The prior.
-        path: The new file.
-        force: Replace an existing file.
-
-    Raises:
-        OptionError: If the file exists.
-        OutputError: If it cannot be written.
-    """
-    write_atomically(Path(path), encode(prior_document(prior)), force=force)
-
-
 def yaml_text(lines: Mapping[str, Any]) -> str:
     """Lines of a setup file, given as plain data.
 
@@ -291,9 +265,8 @@ def _check(setup: Setup) -> None:
     for name in setup.noise:
         if name not in known:
             raise unknown(("noise", name), known)
-    _check_twice(
-        (given.joint, ("joints", name, "joint")) for name, given in setup.joints.items()
-    )
+    joints = setup.joints.items()
+    _check_twice((given.joint, ("joints", name, "joint")) for name, given in joints)
     for key, word in NAMES.items():
         for name in getattr(setup, key):
             if not name.strip() or name == word or (word == AT and AT in name):

@@ -22,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 import calib_pin.io.urdf_tree as urdf_tree
-from calib_pin.errors import RobotError, enumerated
+from calib_pin.errors import enumerated
 from calib_pin.io.urdf_tree import Document, link_of
 from calib_pin.kinematics.robot import Robot
 from calib_pin.kinematics.spatial import Floats
@@ -65,18 +65,9 @@ def straightened(robot: Robot) -> Robot:
         f"{enumerated(map(repr, slides))} along their axes; the forward kinematics are "
         "the same, and the corrected URDF has these frames"
     )
-    found = urdf_tree.parse_robot(
-        urdf_tree.move_origins(document, _moved(document, slides)), robot.file
-    )
+    source = urdf_tree.move_origins(document, _moved(document, slides))
+    found = urdf_tree.parse_robot(source, robot.file)
     return replace(found, remarks=(*robot.remarks, remark))
-
-
-def straight_source(source: bytes) -> bytes:
-    """The bytes of a URDF after straightening, as far as it can be read."""
-    try:
-        return straightened(urdf_tree.parse_robot(source, "")).source
-    except RobotError:
-        return source
 
 
 def _slides(document: Document) -> dict[str, Floats]:

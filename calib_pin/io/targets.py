@@ -47,11 +47,6 @@ class Targets:
     T: Floats | None
     oriented: bool
 
-    @property
-    def lines(self) -> NDArray[np.int64]:
-        """Line number of each target in the file, shape (N,)."""
-        return self.table.lines
-
 
 def read_target_file(
     path: str | Path,
@@ -131,11 +126,9 @@ def read_times(targets: Targets) -> Floats | None:
     if "time" not in targets.table:
         return None
     time = targets.table.numbers("time", TIME)
-    (back,) = np.nonzero(np.diff(time) <= 0.0)
-    if len(back):
-        row = int(back[0]) + 1
-        allowed = f"more than {time[row - 1]:.6g} s"
-        raise targets.table.error("the time does not go on", "time", allowed, row)
+    back = np.diff(time, prepend=-np.inf) <= 0.0
+    allowed = f"more than {time[int(np.argmax(back)) - 1]:.6g} s"
+    targets.table.refuse(back, "the time does not go on", "time", allowed)
     return time
 
 
@@ -184,7 +177,7 @@ def encode_commands(
         if ROW in targets.columns.names:
             reason = f"a joint column is called '{ROW}', which is the line of a target"
             raise OutputError(reason)
-        columns[ROW] = np.where(via, "", targets.lines[rows].astype(str)).tolist()
+        columns[ROW] = np.where(via, "", targets.table.lines[rows].astype(str)).tolist()
     if times is not None:
         columns["time"] = times.tolist()
     return encode_table(columns, comments)

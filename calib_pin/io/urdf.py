@@ -1,22 +1,19 @@
-"""Robots in and out: load a URDF, write it back with corrected joint origins."""
+"""Robots by name or file: a URDF, what becomes one, and the bundled ones."""
 
 from __future__ import annotations
 
 import importlib.metadata
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-
-import pinocchio as pin
 
 from calib_pin.errors import (
     CalibPinError,
     InputError,
     OptionError,
-    OutputError,
     RobotError,
     nearest,
     require_known,
@@ -25,7 +22,7 @@ from calib_pin.io.children import converted
 from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.packages import package_folders
 from calib_pin.io.straightening import straightened
-from calib_pin.io.urdf_tree import edit_origins, parse_document, parse_robot
+from calib_pin.io.urdf_tree import parse_document, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.robot import Robot
@@ -205,37 +202,6 @@ def load_robot(
             raise
         raise error.within(name) from error  # Its lines are in no file.
     return straightened(replace(robot, remarks=(remark,) if remark else ()))
-
-
-def corrected_urdf(
-    path: str | Path,
-    robot: Robot,
-    corrections: Mapping[str, pin.SE3],
-    check: Callable[[Robot], None],
-) -> bytes:
-    """A robot's URDF with corrected joint origins.
-
-    Args:
-        path: The file it is for; never the robot's own.
-        robot: The robot.
-        corrections: Correction of each joint by name, multiplied from the right.
-        check: Called with the robot as it reads back; raises `OutputError` if the
-            robot is not as it should be.
-
-    Raises:
-        OptionError: If the file is the robot's own.
-        OutputError: If it does not read back.
-        RobotError: If the robot has no joint of such a name.
-    """
-    if is_source(Path(path), robot):
-        reason = "is the robot's own URDF, which is never changed"
-        raise OptionError(reason, file=path, allowed="another file")
-    corrected = edit_origins(robot.source, corrections, robot.file)
-    try:
-        check(parse_robot(corrected, str(path)))
-    except RobotError as error:
-        raise OutputError(f"the corrected URDF does not read back: {error}") from error
-    return corrected
 
 
 def split_arguments(robot: str) -> tuple[str, dict[str, str]]:

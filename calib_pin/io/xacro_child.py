@@ -16,7 +16,7 @@ import xacro
 from simpleeval import BASIC_ALLOWED_ATTRS, EvalWithCompoundTypes
 from xacro import substitution_args
 
-from calib_pin.errors import RobotError, enumerated, nearest
+from calib_pin.errors import RobotError, enumerated, nearest, words_of
 from calib_pin.io.packages import packages
 
 METHODS: dict[type, set[str]] = {
@@ -190,7 +190,7 @@ def read(
         failure: Any = error
     while isinstance(getattr(failure, "exc", None), BaseException):
         failure = failure.exc  # Without what xacro adds to it.
-    reason = " ".join(str(failure).split()) or type(failure).__name__
+    reason = words_of(failure)
     if isinstance(failure, RecursionError):
         reason = "a macro or an expression calls itself without end"
     elif isinstance(failure, MemoryError):

@@ -73,9 +73,7 @@ class Tree:
     def _find(self, path: Place) -> tuple[int | None, yaml.Node | None]:
         """Line and value node of the last part of a path that exists."""
         ways = (tuple(path[:k]) for k in range(len(path), -1, -1))
-        return next(
-            (self.nodes[way] for way in ways if way in self.nodes), (None, None)
-        )
+        return next((self.nodes[k] for k in ways if k in self.nodes), (None, None))
 
 
 class _Loader(yaml.SafeLoader):

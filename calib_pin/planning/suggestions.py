@@ -12,6 +12,7 @@ import pinocchio as pin
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.formulation import nominal_problem, restricted
+from calib_pin.estimation.terms import BASE
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models import declared
@@ -22,7 +23,7 @@ from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import frame_pose, frame_setup
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.validation.assessment import identify
-from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import Identification
 
 BESIDE = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
@@ -67,23 +68,16 @@ def calibrated_setup(model: CalibratedModel) -> Setup:
             else:
                 named = sections.setdefault(reference.section, {})
                 named[reference.name] = reference.stated()
-        free = term.error.parameters.free
-        theta = model.theta[term.of_error]
-        mounted = CalibratedChain(term.error, theta, setup).tool
-        stands = frame_setup(term.error.base, known=not free[:6].any())
-        sits = frame_setup(
-            mounted * term.frames.offset.inverse(), known=not free[-6:].any()
-        )
-        owner, _, kind = term.frames.station.rpartition(".")
+    for name, frame in model.frames().items():
+        owner, _, kind = name.rpartition(".")
         if kind == "station":
-            stations[owner] = stands
+            stations[owner] = frame
+        elif kind == "tool":
+            tools[owner] = ToolSetup(frame.xyz, frame.rpy, frame.estimate)
+        elif name == BASE:
+            base = frame
         else:
-            base = stands
-        owner, _, kind = term.frames.tool.rpartition(".")
-        if kind == "tool":
-            tools[owner] = ToolSetup(sits.xyz, sits.rpy, sits.estimate)
-        else:
-            tool = sits
+            tool = frame
     return replace(
         setup,
         base_frame=base,

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.terms import Terms
+from calib_pin.estimation.terms import FRAME, Terms
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
+from calib_pin.parameterizations.base import frame_setup
 from calib_pin.parameterizations.error_model import ErrorModel, beyond_urdf
 from calib_pin.residual_models import LearnedCorrection
-from calib_pin.setup import CameraSetup, Setup
+from calib_pin.setup import CameraSetup, FrameSetup, Setup
 from calib_pin.setup.arguments import Brief, as_array
 
 
@@ -162,6 +163,17 @@ class CalibratedModel(Brief, Terms):
             for name in self.measured_chains
             for joint, correction in self.of(name).urdf_corrections().items()
         }
+
+    def frames(self) -> dict[str, FrameSetup]:
+        """Where the fit has the stations, and then the tools, by their names."""
+        stations, tools = dict[str, FrameSetup](), dict[str, FrameSetup]()
+        for key, term in self.terms.items():
+            free, base = self.given.free[term.of_error], term.error.base
+            tool = self.of(key).tool * term.frames.offset.inverse()
+            station = frame_setup(base, known=not free[:FRAME].any())
+            stations[term.frames.station] = station
+            tools[term.frames.tool] = frame_setup(tool, known=not free[-FRAME:].any())
+        return stations | tools
 
     def problem(self, data: Observations) -> Problem:
         """The problem of other measurements about this calibration."""

@@ -17,7 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from calib_pin.errors import CalibPinError, OptionError
+from calib_pin.errors import CalibPinError, OptionError, words_of
 from calib_pin.workers.base import Submit, WorkerLost, Workers, run
 from calib_pin.workers.local import cores
 
@@ -69,7 +69,7 @@ class Cluster(Workers, AbstractContextManager["Cluster"]):
                     pool.submit(asyncio.run, _greet(found["address"])).result()
             self._client: Any = distributed.Client(**found)
         except Exception as error:  # Anything may answer, in any language.
-            reason = " ".join(str(error).split()) or type(error).__name__
+            reason = words_of(error)
             raise OptionError(
                 f"no scheduler answers at --cluster '{address}': {reason}",
                 allowed="tcp://HOST:PORT, tls://HOST:PORT, a scheduler.json, local",

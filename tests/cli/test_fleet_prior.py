@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 import calib_pin
+from calib_pin.io.json_text import encode
 from calib_pin.io.results import read_result
-from calib_pin.io.setup import write_population_prior
+from calib_pin.io.setup import prior_document
 from calib_pin.setup import PopulationPrior
 from calib_pin.validation.robot_state import robot_evidence
 from tests.cli.files import document
@@ -25,7 +26,7 @@ def bench(fleet, tmp_path, monkeypatch) -> Path:
     data, _ = fleet.measured(600, 12)
     calib_pin.write_measurements("rows.csv", data)
     prior = fleet.population.prior()
-    write_population_prior(prior, "fleet.json")
+    Path("fleet.json").write_bytes(encode(prior_document(prior)))
     Path("setup.yaml").write_text("prior: fleet.json\n")
     return tmp_path
 
@@ -53,7 +54,7 @@ def test_priors_of_others(bench, fleet, fails) -> None:
     first = replace(prior.robot.joints[1], axis=(0.0, 0.6, 0.8))
     joints = (prior.robot.joints[0], first, *prior.robot.joints[2:])
     other = replace(prior, robot=replace(prior.robot, joints=joints))
-    write_population_prior(other, "fleet.json", force=True)
+    Path("fleet.json").write_bytes(encode(prior_document(other)))
     fails(CALIBRATE, "fleet.json", "'space6'", "axis")
 
 

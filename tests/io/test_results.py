@@ -16,8 +16,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from calib_pin.calibration import calibrate
-from calib_pin.errors import InputError, RobotError
+from calib_pin.errors import InputError, OptionError, OutputError, RobotError
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.io import results
 from calib_pin.io.json_text import encode
 from calib_pin.io.measurement_errors import encode_errors
 from calib_pin.io.results import (
@@ -32,9 +33,7 @@ from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import BlockKey, Observations
-from calib_pin.setup import (
-    ChainSetup,
-)
+from calib_pin.setup import ChainSetup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult, Provenance
@@ -425,6 +424,19 @@ def test_a_robot_that_is_another_one_is_refused(
         with refused(kind, file=str(file)):
             read_calibration(file)
         given.unlink(missing_ok=True)
+
+
+def test_what_is_written_is_the_robot(simple, monkeypatch, refused) -> None:
+    """Never over the own file, and read again before it is written."""
+    model, source = simple[0].model, Path("arm.urdf").read_bytes()
+    with refused(OptionError, file="arm.urdf"):
+        write_urdf(model, "arm.urdf", force=True)
+    for wrong in (source, b"<robot/>"):
+        monkeypatch.setattr(results, "edit_origins", lambda *_, wrong=wrong: wrong)
+        with pytest.raises(OutputError):
+            write_urdf(model, "corrected.urdf")
+    assert Path("arm.urdf").read_bytes() == source
+    assert not Path("corrected.urdf").exists()
 
 
 # --- damage ------------------------------------------------------------------------

@@ -15,13 +15,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib_pin.errors import CalibPinError, OptionError, OutputError, RobotError
+from calib_pin.errors import CalibPinError, OutputError, RobotError
 from calib_pin.io import urdf
-from calib_pin.io.urdf import corrected_urdf, load_robot, locate_robot
+from calib_pin.io.urdf import is_source, load_robot, locate_robot
 from calib_pin.io.urdf_tree import edit_origins, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_space import Mimic
-from calib_pin.kinematics.robot import Robot
 
 ARM = b"""<?xml version="1.0"?>
 <robot name="arm">
@@ -540,25 +539,6 @@ def test_limits(bad: Callable[..., None]) -> None:
 # Writing.
 
 
-def test_a_corrected_urdf_reads_back(tmp_path, monkeypatch, refused):
-    robot, seen, path = parse_robot(ARM, "arm.urdf"), list[Robot](), tmp_path / "o.urdf"
-    corrected = corrected_urdf(path, robot, {"j": SHIFT}, seen.append)
-    assert corrected == edit_origins(ARM, {"j": SHIFT}) == seen[0].source
-    assert seen[0].file == str(path)
-    assert corrected_urdf(path, robot, {}, seen.append) == ARM
-
-    def refuse(_: Robot) -> None:
-        raise OutputError("the tip is 3 mm off")
-
-    with pytest.raises(OutputError):
-        corrected_urdf(path, robot, {"j": SHIFT}, refuse)
-    with refused(RobotError, file="arm.urdf"):
-        corrected_urdf(path, robot, {"jj": SHIFT}, seen.append)
-    monkeypatch.setattr(urdf, "edit_origins", lambda *_: b"<robot/>")
-    with pytest.raises(OutputError):
-        corrected_urdf(path, robot, {"j": SHIFT}, seen.append)
-
-
 def test_never_over_the_source(tmp_path, monkeypatch, refused):
     source, link = tmp_path / "arm.urdf", tmp_path / "link.urdf"
     source.write_bytes(ARM)
@@ -568,8 +548,8 @@ def test_never_over_the_source(tmp_path, monkeypatch, refused):
     places = [(source, "arm.urdf"), (link, "arm.urdf")]
     places.append((tmp_path / ".." / tmp_path.name / "arm.urdf", "arm.urdf"))
     for path, name in [*places, (locate_robot(example), example)]:
-        with refused(OptionError, file=str(path)):
-            corrected_urdf(path, load_robot(name), {}, id)
+        assert is_source(path, load_robot(name))
+    assert not is_source(tmp_path / "other.urdf", load_robot("arm.urdf"))
 
 
 @pytest.mark.parametrize("mark", [b"\t", b"\n", b"\r\n"])

@@ -27,6 +27,4 @@ class Joined(Dialect):
         count, ours = int(found[2]) / rows, dict(columns)
         for name in (name for name in ours if name.startswith("sigma_")):
             ours[name] = replace(ours[name], numbers=ours[name].numbers / count**0.5)
-        return Reading(
-            ours, f"means of {count:.3g} readings, whose sigma is that of one"
-        )
+        return Reading(ours, f"means of {count:.3g} readings, with the sigma of one")

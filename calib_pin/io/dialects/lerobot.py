@@ -19,7 +19,7 @@ import numpy as np
 
 import calib_pin.io.dialects.base as base
 from calib_pin.errors import InputError
-from calib_pin.io.columns import counted
+from calib_pin.io.columns import TURNED, counted
 from calib_pin.io.files import TEXT, read_bytes
 
 MOTOR = re.compile(
@@ -27,9 +27,6 @@ MOTOR = re.compile(
     r"|observation\.state\.(?!gripper)([\w-]+)"
 )
 """Motors of joints; the gripper is in 0 to 100 of its range in either case."""
-
-RADIANS = 2.2 * np.pi
-"""Joints that never go beyond this are in rad."""
 
 STEPS = 4095
 """Steps of a turn, as LeRobot counts them (resolution 4096)."""
@@ -58,7 +55,7 @@ class LeRobot(base.Dialect):
         }
         every = np.concatenate([*numbers.values()])
         largest = float(np.abs(np.nan_to_num(every)).max())
-        unit = counted(every) or ("deg" if largest > RADIANS else None)
+        unit = counted(every) or ("deg" if largest > TURNED else None)
         words = {None: "rad", "deg": "degrees"}
         remark = words.get(unit, "steps of its motors")
         if unit and largest <= 100.0 and (ranges := _ranges(file, joints)):

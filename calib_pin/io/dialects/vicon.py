@@ -26,9 +26,8 @@ class Vicon(base.Dialect):
         at = len(lines) - len(base.starting(lines, "Frame"))
         if not 3 <= at < len(lines) - 1:
             return None
-        (axes, units, objects, rate), mark = base.cut(
-            [lines[k] for k in (at, at + 1, at - 1, at - 2)]
-        )
+        head = [lines[k] for k in (at, at + 1, at - 1, at - 2)]
+        (axes, units, objects, rate), mark = base.cut(head)
         if axes[:2] != ["Frame", "Sub Frame"] or not re.fullmatch(r"[\d.]+", rate[0]):
             return None
         kind, of, names = "tool" if "TX" in axes else "target", ["", ""], axes[:2]

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+import calib_pin.validation.joint_errors as joint_errors
 from calib_pin.errors import InputError, OptionError, enumerated
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.results import encode_urdf
@@ -27,13 +28,6 @@ from calib_pin.parameterizations.base import owner
 from calib_pin.setup import JointMap
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
-from calib_pin.validation.joint_errors import (
-    JointErrors,
-    configurations,
-    in_base,
-    joint_errors,
-    told_reversed,
-)
 from calib_pin.validation.result import CalibrationResult
 
 ENOUGH = 1e-6
@@ -116,10 +110,8 @@ class Exported:
     def fitted(self) -> tuple[CalibratedChain, ...]:
         """The chains with their whole calibration, carrying the heaviest payload."""
         model = self.result.model
-        return tuple(
-            replace(one, error=one.error.carrying(model.setup.heaviest))
-            for one in map(model.of, self.names)
-        )
+        heaviest, chains = model.setup.heaviest, map(model.of, self.names)
+        return tuple(replace(k, error=k.error.carrying(heaviest)) for k in chains)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -146,7 +138,7 @@ class Exported:
     def reverses(self) -> Mapping[str, str]:
         """A sentence by joint that turns back as its column goes on."""
         joints = self.result.model.setup.joints
-        return told_reversed(JointColumns.of(self.chains, joints))
+        return joint_errors.told_reversed(JointColumns.of(self.chains, joints))
 
     def corrected_poses(self, chain: Chain, q: Floats) -> Floats:
         """Tip poses of the corrected chain of a nominal one, (N, n) -> (N, 4, 4)."""
@@ -164,14 +156,14 @@ class Exported:
         """
         far = []
         for one in self.fitted:
-            q = configurations(one.chain)
+            q = joint_errors.configurations(one.chain)
             found = read(one.chain, q) @ one.tool.homogeneous
-            far.append((found - in_base(one, q))[:, :3, 3])
+            far.append((found - joint_errors.in_base(one, q))[:, :3, 3])
         return float(np.sqrt(np.mean(np.sum(np.concatenate(far) ** 2, axis=1))))
 
     def joint_errors(
         self, joints: Mapping[str, JointMap], *, gains: bool = False
-    ) -> JointErrors:
+    ) -> joint_errors.JointErrors:
         """The errors of the joints that come closest to the whole calibration.
 
         Args:
@@ -180,7 +172,7 @@ class Exported:
         """
         known = self.result.model.given.names if gains else ()
         gained = [j for j in self.chains.joints if f"{owner(j)}{GAIN}" in known]
-        return joint_errors(self.chains, self.fitted, joints, gained)
+        return joint_errors.joint_errors(self.chains, self.fitted, joints, gained)
 
     @cached_property
     def parts(self) -> tuple[str, ...]:
@@ -283,18 +275,15 @@ class Format:
             about = f"{self.name} holds no {', '.join(lacking)}: {about}"
         if lacking or distance >= ENOUGH:
             yield about
-        if any(
-            one.tool_carries_tip
-            or any(s.parameter.nuisance and s.parameter.free for s in one.error.screws)
-            for one in exported.fitted
-        ):
+        fitted = exported.fitted
+        placed = [s.parameter for one in fitted for s in one.error.screws]
+        found = any(one.tool_carries_tip for one in fitted)
+        if found or any(p.nuisance and p.free for p in placed):
             seen = CAMERA_LINK in self.holds and exported.result.model.cameras
             frames = "frames but the camera's" if seen else "base and tool frames"
             yield f"{self.name} holds no {frames}: see 'tf'"
-        followers = [
-            f"{name} is {of.factor:g} {of.leader} {of.offset:+g}"
-            for name, of in exported.nominal.mimics.items()
-        ]
+        mimics = exported.nominal.mimics.items()
+        followers = [f"{n} is {m.factor:g} {m.leader} {m.offset:+g}" for n, m in mimics]
         reversed_ = [f"{joint} is reversed" for joint in exported.reverses]
         for held, said in ((MIMIC, followers), (SIGNS, reversed_)):
             if said and held not in self.holds:

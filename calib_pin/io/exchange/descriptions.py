@@ -37,10 +37,6 @@ MASS = 1e-3
 LEAST = {"mass": repr(MASS), "pos": "0 0 0", "fullinertia": "1e-06 1e-06 1e-06 0 0 0"}
 """Its inertia [kg, m, kg m^2]."""
 
-SIX = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-"""The upper triangle of an inertia, row by row."""
-
-
 NAMES = {"base": ("measurement", "measured_frame"), "tool": ("tool", "measured_point")}
 """Names of the frames that have none of their own, by how they are called here."""
 
@@ -223,7 +219,8 @@ def _inertia(document: Document, link: Element) -> dict[str, str]:
     if mass is None or inertia is None:
         return {}
     size, full = float(mass.attrib["value"]), np.zeros((3, 3))
-    numbers = [float(inertia.get(key, 0.0)) for key in SIX]
+    # The upper triangle, row by row.
+    numbers = [float(inertia.get(key, 0.0)) for key in urdf_tree.NUMBERS["inertia"]]
     full[np.triu_indices(3)] = full.T[np.triu_indices(3)] = numbers
     if not (size > 0.0 and np.linalg.eigvalsh(full).min() > 0.0):
         return {}
@@ -251,7 +248,8 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
     """
     document, (links, remarks) = _corrected(exported), camera_links(exported)
     changed = {} if exported.geometry is None else exported.geometry.urdf_corrections()
-    owners, about = dict[str, str](), escape(exported.robot.name).replace("--", "- -")
+    taken, renamed = set[str](), list[str]()
+    about = escape(exported.robot.name).replace("--", "- -")
     lines = [
         '<?xml version="1.0"?>',
         f"<!-- joint origins of {about}, calibrated: "
@@ -262,18 +260,15 @@ def xacro(exported: Exported, _: Path | None) -> Encoded:
     for name, joint in document.named("joint").items():
         if name in {*exported.chains.joints, *changed}:
             own = re.sub(r"\W|^(?=\d)", "_", name)
-            while own in owners:
+            while own in taken:
                 own += "_"
-            owners[own] = name
+            taken.add(own)
+            if own != name:
+                renamed.append(f"{own}_xyz, {own}_rpy are those of '{name}'")
             numbers = origin_of(document.origin(joint))
             for key, three in (("xyz", numbers[:3]), ("rpy", numbers[3:])):
                 about = f'name={quoteattr(f"{own}_{key}")} value="{words(three)}"'
                 lines.append(f"  <xacro:property {about}/>")
-    renamed = [
-        f"{own}_xyz, {own}_rpy are those of '{name}'"
-        for own, name in owners.items()
-        if own != name
-    ]
     data = "\n".join([*lines, f"{links}</robot>", ""]).encode()
     return Encoded(data, (*renamed, *remarks))
 

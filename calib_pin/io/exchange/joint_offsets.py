@@ -153,10 +153,8 @@ def _move(
         allowed = f"{-FARTHEST} to {FARTHEST}"
         base.require(abs(homing) <= FARTHEST, reason, template, homing, allowed)
         motor |= zip(KEYS, (homing, low + less, high - less), strict=True)
-        reason, left = (
-            f"{moved} steps leave no range of '{name}'",
-            high - low - 2 * less,
-        )
+        left = high - low - 2 * less
+        reason = f"{moved} steps leave no range of '{name}'"
         base.require(left > 0, reason, template, left, "more than 0 steps")
 
 
@@ -240,10 +238,8 @@ def _correct(
     SubElement(element, "plugin").text = PLUGIN
     inner[0].attrib.setdefault("role", "joint1")
     actuators[0].attrib.setdefault("role", "actuator1")
-    (gain, offset), (reduction, at_zero) = (
-        errors.pop(names[0]),
-        (TAGS | before).values(),
-    )
+    gain, offset = errors.pop(names[0])
+    reduction, at_zero = (TAGS | before).values()
     # The joint is at (1 + gain) of what was read, plus the offset.
     SubElement(inner[0], "mechanical_reduction").text = repr(reduction / (1.0 + gain))
     SubElement(inner[0], "offset").text = repr((1.0 + gain) * at_zero + offset)

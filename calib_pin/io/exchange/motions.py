@@ -145,10 +145,8 @@ def joint_trajectory(
         times = moving_times(q, speed_limits(chain, part))
     times, drives = times - times[:1], JointColumns.of(chain)
     stamps = [{"sec": int(t), "nanosec": int(1e9 * (t % 1.0))} for t in times]
-    points = [
-        {"positions": row.tolist(), "time_from_start": stamp}
-        for row, stamp in zip(drives.values(q), stamps, strict=True)
-    ]
+    rows = zip(drives.values(q).tolist(), stamps, strict=True)
+    points = [{"positions": row, "time_from_start": stamp} for row, stamp in rows]
     document = {"joint_names": [*drives.joints], "points": points}
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
     return "\n".join([*(f"# {line}" for line in comments), text]).encode()

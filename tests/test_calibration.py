@@ -87,7 +87,7 @@ def test_rows_that_do_not_go_together() -> None:
     with pytest.raises(InputError):
         calib_pin.calibrate(chain, replace(rows, validate=np.ones(20, bool)))
     poses = calib_pin.Measurements(chain.joints, rows.q, "pose", np.ones((20, 7)))
-    with pytest.raises(InputError, match="'position'"):
+    with pytest.raises(InputError, match="'pose'"):
         calib_pin.calibrate(chain, rows, validation=poses)
 
 

@@ -14,7 +14,7 @@ KNOWN = {
     "--solver": "estimation.solve:SOLVERS",
     "--loss": "estimation.robust.weights:LOSSES",
     "--learned": "residual_models:RESIDUAL_MODELS",
-    "--use": "validation.candidate_scores:USES",
+    "--use": "validation.model_selection:USES",
     "--criterion": "planning.criteria:CRITERIA",
     "--method": "planning.search:METHODS",
 }

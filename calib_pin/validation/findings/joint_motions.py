@@ -25,7 +25,7 @@ from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.case import DOUBTFUL, Case
-from calib_pin.validation.findings.explanations import DECISIVE
+from calib_pin.validation.findings.explanations import DECISIVE, UNLIKELY
 from calib_pin.validation.findings.hypotheses import Explanation, Hypothesis, read_so
 from calib_pin.validation.findings.joint_columns import geared, offset_by
 from calib_pin.validation.findings.plausibility import OPTIONS
@@ -310,7 +310,9 @@ def _large(case: Case) -> Explanation | None:
     if not found:
         return None
     fit, size, motion = min(found, key=lambda one: one[0].errors)
-    if not fit.errors < DECISIVE * before:
+    ratio = first.left * float(np.log(before / fit.errors))
+    chance = UNLIKELY + float(np.log(len(columns.motions)))
+    if not fit.errors < DECISIVE * before or ratio < chance:
         return None
     hypothesis = motion.hypothesis(case, size)
     if motion.of == "zero":
@@ -332,7 +334,7 @@ def _large(case: Case) -> Explanation | None:
         (hypothesis,),
         before,
         fit.errors,
-        len(first.linear[0]) * float(np.log(before / fit.errors)),
+        ratio,
         len(columns.motions),
         fitted=False,
         harmless=known and motion.of == "zero",

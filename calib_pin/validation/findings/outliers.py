@@ -98,8 +98,9 @@ def _together(data: Observations, rows: Indices) -> tuple[str, str]:
     if still.any():
         names = enumerated([f"'{data.joints[j]}'" for j in np.flatnonzero(still)])
         return "stuck-encoder", f": there the reading of joint {names} does not change"
-    words = ", all in one stretch: another robot, tool or station was measured there"
-    return "another-job", words
+    words = ", all in one stretch: something else was measured there, such as "
+    words += "another robot, tool or station"
+    return "outlying-stretch", words
 
 
 def _far(data: Observations) -> Iterator[Finding]:

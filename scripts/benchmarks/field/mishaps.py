@@ -365,7 +365,7 @@ MISHAPS: Mapping[str, Mishap] = {
     "rehomed": Mishap(FREE, ("joint-rehomed",), _rehomed),
     "two robots": Mishap(
         FREE,
-        ("another-job",),
+        ("outlying-stretch",),
         _two_robots,
         words=("two robots", "another robot", "robot changed"),
     ),

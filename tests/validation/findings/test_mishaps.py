@@ -216,7 +216,7 @@ MISHAPS = [
         severity="warning",
     ),
     Mishap("stuck-encoder", positions(stuck)),
-    Mishap("another-job", of_another),
+    Mishap("outlying-stretch", of_another),
     Mishap(
         "joint-turns",
         joint(2, lambda q: q + TURN),

@@ -80,7 +80,7 @@ def test_many_outliers_are_counted(told) -> None:
         values[5:19] += np.random.default_rng(0).normal(0.0, 0.3, (14, 3))
         return {"values": values}
 
-    found = told(change)["outliers"]
+    found = told(change)["outlying-stretch"]
     assert all(f" {number} " in found.message for number in (7, 11, 14))
     assert len(found.message) < 300 and len(found.remedy) < 300
 

@@ -253,8 +253,5 @@ def _at_times(joints: Table, taken: Table, images: list[Path], tell: Notice) -> 
 
     taken = logs.with_images(taken)
     taken = taken.rows(np.array(_rows(taken, images)))
-    positions = logs.read_joint_log(joints, {}, tell)
-    readings = logs.read_reading_log(taken, tell)
     stand = Logs.settle, Logs.tolerance
-    readings, found = logs.join_logs(positions, readings, *stand, tell)
-    return read_table(logs.encode_joined(found, positions, readings, keep=True))
+    return read_table(logs.join_logs(joints, taken, (), *stand, tell, True)[1])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import calib_pin.io.foreign_headers as headers
 import calib_pin.io.measured_columns as measured_columns
 import calib_pin.observations.joining as joining
-from calib_pin.errors import InputError, enumerated
+from calib_pin.errors import InputError, enumerated, stated_in
 from calib_pin.io.columns import ANGLE, LENGTH, PIXEL, PURE, Floats, Kind
 from calib_pin.io.dialects.base import header
 from calib_pin.io.measured_columns import NAMES
@@ -73,14 +73,15 @@ class Series:
     loose: bool = False
 
 
-def named_alike(*tables: Table) -> tuple[Table, ...]:
+def named_alike(ours: Table, theirs: Table) -> tuple[Table, Table]:
     """Two files; where these have no times, columns of the same names called `POSE`.
 
     Args:
-        tables: The file of the joints, in which each name stands once, and that of the
-            readings. Numbers with decimals are no names.
+        ours: The file of the joints, in which each name stands once. Numbers with
+            decimals are no names.
+        theirs: The file of the readings.
     """
-    if all(map(_time_column, tables)):
+    if all(map(_time_column, tables := (ours, theirs))):
         return tables
     names = (
         {
@@ -90,16 +91,74 @@ def named_alike(*tables: Table) -> tuple[Table, ...]:
         }
         for table in tables
     )
-    found = joining.shared_names(*names) or (POSE, POSE)
-    return tuple(t.renamed({POSE: n}) for t, n in zip(tables, found, strict=True))
+    own, other = joining.shared_names(*names) or (POSE, POSE)
+    return ours.renamed({POSE: own}), theirs.renamed({POSE: other})
 
 
-def read_joint_log(table: Table, columns: Mapping[str, str], notice: Notice) -> Series:
+def with_images(table: Table) -> Table:
+    """The table with the names of images, if it has any, in a column of this name."""
+    names = (name for name in table.columns if name.lower() in IMAGES)
+    return table.renamed({IMAGE: next(names, IMAGE)})
+
+
+def join_logs(
+    ours: Table,
+    theirs: Table,
+    columns: Collection[str],
+    settle: float,
+    tolerance: float,
+    notice: Notice,
+    keep: bool,
+) -> tuple[joining.Joined, bytes]:
+    """What joins two logs, and the measurement file that they become.
+
+    Args:
+        ours: The log of the joints.
+        theirs: The log of the readings.
+        columns: Columns of `ours` that are joints; where it has none of these, those of
+            positions are.
+        settle: Time that joints stand before readings count [s].
+        tolerance: Longest time without a sample of the joints [s].
+        notice: Called with sentences about the logs and what was left out.
+        keep: Whether every reading is a row, as of images, or the mean of a standstill
+            with its standard deviation.
+
+    Raises:
+        InputError: If nothing joins them, one has no time or no values, or its time
+            goes back.
+    """
+    joints = _read_joints(ours, columns, notice)
+    readings = _read_readings(theirs, notice)
+    q, values = joints.log, readings.log
+    with stated_in(f"{ours.file}, {theirs.file}"):
+        if POSE in joints.texts:
+            names = joints.texts[POSE], readings.texts[POSE]
+            found = joining.join_by_name(q, values, *names)
+        else:
+            if joints.loose and readings.loose:
+                q, values, steps = joining.in_one_unit(q, values)
+                if steps:
+                    read = f"{'joints' if steps > 0 else 'readings'} are read as "
+                    read += [*TIME.units][abs(steps)]
+                    notice(f"the times of the {read}: so both last as long")
+            found = joining.join(q, values, settle, tolerance)
+        if not found.standstills:
+            raise InputError("no reading falls into a standstill of the joints")
+    if alone := enumerated(found.alone):
+        notice(f"in one of both files only, and left out: {alone}")
+    images = readings.texts.get(IMAGE, ())
+    used = {images[k] for one in found.standstills for k in one.readings if images}
+    if lost := [name for name in dict.fromkeys(images) if name not in used]:
+        notice(f"the joints do not stand at the time of {enumerated(lost)}: left out")
+    return found, _encoded(found, joints, replace(readings, log=values), keep=keep)
+
+
+def _read_joints(table: Table, columns: Collection[str], notice: Notice) -> Series:
     """The joints of a log: those that the setup names, or its columns of positions.
 
     Args:
         table: The file, read with `columns`.
-        columns: Columns with foreign names, ours to theirs.
+        columns: The columns that are joints, if the table has any of them.
         notice: Called with sentences about the file and what was left out.
 
     Raises:
@@ -117,7 +176,7 @@ def read_joint_log(table: Table, columns: Mapping[str, str], notice: Notice) -> 
     return _read(table, names, notice, "", ())
 
 
-def read_reading_log(table: Table, notice: Notice) -> Series:
+def _read_readings(table: Table, notice: Notice) -> Series:
     """The measured values of a log, or none of a list of images.
 
     Readings of several targets, tools or stations may alternate, or share a time.
@@ -145,14 +204,13 @@ def read_reading_log(table: Table, notice: Notice) -> Series:
         reason = "there are no measured columns; 'columns' in the setup says which are"
         allowed = "x, y, z, distance, u, v, an orientation, or a column 'image'"
         raise table.error(reason, allowed=allowed)
-    texts = [name for name in (*NAMES, IMAGE) if name in table]
-    if IMAGE in texts or stamp == POSE:
+    texts = [*NAMES, IMAGE]
+    if IMAGE in table or stamp == POSE:
         texts += [name for name in table.columns if name.startswith("sigma")]
     used = {stamp, *own, *oriented, *texts, "temperature"}
-    read = _read(table, own, notice, way, texts)
     if ignored := table.ignored([name for name in table.columns if name not in used]):
         notice(ignored)
-    return replace(read, units=dict.fromkeys(read.units))
+    return _read(table, own, notice, way, texts)
 
 
 def _read(
@@ -168,7 +226,17 @@ def _read(
         kept: Columns of texts: of names of what a row is of, and others.
     """
     stamp = _stamp(table)
-    table = _whole(table, stamp, [*names, *STATED.get(way, ())], notice)
+    for remark in table.remarks:
+        notice(f"{table.file}: {remark}")
+    missing = {stamp: table.columns[stamp].missing()}
+    for name in (*names, *STATED.get(way, ())):
+        column = table.columns[name]
+        signs = column.numbers == column.sentinel
+        missing[name] = column.missing() | signs
+        if signs.any():
+            told = f"{column.sentinel:g} in {np.count_nonzero(signs)} rows of '{name}'"
+            notice(f"{table.file}: {told} is taken for a reading that is missing")
+    table = with_readings(table, missing, "rows", notice)
     units = {name: table.columns[name].unit for name in names}
     values = [table.numbers(name, _kind(unit)) for name, unit in units.items()]
     # Steps of servos are told in radians.
@@ -176,25 +244,25 @@ def _read(
     if way:
         values += [*measured_columns.read_quaternions(table, way).T]
         units |= dict.fromkeys(QUATERNION)
-    labels = table.texts([name for name in kept if name in NAMES])
+    kept = [name for name in (*kept, POSE) if name in table]
+    texts = {name: table.columns[name].texts().map(str.strip) for name in kept}
     kind = np.zeros(len(table.lines), np.int64)
-    for texts in labels.values():
-        kind = kind * len(texts.names) + texts.codes
-    others = [(n, table.columns[n].texts()) for n in kept if n not in NAMES]
-    for name, texts in others:
-        labels[IMAGE if name == IMAGE else table.columns[name].header] = texts
+    for labels in (texts[name] for name in NAMES if name in texts):
+        kind = kind * len(labels.names) + labels.codes
     # Images may stand in any order.
-    ordered = np.arange(len(kind)) if IMAGE in labels else kind
+    ordered = np.arange(len(kind)) if IMAGE in texts else kind
     time, loose = _times(table, stamp, ordered)
-    labels |= table.texts([POSE]) if stamp == POSE else {}
     order = np.argsort(time, kind="stable")
     rows = np.vstack([np.empty((0, len(time))), *values]).T[order]
     log = joining.Log(time[order], rows, kind[order])
-    cells = {name: [*texts[order]] for name, texts in labels.items()}
+    cells = {
+        table.columns[n].header if n.startswith("sigma") else n: [*labels[order]]
+        for n, labels in texts.items()
+    }
     return Series(joining.continuous(log) if way else log, units, cells, loose)
 
 
-def encode_joined(
+def _encoded(
     joined: joining.Joined, joints: Series, readings: Series, *, keep: bool
 ) -> bytes:
     """A measurement file of two logs.
@@ -232,71 +300,6 @@ def encode_joined(
     comment = f"joined by {way}: {joined.stands} standstills, {joined.used} readings"
     comment += ", each sigma that of a mean" * averaged
     return encode_table(table, [comment])
-
-
-def join_logs(
-    joints: Series, readings: Series, settle: float, tolerance: float, notice: Notice
-) -> tuple[Series, joining.Joined]:
-    """The readings, by the unit of the joints' times, and what joins them.
-
-    Args:
-        joints: The log of the joints.
-        readings: The log of the readings.
-        settle: Time that joints stand before readings count [s].
-        tolerance: Longest time without a sample of the joints [s].
-        notice: Called with sentences about the logs and what was left out.
-
-    Raises:
-        InputError: If nothing does.
-    """
-    q, values = joints.log, readings.log
-    if POSE in joints.texts:
-        names = joints.texts[POSE], readings.texts[POSE]
-        found = joining.join_by_name(q, values, *names)
-        if alone := enumerated(found.alone):
-            notice(f"in one of both files only, and left out: {alone}")
-        return readings, found
-    if joints.loose and readings.loose:
-        q, values, steps = joining.in_one_unit(q, values)
-        if steps:
-            read = f"{'joints' if steps > 0 else 'readings'} are read as "
-            read += [*TIME.units][abs(steps)]
-            notice(f"the times of the {read}: so both last as long")
-    found = joining.join(q, values, settle, tolerance)
-    if not found.standstills:
-        raise InputError("no reading falls into a standstill of the joints")
-    images = readings.texts.get(IMAGE, ())
-    used = {images[k] for one in found.standstills for k in one.readings if images}
-    if lost := [name for name in dict.fromkeys(images) if name not in used]:
-        notice(f"the joints do not stand at the time of {enumerated(lost)}: left out")
-    return replace(readings, log=values), found
-
-
-def with_images(table: Table) -> Table:
-    """The table with the names of images, if it has any, in a column of this name."""
-    names = (name for name in table.columns if name.lower() in IMAGES)
-    return table.renamed({IMAGE: next(names, IMAGE)})
-
-
-def _whole(table: Table, stamp: str, names: Sequence[str], notice: Notice) -> Table:
-    """The rows that miss none of some columns, nor the time or the name.
-
-    Raises:
-        InputError: If there are none.
-    """
-    for remark in table.remarks:
-        notice(f"{table.file}: {remark}")
-    kept = ~table.columns[stamp].missing()
-    for name in names:
-        column = table.columns[name]
-        rows = column.numbers == column.sentinel
-        kept &= ~(column.missing() | rows)
-        if rows.any():
-            told = f"{column.sentinel:g} in {np.count_nonzero(rows)} rows of '{name}'"
-            notice(f"{table.file}: {told} is taken for a reading that is missing")
-    if not kept.any():
-        raise table.error(f"no row has all of {enumerated([stamp, *names])}")
-    return with_readings(table, kept, "rows", notice)
 
 
 def _is_position(one: headers.Foreign) -> bool:

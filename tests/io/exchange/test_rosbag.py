@@ -239,7 +239,7 @@ def test_bags_that_cannot_be_used(made, monkeypatch, capsys):
     refused(f"join {bag} none.mcap -o m.csv", "none.mcap", capsys)
     only = write("points", "ros1", {"/a": points[:2]})
     refused(f"join {only} {only} -o m.csv", "JointState", capsys)
-    refused(f"join {bag} {only} -o m.csv", "too little", capsys)
+    refused(f"join {bag} {only} -o m.csv", "too short", capsys)
     (file,) = Path(bag).glob("*.db3")
     file.write_bytes(file.read_bytes()[:4000])
     refused(f"{join} --topic /a", "bag", capsys)

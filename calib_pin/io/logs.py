@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import calib_pin.io.foreign_headers as headers
 import calib_pin.io.measured_columns as measured_columns
@@ -53,24 +53,6 @@ LEAST = 1e-11
 
 POSE = "pose"
 """Column of the names by which two files are joined, in the result."""
-
-
-@dataclass(frozen=True)
-class Series:
-    """Joint positions or measured values by time, or by names.
-
-    Attributes:
-        log: Time and values in SI units; an orientation as a quaternion, the last.
-        units: The columns of the values, and the unit in which each is written.
-        texts: Further columns by name, N strings each; `POSE` of logs without times,
-            `IMAGE` of images; standard deviations of those that are no series.
-        loose: Whether nothing says in which unit the times are.
-    """
-
-    log: joining.Log
-    units: Mapping[str, str | None]
-    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    loose: bool = False
 
 
 def named_alike(ours: Table, theirs: Table) -> tuple[Table, Table]:
@@ -127,15 +109,17 @@ def join_logs(
         InputError: If nothing joins them, one has no time or no values, or its time
             goes back.
     """
-    joints = _read_joints(ours, columns, notice)
-    readings = _read_readings(theirs, notice)
-    q, values = joints.log, readings.log
+    joints = _joints(ours, columns)
+    ours, q = _read(ours, joints, "", (), notice)
+    theirs, measured, way = _readings(theirs, notice)
+    theirs, values = _read(theirs, measured, way, NAMES, notice)
+    measured += QUATERNION if way else ()
     with stated_in(f"{ours.file}, {theirs.file}"):
-        if POSE in joints.texts:
-            names = joints.texts[POSE], readings.texts[POSE]
-            found = joining.join_by_name(q, values, *names)
+        if POSE in ours:
+            both = ours.labels(POSE), theirs.labels(POSE)
+            found = joining.join_by_name(q, values, *both)
         else:
-            if joints.loose and readings.loose:
+            if all(map(_is_loose, (ours, theirs))):
                 q, values, steps = joining.in_one_unit(q, values)
                 if steps:
                     read = f"{'joints' if steps > 0 else 'readings'} are read as "
@@ -146,24 +130,68 @@ def join_logs(
             raise InputError("no reading falls into a standstill of the joints")
     if alone := enumerated(found.alone):
         notice(f"in one of both files only, and left out: {alone}")
-    images = readings.texts.get(IMAGE, ())
-    used = {images[k] for one in found.standstills for k in one.readings if images}
-    if lost := [name for name in dict.fromkeys(images) if name not in used]:
-        notice(f"the joints do not stand at the time of {enumerated(lost)}: left out")
-    return found, _encoded(found, joints, replace(readings, log=values), keep=keep)
+    if IMAGE in theirs:
+        images = theirs.labels(IMAGE)
+        used = {images[k] for one in found.standstills for k in one.readings}
+        if lost := enumerated(name for name in images.distinct if name not in used):
+            notice(f"the joints do not stand at the time of {lost}: left out")
+    units = {name: ours.columns[name].unit or "" for name in joints}
+    data = _encoded(found, units, theirs, measured, values, keep or IMAGE in theirs)
+    return found, data
 
 
-def _read_joints(table: Table, columns: Collection[str], notice: Notice) -> Series:
-    """The joints of a log: those that the setup names, or its columns of positions.
+def _encoded(
+    found: joining.Joined,
+    joints: Mapping[str, str],
+    table: Table,
+    measured: Sequence[str],
+    values: joining.Log,
+    keep: bool,
+) -> bytes:
+    """The measurement file of two logs.
 
     Args:
-        table: The file, read with `columns`.
-        columns: The columns that are joints, if the table has any of them.
-        notice: Called with sentences about the file and what was left out.
-
-    Raises:
-        InputError: If it has no time or nothing else, or the time goes back.
+        found: What joins them.
+        joints: The joints, and the units in which they are written.
+        table: The log of the readings.
+        measured: What was read.
+        values: Its values.
+        keep: Whether every reading is a row.
     """
+    rows, oriented = [*found.standstills], "qx" in measured
+    if keep:
+        rows = [replace(one, readings=k) for one in rows for k in one.readings[:, None]]
+        rows.sort(key=lambda one: int(one.readings[0]))
+    cells: dict[str, Any] = {}
+    q = np.array([one.q for one in rows])
+    for (name, unit), column in zip(joints.items(), q.T, strict=True):
+        # Steps of servos are told in radians.
+        unit = "" if steps_of(unit) else unit
+        cells[header(name, unit)] = column / _kind(unit).units.get(unit, 1.0)
+    means = joining.means(rows, values.values, oriented)
+    cells |= zip(measured, means.T, strict=True)
+    sigma = joining.mean_sigmas(rows, values.values, oriented)
+    if sigma.size and (sigma > LEAST).all():
+        names = [name for name in measured if name not in QUATERNION]
+        names += ROTATION_VECTOR if oriented else ()
+        cells |= zip((f"sigma_{name}" for name in names), sigma.T, strict=True)
+    averaged = any(len(one.readings) > 1 for one in rows)
+    table = table.rows(np.array([one.readings[0] for one in rows]))
+    for name in _kept(table):
+        if not (averaged and name.startswith("sigma")):
+            column = table.columns[name]
+            cells[header(name, column.unit)] = column.texts().map(str.strip)
+    if found.clock:
+        time = np.array([values.time[one.readings].mean() for one in rows])
+        cells["time"] = time - found.clock.ahead
+    way = "time" if found.clock else "name"
+    comment = f"joined by {way}: {found.stands} standstills, {found.used} readings"
+    comment += ", each sigma that of a mean" * averaged
+    return encode_table(cells, [comment])
+
+
+def _joints(table: Table, columns: Collection[str]) -> list[str]:
+    """Columns of joints: those that are named, or those of positions."""
     stamp, found = _stamp(table), headers.foreign(table.columns)
     # The pose that a controller computes, or an instrument's in the same log.
     points = (one.name for way in headers.vectors(found) for one in way.values())
@@ -173,57 +201,54 @@ def _read_joints(table: Table, columns: Collection[str], notice: Notice) -> Seri
     names = names or [k.name for k in found if k.name not in others and _is_position(k)]
     if not names:
         raise table.error("there are no columns of joints beside the time")
-    return _read(table, names, notice, "", ())
+    return names
 
 
-def _read_readings(table: Table, notice: Notice) -> Series:
-    """The measured values of a log, or none of a list of images.
+def _readings(table: Table, notice: Notice) -> tuple[Table, list[str], str]:
+    """A log by our names, its measured columns, and how it states orientations.
 
-    Readings of several targets, tools or stations may alternate, or share a time.
-
-    Args:
-        table: The file, read with the columns that a setup names.
-        notice: Called with sentences about the file and what was left out.
-
-    Raises:
-        InputError: If it has no time or no measured values, or the time of a target
-            goes back.
+    A list of images has none. Readings of several targets, tools or stations may
+    alternate, or share a time.
     """
     # Other columns that the setup names may be those of the joints.
     measured, oriented = measured_columns.measured(), measured_columns.ORIENTED
     lacking = {ours: table.missing[ours] for ours in table.missing.keys() & measured}
     require_columns([replace(table, missing=lacking)])
     table = with_images(headers.understood(table))
-    stamp, own = _stamp(table), [n for n in table.columns if n in measured]
-    turned = any(name in oriented for name in own)
+    turned = oriented & table.columns.keys()
     way = measured_columns.orientation_columns(table) if turned else ""
-    own = [name for name in own if name not in oriented]
+    own = [name for name in table.columns if name in measured.keys() - oriented]
     # Beside other values a deviation is one from some nominal value.
     own = [n for n in own if n not in measured_columns.optional()] or own
     if not (own or way or IMAGE in table):
         reason = "there are no measured columns; 'columns' in the setup says which are"
         allowed = "x, y, z, distance, u, v, an orientation, or a column 'image'"
         raise table.error(reason, allowed=allowed)
-    texts = [*NAMES, IMAGE]
-    if IMAGE in table or stamp == POSE:
-        texts += [name for name in table.columns if name.startswith("sigma")]
-    used = {stamp, *own, *oriented, *texts, "temperature"}
+    used = {_stamp(table), *own, *oriented, *_kept(table), "temperature"}
     if ignored := table.ignored([name for name in table.columns if name not in used]):
         notice(ignored)
-    return _read(table, own, notice, way, texts)
+    return table, own, way
+
+
+def _kept(table: Table) -> list[str]:
+    """Columns of readings that are written as they are."""
+    names = [name for name in (*NAMES, IMAGE) if name in table]
+    if IMAGE in table or POSE in table:
+        names += [name for name in table.columns if name.startswith("sigma")]
+    return names + [POSE] * (POSE in table)
 
 
 def _read(
-    table: Table, names: Sequence[str], notice: Notice, way: str, kept: Sequence[str]
-) -> Series:
-    """The rows of a log in the order of their times.
+    table: Table, names: Sequence[str], way: str, apart: Sequence[str], notice: Notice
+) -> tuple[Table, joining.Log]:
+    """The rows of a log in the order of their times, and their numbers [SI].
 
     Args:
         table: The log.
         names: Columns of numbers.
+        way: How it states orientations, which become quaternions; empty if it does not.
+        apart: Columns of names of what a row is of.
         notice: Called with sentences about the file and what was left out.
-        way: How it states orientations; empty where it does not.
-        kept: Columns of texts: of names of what a row is of, and others.
     """
     stamp = _stamp(table)
     for remark in table.remarks:
@@ -237,69 +262,22 @@ def _read(
             told = f"{column.sentinel:g} in {np.count_nonzero(signs)} rows of '{name}'"
             notice(f"{table.file}: {told} is taken for a reading that is missing")
     table = with_readings(table, missing, "rows", notice)
-    units = {name: table.columns[name].unit for name in names}
-    values = [table.numbers(name, _kind(unit)) for name, unit in units.items()]
-    # Steps of servos are told in radians.
-    units = {n: None if steps_of(unit or "") else unit for n, unit in units.items()}
-    if way:
-        values += [*measured_columns.read_quaternions(table, way).T]
-        units |= dict.fromkeys(QUATERNION)
-    kept = [name for name in (*kept, POSE) if name in table]
-    texts = {name: table.columns[name].texts().map(str.strip) for name in kept}
-    kind = np.zeros(len(table.lines), np.int64)
-    for labels in (texts[name] for name in NAMES if name in texts):
+    values = [table.numbers(n, _kind(table.columns[n].unit)) for n in names]
+    values += [*measured_columns.read_quaternions(table, way).T] if way else []
+    kind, time = np.zeros(len(table.lines), np.int64), np.arange(len(table.lines)) * 1.0
+    for labels in table.texts(apart).values():
         kind = kind * len(labels.names) + labels.codes
-    # Images may stand in any order.
-    ordered = np.arange(len(kind)) if IMAGE in texts else kind
-    time, loose = _times(table, stamp, ordered)
+    if stamp != POSE:
+        time = _times(table, stamp)
+        back = np.zeros(len(time), bool)
+        # Images may stand in any order.
+        for rows in joining.Log(time, time, kind).kinds * (IMAGE not in table):
+            back[rows[1:]] = np.diff(time[rows]) <= 0.0
+        table.refuse(back, "the time does not go on here", stamp)
     order = np.argsort(time, kind="stable")
     rows = np.vstack([np.empty((0, len(time))), *values]).T[order]
     log = joining.Log(time[order], rows, kind[order])
-    cells = {
-        table.columns[n].header if n.startswith("sigma") else n: [*labels[order]]
-        for n, labels in texts.items()
-    }
-    return Series(joining.continuous(log) if way else log, units, cells, loose)
-
-
-def _encoded(
-    joined: joining.Joined, joints: Series, readings: Series, *, keep: bool
-) -> bytes:
-    """A measurement file of two logs.
-
-    Args:
-        joined: The standstills and their readings.
-        joints: The log of the joints.
-        readings: The log of the readings.
-        keep: Whether every reading is a row, as of images, or the mean of a standstill
-            with its standard deviation.
-    """
-    rows, log, oriented = [*joined.standstills], readings.log, "qx" in readings.units
-    if keep or IMAGE in readings.texts:
-        rows = [replace(one, readings=k) for one in rows for k in one.readings[:, None]]
-        rows.sort(key=lambda one: int(one.readings[0]))
-    table: dict[str, Any] = {}
-    q = np.array([one.q for one in rows])
-    for (name, unit), column in zip(joints.units.items(), q.T, strict=True):
-        table[header(name, unit)] = column / _kind(unit).units.get(unit or "", 1.0)
-    values = joining.means(rows, log.values, oriented)
-    table |= zip(readings.units, values.T, strict=True)
-    sigma = joining.mean_sigmas(rows, log.values, oriented)
-    if sigma.size and (sigma > LEAST).all():
-        names = [name for name in readings.units if name not in QUATERNION]
-        names += ROTATION_VECTOR if oriented else ()
-        table |= zip((f"sigma_{name}" for name in names), sigma.T, strict=True)
-    averaged = any(len(one.readings) > 1 for one in rows)
-    for name, cells in readings.texts.items():
-        if not (averaged and name.startswith("sigma")):
-            table[name] = [cells[one.readings[0]] for one in rows]
-    if joined.clock:
-        time = np.array([log.time[one.readings].mean() for one in rows])
-        table["time"] = time - joined.clock.ahead
-    way = "time" if joined.clock else "name"
-    comment = f"joined by {way}: {joined.stands} standstills, {joined.used} readings"
-    comment += ", each sigma that of a mean" * averaged
-    return encode_table(table, [comment])
+    return table.rows(order), joining.continuous(log) if way else log
 
 
 def _is_position(one: headers.Foreign) -> bool:
@@ -331,55 +309,41 @@ def _stamp(table: Table) -> str:
     raise table.error(reason, allowed=allowed)
 
 
-def _times(table: Table, name: str, kind: NDArray[np.int64]) -> tuple[Floats, bool]:
-    """Times [s], of dates since 1970, or the numbers of rows that have a name.
+def _is_loose(table: Table) -> bool:
+    """Whether nothing says in which unit the times are."""
+    column = table.columns[_stamp(table)]
+    return column.unit is None and bool((column.numbers < SECONDS).all())
 
-    Args:
-        table: The log.
-        name: Column of its times or names.
-        kind: What each row is of, shape (N,); the time of each of these goes on.
 
-    Returns:
-        The times, shape (N,), and whether nothing tells their unit.
-    """
+def _times(table: Table, name: str) -> Floats:
+    """Times [s], of dates since 1970, shape (N,)."""
     column = table.columns[name]
-    if name == POSE:
-        return np.arange(float(len(table.lines))), False
-    loose = column.unit is None and bool((column.numbers < SECONDS).all())
-    if not np.isfinite(column.numbers).any():
-        time = _dates(table, name)
-    else:
-        time = table.numbers(name, TIME)
-        # Seconds since 1970 have ten digits, others are of smaller units.
-        steps = int(np.log10(max(time[0], 1.0))) // 3 - 3 if column.unit is None else 0
-        time = time * 1e-3 ** max(steps, 0)
-    back = np.zeros(len(time), bool)
-    for rows in joining.Log(time, time, kind).kinds:
-        back[rows[1:]] = np.diff(time[rows]) <= 0.0
-    table.refuse(back, "the time does not go on here", name)
-    if len(time) < 3:
+    if len(table.lines) < 3:
         raise InputError("is too short to be joined by time", file=table.file)
-    return time, loose
+    if not np.isfinite(column.numbers).any():
+        return _dates(table, name)
+    time = table.numbers(name, TIME)
+    # Seconds since 1970 have ten digits, others are of smaller units.
+    steps = int(np.log10(max(time[0], 1.0))) // 3 - 3 if column.unit is None else 0
+    return time * 1e-3 ** max(steps, 0)
 
 
 def _dates(table: Table, name: str) -> Floats:
     """Times of dates, or of clocks with or without a column of dates, (N,) [s]."""
     from dateutil.parser import parse  # type: ignore[import-untyped]
 
-    def seconds(text: str) -> float:
-        with suppress(ValueError):
-            return datetime.fromisoformat(text).timestamp()
-        with suppress(ValueError, OverflowError):
-            # Points separate day, month and year, where slashes do not say.
-            points = "." in text.split()[0]
-            found = parse(text, default=datetime(1970, 1, 1), dayfirst=points)
-            return float(found.timestamp())
-        return np.nan
-
     days = [other for other in table.columns if other.lower() in ("date", "datum")]
     cells = table.texts([*days[:1], name]).values()
-    texts = (" ".join(row).replace(",", ".") for row in zip(*cells, strict=True))
-    time = np.array([*map(seconds, texts)])
+    texts = [" ".join(row).replace(",", ".") for row in zip(*cells, strict=True)]
+    # Points separate day, month and year, where slashes do not say.
+    points = "." in texts[0].split()[0]
+    other = partial(parse, default=datetime(1970, 1, 1), dayfirst=points)
+    time = np.full(len(texts), np.nan)
+    for row, text in enumerate(texts):
+        for read in (datetime.fromisoformat, other):
+            with suppress(ValueError, OverflowError):
+                time[row] = read(text).timestamp()
+                break
     allowed = "seconds, or a date such as 2026-01-31T12:00:00.5"
     table.refuse(np.isnan(time), "not a time", name, allowed)
     # A clock without a date begins anew at midnight.

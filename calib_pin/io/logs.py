@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
@@ -119,7 +119,9 @@ def join_logs(
             both = ours.labels(POSE), theirs.labels(POSE)
             found = joining.join_by_name(q, values, *both)
         else:
-            if all(map(_is_loose, (ours, theirs))):
+            stamps = [table.columns[_stamp(table)] for table in (ours, theirs)]
+            # Nothing says in which unit the times are.
+            if all(c.unit is None and np.all(c.numbers < SECONDS) for c in stamps):
                 q, values, steps = joining.in_one_unit(q, values)
                 if steps:
                     read = f"{'joints' if steps > 0 else 'readings'} are read as "
@@ -264,19 +266,18 @@ def _read(
     table = with_readings(table, missing, "rows", notice)
     values = [table.numbers(n, _kind(table.columns[n].unit)) for n in names]
     values += [*measured_columns.read_quaternions(table, way).T] if way else []
-    kind, time = np.zeros(len(table.lines), np.int64), np.arange(len(table.lines)) * 1.0
+    kind = np.zeros(len(table.lines), np.int64)
     for labels in table.texts(apart).values():
         kind = kind * len(labels.names) + labels.codes
-    if stamp != POSE:
-        time = _times(table, stamp)
-        back = np.zeros(len(time), bool)
-        # Images may stand in any order.
-        for rows in joining.Log(time, time, kind).kinds * (IMAGE not in table):
-            back[rows[1:]] = np.diff(time[rows]) <= 0.0
-        table.refuse(back, "the time does not go on here", stamp)
+    time = _times(table, stamp)
+    rows = np.vstack([np.empty((0, len(time))), *values]).T
+    log, back = joining.Log(time, rows, kind), np.zeros(len(time), bool)
+    # Images may stand in any order.
+    for own in log.kinds if IMAGE not in table else ():
+        back[own[1:]] = np.diff(time[own]) <= 0.0
+    table.refuse(back, "the time does not go on here", stamp)
     order = np.argsort(time, kind="stable")
-    rows = np.vstack([np.empty((0, len(time))), *values]).T[order]
-    log = joining.Log(time[order], rows, kind[order])
+    log = joining.Log(time[order], rows[order], kind[order])
     return table.rows(order), joining.continuous(log) if way else log
 
 
@@ -309,15 +310,11 @@ def _stamp(table: Table) -> str:
     raise table.error(reason, allowed=allowed)
 
 
-def _is_loose(table: Table) -> bool:
-    """Whether nothing says in which unit the times are."""
-    column = table.columns[_stamp(table)]
-    return column.unit is None and bool((column.numbers < SECONDS).all())
-
-
 def _times(table: Table, name: str) -> Floats:
-    """Times [s], of dates since 1970, shape (N,)."""
+    """Times [s], of dates since 1970, or the numbers of named rows, shape (N,)."""
     column = table.columns[name]
+    if name == POSE:
+        return np.arange(len(table.lines), dtype=np.float64)
     if len(table.lines) < 3:
         raise InputError("is too short to be joined by time", file=table.file)
     if not np.isfinite(column.numbers).any():

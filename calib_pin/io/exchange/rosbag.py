@@ -28,13 +28,12 @@ SUFFIXES = (".mcap", ".db3", ".bag")
 
 JOINTS = ("sensor_msgs/msg/JointState",)
 DATA = "robot_calibration_msgs/msg/CalibrationData"
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
-_GEOMETRY = "geometry_msgs/msg"
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
 READINGS = {
-    f"{_GEOMETRY}/PointStamped": ("point",),
-    f"{_GEOMETRY}/PoseStamped": ("pose.position", "pose.orientation"),
-    f"{_GEOMETRY}/TransformStamped": ("transform.translation", "transform.rotation"),
-    TRANSFORMS: (),
+    "geometry_msgs/msg/PointStamped": ("point",),
+    "geometry_msgs/msg/PoseStamped": ("pose.position", "pose.orientation"),
+    TRANSFORM: ("transform.translation", "transform.rotation"),
+    "tf2_msgs/msg/TFMessage": (),
 }
 """Messages of an instrument, and where their numbers are."""
 
@@ -134,8 +133,6 @@ def _messages(
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    if not Path(path).exists():
-        raise InputError("no such file", file=path)
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in TYPES.items():
         store.register(get_types_from_msg(text, name))

@@ -254,4 +254,10 @@ def _at_times(joints: Table, taken: Table, images: list[Path], tell: Notice) -> 
     taken = logs.with_images(taken)
     taken = taken.rows(np.array(_rows(taken, images)))
     stand = Logs.settle, Logs.tolerance
-    return read_table(logs.join_logs(joints, taken, (), *stand, tell, True)[1])
+    found, data = logs.join_logs(joints, taken, (), *stand, tell, True)
+    if found.clock is None:
+        raise InputError(
+            "there is no column 'time' in it or in the log of the joints",
+            file=taken.file,
+        )
+    return read_table(data)

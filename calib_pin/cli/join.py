@@ -81,7 +81,7 @@ def join(asked: Logs) -> int:
         tables = None
         if joints == measurements and rosbag.is_bag(joints):
             tables = rosbag.read_calibration_data(joints, asked.topic, asked.tell)
-        tables = tables or logs.named_alike(
+        tables = tables or (
             read(joints, "joints", rosbag.JOINTS, asked.joint_topic),
             read(measurements, "readings", rosbag.READINGS, asked.topic),
         )

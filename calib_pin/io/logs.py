@@ -55,28 +55,6 @@ POSE = "pose"
 """Column of the names by which two files are joined, in the result."""
 
 
-def named_alike(ours: Table, theirs: Table) -> tuple[Table, Table]:
-    """Two files; where these have no times, columns of the same names called `POSE`.
-
-    Args:
-        ours: The file of the joints, in which each name stands once. Numbers with
-            decimals are no names.
-        theirs: The file of the readings.
-    """
-    if all(map(_time_column, tables := (ours, theirs))):
-        return tables
-    names = (
-        {
-            name: [cell.strip().lower() for cell in column.texts()]
-            for name, column in table.columns.items()
-            if not np.any(column.numbers[np.isfinite(column.numbers)] % 1.0)
-        }
-        for table in tables
-    )
-    own, other = joining.shared_names(*names) or (POSE, POSE)
-    return ours.renamed({POSE: own}), theirs.renamed({POSE: other})
-
-
 def with_images(table: Table) -> Table:
     """The table with the names of images, if it has any, in a column of this name."""
     names = (name for name in table.columns if name.lower() in IMAGES)
@@ -109,6 +87,7 @@ def join_logs(
         InputError: If nothing joins them, one has no time or no values, or its time
             goes back.
     """
+    ours, theirs = _stamped(ours, theirs)
     joints = _joints(ours, columns)
     ours, q = _read(ours, joints, "", (), notice)
     theirs, measured, way = _readings(theirs, notice)
@@ -119,7 +98,7 @@ def join_logs(
             both = ours.labels(POSE), theirs.labels(POSE)
             found = joining.join_by_name(q, values, *both)
         else:
-            stamps = [table.columns[_stamp(table)] for table in (ours, theirs)]
+            stamps = ours.columns["time"], theirs.columns["time"]
             # Nothing says in which unit the times are.
             if all(c.unit is None and np.all(c.numbers < SECONDS) for c in stamps):
                 q, values, steps = joining.in_one_unit(q, values)
@@ -192,13 +171,49 @@ def _encoded(
     return encode_table(cells, [comment])
 
 
+def _stamped(ours: Table, theirs: Table) -> tuple[Table, Table]:
+    """Two files whose times are called `time`, or the names that both have `POSE`.
+
+    Raises:
+        InputError: If there are neither.
+    """
+    if POSE in ours and POSE in theirs:
+        return ours, theirs
+    own, other = times = [_time_column(table) for table in (ours, theirs)]
+    if all(times):
+        spare = f"{POSE} (of the file)"  # One of them alone has names.
+        ours = ours.renamed({"time": own, spare: POSE})
+        return ours, theirs.renamed({"time": other, spare: POSE})
+    names = (
+        {
+            name: [cell.strip().lower() for cell in column.texts()]
+            for name, column in table.columns.items()
+            # Numbers with decimals are no names.
+            if not np.any(column.numbers[np.isfinite(column.numbers)] % 1.0)
+        }
+        for table in (ours, theirs)
+    )
+    if both := joining.shared_names(*names):
+        return ours.renamed({POSE: both[0]}), theirs.renamed({POSE: both[1]})
+    reason = "there is no column 'time', and no column of names that both logs share"
+    allowed = "time, timestamp, stamp, zeit, t, or 'columns: {time: NAME}' in the setup"
+    raise (theirs if own else ours).error(reason, allowed=allowed)
+
+
+def _time_column(table: Table) -> str:
+    """The likeliest column of times; empty where there is none."""
+    found = headers.measured(headers.foreign(table.columns)).get("time", ())
+    names = (one.name for one in found)
+    return next(names, next((n for n in table.columns if n.lower() == "t"), ""))
+
+
 def _joints(table: Table, columns: Collection[str]) -> list[str]:
     """Columns of joints: those that are named, or those of positions."""
-    stamp, found = _stamp(table), headers.foreign(table.columns)
+    found = headers.foreign(table.columns)
     # The pose that a controller computes, or an instrument's in the same log.
     points = (one.name for way in headers.vectors(found) for one in way.values())
-    others = {stamp, *NAMES, *points}
-    reserved = {stamp, *measured_columns.reserved()}
+    others = {POSE, "time", *NAMES, *points}
+    reserved = {POSE, "time", *measured_columns.reserved()}
     names = [name for name in columns if name in table and name not in reserved]
     names = names or [k.name for k in found if k.name not in others and _is_position(k)]
     if not names:
@@ -226,7 +241,7 @@ def _readings(table: Table, notice: Notice) -> tuple[Table, list[str], str]:
         reason = "there are no measured columns; 'columns' in the setup says which are"
         allowed = "x, y, z, distance, u, v, an orientation, or a column 'image'"
         raise table.error(reason, allowed=allowed)
-    used = {_stamp(table), *own, *oriented, *_kept(table), "temperature"}
+    used = {"time", *own, *oriented, *_kept(table), "temperature"}
     if ignored := table.ignored([name for name in table.columns if name not in used]):
         notice(ignored)
     return table, own, way
@@ -252,7 +267,7 @@ def _read(
         apart: Columns of names of what a row is of.
         notice: Called with sentences about the file and what was left out.
     """
-    stamp = _stamp(table)
+    stamp = POSE if POSE in table else "time"
     for remark in table.remarks:
         notice(f"{table.file}: {remark}")
     missing = {stamp: table.columns[stamp].missing()}
@@ -288,26 +303,6 @@ def _is_position(one: headers.Foreign) -> bool:
     steps = np.unique(np.diff(one.numbers))
     counter = len(steps) == 1 and steps[0] > 0.0 and len(one.numbers) > COUNTED
     return one.numeric and known and not (counter or STAMPS.search(one.words))
-
-
-def _time_column(table: Table) -> str:
-    """The likeliest column of times; empty where there is none."""
-    found = headers.measured(headers.foreign(table.columns)).get("time", ())
-    names = (one.name for one in found)
-    return next(names, next((n for n in table.columns if n.lower() == "t"), ""))
-
-
-def _stamp(table: Table) -> str:
-    """The column by which a file is joined.
-
-    Raises:
-        InputError: If there is none.
-    """
-    if name := POSE if POSE in table else _time_column(table):
-        return name
-    reason = "there is no column 'time', and no column of names that both logs share"
-    allowed = "time, timestamp, stamp, zeit, t, or 'columns: {time: NAME}' in the setup"
-    raise table.error(reason, allowed=allowed)
 
 
 def _times(table: Table, name: str) -> Floats:

@@ -177,11 +177,11 @@ def _table(path: str | Path, rows: Sequence[Mapping[str, object]]) -> Table:
     lines = array("q", range(1, len(rows) + 1))
     found = Cells(str(path), Heading(",", names, 0, ""), lines=lines)
     for k, name in enumerate(names):
-        found.add(k, [str(row.get(name, "")) for row in rows])
-    columns = {
-        column.theirs: column
-        for column in found.columns()
-        # A name that all rows have says nothing.
-        if len(column.words) != 1 or np.isfinite(column.numbers).all()
-    }
+        cells = np.array([row.get(name, np.nan) for row in rows])
+        if cells.dtype.kind == "U":
+            found.add(k, cells.tolist())
+        else:
+            found.grow(k, cells.astype(np.float64))
+    # A name that all rows have says nothing.
+    columns = {c.theirs: c for c in found.columns() if len(c.words) != 1}
     return Table(str(path), None, columns, np.array(lines))

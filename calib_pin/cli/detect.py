@@ -256,8 +256,5 @@ def _at_times(joints: Table, taken: Table, images: list[Path], tell: Notice) -> 
     stand = Logs.settle, Logs.tolerance
     found, data = logs.join_logs(joints, taken, (), *stand, tell, True)
     if found.clock is None:
-        raise InputError(
-            "there is no column 'time' in it or in the log of the joints",
-            file=taken.file,
-        )
+        raise taken.error("there is no column 'time' here, or in the log of the joints")
     return read_table(data)

@@ -70,7 +70,7 @@ def join_logs(
     notice: Notice,
     keep: bool,
 ) -> tuple[joining.Joined, bytes]:
-    """What joins two logs, and the measurement file that they become.
+    """Join two logs: their standstills, and the measurement file that they become.
 
     Args:
         ours: The log of the joints.
@@ -132,11 +132,11 @@ def _encoded(
     """The measurement file of two logs.
 
     Args:
-        found: What joins them.
+        found: The standstills and their readings.
         joints: The joints, and the units in which they are written.
         table: The log of the readings.
-        measured: What was read.
-        values: Its values.
+        measured: The measured columns.
+        values: Their values.
         keep: Whether every reading is a row.
     """
     rows, oriented = [*found.standstills], "qx" in measured

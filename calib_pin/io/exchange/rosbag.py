@@ -133,6 +133,8 @@ def _messages(
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+    if not Path(path).exists():
+        raise InputError("no such file", file=path)
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in TYPES.items():
         store.register(get_types_from_msg(text, name))

@@ -252,7 +252,7 @@ def test_bags_that_cannot_be_used(made, monkeypatch, capsys):
     join = f"join {bag} {bag} -o m.csv"
     refused(join, "2 topics", capsys)
     refused(f"{join} --topic /c", "'/c'", capsys)
-    refused(f"join {bag} none.mcap -o m.csv", "none.mcap", capsys)
+    refused(f"join {bag} none.mcap -o m.csv", "none.mcap: no such file", capsys)
     only = write("points", "ros1", {"/a": points[:2]})
     refused(f"join {only} {only} -o m.csv", "JointState", capsys)
     refused(f"join {bag} {only} -o m.csv", "too short", capsys)

@@ -37,7 +37,6 @@ from calib_pin.validation.assessment import (
     robot_errors,
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.candidate_scores import USES
 from calib_pin.validation.findings import explained
 from calib_pin.validation.findings.case import Others
 from calib_pin.validation.findings.older_calibration import older_calibration
@@ -51,7 +50,7 @@ from calib_pin.validation.judgement import (
 )
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
-from calib_pin.validation.model_selection import select_model
+from calib_pin.validation.model_selection import USES, select_model
 from calib_pin.validation.recalibration import started
 from calib_pin.validation.result import (
     CalibrationResult,
@@ -178,10 +177,8 @@ def calibrate(
         # Fits to parts of what no robot explains are slow, and say nothing.
         hopeless = held is None and not ladder and _unexplained(model, fitted)
         held_out = check(
-            chains,
-            training,
-            setup,
             model,
+            training,
             seed,
             validation=held,
             method=method,
@@ -256,13 +253,13 @@ def _result(
         ),
         solver=SolverSummary(
             name=fitted.problem.setup.solver.name,
-            evaluator=fitted.solution.evaluator,
+            evaluator=fitted.result.evaluator,
             status=fitted.result.status.value,
             iterations=fitted.result.nit,
             evaluations=fitted.result.nfev,
             history=()
-            if fitted.solution.evolution is None
-            else tuple(fitted.solution.evolution.best_history.tolist()),
+            if fitted.result.evolution is None
+            else tuple(fitted.result.evolution.best_history.tolist()),
             at_bounds=tuple(names[k] for k in sorted(fitted.problem.held_at)),
             seed=seed,
         ),
@@ -347,14 +344,7 @@ def _urdf(
     else:
         geometry = fit_model(chains, training, setup, seed)
     held_out = check(
-        chains,
-        training,
-        setup,
-        geometry,
-        seed,
-        validation=held,
-        validate=validate,
-        workers=workers,
+        geometry, training, seed, validation=held, validate=validate, workers=workers
     )
     errors = fitted_errors(geometry, training)
     own = judge(chains, geometry, errors, held_out, seed, seek=False)

@@ -18,7 +18,7 @@ from calib_pin.estimation.configurations import (
     payloads_in_turn,
 )
 from calib_pin.estimation.problem import Problem, assumed_sigma
-from calib_pin.estimation.tool_poses import Configurations
+from calib_pin.estimation.terms import Configurations
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import (
     AT,

@@ -93,7 +93,7 @@ def _tip(found: Comparison, chain: str) -> Json:
         "configurations": len(drift.q),
         "fitted_away": drift.absorbed,
         "position": {**plain(drift.position), "explained": position},
-        "orientation": turned if found.oriented else None,
+        "orientation": turned if drift.oriented else None,
         "largest": {
             "drift": drift.drift[farthest],
             "tip": drift.points[farthest],

@@ -99,7 +99,7 @@ def opened(
     from calib_pin.io.results import document_file
 
     if request.use is not None:
-        from calib_pin.validation.candidate_scores import USES
+        from calib_pin.validation.model_selection import USES
 
         require_known("use", request.use, USES)
     asked = vars(request)
@@ -158,7 +158,7 @@ def calibrated(
     from calib_pin.calibration import calibrate
     from calib_pin.io.urdf import other_robots
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
-    from calib_pin.validation.candidate_scores import USES
+    from calib_pin.validation.model_selection import USES
 
     request, files, setup = opened.request, opened.files, opened.setup
     shown = (files is not None and page) or bool(pictures)

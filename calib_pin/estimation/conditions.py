@@ -8,11 +8,12 @@ import numpy as np
 
 from calib_pin.estimation.terms import frames_of_blocks
 from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
-from calib_pin.observations import Conditions, Observations
+from calib_pin.observations import Observations
 from calib_pin.parameterizations import needed_conditions, outside_urdf
 from calib_pin.parameterizations.drift import InstrumentDrift
-from calib_pin.parameterizations.thermal import REFERENCE, ThermalGrowth, WarmUp
+from calib_pin.parameterizations.thermal import ThermalGrowth, WarmUp
 from calib_pin.setup import Setup
 
 
@@ -36,25 +37,12 @@ def require_conditions(
     for condition, name in needed_conditions(names).items():
         if condition == "direction":
             continue  # Where it is not known a joint stands in the middle.
+        reason = f"the parameters '{name}' need the {condition} of every measurement"
+        reason += ", and here it is not stated"
+        other = f"a column '{condition}', or parameters without '{name}'"
         for block in data.blocks:
             if len(block) and not len(getattr(block.conditions, condition)):
-                raise block.error(
-                    0,
-                    f"the parameters '{name}' need the {condition} of every "
-                    "measurement, and here it is not stated",
-                    column=condition,
-                    allowed=f"a column '{condition}', or parameters without '{name}'",
-                )
-
-
-def usual_conditions(setup: Setup, count: int) -> Conditions:
-    """Conditions of so many rows that no one has measured: those of the reference."""
-    stated, needed = setup.thermal.reference, needed_conditions(setup.parameters)
-    reference, none = REFERENCE if stated is None else stated, np.zeros(0)
-    return Conditions(
-        temperature=np.full(count, reference) if "temperature" in needed else none,
-        time=np.zeros(count) if "time" in needed else none,
-    )
+                raise block.error(0, reason, column=condition, allowed=other)
 
 
 def at_conditions(chains: Chains, data: Observations, setup: Setup) -> Setup:
@@ -81,23 +69,13 @@ def at_conditions(chains: Chains, data: Observations, setup: Setup) -> Setup:
         return setup
     spans = dict(setup.drift.spans)
     named = frames_of_blocks(chains, data.keys, setup)
-    found: dict[str, list[float]] = {}
+    times: dict[str, list[Floats]] = {}
     for block in data.blocks:
         if declared(block.model).external and len(block):
-            time, station = block.conditions.time, station_of(named[block.key].station)
-            found.setdefault(station, []).extend((time.min(), time.max()))
-    for station, times in found.items():
-        first, last = float(min(times)), float(max(times))
+            station = named[block.key].station.rpartition(".")[0]
+            times.setdefault(station, []).append(block.conditions.time)
+    for station, parts in times.items():
+        first, last = (float(end(np.concatenate(parts))) for end in (np.min, np.max))
         if station not in spans and last > first:
             spans[station] = first, last
     return replace(setup, drift=replace(setup.drift, spans=spans))
-
-
-def station_of(frame: str) -> str:
-    """Name of a station by its frame, such as `day1.station`.
-
-    Examples:
-        >>> station_of("day1.station"), station_of("base.frame")
-        ('day1', 'base')
-    """
-    return frame.rpartition(".")[0]

@@ -7,7 +7,7 @@ into contact.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.tool_poses import Configurations, linearized_at
+from calib_pin.estimation.terms import Configurations, linearized_at
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import (
     UNSTATED,
@@ -76,13 +76,8 @@ def asked(
     if not conditions.direction.size:
         conditions = replace(conditions, direction=approached(q), source="order")
     conditions = _as_measured(problem, key, conditions, len(q))
-    return Configurations(
-        key,
-        q,
-        Labels.of(target),
-        conditions,
-        np.zeros((0, 0)) if start is None else start,
-    )
+    start = np.zeros((0, 0)) if start is None else start
+    return Configurations(key, q, Labels.of(target), conditions, start)
 
 
 def _as_measured(
@@ -90,19 +85,16 @@ def _as_measured(
 ) -> Conditions:
     """Conditions with temperatures and times as the measurements of a block have."""
     blocks = [block.conditions for block in problem.data.blocks if block.key == key]
-    if not blocks:
-        return conditions
 
     def spread(known: Floats) -> Floats:
         rows = np.linspace(0.0, max(len(known) - 1.0, 0.0), count).astype(np.intp)
         return known[rows] if len(known) else known
 
-    temperature, time = conditions.temperature, conditions.time
-    return replace(
-        conditions,
-        temperature=temperature if len(temperature) else spread(blocks[0].temperature),
-        time=time if len(time) else spread(blocks[0].time),
-    )
+    if blocks and not len(conditions.temperature):
+        conditions = replace(conditions, temperature=spread(blocks[0].temperature))
+    if blocks and not len(conditions.time):
+        conditions = replace(conditions, time=spread(blocks[0].time))
+    return conditions
 
 
 def named_targets(problem: Problem, key: BlockKey) -> tuple[str, ...]:
@@ -167,16 +159,14 @@ def observable_configurations(
             q, seen = brought_to_contact(problem, theta, at)
         else:
             seen = problem.observable(theta, at)
-        found: dict[tuple[str, str], deque[int]] = {}
-        for k in np.flatnonzero(seen):
-            found.setdefault((looked[k], carried[k]), deque()).append(int(k))
-        still = []
-        for i in left:
-            if ready := found.get((target[i], loads[i])):
-                q_found[i] = q[ready.popleft()]
-            else:
-                still.append(i)
-        left = np.array(still, np.int64)
+        found = defaultdict[tuple[str, str], deque[int]](deque)
+        for k in np.flatnonzero(seen).tolist():
+            found[looked[k], carried[k]].append(k)
+        still = np.ones(len(left), bool)
+        for k, i in enumerate(left):
+            if ready := found[target[i], loads[i]]:
+                q_found[i], still[k] = q[ready.popleft()], False
+        left = left[still]
     if len(left):
         what = "brought into contact" if declared.contact else "measured"
         few = (

@@ -91,13 +91,11 @@ def visible_directions(J: Floats, parameters: ParameterSet) -> Floats:
     Returns:
         Orthonormal directions of the parameters divided by their scale, shape (P, r).
     """
-    robot = parameters.free & ~parameters.nuisance
-    triangle, tolerance = _robot_triangle(J, parameters)
-    _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
-    visible = Vt[s > tolerance].T
-    result = np.zeros((len(parameters), visible.shape[1]))
+    _, Vt = _visible(J, parameters)
+    result = np.zeros((len(parameters), len(Vt)))
     # Rounding must not move, by 1e-20, parameters that nothing moves.
-    result[robot] = np.where(np.abs(visible) < 1e-13, 0.0, visible)
+    robot = parameters.free & ~parameters.nuisance
+    result[robot] = np.where(np.abs(Vt) < 1e-13, 0.0, Vt).T
     return result
 
 
@@ -113,8 +111,6 @@ def visible_nuisances(J: Floats, parameters: ParameterSet) -> Floats:
     """
     free = parameters.free & parameters.nuisance
     A = (J * parameters.scales)[:, free]
-    if not A.shape[1]:
-        return np.zeros((len(parameters), 0))
     # The rows of A have the range of its transpose.
     directions = column_space(np.asarray(np.linalg.qr(A, mode="r")).T)
     result = np.zeros((len(parameters), directions.shape[1]))
@@ -153,34 +149,17 @@ def practical_directions(
     rest = triangle[:, -1]
     left, s, Vt = np.linalg.svd(triangle[:, :-1], full_matrices=True)
     if sigma0 is None:
-        along = left.T[: len(s)] @ rest
-        dof = count - U.shape[1]
-        kept = _predicted_count(s, along, float(rest @ rest), dof)
+        # By the linear prediction of sigma0 with those that are better determined: to
+        # start with few keeps a poor linearization from moving what no data hold.
+        dof = count - U.shape[1] - 1 - np.arange(len(s))
+        squares = rest @ rest - np.cumsum((left.T[: len(s)] @ rest) ** 2)
+        predicted = np.sqrt(np.maximum(squares, 0.0) / np.maximum(dof, 1))
+        kept = int(np.cumprod((s * WEAK > predicted) & (dof > 0)).sum())
     else:
         kept = int((s * WEAK > sigma0).sum())
     kept = min(kept, int((s > rounding(A) * s.max(initial=0.0)).sum()))
     nuisance = np.eye(len(parameters))[:, parameters.free & parameters.nuisance]
     return Directions(nuisance, robot @ Vt[:kept].T, robot @ Vt[kept:].T)
-
-
-def pruned(
-    directions: Directions, J: Floats, parameters: ParameterSet, sigma0: float
-) -> Directions:
-    """The directions that a fit has confirmed; the others join the weak ones.
-
-    Args:
-        directions: Directions that were fitted.
-        J: Whitened Jacobian at its solution, shape (M, P).
-        parameters: The parameters.
-        sigma0: Standard deviation of unit weight of the fit.
-    """
-    _, s, Vt = np.linalg.svd(_triangle(directions, J, parameters))
-    count = int((s * WEAK > sigma0).sum())
-    return Directions(
-        nuisances=directions.nuisances,
-        robot=directions.robot @ Vt[:count].T,
-        weak=np.column_stack([directions.weak, directions.robot @ Vt[count:].T]),
-    )
 
 
 def appearing(
@@ -260,36 +239,29 @@ def robot_singular_values(
         J: Whitened Jacobian at its solution, shape (M, P).
         parameters: The parameters.
     """
-    triangle = _triangle(directions, J, parameters)
-    return np.asarray(np.linalg.svd(triangle, compute_uv=False))
-
-
-def _triangle(directions: Directions, J: Floats, parameters: ParameterSet) -> Floats:
-    """Triangular factor of the robot directions without what nuisances can absorb."""
     A = J * parameters.scales
     columns = projected(A @ directions.robot, A, parameters)
-    return np.asarray(np.linalg.qr(columns, mode="r"))
+    return np.asarray(np.linalg.svd(np.linalg.qr(columns, mode="r"), compute_uv=False))
 
 
 def robot_values(J: Floats, parameters: ParameterSet) -> Floats:
     """Nonzero singular values of `visible_directions`, descending, shape (r,)."""
-    triangle, tolerance = _robot_triangle(J, parameters)
-    s = np.linalg.svd(triangle, compute_uv=False)
-    return np.asarray(s[s > tolerance])
+    return _visible(J, parameters)[0]
 
 
-def _robot_triangle(J: Floats, parameters: ParameterSet) -> tuple[Floats, float]:
-    """Triangular factor of the robot's scaled columns, the nuisances projected out.
+def _visible(J: Floats, parameters: ParameterSet) -> tuple[Floats, Floats]:
+    """Singular values and right vectors of what nuisances cannot absorb, (r,), (r, R).
 
-    With the tolerance of its singular values.
+    Of the scaled columns of the R robot parameters, without rounding.
     """
-    robot = parameters.free & ~parameters.nuisance
     A = J * parameters.scales
-    own = A[:, robot]
-    triangle = np.asarray(np.linalg.qr(projected(own, A, parameters), mode="r"))
+    own = A[:, parameters.free & ~parameters.nuisance]
+    triangle = np.linalg.qr(projected(own, A, parameters), mode="r")
+    _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
     # Relative to what stood there before: the projection leaves rounding behind.
     longest = np.linalg.eigvalsh(own.T @ own).max(initial=0.0) ** 0.5
-    return triangle, rounding(A) * float(longest)
+    seen = s > rounding(A) * longest
+    return s[seen], Vt[seen]
 
 
 def rounding(A: Floats) -> float:
@@ -322,20 +294,3 @@ def column_space(A: Floats) -> Floats:
         return np.zeros((len(A), 0))
     U, s, _ = np.linalg.svd(A, full_matrices=False)
     return np.asarray(U[:, s > rounding(A) * s[0]])
-
-
-def _predicted_count(s: Floats, along: Floats, square: float, dof: int) -> int:
-    """Number of directions whose own linear prediction of sigma0 lets them in.
-
-    Directions enter from the best determined on; each lowers the residual that the
-    next is judged by. Starting with few keeps a poor linearization from moving what
-    the data cannot hold. Residuals are given along the left singular vectors, (m,).
-    """
-    count = 0
-    while count < min(len(s), dof - 1):
-        left = square - float(along[: count + 1] @ along[: count + 1])
-        sigma0 = np.sqrt(max(left, 0.0) / (dof - count - 1))
-        if s[count] * WEAK <= sigma0:
-            break
-        count += 1
-    return count

@@ -1,65 +1,47 @@
-"""Residuals and derivatives of blocks of measurements."""
+"""Residuals and derivatives of blocks of measurements, and stations eliminated of them.
+
+The normal equations of many stations are block-arrow: each frame, tool or instrument
+that only one station has meets the robot, and no other station. With the columns A of
+these and B of all others, the best change of the former follows from that of the
+latter, `a = -A^+ (r + B b)`, and what is left for b is `r + B b` with the range of A
+projected out (the Schur complement, by orthogonal projection). So the cost grows with
+the measurements and not with the square of the stations.
+"""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from calib_pin.estimation.terms import Block, Term
-from calib_pin.estimation.tool_poses import (
-    ToolPoses,
-    kept,
-    whitened,
-    whitened_jacobian,
-)
+from calib_pin.estimation.terms import Block, ToolPoses, whitened, whitened_jacobian
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import Linearization
-from calib_pin.observations import BlockKey
 from calib_pin.parameterizations.error_model import ErrorModel, flexures
+
+if TYPE_CHECKING:
+    from calib_pin.estimation.many_rows import ManyRows
+
+SINGULAR = 1e-10
+"""Singular values below this part of the largest are rounding."""
 
 PIECE = 4096
 """Measurements whose Jacobian is held at once, where there are very many."""
 
+Evaluator: TypeAlias = "RowByRow | ManyRows"
+"""The measurements of some blocks as a function of all parameters, shape (P,).
 
-class Evaluator(Protocol):
-    """The measurements of some blocks as a function of all parameters, shape (P,).
+What it says of each block is by the block's own parameters, shape (p,). Where it
+`reduces`, `factorize` returns fewer rows than there are values.
+"""
 
-    What it says of each block is by the block's own parameters, shape (p,).
+Evaluators: TypeAlias = Mapping[tuple[int, ...], Evaluator]
+"""Evaluators of all blocks, by the positions of those of each."""
 
-    Attributes:
-        reduces: Whether `factorize` returns fewer rows than there are values.
-    """
-
-    reduces: bool
-
-    def weighted(self, sigma: Floats) -> Self:
-        """The same with other standard deviations of all blocks, shape (M,)."""
-        ...
-
-    def about(self, blocks: Sequence[Block]) -> Self | None:
-        """The same measurements about other references; None where more has changed."""
-        ...
-
-    def errors(self, theta: Floats) -> Sequence[Floats]:
-        """Residuals of each block in their units, predicted minus measured, (N, d)."""
-        ...
-
-    def points(self, theta: Floats) -> Sequence[Floats]:
-        """Tool points of each block in the measurement frame, shape (N, 3)."""
-        ...
-
-    def factorize(self, theta: Floats) -> Sequence[tuple[Floats, Floats]]:
-        """Whitened residual, shape (M,), and Jacobian, shape (M, p), of each block.
-
-        Of very many measurements they are those of a smaller system with the same
-        normal equations, its triangular factor.
-        """
-        ...
+Rows = tuple[NDArray[np.intp], Floats, Floats]
+"""Positions of parameters (p,), residual (M,) and Jacobian by these (M, p)."""
 
 
 class RowByRow:
@@ -71,29 +53,26 @@ class RowByRow:
             problem, shape (M,).
         reduces: Whether only the triangular factor of the rows is wanted, which takes
             no more memory than a piece of them.
+        last: The evaluator of the same measurements before, whose references or
+            weights may have been others.
     """
 
-    def __init__(self, block: Block, sigma: Floats, reduces: bool = False) -> None:
+    def __init__(
+        self,
+        block: Block,
+        sigma: Floats,
+        reduces: bool = False,
+        last: Evaluator | None = None,
+    ) -> None:
         """Prepare nothing: what does not change is computed where it is needed."""
         self._block, self._sigma = block, block.table(sigma)
         self.reduces = reduces
-
-    def weighted(self, sigma: Floats) -> RowByRow:
-        """The same with other standard deviations of all blocks, shape (M,)."""
-        result = copy.copy(self)
-        result._sigma = self._block.table(sigma)
-        return result
-
-    def about(self, blocks: Sequence[Block]) -> RowByRow | None:
-        """Nothing: there is nothing prepared that would be worth keeping."""
-        return None
-
-    @cached_property
-    def _tool(self) -> ToolPoses:
-        return ToolPoses(self._block.term.error, self._block.data)
+        self._tool = ToolPoses(block.term.error, block.data)
+        if isinstance(last, RowByRow) and last._block.term is block.term:
+            self._tool = last._tool
 
     def errors(self, theta: Floats) -> list[Floats]:
-        """Residuals in their units, shape (N, d)."""
+        """Residuals in their units, predicted minus measured, shape (N, d)."""
         term, data = self._block.term, self._block.data
         of_robot, instrument = term.values(theta)
         return [term.measurement.residual(self._tool(of_robot), instrument, data)]
@@ -112,11 +91,15 @@ class RowByRow:
         """
         if not self.reduces:
             return [self._rows(theta)]
-        R = np.zeros((0, len(self._block.term.index) + 1))
-        for piece in self._pieces():
-            r, J = piece._rows(theta)
-            rows = np.vstack([R, np.column_stack([J, r])])
-            R = np.asarray(np.linalg.qr(rows, mode="r"))
+        block = self._block
+        R = np.zeros((0, len(block.term.index) + 1))
+        for start in range(0, len(block.data), PIECE):
+            rows = slice(start, start + PIECE)
+            data, sigma = block.data.rows(rows), self._sigma[rows].reshape(-1)
+            piece = block._replace(data=data, values=slice(0, len(sigma)))
+            r, J = RowByRow(piece, sigma)._rows(theta)
+            more = np.vstack([R, np.column_stack([J, r])])
+            R = np.asarray(np.linalg.qr(more, mode="r"))
         return [(R[:, -1], R[:, :-1])]
 
     def _rows(self, theta: Floats) -> tuple[Floats, Floats]:
@@ -125,24 +108,9 @@ class RowByRow:
         of_robot, instrument = term.values(theta)
         tool = self._tool.linearize(of_robot)
         linear = term.measurement.linearize(tool.T, instrument, data)
-        aside = np.isinf(self._sigma)
-        known = Linearization(
-            linear.residual,
-            kept(linear.J_pose, aside),
-            kept(linear.J_instrument, aside),
-        )
-        J = whitened_jacobian(tool, known, self._sigma)
+        J = whitened_jacobian(tool, linear, self._sigma)
         r = whitened(linear.residual, self._sigma)
-        return r, J.reshape(-1, len(term.index))
-
-    def _pieces(self) -> Iterator[RowByRow]:
-        """Some thousand measurements at a time."""
-        block = self._block
-        for start in range(0, len(block.data), PIECE):
-            rows = slice(start, start + PIECE)
-            data, sigma = block.data.rows(rows), self._sigma[rows]
-            own = block._replace(data=data, values=slice(0, sigma.size))
-            yield RowByRow(own, sigma.reshape(-1))
+        return r.reshape(-1), J.reshape(-1, len(term.index))
 
 
 def compilable(model: ErrorModel) -> bool:
@@ -153,92 +121,139 @@ def compilable(model: ErrorModel) -> bool:
     return model.learned is None and len(flexures(model)) == 0
 
 
-@dataclass(frozen=True)
-class Evaluated:
-    """The evaluators of a problem.
-
-    Attributes:
-        terms: The terms about whose references they are.
-        sigma: Standard deviations of the residual components, shape (M,).
-        many: Whether a Jacobian of all measurements would be too large to be handy.
-        evaluators: They, with the positions of the blocks of each.
-    """
-
-    terms: Mapping[BlockKey, Term]
-    sigma: Floats
-    many: bool
-    evaluators: Mapping[Evaluator, Sequence[int]]
-
-
-def evaluated(
-    terms: Mapping[BlockKey, Term],
-    blocks: Sequence[Block],
-    sigma: Floats,
-    many: bool,
-    last: Evaluated | None = None,
-) -> Evaluated:
+def evaluators(
+    blocks: Sequence[Block], sigma: Floats, many: bool, last: Evaluators
+) -> Evaluators:
     """Evaluators of measurements.
-
-    Args:
-        terms: The terms.
-        blocks: The measurements with these.
-        sigma: Standard deviations of their residual components, shape (M,).
-        many: Whether a Jacobian of all measurements would be too large to be handy.
-        last: Those of the same measurements with other weights or about other
-            references; they are used again.
-    """
-    found: Mapping[Evaluator, Sequence[int]] = {}
-    if last is not None and last.many == many:
-        found = last.evaluators
-        if terms is not last.terms:
-            found = _about(blocks, found)
-        if not np.array_equal(last.sigma, sigma):
-            found = {one.weighted(sigma): at for one, at in found.items()}
-    return Evaluated(terms, sigma, many, found or _created(blocks, sigma, many))
-
-
-def _about(
-    blocks: Sequence[Block], found: Mapping[Evaluator, Sequence[int]]
-) -> dict[Evaluator, Sequence[int]]:
-    """Evaluators about the references of blocks; none where one has to begin anew."""
-    result: dict[Evaluator, Sequence[int]] = {}
-    for one, at in found.items():
-        moved = one.about([blocks[k] for k in at])
-        if moved is None:
-            return {}
-        result[moved] = at
-    return result
-
-
-def _created(
-    blocks: Sequence[Block], sigma: Floats, many: bool
-) -> dict[Evaluator, Sequence[int]]:
-    """Evaluators, with the positions of the blocks of each.
 
     Compiled kernels take measurements that are many and that they can evaluate. Where
     places bend row by row, Pinocchio takes them piece by piece.
 
     Args:
-        blocks: The blocks.
+        blocks: The measurements with their terms.
         sigma: Standard deviations of their residual components, shape (M,).
         many: Whether a Jacobian of all measurements would be too large to be handy.
+        last: Those of the same measurements with other weights or about other
+            references; what they have prepared is used again.
     """
-    if not many:
-        return {RowByRow(block, sigma): [k] for k, block in enumerate(blocks)}
-    from calib_pin.estimation.many_rows import ManyRows, alike
-
     found: dict[object, list[int]] = {}
     for k, block in enumerate(blocks):
-        plain = compilable(block.term.error) and not block.data.start.size
-        found.setdefault(alike(block.term) if plain else k, []).append(k)
+        plain = many and compilable(block.term.error) and not block.data.start.size
+        found.setdefault(block.term.kind if plain else k, []).append(k)
+    result: dict[tuple[int, ...], Evaluator] = {}
+    for kind, positions in found.items():
+        at, (first, *_) = tuple(positions), positions
+        if isinstance(kind, int):
+            data, error = blocks[first].data, blocks[first].term.error
+            bent = many and len(flexures(error)) > 0 and len(data) > PIECE
+            result[at] = RowByRow(blocks[first], sigma, bent, last.get(at))
+            continue
+        from calib_pin.estimation.many_rows import ManyRows
 
-    def alone(block: Block) -> RowByRow:
-        bent = len(flexures(block.term.error)) and len(block.data) > PIECE
-        return RowByRow(block, sigma, reduces=bool(bent))
+        result[at] = ManyRows.of([blocks[k] for k in at], sigma, last.get(at))
+    return result
 
-    return {
-        alone(blocks[positions[0]])
-        if isinstance(kind, int)
-        else ManyRows([blocks[k] for k in positions], sigma): positions
-        for kind, positions in found.items()
-    }
+
+@dataclass(frozen=True)
+class Station:
+    """The parameters of one station alone, about a linearization.
+
+    Attributes:
+        own: Their positions, shape (k,).
+        shared: Positions of the other parameters of its measurements, shape (m,).
+        root: Factor of their covariance by its own measurements, `A^+ = root U^T`, with
+            U orthonormal, shape (k, rank).
+        response: Their change with the others', `-A^+ B`, shape (k, m).
+        settled: Their best change by themselves, `-A^+ r`, shape (k,).
+    """
+
+    own: NDArray[np.intp]
+    shared: NDArray[np.intp]
+    root: Floats
+    response: Floats
+    settled: Floats
+
+
+def eliminate(own: NDArray[np.intp], rows: Sequence[Rows]) -> tuple[Station, Rows]:
+    """Eliminate the parameters of a station from the rows of its measurements.
+
+    Args:
+        own: Positions of its parameters, shape (k,).
+        rows: Its linearized measurements.
+
+    Returns:
+        The station, and the rows that are left for the other parameters.
+    """
+    every, r, J = _stacked(rows)
+    is_own = np.isin(every, own)
+    A, B = J[:, is_own], J[:, ~is_own]
+    U, s, Vt = np.linalg.svd(A, full_matrices=False)
+    kept = s > SINGULAR * s.max(initial=0.0)
+    U, root = U[:, kept], Vt[kept].T / s[kept]
+    along, rest = U.T @ B, U.T @ r
+    shared = every[~is_own]
+    station = Station(every[is_own], shared, root, -root @ along, -root @ rest)
+    return station, (shared, r - U @ rest, B - U @ along)
+
+
+def completed(stations: Sequence[Station], step: Floats) -> Floats:
+    """A step of the shared parameters with that of the eliminated ones, shape (P,)."""
+    result = with_response(stations, step)
+    for station in stations:
+        result[station.own] += station.settled
+    return result
+
+
+def with_response(stations: Sequence[Station], factor: Floats) -> Floats:
+    """Changes of all parameters, where only the shared ones were given, (P, k)."""
+    result = factor.copy()
+    for station in stations:
+        result[station.own] = station.response @ factor[station.shared]
+    return result
+
+
+def own_deviations(stations: Sequence[Station], count: int) -> Floats:
+    """Deviations of parameters by the measurements of their own station, shape (P, k).
+
+    A column has one noise for each station: stations are independent of each other.
+
+    Args:
+        stations: The stations.
+        count: Number of parameters P.
+    """
+    width = max((station.root.shape[1] for station in stations), default=0)
+    result = np.zeros((count, width))
+    for station in stations:
+        result[station.own, : station.root.shape[1]] = station.root
+    return result
+
+
+def reduced(rows: Sequence[Rows], count: int) -> tuple[Floats, Floats]:
+    """A residual and a Jacobian by all parameters with the same normal equations.
+
+    Args:
+        rows: Linearized measurements.
+        count: Number of parameters P.
+    """
+    every, r, columns = _stacked(rows)
+    if not (np.isfinite(r).all() and np.isfinite(columns).all()):
+        return np.full(1, np.nan), np.zeros((1, count))
+    R = np.asarray(np.linalg.qr(np.column_stack([columns, r]), mode="r"))
+    J = np.zeros((len(R), count))
+    J[:, every] = R[:, :-1]
+    return R[:, -1], J
+
+
+def _stacked(rows: Sequence[Rows]) -> Rows:
+    """Rows behind one another, by all parameters of any of them."""
+    if len(rows) == 1 and (np.diff(rows[0][0]) > 0).all():
+        return rows[0]
+    every = np.unique(np.concatenate([index for index, _, _ in rows]))
+    J = np.zeros((sum(len(r) for _, r, _ in rows), len(every)))
+    start = 0
+    for index, r, columns in rows:
+        # Several parameters of a term may be one.
+        at = np.searchsorted(every, index)
+        np.add.at(J[start : start + len(r)].T, at, columns.T)
+        start += len(r)
+    return every, np.concatenate([r for _, r, _ in rows]), J

@@ -6,9 +6,10 @@ files read them from here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, Protocol
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -168,13 +169,25 @@ class ExpectedAccuracy:
     share: float
 
 
-class ByCount(Protocol):
-    """The error of the tip by the number of measurements."""
+class ByCount:
+    """The error of the tip by the number of measurements; found when it is asked for.
 
-    @property
+    Args:
+        find: Finds numbers of measurements, ascending, and errors [m], shape (K,) both.
+    """
+
+    def __init__(self, find: Callable[[], tuple[Floats, Floats]]) -> None:
+        """Find nothing yet."""
+        self._find = find
+
+    @cached_property
     def curve(self) -> tuple[Floats, Floats]:
         """Numbers of measurements, ascending, and errors [m], both of shape (K,)."""
-        ...
+        return self._find()
+
+    def _asdict(self) -> dict[str, Floats]:
+        """The curve as `FoundCurve` is written."""
+        return dict(zip(("measurements", "position"), self.curve, strict=True))
 
 
 @dataclass(frozen=True)

@@ -38,10 +38,7 @@ FIT_PART = 0.2
 
 @serial_blas
 def fit(
-    problem: Problem,
-    rng: np.random.Generator,
-    *,
-    progress: Progress | None = None,
+    problem: Problem, rng: np.random.Generator, *, progress: Progress | None = None
 ) -> Fit:
     """Fit a problem with the solver and the loss of its setup.
 
@@ -121,10 +118,9 @@ def fit_model(
         InputError: If the measurements are too few to learn from, or no measurement
             could come from where the fit ends.
     """
-    part = 1.0
     if setup.learned is not None:
         require_learnable(setup.learned, setup, measurements)
-        part = FIT_PART
+    part = 1.0 if setup.learned is None else FIT_PART
     problem = make_problem(chains, measurements, setup)
     tell = portion(progress, 0.0, part)
     fitted = fit(problem, np.random.default_rng(seed), progress=tell)

@@ -20,23 +20,26 @@ from functools import cached_property
 
 import numpy as np
 
-from calib_pin.estimation.directions import Directions, half_covariance
-from calib_pin.estimation.elimination import own_deviations, with_response
+from calib_pin.estimation.directions import (
+    Directions,
+    half_covariance,
+    robot_singular_values,
+)
+from calib_pin.estimation.evaluators import own_deviations, with_response
 from calib_pin.estimation.evidence import Outlier, VarianceComponent
 from calib_pin.estimation.identifiability import Structure
-from calib_pin.estimation.problem import Problem, known_count
-from calib_pin.estimation.shrinkage import Evidence
+from calib_pin.estimation.places import expected_places
+from calib_pin.estimation.problem import Problem, current_units, known_count
+from calib_pin.estimation.row_blocks import Priors
 from calib_pin.estimation.solve import Solution
 from calib_pin.estimation.statistics.systematic import ROWS, Systematic, sampled
 from calib_pin.estimation.statistics.variance_components import (
     REJECTED,
     by_quantity,
-    current_units,
     repetitions,
 )
 from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.solvers import LeastSquaresResult
 
 
 @dataclass(frozen=True)
@@ -94,91 +97,6 @@ class Posterior:
         return np.concatenate(parts, axis=2)
 
 
-def posterior(
-    problem: Problem,
-    theta: Floats,
-    directions: Directions,
-    components: Sequence[VarianceComponent] = (),
-    systematic: Systematic | None = None,
-    sizes: Floats | None = None,
-    known: tuple[Floats, Floats] | None = None,
-    effects: Floats | None = None,
-) -> Posterior:
-    """The deviations of a fit about any references.
-
-    Args:
-        problem: The problem about these references, in the units of the fit.
-        theta: The solution about them, shape (P,).
-        directions: The directions that were moved.
-        components: The noise of every quantity; default as the units say.
-        systematic: Random effects of gears and compliance, None for none.
-        sizes: Expected size of every error, in scales, see `shrinkage`, shape (P,);
-            None where the rows alone decide.
-        known: Whitened residual and Jacobian about these references, where they have
-            been computed.
-        effects: The same of `systematic.rows`.
-    """
-    fun, jac = problem.linearize(theta) if known is None else known
-    stations = problem.stations(theta)
-    basis, held = _held(problem, directions, sizes)
-    half = half_covariance(np.concatenate([jac, held]), basis, problem.parameters)
-    noise = np.ones(len(problem.layout.components))
-    if systematic is not None:
-        noise = systematic.noise
-    shared = shared_variances(problem, components, noise)
-    core = np.eye(half.shape[1])
-    if systematic is not None or shared.any():
-        products = by_quantity(problem, theta, fun, jac, half)
-        prior = held @ half
-        core = prior.T @ prior + products.known[:-1, :-1]
-        core += np.tensordot(
-            (noise - shared) / current_units(problem) ** 2,
-            products.products[:, :-1, :-1],
-            axes=1,
-        )
-    if shared.any():
-        core += by_configuration(problem, jac @ half, shared)
-    values, vectors = np.linalg.eigh(core)
-    by_effects = np.zeros((len(theta), 0))
-    if systematic is not None:
-        # Of very many rows a sample absorbs as much as all of them.
-        few, J, inverse = problem, jac, half
-        if len(problem.data) > ROWS:
-            few = replace(problem, data=sampled(problem))
-            _, J = few.linearize_rows(theta)
-            own = np.concatenate([J, held])
-            inverse = half_covariance(own, basis, problem.parameters)
-        X = systematic.rows(few, theta) if effects is None else effects
-        by_effects = inverse @ ((J @ inverse)[: len(X)].T @ X)
-    return Posterior(
-        problem=problem,
-        theta=theta,
-        by_noise=with_response(
-            stations, half @ (vectors * np.sqrt(np.maximum(values, 0.0)))
-        ),
-        by_effects=by_effects,
-        by_station=own_deviations(stations, len(theta)),
-        systematic=systematic,
-        noise=noise,
-    )
-
-
-def _held(
-    problem: Problem, directions: Directions, sizes: Floats | None
-) -> tuple[Floats, Floats]:
-    """Moved directions, shape (P, k), and the rows of a prior on them, (p, P).
-
-    Under a prior all errors of the robot move, those too that nominal geometry hides:
-    away from it they show a little.
-    """
-    parameters = problem.parameters
-    if sizes is None:
-        return directions.basis, np.zeros((0, len(parameters)))
-    alone = parameters.free & ~parameters.nuisance & ~np.isfinite(parameters.priors)
-    rows = np.diag(1.0 / (sizes * parameters.scales))[alone]
-    return np.eye(len(parameters))[:, parameters.free], rows
-
-
 def shared_variances(
     problem: Problem, components: Sequence[VarianceComponent], noise: Floats
 ) -> Floats:
@@ -218,6 +136,28 @@ def by_configuration(problem: Problem, U: Floats, shared: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
+class Evidence:
+    """The size of the robot's errors by a least-squares fit.
+
+    Attributes:
+        expected: The prior.
+        sizes: Standard deviation of every error by it, in scales, shape (P,).
+        likely: Sizes in the place of its own that are as likely, shape (K, P).
+        matters: Whether it changes the solution by anything to speak of.
+        square: Sum of the squared estimates in their standard deviations: chi-square
+            of `count` degrees of freedom if the robot is as nominal.
+        count: Number of directions that the rows see.
+    """
+
+    expected: Priors
+    sizes: Floats
+    likely: Floats
+    matters: bool
+    square: float
+    count: int
+
+
+@dataclass(frozen=True)
 class RobustDecision:
     """Measurements that robust estimation has set aside, or why it has not.
 
@@ -242,15 +182,13 @@ class Fit:
         before: Parameters with only the nuisances fitted, shape (P,).
         structure: Structural analysis at nominal geometry.
         directions: The directions that were moved and those held at nominal.
-        solution: Outcome of the solver, with the last evolution, if there was one.
+        result: Outcome of the solver, with the last evolution, if there was one.
         rank: Practical rank: nuisance and robot directions that were estimated.
         sigma0: Standard deviation of unit weight; NaN without redundancy.
-        evidence: Size of the robot's errors by the measurements, and the prior that
-            follows; None where they are exact.
         unit: Standard deviation of unit weight of the whitened residuals; 1 where the
             noise of the quantities is in the units of the problem.
-        singular_values: Of the whitened, scaled Jacobian of the estimated robot
-            directions at the solution with the nuisances projected out, descending.
+        evidence: Size of the robot's errors by the measurements, and the prior that
+            follows; None where they are exact.
         noise: The noise of every quantity, as the measurements show it.
         effects: Gears and compliance that the model does not have; None where nothing
             shows or nobody has looked, see `fit.with_effects`.
@@ -261,20 +199,14 @@ class Fit:
     before: Floats
     structure: Structure
     directions: Directions
-    solution: Solution
+    result: Solution
     rank: int
     sigma0: float
-    evidence: Evidence | None
     unit: float
-    singular_values: Floats
+    evidence: Evidence | None = None
     noise: tuple[VarianceComponent, ...] = ()
     effects: Systematic | None = None
     robust: RobustDecision = RobustDecision()
-
-    @property
-    def result(self) -> LeastSquaresResult:
-        """The solution as the solver found it."""
-        return self.solution.result
 
     @property
     def theta(self) -> Floats:
@@ -287,19 +219,25 @@ class Fit:
         return known_count(self.problem) - self.rank
 
     @property
-    def held(self) -> tuple[Problem, LeastSquaresResult, Floats]:
+    def held(self) -> tuple[Problem, Solution, Floats]:
         """With the prior as residual rows: problem, solution, moved basis (P, k)."""
         if self.evidence is None or not self.evidence.matters:
             return self.problem, self.result, self.directions.basis
         problem = replace(self.problem, expected=self.evidence.expected)
         found, further = self.result, problem.further
         own = len(found.fun) - len(self.problem.further)
-        result = replace(
-            found,
-            fun=np.append(found.fun[:own], further.residual(self.theta)),
-            jac=np.vstack([found.jac[:own], further.jacobian(self.theta)]),
-        )
-        return problem, result, self.directions.every
+        fun = np.append(found.fun[:own], further.residual(self.theta))
+        jac = np.vstack([found.jac[:own], further.jacobian(self.theta)])
+        return problem, replace(found, fun=fun, jac=jac), self.directions.every
+
+    @cached_property
+    def singular_values(self) -> Floats:
+        """Of the whitened, scaled Jacobian of the estimated robot directions.
+
+        At the solution, with the nuisances projected out, descending.
+        """
+        parameters = self.problem.parameters
+        return robot_singular_values(self.directions, self.result.jac, parameters)
 
     @cached_property
     def covariance(self) -> Floats:
@@ -348,25 +286,51 @@ def posterior_about(
         sizes: Expected size of every error, in scales, in place of the likeliest ones,
             shape (P,).
     """
-    own = problem is fitted.problem
+    own, effects = problem is fitted.problem, fitted.effects
+    parameters, result = problem.parameters, fitted.result
+    fun, jac = (result.fun, result.jac) if own else problem.linearize(theta)
+    stations = problem.stations(theta)
+    basis, held = fitted.directions.basis, np.zeros((0, len(theta)))
     if sizes is None and fitted.evidence is not None:
-        sizes = fitted.evidence.expected.sizes
-    found = posterior(
-        problem,
-        theta,
-        fitted.directions,
-        fitted.noise,
-        fitted.effects,
-        sizes,
-        (fitted.result.fun, fitted.result.jac) if own else None,
-        fitted._by_effects if own else None,
-    )
-    # Without redundancy nobody knows.
-    return replace(
-        found,
-        by_noise=fitted.unit * found.by_noise,
-        by_station=fitted.unit * found.by_station,
-    )
+        sizes = fitted.evidence.sizes
+    if sizes is not None:
+        # Under a prior all errors of the robot move, those too that nominal geometry
+        # hides: away from it they show a little.
+        alone = parameters.free & ~parameters.nuisance & ~np.isfinite(parameters.priors)
+        spread = expected_places(problem, parameters) * sizes
+        inverse = np.linalg.solve(spread, np.diag(1.0 / parameters.scales))
+        held = np.asarray(inverse[alone])
+        basis = np.eye(len(theta))[:, parameters.free]
+    half = half_covariance(np.concatenate([jac, held]), basis, parameters)
+    noise = np.ones(len(problem.layout.components))
+    if effects is not None:
+        noise = effects.noise
+    shared = shared_variances(problem, fitted.noise, noise)
+    core = np.eye(half.shape[1])
+    if effects is not None or shared.any():
+        rows, prior = by_quantity(problem, theta, fun, jac, half), held @ half
+        weights = (noise - shared) / current_units(problem) ** 2
+        core = prior.T @ prior + rows.known[:-1, :-1]
+        core += np.tensordot(weights, rows.products[:, :-1, :-1], axes=1)
+    if shared.any():
+        core += by_configuration(problem, jac @ half, shared)
+    values, vectors = np.linalg.eigh(core)
+    by_noise = half @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    by_effects = np.zeros((len(theta), 0))
+    if effects is not None:
+        # Of very many rows a sample absorbs as much as all of them.
+        few, J, inverse = problem, jac, half
+        if len(problem.data) > ROWS:
+            few = replace(problem, data=sampled(problem))
+            _, J = few.linearize_rows(theta)
+            inverse = half_covariance(np.concatenate([J, held]), basis, parameters)
+        known = fitted._by_effects if own else None
+        X = effects.rows(few, theta) if known is None else known
+        by_effects = inverse @ ((J @ inverse)[: len(X)].T @ X)
+    # Without redundancy nobody knows, and the unit is not a number.
+    by_noise = fitted.unit * with_response(stations, by_noise)
+    by_station = fitted.unit * own_deviations(stations, len(theta))
+    return Posterior(problem, theta, by_noise, by_effects, by_station, effects, noise)
 
 
 def likely_posteriors(fitted: Fit) -> tuple[Posterior, ...]:

@@ -12,12 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import OptionError, enumerated, nearest, stated_in
-from calib_pin.estimation.conditions import (
-    at_conditions,
-    require_conditions,
-    station_of,
-    usual_conditions,
-)
+from calib_pin.estimation.conditions import at_conditions, require_conditions
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.row_blocks import PLACES
 from calib_pin.estimation.terms import Term, assembled, frames_of_blocks, prefixed
@@ -27,6 +22,7 @@ from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.catalog import require_values
 from calib_pin.measurement_models.references import Plane, ReferenceObject
 from calib_pin.observations import (
+    UNSTATED,
     BlockKey,
     Labels,
     Measurements,
@@ -43,6 +39,7 @@ from calib_pin.parameterizations import (
 )
 from calib_pin.parameterizations.drift import InstrumentDrift
 from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.parameterizations.thermal import REFERENCE
 from calib_pin.parameters import ParameterSet, matching
 from calib_pin.plugins import upper
 from calib_pin.setup import WORLD, JointPrior, Setup
@@ -170,23 +167,15 @@ def make_terms(
     """
     _require_own_loads(chains, setup)
     named = frames_of_blocks(chains, tuple(targets), setup)
-    models = {
-        key: measurement_model(key.model, setup, names)
-        for key, names in targets.items()
-    }
+    models = {k: measurement_model(k.model, setup, n) for k, n in targets.items()}
     outside = {named[k].station for k, m in models.items() if m.declaration.external}
-    looked_at = {
-        named[key].tool
-        for key, model in models.items()
-        if model.sees_tool and key.chain != WORLD
-    }
-    terms = []
+    seen = [k for k, m in models.items() if m.sees_tool and k.chain != WORLD]
+    looked_at = {named[key].tool for key in seen}
+    terms, drifts = [], InstrumentDrift.name
 
     @cache
     def created(chain: str, base: bool, tool: bool, drifting: str) -> ErrorModel:
-        kinds: tuple[str, ...] = setup.parameters if chain != WORLD else ()
-        if chain == WORLD and InstrumentDrift.name in setup.parameters:
-            kinds = (InstrumentDrift.name,)
+        kinds = [k for k in setup.parameters if chain != WORLD or k == drifts]
         span = setup.drift.spans.get(drifting)
         drift = replace(setup.drift, spans={"base": span} if span else {})
         return ErrorModel.create(
@@ -201,7 +190,8 @@ def make_terms(
         base, tool = frames.base.estimate, frames.end.estimate
         base = frames.station in outside if base is None else base
         tool = frames.tool in looked_at if tool is None else tool
-        drifting = station_of(frames.station) if frames.station in outside else ""
+        station = frames.station.rpartition(".")[0]
+        drifting = station if frames.station in outside else ""
         with stated_in(setup.file):
             error = created(key.chain, base, tool, drifting)
             error = _on_tool(error, frames.offset)
@@ -233,8 +223,7 @@ def _require_own_loads(chains: Chains, setup: Setup) -> None:
     Raises:
         OptionError: If there is such.
     """
-    moving = [chains[name].joints for name in chains.names if chains[name].joints]
-    counts = Counter(joint for joints in moving for joint in joints)
+    counts = Counter(joint for name in chains.names for joint in chains[name].joints)
     shared = [joint for joint, count in counts.items() if count > 1]
     loaded = [n for n in setup.parameters if "payloads" in required_keys([n])]
     if shared and loaded:
@@ -267,6 +256,9 @@ def nominal_problem(
     keys = [BlockKey(measured)] if isinstance(measured, str) else measured
     named = keys if isinstance(keys, Mapping) else dict.fromkeys(keys, ())
     payloads = tuple(setup.payloads) or ("",)
+    # Rows that no one has measured have the conditions of the reference.
+    stated, needed = setup.thermal.reference, needed_conditions(setup.parameters)
+    reference, none = REFERENCE if stated is None else stated, np.zeros(0)
     blocks = []
     for key, names in named.items():
         model = measurement_model(key.model, setup, names)
@@ -279,34 +271,30 @@ def nominal_problem(
         zeros = np.zeros((count, len(chains.joints)))
         values = np.zeros((count, model.width))
         values[:, -1:] = model.declaration.oriented  # The quaternion of no rotation.
-        carried = Labels.of([name for name in payloads for _ in targets])
-        blocks.append(
-            Measurements(
-                joints=chains.joints,
-                q=zeros,
-                values=values,
-                target=Labels.of(targets * len(payloads)),
-                conditions=replace(
-                    usual_conditions(setup, count),
-                    payload=carried,
-                    direction=zeros.astype(np.int8),
-                ),
-                start=zeros if model.declaration.relative else np.zeros((0, 0)),
-                **key._asdict(),
-            )
+        held = replace(
+            UNSTATED,
+            temperature=np.full(count, reference) if "temperature" in needed else none,
+            time=np.zeros(count) if "time" in needed else none,
+            payload=Labels.of([name for name in payloads for _ in targets]),
+            direction=zeros.astype(np.int8),
         )
+        block = Measurements(
+            joints=chains.joints,
+            q=zeros,
+            values=values,
+            target=Labels.of(targets * len(payloads)),
+            conditions=held,
+            start=zeros if model.declaration.relative else np.zeros((0, 0)),
+            **key._asdict(),
+        )
+        blocks.append(block)
     problem = make_problem(chains, Observations.of(*blocks), setup)
-    placed = {
-        key: replace(
-            term,
-            error=term.error.with_frames(
-                frame_pose(term.frames.base),
-                frame_pose(term.frames.end) * term.frames.offset,
-            ),
-        )
-        for key, term in problem.terms.items()
-    }
-    return replace(problem, terms=placed)
+    placed = {}
+    for key, term in problem.terms.items():
+        frames = term.frames
+        base, tool = frame_pose(frames.base), frame_pose(frames.end) * frames.offset
+        placed[key] = replace(term, error=term.error.with_frames(base, tool))
+    return problem.with_terms(placed)
 
 
 def restricted(setup: Setup, names: Sequence[str]) -> Setup:
@@ -320,14 +308,11 @@ def restricted(setup: Setup, names: Sequence[str]) -> Setup:
     def known(pattern: str) -> bool:
         return bool(matching(pattern, names))
 
-    return replace(
-        setup,
-        fixed=tuple(filter(known, setup.fixed)),
-        bounds={key: value for key, value in setup.bounds.items() if known(key)},
-        prior=setup.prior
-        if isinstance(setup.prior, JointPrior)
-        else {key: value for key, value in setup.prior.items() if known(key)},
-    )
+    fixed, prior = tuple(filter(known, setup.fixed)), setup.prior
+    bounds = {key: value for key, value in setup.bounds.items() if known(key)}
+    if not isinstance(prior, JointPrior):
+        prior = {key: value for key, value in prior.items() if known(key)}
+    return replace(setup, fixed=fixed, bounds=bounds, prior=prior)
 
 
 def _with_prior(chains: Chains, given: ParameterSet, setup: Setup) -> Setup:
@@ -367,24 +352,15 @@ def _require_payloads(data: Observations, setup: Setup) -> None:
     """
     if not setup.payloads and "payloads" not in required_keys(setup.parameters):
         return
-    known = ("", NOTHING, *setup.payloads)
+    known, several = (NOTHING, *setup.payloads), len(setup.payloads) > 1
     for name in data.payload.distinct:
-        if name in known:
+        if name in known or not (name or several):
             continue
+        reason = f"there is no payload '{name}'{nearest(name, setup.payloads)}"
+        if not name:
+            reason = "there are several payloads, and the row names none"
         row = int(np.argmax(data.payload.where(name)))
-        raise data.error(
-            row,
-            f"there is no payload '{name}'{nearest(name, setup.payloads)}",
-            column="payload",
-            allowed=", ".join(known[1:]),
-        )
-    if len(setup.payloads) > 1 and "" in data.payload.distinct:
-        raise data.error(
-            int(np.argmax(data.payload.where(""))),
-            "there are several payloads, and the row names none",
-            column="payload",
-            allowed=", ".join(known[1:]),
-        )
+        raise data.error(row, reason, column="payload", allowed=", ".join(known))
 
 
 def _require_directions(data: Observations, setup: Setup) -> None:
@@ -393,8 +369,8 @@ def _require_directions(data: Observations, setup: Setup) -> None:
     Raises:
         InputError: If none of them does.
     """
-    needed = "direction" in needed_conditions(setup.parameters)
-    if needed and not data.conditions.direction.size:
+    held = data.conditions.direction
+    if "direction" in needed_conditions(setup.parameters) and not held.size:
         raise data.error(
             0,
             "nothing tells from which side the joints came, which 'hysteresis' needs",
@@ -415,8 +391,7 @@ def geometric_setup(chains: Robots, measurements: Observations, setup: Setup) ->
         setup: Estimated and known quantities.
     """
     plain = replace(setup, learned=None)
-    beyond = outside_urdf()
-    names = tuple(name for name in setup.parameters if name not in beyond)
+    names = tuple(n for n in setup.parameters if n not in outside_urdf())
     if names == setup.parameters:
         return plain
     return with_parameters(chains, measurements, plain, names)

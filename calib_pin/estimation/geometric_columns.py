@@ -143,9 +143,7 @@ def geometric_columns(system: Terms, parameters: ParameterSet) -> Columns:
 
 def _urgency(kind: str) -> int:
     """Elimination takes what describes links and joints first, then the rest."""
-    if kind not in KINDS:
-        return len(KINDS)
-    return max(KINDS.index(kind) - KINDS.index("link twist"), 0)
+    return max((*KINDS, kind).index(kind) - KINDS.index("link twist"), 0)
 
 
 def _beyond(screw: Screw) -> tuple[str, str]:
@@ -159,31 +157,19 @@ def _beyond(screw: Screw) -> tuple[str, str]:
 
 def _places(chain: Chain) -> Sequence[_Place]:
     """The joints of a chain and, last, its tip."""
-    frames = [np.eye(4), *chain.joint_frames(), chain.poses(_zero(chain))[0]]
-    axes = [np.array([0.0, 0.0, 1.0]), *chain.axes]
-    joints, revolute = ("", *chain.joints), (False, *map(bool, chain.revolute))
+    zero = np.zeros((1, len(chain.joints)))
+    frames = [np.eye(4), *chain.joint_frames(), chain.poses(zero)[0]]
+    axes = [np.array([0.0, 0.0, 1.0]), *chain.axes, None]
+    joints = "", *chain.joints, ""
+    revolute = False, *map(bool, chain.revolute), False
     links = [chain.base, *(_moved_link(chain, joint) for joint in chain.joints)]
     found = []
     for k in range(1, len(frames)):
         before = invert(frames[k]) @ frames[k - 1]
         line = before[:3, 3], before[:3, :3] @ axes[k - 1]
-        tip = k > len(chain.joints)
-        found.append(
-            _Place(
-                joint="" if tip else joints[k],
-                revolute=not tip and revolute[k],
-                axis=None if tip else axes[k],
-                before=joints[k - 1],
-                turned_before=revolute[k - 1],
-                line=line,
-                link=links[k - 1],
-            )
-        )
+        here = joints[k], revolute[k], axes[k]
+        found.append(_Place(*here, joints[k - 1], revolute[k - 1], line, links[k - 1]))
     return found
-
-
-def _zero(chain: Chain) -> Floats:
-    return np.zeros((1, len(chain.joints)))
 
 
 def _moved_link(chain: Chain, joint: str) -> str:
@@ -205,12 +191,9 @@ def _aligned(twists: Floats, scales: Floats, place: _Place) -> Floats:
     shifts = np.flatnonzero(np.linalg.norm(twists[:, 3:], axis=1) < 1e-9)
     turns = np.flatnonzero(np.linalg.norm(twists[:, 3:], axis=1) > 0.5)
     axis = place.axis
-    if len(turns) == 3:
-        # Rotations about the frame before are errors of the link behind its axis.
-        moments = np.linalg.norm(twists[turns, :3], axis=1).max()
-        if axis is None or moments > NEAR:
-            axis = place.line[1]
-    if axis is None:
+    moments = np.linalg.norm(twists[turns, :3], axis=1).max(initial=0.0)
+    # Rotations about the frame before are errors of the link behind its axis.
+    if axis is None or (len(turns) == 3 and moments > NEAR):
         axis = place.line[1]
     towards = np.array(place.directions(axis)).T
     for rows, own in ((shifts, slice(0, 3)), (turns, slice(3, 6))):
@@ -230,25 +213,19 @@ def _named(twist: Floats, place: _Place) -> Label:
     point = skew(turn) @ shift / (turn @ turn) if turning else np.zeros(3)
     origin, other = place.line
     own = place.axis is not None and _along(direction, place.axis)
+    axial = "axis tilt" if turning else "link offset"
     if own and (not turning or _distance(point, direction) < NEAR):
         free = turning == place.revolute
-        return Label(_axial(turning, free=free), place.joint)
+        return Label("joint offset" if free else axial, place.joint)
     through = not turning or _distance(point - origin, direction) < NEAR
     if place.before and through and _along(direction, other):
         free = turning == place.turned_before
-        return Label(_axial(turning, free=free), place.before)
+        return Label("joint offset" if free else axial, place.before)
     joint = place.joint or "tip"
     normal = place.directions(other if place.axis is None else place.axis)[0]
     if place.before and _along(direction, normal):
         return Label("link twist" if turning else "link length", place.link)
     return Label("axis tilt" if turning else "axis shift", joint)
-
-
-def _axial(turning: bool, *, free: bool) -> str:
-    """The kind of an error about or along an axis."""
-    if free:
-        return "joint offset"
-    return "axis tilt" if turning else "link offset"
 
 
 def _along(direction: Floats, other: Floats) -> bool:

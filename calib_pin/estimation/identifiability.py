@@ -56,13 +56,9 @@ class Combination:
         text = ""
         for position, coefficient in self.terms:
             size = f"{abs(coefficient):.4g}"
-            factor = "" if size == "1" else f"{size} "
-            sign = "-" if coefficient < 0.0 else "+"
-            if text:
-                text += f" {sign} {factor}{names[position]}"
-            else:
-                text = f"{'-' if sign == '-' else ''}{factor}{names[position]}"
-        return text
+            sign = " - " if coefficient < 0.0 else " + "
+            text += sign + ("" if size == "1" else f"{size} ") + names[position]
+        return text[3:] if text.startswith(" + ") else f"-{text[3:]}"
 
 
 @dataclass(frozen=True)
@@ -136,14 +132,8 @@ def structure(
     _, s, Vt = np.linalg.svd(np.linalg.qr(A, mode="r"), full_matrices=False)
     tolerance = rounding(A) * (s[0] if len(s) else 0.0)
     rank = int((s > tolerance).sum())
-    return Structure(
-        singular_values=s,
-        rank=rank,
-        robot=robot_values(J, parameters),
-        configurations=configurations,
-        relations=s[:rank, None] * Vt[:rank],
-        parameters=parameters,
-    )
+    robot, relations = robot_values(J, parameters), s[:rank, None] * Vt[:rank]
+    return Structure(s, rank, robot, configurations, relations, parameters)
 
 
 def combinations(A: Floats, rank: int) -> tuple[list[int], Floats]:

@@ -67,35 +67,22 @@ class Layout:
         models = {key.model: quantities for key, quantities in measured.items()}
         shown, first = side_by_side(models)
         components = _components(measured)
-        position = {(c.model, c.station, c.quantity.name): k for k, c in components}
-        of_keys = {
-            key: np.concatenate(
-                [
-                    np.full(
-                        q.columns.stop - q.columns.start,
-                        position[key.model, key.station, q.name],
-                    )
-                    for q in quantities
-                ]
-            )
-            for key, quantities in measured.items()
-        }
-        row, component, column = [], [], []
+        keys = [(c.model, c.station, c.quantity.name) for c in components]
+        position = {key: k for k, key in enumerate(keys)}
+        of_keys = {}
+        for key, quantities in measured.items():
+            own = [position[key.model, key.station, q.name] for q in quantities]
+            widths = [q.columns.stop - q.columns.start for q in quantities]
+            of_keys[key] = np.repeat(own, widths)
+        parts = []
         for block, rows in zip(data.blocks, data.slices, strict=True):
-            own = of_keys[block.key]
+            of_key = of_keys[block.key].astype(np.int32)
+            place = first[block.model] + np.arange(len(of_key), dtype=np.int32)
             each = np.arange(rows.start, rows.stop, dtype=np.int32)
-            row.append(np.repeat(each, len(own)))
-            component.append(np.tile(own.astype(np.int32), len(block)))
-            place = first[block.model] + np.arange(len(own), dtype=np.int32)
-            column.append(np.tile(place, len(block)))
-        return Layout(
-            np.concatenate(row),
-            np.concatenate(component),
-            np.concatenate(column),
-            tuple(c for _, c in components),
-            shown,
-            of_keys,
-        )
+            row, tiled = np.repeat(each, len(of_key)), (of_key, place)
+            parts.append((row, *(np.tile(of, len(block)) for of in tiled)))
+        row, component, column = map(np.concatenate, zip(*parts, strict=True))
+        return Layout(row, component, column, components, shown, of_keys)
 
     @cached_property
     def of_components(self) -> Sequence[NDArray[np.intp]]:
@@ -150,36 +137,28 @@ def alike(layout: Layout, known: Layout) -> NDArray[np.intp]:
     """
     position: dict[tuple[str, ...], int] = {}
     for k, c in enumerate(known.components):
-        instrument = c.model, c.quantity.name
-        position[*instrument, c.station] = k
-        position.setdefault(instrument, k)
-    found = []
-    for c in layout.components:
-        instrument = c.model, c.quantity.name
-        found.append(position.get((*instrument, c.station), position[instrument]))
-    return np.array(found, np.intp)
+        position[c.model, c.quantity.name, c.station] = k
+        position.setdefault((c.model, c.quantity.name), k)
+    names = [(c.model, c.quantity.name, c.station) for c in layout.components]
+    return np.array([position.get(n, position[n[:2]]) for n in names], np.intp)
 
 
 def _components(
     measured: Mapping[BlockKey, Sequence[Quantity]],
-) -> list[tuple[int, Component]]:
-    """The quantities of all instruments, each once, with their positions."""
+) -> tuple[Component, ...]:
+    """The quantities of all instruments, each once."""
     found = {
         (q.name, key.model, key.station): q
         for key, quantities in measured.items()
         for q in quantities
     }
-    of_name: dict[str, list[tuple[str, str]]] = {}
-    for name, model, station in found:
-        of_name.setdefault(name, []).append((model, station))
+    stations = Counter((name, model) for name, model, _ in found)
+    models = Counter(name for name, _ in stations)
     result = []
-    for k, ((name, model, station), quantity) in enumerate(found.items()):
-        others = of_name[name]
-        told = []
-        if len({m for m, _ in others}) > 1:
-            told.append(model)
-        if station and sum(m == model for m, _ in others) > 1:
+    for (name, model, station), quantity in found.items():
+        told = [model] if models[name] > 1 else []
+        if station and stations[name, model] > 1:
             told.append(station)
         full = f"{name} ({', '.join(told)})" if told else name
-        result.append((k, Component(full, quantity, model, station)))
-    return result
+        result.append(Component(full, quantity, model, station))
+    return tuple(result)

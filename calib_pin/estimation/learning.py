@@ -43,19 +43,16 @@ def require_learnable(name: str, setup: Setup, measurements: Observations) -> No
             several chains.
     """
     require_known("residual model", name, RESIDUAL_MODELS)
-    if any(declared(model).relative for model in measurements.models):
+    relative = any(declared(model).relative for model in measurements.models)
+    source, other = "distances between two configurations", "another model"
+    if not relative:
+        source, other = "measurements of several chains", "one chain"
+    if relative or len({key.chain for key in measurements.keys}) > 1:
         raise OptionError(
-            "nothing can be learned from distances between two configurations",
+            f"nothing can be learned from {source}",
             file=setup.file or None,
             value=name,
-            allowed="measurements of another model",
-        )
-    if len({key.chain for key in measurements.keys}) > 1:
-        raise OptionError(
-            "nothing can be learned from measurements of several chains",
-            file=setup.file or None,
-            value=name,
-            allowed="measurements of one chain",
+            allowed=f"measurements of {other}",
         )
 
 
@@ -141,10 +138,7 @@ def left_out(
 
 
 def training_rows(
-    problem: Problem,
-    theta: Floats,
-    directions: Floats,
-    known: Shifts | None = None,
+    problem: Problem, theta: Floats, directions: Floats, known: Shifts | None = None
 ) -> TrainingRows:
     """Residuals as functions of a correction, for a residual model to learn.
 
@@ -157,34 +151,26 @@ def training_rows(
     """
     layout = problem.layout
     shape = len(problem.data), layout.width
-    basis = {
-        block.term.key: block.term.error.basis(block.data.q, block.data.conditions)
-        for block in problem.blocks
-    }
+    basis = [b.term.error.basis(b.data.q, b.data.conditions) for b in problem.blocks]
 
     def linearize(space: Space, values: Floats, shift: Floats) -> Linearized:
-        result = Linearized(
-            np.zeros(shape),
-            np.zeros((*shape, values.shape[1])),
-            np.zeros((*shape, len(shift))),
-        )
+        widths = values.shape[1], len(shift)
+        by = (np.zeros((*shape, width)) for width in widths)
+        result = Linearized(np.zeros(shape), *by)
         moved = directions @ shift
-        for term, data, rows, flat in problem.blocks:
+        for known_basis, block in zip(basis, problem.blocks, strict=True):
+            term, data, rows, flat = block
             own, error = term.index, term.error
             of_robot, instrument = term.values(theta)
-            count = len(of_robot)
-            corrections, carried = values[rows], None
-            if space == "tip":
-                carried = _carried(problem, term)
-                corrections = (
-                    corrections if carried is None else corrections @ carried.T
-                )
+            count, corrections = len(of_robot), values[rows]
+            carried = _carried(problem, term) if space == "tip" else None
+            if carried is not None:
+                corrections = corrections @ carried.T
             given = _Given(space, corrections, moved[own[:count]])
-            poses = replace(error, learned=given).linearize(
-                data.q, of_robot, basis[term.key]
-            )
+            corrected = replace(error, learned=given)
+            poses = corrected.linearize(data.q, of_robot, known_basis)
             linear = term.measurement.linearize(poses.T, instrument, data)
-            sigma = problem.sigma[flat].reshape(len(data), -1)
+            sigma = block.table(problem.sigma)
             J_pose = linear.J_pose / sigma[:, :, None]
             columns = layout.column[flat][: sigma.shape[1]]
             result.residual[rows, columns] = linear.residual / sigma
@@ -246,12 +232,11 @@ def shift_directions(
     for term in problem.terms.values():
         frames[term.of_instrument] = 0.0
     frames = frames[:, frames.any(axis=0)]
-    free, count = np.zeros(frames.shape[1]), robot.shape[1]
-    shown = robot.any(axis=1)
+    free, shown = np.zeros(frames.shape[1]), robot.any(axis=1)
     kinds = []
     for kind in dict.fromkeys(parameters.kinds[shown].tolist()):
         own = robot[shown & (parameters.kinds == kind)].T
         kinds.append(np.concatenate([np.zeros((len(free), own.shape[1])), own]))
     values = robot.T @ (fitted.theta / parameters.scales)
-    known = Shifts(np.concatenate([free, values]), tuple(kinds) if count else ())
+    known = Shifts(np.concatenate([free, values]), tuple(kinds))
     return parameters.scales[:, None] * np.column_stack([frames, robot]), known

@@ -25,9 +25,10 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TypeAlias
+from itertools import pairwise
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -36,12 +37,11 @@ from numpy.typing import NDArray
 from calib_pin.compiled import blocks as compiled
 from calib_pin.compiled import kernels, link_kernels, row_kernels
 from calib_pin.compiled.threads import Threads
-from calib_pin.estimation.terms import FRAME, Block, Term
-from calib_pin.estimation.tool_poses import kept
+from calib_pin.estimation.terms import FRAME, Block, kept
 from calib_pin.kinematics.spatial import Floats, adjoint, invert, se3_exp
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import Screw
-from calib_pin.parameterizations.error_model import ErrorModel, flexures
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.linearization import ordered_screws
 
 CHUNK = 128 * compiled.BLOCK
@@ -56,27 +56,11 @@ sample the fit ends a million positions with a noise of 0.1 mm after one pass, a
 thousandth of a standard deviation from where a second one ends."""
 
 
-def alike(term: Term) -> tuple[object, ...]:
-    """Things that are the same in terms which `ManyRows` evaluates together."""
-    model = term.measurement
-    if not is_dataclass(model):
-        return (term.key,)
-    values = [getattr(model, field.name) for field in fields(model)]
-    return (
-        term.key._replace(station=""),
-        term.error.tool.homogeneous.tobytes(),
-        term.error.payload,
-        term.index[FRAME:].tobytes(),
-        type(model),
-        *(tuple(map(id, v)) if isinstance(v, tuple) else id(v) for v in values),
-    )
-
-
 class ManyRows:
-    """Measurements of alike blocks, whitened; an `Evaluator` of `problem`.
+    """Measurements of blocks of one kind, whitened; see `evaluators.Evaluator`.
 
     Args:
-        blocks: The S blocks, see `alike`.
+        blocks: The S blocks, see `Term.kind`.
         sigma: Standard deviations of the residual components of all blocks of the
             problem, shape (M,).
     """
@@ -86,12 +70,11 @@ class ManyRows:
     def __init__(self, blocks: Sequence[Block], sigma: Floats) -> None:
         """Cut the measurements into chunks."""
         self._refer(blocks)
-        segments = self._segments
-        corrections = self._error.joint_corrections
-        joints = [self._error.screws[k].frame - 1 for k in corrections]
+        error = self._error
+        joints = [error.screws[k].frame - 1 for k in error.joint_corrections]
         self._joints = np.array(joints, np.int64)
         # The twist along the joint's axis, of what stands before the joint.
-        along = np.where(segments.revolute, 5, 2)
+        along = np.where(self._segments.revolute, 5, 2)
         self._along = 6 * self._joints + along[self._joints]
         self._threads = Threads()
         data = blocks[0].data
@@ -102,8 +85,7 @@ class ManyRows:
         self._stops = np.cumsum([len(block.data) for block in blocks])
         starts = range(0, len(data), CHUNK)
         self._chunks = list(self._threads.map(partial(self._chunk, data), starts))
-        self._sigma = np.zeros((0, 0))
-        self._weigh(sigma)
+        self._sigma = _stacked(blocks, sigma)
 
     def _refer(self, blocks: Sequence[Block]) -> None:
         """Take blocks with their references."""
@@ -114,24 +96,33 @@ class ManyRows:
         self._segments = Segments.of(self._error)
         self._measurement = term.measurement
         self._bases = np.array([block.term.error.base.homogeneous for block in blocks])
-        self._known: list[_Linear] = []
+        # Parameters of each block, (S, p), with residual and Jacobian of each there.
+        self._known: list[tuple[Floats, list[tuple[Floats, Floats]]]] = []
 
-    def about(self, blocks: Sequence[Block]) -> ManyRows | None:
-        """The same measurements about other references; None where more has changed."""
-        before, terms = self._blocks[0].term.error, [block.term for block in blocks]
-        error = terms[0].error
+    @classmethod
+    def of(cls, blocks: Sequence[Block], sigma: Floats, last: object) -> ManyRows:
+        """Measurements by what the last evaluator of them has prepared, if it can.
+
+        Args:
+            blocks: The blocks; their references may be others.
+            sigma: Standard deviations as above; those may be others as well.
+            last: The evaluator, or None.
+        """
+        error = blocks[0].term.error
+        if not isinstance(last, ManyRows):
+            return cls(blocks, sigma)
+        before = last._blocks[0].term.error
         same = error.chain is before.chain and error.screws is before.screws
-        same = same and error.payload == before.payload and error.learned is None
-        if not same or len(set(map(alike, terms))) > 1:
-            return None
-        result = copy.copy(self)
-        result._refer(blocks)
-        return result
-
-    def weighted(self, sigma: Floats) -> ManyRows:
-        """The same measurements with other standard deviations, shape (M,)."""
-        result = copy.copy(self)
-        result._weigh(sigma)
+        if not same or error.payload != before.payload:
+            return cls(blocks, sigma)
+        pairs, table = zip(blocks, last._blocks, strict=True), _stacked(blocks, sigma)
+        moved = any(block.term is not other.term for block, other in pairs)
+        if not moved and np.array_equal(table, last._sigma):
+            return last
+        result = copy.copy(last)
+        if moved:
+            result._refer(blocks)
+        result._weigh(table)
         return result
 
     def _chunk(self, data: Measurements, start: int) -> _Chunk:
@@ -141,29 +132,32 @@ class ManyRows:
         data = data.rows(every)
         factors = self._error.basis(data.q, data.conditions)
         factors *= self._segments.signs[self._joints]
-        cuts = np.clip(self._stops - start, 0, len(data))
-        pieces, first = [], 0
-        for block, stop in enumerate(cuts.tolist()):
-            if stop > first:
-                rows = slice(first, stop)
-                pieces.append(_Piece(block, rows, factors[rows].T.copy()))
-                first = stop
-        return _Chunk(data, every, tuple(pieces))
+        cuts = np.clip([0, *(self._stops - start)], 0, len(data)).tolist()
+        pieces = [
+            _Piece(block, slice(first, stop), factors[first:stop].T.copy())
+            for block, (first, stop) in enumerate(pairwise(cuts))
+            if stop > first
+        ]
+        return _Chunk(data, every, pieces)
 
-    def _weigh(self, sigma: Floats) -> None:
-        tables = [block.table(sigma) for block in self._blocks]
-        table = tables[0] if len(tables) == 1 else np.concatenate(tables)
-        moved = [one.reweighted(self._sigma, table) for one in self._known]
-        self._known, self._sigma = [one for one in moved if one is not None], table
+    def _weigh(self, table: Floats) -> None:
+        """Take other standard deviations, shape (N, d)."""
+        # What was linearized holds on where they are a multiple.
+        factor, known = self._sigma.min() / table.min(), self._known
+        multiple = 0.0 < factor < np.inf
+        if not multiple or not np.allclose(factor * table, self._sigma, 1e-12, 0.0):
+            known = []
+        self._known = [
+            (values, [(factor * r, factor * J) for r, J in found])
+            for values, found in known
+        ]
+        self._sigma = table
 
     def errors(self, theta: Floats) -> Sequence[Floats]:
         """Residuals of each block in their units, shape (N, d)."""
         at = self._at(theta)
-        return self._by_block(
-            lambda chunk: self._measurement.residual(
-                self._poses(chunk, at)[0], at.own, chunk.data
-            )
-        )
+        residual, poses = self._measurement.residual, self._poses
+        return self._by_block(lambda c: residual(poses(c, at)[0], at.own, c.data))
 
     def points(self, theta: Floats) -> Sequence[Floats]:
         """Tool points of each block in the measurement frame, shape (N, 3)."""
@@ -185,14 +179,16 @@ class ManyRows:
             Residual, shape (M,), and Jacobian, shape (M, p), M <= p + 1.
         """
         values = theta[np.array([block.term.index for block in self._blocks])]
-        for known in self._known:
-            if known.holds(values):
-                return known.at(values)
         scales = [parameter.scale for parameter in self._blocks[0].term.parameters]
         near = np.minimum(NEAR, 0.1 * np.array(scales))
+        for known, found in self._known:
+            steps = values - known
+            if (np.abs(steps) <= near).all():
+                pairs = zip(found, steps, strict=True)
+                return [(r + J @ step, J) for (r, J), step in pairs]
         found = self._factors(theta)
         if all(np.isfinite(r).all() for r, _ in found):
-            self._known = [_Linear(values, near, found), *self._known[:1]]
+            self._known = [(values, found), *self._known[:1]]
         return found
 
     def _factors(self, theta: Floats) -> list[tuple[Floats, Floats]]:
@@ -209,14 +205,12 @@ class ManyRows:
             weights = 1.0 / self._sigma[chunk.rows]
             aside = weights == 0.0
             J_pose, others = kept(linear.J_pose, aside), kept(others, aside)
-            found = []
+            found, link = [], at.links[0]
             for piece, moved in zip(chunk.pieces, motions, strict=True):
                 R, rows = np.zeros((size, size)), piece.rows
-                corrections = row_kernels.Corrections(self._along, piece.factors)
+                given = *moved, row_kernels.Corrections(self._along, piece.factors)
                 of_rows = J_pose[rows], others[rows], weights[rows]
-                row_kernels.triangular_factor(
-                    at.links[0], *moved, corrections, *of_rows, R
-                )
+                row_kernels.triangular_factor(link, *given, *of_rows, R)
                 found.append((piece.block, R))
             return found
 
@@ -287,12 +281,17 @@ class ManyRows:
         return result
 
 
+def _stacked(blocks: Sequence[Block], sigma: Floats) -> Floats:
+    """Standard deviations of the measurements of blocks, (M,) -> (N, d)."""
+    tables = [block.table(sigma) for block in blocks]
+    return tables[0] if len(tables) == 1 else np.concatenate(tables)
+
+
 _Motions: TypeAlias = "tuple[Floats, NDArray[np.int64]]"
 """Joint motions and the first row of each block of them, see `compiled.blocks`."""
 
 
-@dataclass(frozen=True)
-class _At:
+class _At(NamedTuple):
     """Parameter values as kernels take them.
 
     Attributes:
@@ -306,8 +305,7 @@ class _At:
     own: Floats
 
 
-@dataclass(frozen=True)
-class _Piece:
+class _Piece(NamedTuple):
     """Measurements of one block within a chunk.
 
     Attributes:
@@ -321,8 +319,7 @@ class _Piece:
     factors: Floats
 
 
-@dataclass(frozen=True)
-class _Chunk:
+class _Chunk(NamedTuple):
     """Some measurements, with what does not change between evaluations.
 
     Attributes:
@@ -333,44 +330,7 @@ class _Chunk:
 
     data: Measurements
     rows: slice
-    pieces: tuple[_Piece, ...]
-
-
-@dataclass(frozen=True)
-class _Linear:
-    """Blocks linearized about some parameter values.
-
-    Attributes:
-        values: Values of the parameters of each block, shape (S, p).
-        near: Changes of each within which blocks are linear, shape (p,).
-        factors: Residual and Jacobian of each block, shapes (M,) and (M, p).
-    """
-
-    values: Floats
-    near: Floats
-    factors: Sequence[tuple[Floats, Floats]]
-
-    def holds(self, values: Floats) -> bool:
-        """Whether it holds at other values, shape (S, p)."""
-        return bool((np.abs(values - self.values) <= self.near).all())
-
-    def at(self, values: Floats) -> Sequence[tuple[Floats, Floats]]:
-        """Residual and Jacobian of each block at other values, shape (S, p)."""
-        steps = values - self.values
-        if not steps.any():
-            return self.factors
-        pairs = zip(self.factors, steps, strict=True)
-        return [(r + J @ step, J) for (r, J), step in pairs]
-
-    def reweighted(self, before: Floats, after: Floats) -> _Linear | None:
-        """The same in other standard deviations; None where these are no multiples."""
-        factor = before.min() / after.min()
-        if not 0.0 < factor < np.inf:
-            return None
-        if not np.allclose(factor * after, before, 1e-12, 0.0):
-            return None
-        moved = [(factor * r, factor * J) for r, J in self.factors]
-        return replace(self, factors=moved)
+    pieces: list[_Piece]
 
 
 def _pose(link: Floats) -> Floats:
@@ -406,8 +366,6 @@ class Segments:
     @staticmethod
     def of(model: ErrorModel) -> Segments:
         """The segments of an error model without bends, see `compilable`."""
-        if len(flexures(model)):
-            raise ValueError("a segment cannot bend row by row")
         constants: list[pin.SE3] = []
         screws: list[Screw] = []
         order: list[int] = []

@@ -23,12 +23,11 @@ from calib_pin.estimation.problem import (
     station_kinds,
 )
 from calib_pin.estimation.registration import registered
-from calib_pin.estimation.solve import least_squares
-from calib_pin.estimation.tool_poses import Configured, ToolPoses
+from calib_pin.estimation.solve import Solution, least_squares
+from calib_pin.estimation.terms import Configured, ToolPoses
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.observations import BlockKey
 from calib_pin.parameterizations.linearization import PoseLinearization
-from calib_pin.solvers import LeastSquaresResult
 
 EXPLAINED = 1e-6
 """Part of a change of scale that rounding leaves where parameters express it."""
@@ -50,7 +49,7 @@ The tip of an arm of a meter is then off by a centimeter.
 
 
 @serial_blas
-def register(problem: Problem, theta: Floats) -> tuple[Problem, LeastSquaresResult]:
+def register(problem: Problem, theta: Floats) -> tuple[Problem, Solution]:
     """Fit only base, tool and instrument; the robot keeps its values.
 
     Args:
@@ -97,11 +96,9 @@ def analyze_structure(
             allowed=f"at most {MOST}; a shorter chain (--base, --tip)",
         )
     for key in keys:
-        term = problem.terms[key]
         # Each quantity alone may have to show its structure.
-        least = min(
-            q.columns.stop - q.columns.start for q in term.measurement.quantities
-        )
+        quantities = problem.terms[key].measurement.quantities
+        least = min(q.columns.stop - q.columns.start for q in quantities)
         enough = -(-3 * parameters // (blocks * least))
         count = max(-(-LEAST // blocks), FEWEST, enough)
         at.append(observable_configurations(problem, key, theta, count, rng))
@@ -147,12 +144,11 @@ def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Configured]) -> Fl
         theta: Parameter values, shape (P,).
         at: Configurations of blocks.
     """
-    rows = [
-        problem.jacobian(theta, some, sigma_at(problem, some.key, len(some.q)))
-        for some in at
-    ]
-    flat = [J.reshape(-1, len(theta)) for J in rows]
-    return np.concatenate([*flat, problem.further.jacobian(theta)])
+    rows = []
+    for some in at:
+        sigma = sigma_at(problem, some.key, len(some.q))
+        rows.append(problem.jacobian(theta, some, sigma).reshape(-1, len(theta)))
+    return np.concatenate([*rows, problem.further.jacobian(theta)])
 
 
 def scale_deviation(
@@ -184,10 +180,8 @@ def scale_deviation(
     frames = 6 * len(ends)
     for some in at:
         term = problem.terms[some.key]
-        own = term.of_chain(some)
-        basis = term.error.basis(own.q, own.conditions)
         of_robot = term.values(theta)[0]
-        poses = term.error.linearize(own.q, of_robot, basis)
+        poses = ToolPoses(term.error, term.of_chain(some)).linearize(of_robot).poses
         count = len(poses.T)
         by_error = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
         by_own = np.zeros((6 * count, len(term.index)))

@@ -99,17 +99,15 @@ class _Part:
         signs = -segments.signs if batch.inward else segments.signs
         revolute = segments.revolute[forward]
 
-        def moving(
-            q: Floats, held: Conditions
-        ) -> tuple[Floats, NDArray[np.int64], Floats]:
+        def move(q: Floats, at: Conditions) -> tuple[Floats, NDArray[np.int64], Floats]:
             motion, starts = motions((q * signs)[:, forward], revolute)
-            factors = error.basis(q, held) * signs[joints]
+            factors = error.basis(q, at) * signs[joints]
             return motion, starts, factors.T.copy()
 
-        motion, starts, factors = moving(block.data.q[batch.rows], conditions)
+        motion, starts, factors = move(block.data.q[batch.rows], conditions)
         begin, begin_factors = motion[:0], factors[:, :0]
         if start.size:
-            begin, _, begin_factors = moving(start[batch.rows], conditions.at_start)
+            begin, _, begin_factors = move(start[batch.rows], conditions.at_start)
         places = np.arange(len(revolute))[forward]
         self._rows = kernels.Rows(
             starts=starts,
@@ -133,15 +131,8 @@ class _Part:
         found, result = self._batch.geometry(instrument), np.empty(len(instrument))
         if self._batch.inward:
             chains = _inverted(chains)
-        kernels.population_costs(
-            self._comparison,
-            chains,
-            amounts,
-            found.points,
-            found.sites,
-            self._rows,
-            result,
-        )
+        of_members = chains, amounts, found.points, found.sites
+        kernels.population_costs(self._comparison, *of_members, self._rows, result)
         return result
 
 

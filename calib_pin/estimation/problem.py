@@ -11,20 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import stated_in
-from calib_pin.estimation.elimination import (
+from calib_pin.estimation.evaluators import (
+    Evaluator,
+    Evaluators,
+    RowByRow,
+    Rows,
     Station,
     eliminate,
+    evaluators,
     reduced,
-    station_parameters,
-)
-from calib_pin.estimation.evaluators import (
-    Evaluated,
-    Evaluator,
-    RowByRow,
-    evaluated,
 )
 from calib_pin.estimation.layout import Layout
-from calib_pin.estimation.row_blocks import Expected, Further, KnownDistances, Priors
+from calib_pin.estimation.row_blocks import Further, KnownDistances, Priors
 from calib_pin.estimation.terms import Block, Term, Terms
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Measurements, Observations
@@ -41,6 +39,10 @@ EXACT = 1e-6
 """Scatter, in standard deviations, below which measurements differ by rounding alone.
 """
 
+WORTHWHILE = 60
+"""Parameters of single stations from which they are eliminated: as many as a robot has.
+
+With fewer, all together cost less, and every rank is that of all."""
 
 ALIKE = 2
 """Stations of a kind that show what very many do; others only add frames."""
@@ -63,8 +65,7 @@ class Shared:
         keys: The blocks that there are terms of.
         layout: Measurement and quantity of each residual component.
         given_sigma: Standard deviations that are stated or assumed, shape (M,).
-        evaluated: The last evaluators: of which terms, with which standard deviations,
-            whether of very many measurements, with the positions of their blocks.
+        evaluators: The last evaluators.
     """
 
     data: Observations
@@ -72,13 +73,18 @@ class Shared:
     keys: tuple[BlockKey, ...]
     layout: Layout | None = None
     given_sigma: Floats | None = None
-    evaluated: Evaluated | None = None
+    evaluators: Evaluators = field(default_factory=dict)
 
     def holds(self, problem: Problem) -> bool:
         """Whether a problem differs in weights, references and priors alone."""
         if problem.setup is not self.setup or tuple(problem.terms) != self.keys:
             return False
-        return problem.data is self.data or same_but_weights(problem.data, self.data)
+        names = [item.name for item in fields(Measurements) if item.name != "weight"]
+        ours, theirs = self.data.blocks, problem.data.blocks
+        if len(ours) != len(theirs):
+            return False
+        pairs = zip(ours, theirs, strict=True)
+        return all(getattr(a, n) is getattr(b, n) for a, b in pairs for n in names)
 
 
 @dataclass(frozen=True)
@@ -109,7 +115,7 @@ class Problem(Terms):
     units: Floats = field(default_factory=lambda: np.zeros(0))
     _known: Shared | None = field(default=None, repr=False, compare=False)
     held_at: Mapping[int, float] = field(default_factory=dict)
-    expected: Expected | None = None
+    expected: Priors | None = None
 
     def __post_init__(self) -> None:
         """Share what the problem knows that this one was made from, if it can."""
@@ -177,13 +183,13 @@ class Problem(Terms):
     @cached_property
     def parameters(self) -> ParameterSet:
         """Stations, robot, tools and instruments as the setup has them."""
-        with stated_in(self.setup.file):
-            return (
-                self.given.with_fixed(self.setup.fixed)
-                .with_bounds(self.setup.bounds)
-                .with_priors(self._deviations)
-                .without(self.held_at)
-            )
+        setup, priors = self.setup, self.setup.prior
+        if isinstance(priors, JointPrior):
+            names = [p.name for p in self.given if not p.nuisance]
+            priors = dict(priors.deviations(names))
+        with stated_in(setup.file):
+            stated = self.given.with_fixed(setup.fixed).with_bounds(setup.bounds)
+            return stated.with_priors(priors).without(self.held_at)
 
     @cached_property
     def further(self) -> Further:
@@ -238,12 +244,13 @@ class Problem(Terms):
         found = self.factorize(theta)
         if not self.own_of_stations:
             return self._with_further(theta, *self._stacked(found))
-        left, stations = [], []
-        for name, blocks in self._by_station.items():
-            rows = [(self.blocks[k].term.index, *found[k]) for k in blocks]
-            station, rest = eliminate(self.own_of_stations[name], rows)
-            stations.append(station)
-            left.append(rest)
+        rows: dict[str, list[Rows]] = {}
+        for block, of_block in zip(self.blocks, found, strict=True):
+            station = block.term.frames.station
+            rows.setdefault(station, []).append((block.term.index, *of_block))
+        own = self.own_of_stations
+        done = [eliminate(own[station], those) for station, those in rows.items()]
+        stations, left = zip(*done, strict=True)
         self._eliminated.clear()
         self._eliminated[theta.tobytes()] = stations
         return self._with_further(theta, *reduced(left, len(theta)))
@@ -252,9 +259,7 @@ class Problem(Terms):
         """The same with a row for every measured value, however many there are."""
         if not self.many:
             return self.linearize(theta)
-        rows = [
-            RowByRow(block, self.sigma).factorize(theta)[0] for block in self.blocks
-        ]
+        rows = [RowByRow(b, self.sigma).factorize(theta)[0] for b in self.blocks]
         return self._with_further(theta, *self._stacked(rows))
 
     def stations(self, theta: Floats) -> Sequence[Station]:
@@ -263,41 +268,46 @@ class Problem(Terms):
         Args:
             theta: Parameter values, shape (P,).
         """
-        if not self.own_of_stations:
-            return ()
-        known: dict[bytes, Sequence[Station]] = self._eliminated
-        if theta.tobytes() not in known:
+        if self.own_of_stations and theta.tobytes() not in self._eliminated:
             self.linearize(theta)
-        return known[theta.tobytes()]
+        return self._eliminated.get(theta.tobytes(), ())
 
     @cached_property
     def own_of_stations(self) -> Mapping[str, NDArray[np.intp]]:
-        """Parameters that are eliminated, by the station that alone has them."""
+        """Parameters that only one station has and nothing else knows, by station.
+
+        They are eliminated; empty where they are few.
+        """
         if not self._large:
             return {}
+        parameters = self.parameters
+        loose = parameters.free & parameters.nuisance
+        loose &= ~np.isfinite([*parameters.bounds, parameters.priors]).any(axis=0)
+        columns = self.further.distances.columns
+        loose[columns[columns >= 0]] = False
         indices: dict[str, list[NDArray[np.intp]]] = {}
         for term in self.terms.values():
             indices.setdefault(term.frames.station, []).append(term.index)
-        parameters = self.parameters
-        tied = np.isfinite([*parameters.bounds, parameters.priors]).any(axis=0)
-        tied |= ~parameters.free | ~parameters.nuisance
-        columns = self.further.distances.columns
-        tied[columns[columns >= 0]] = True
-        return station_parameters(indices, ~tied)
+        of = {name: np.unique(np.concatenate(parts)) for name, parts in indices.items()}
+        counts = np.bincount(np.concatenate([*of.values()]), minlength=len(loose))
+        alone = loose & (counts == 1)
+        if len(of) == 1 or alone.sum() < WORTHWHILE:
+            return {}
+        return {name: own[alone[own]] for name, own in of.items()}
 
     @property
     def many(self) -> bool:
         """Whether `linearize` returns a smaller system in place of the rows."""
-        reduces = any(one.reduces for one in self._evaluators)
+        reduces = any(one.reduces for one in self._evaluators.values())
         return reduces or bool(self.own_of_stations)
 
     @cached_property
-    def _evaluators(self) -> Mapping[Evaluator, Sequence[int]]:
-        """Residuals and derivatives of blocks, with the positions of these."""
-        last = self._shared.evaluated
-        found = evaluated(self.terms, self.blocks, self.sigma, self._large, last)
-        self._shared.evaluated = found
-        return found.evaluators
+    def _evaluators(self) -> Evaluators:
+        """Residuals and derivatives of blocks, by the positions of these."""
+        shared = self._shared
+        last, many = shared.evaluators, self._large
+        shared.evaluators = evaluators(self.blocks, self.sigma, many, last)
+        return shared.evaluators
 
     @cached_property
     def _large(self) -> bool:
@@ -311,31 +321,13 @@ class Problem(Terms):
     @cached_property
     def _priors(self) -> Priors:
         prior, parameters = self.setup.prior, self.parameters
-        if isinstance(prior, JointPrior):
-            together = Priors.together(prior, parameters)
-            # What robots have says nothing of how an instrument drifts.
-            own = np.where(parameters.nuisance, parameters.priors, np.inf)
-            alone = Priors.alone(np.where(parameters.free, own, np.inf))
-            return Priors(np.vstack([together.rows, alone.rows]), together.mean)
-        return Priors.alone(np.where(parameters.free, parameters.priors, np.inf))
-
-    @property
-    def _deviations(self) -> Mapping[str, float]:
-        """Standard deviations of priors by name or glob."""
-        prior = self.setup.prior
-        if isinstance(prior, JointPrior):
-            return dict(
-                prior.deviations([p.name for p in self.given if not p.nuisance])
-            )
-        return prior
-
-    @cached_property
-    def _by_station(self) -> Mapping[str, Sequence[int]]:
-        """Positions of the blocks of every station."""
-        found: dict[str, list[int]] = {}
-        for k, block in enumerate(self.blocks):
-            found.setdefault(block.term.frames.station, []).append(k)
-        return found
+        alone = np.where(parameters.free, parameters.priors, np.inf)
+        if not isinstance(prior, JointPrior):
+            return Priors.alone(alone)
+        # What robots have says nothing of how an instrument drifts.
+        own = Priors.alone(np.where(parameters.nuisance, alone, np.inf))
+        together = Priors.together(prior, parameters)
+        return Priors(np.vstack([together.rows, own.rows]), together.mean)
 
     def _by_block(
         self, evaluate: Callable[[Evaluator], Iterable[_Found]]
@@ -343,7 +335,7 @@ class Problem(Terms):
         """Values by the evaluators, block after block."""
         found = {
             k: value
-            for one, positions in self._evaluators.items()
+            for positions, one in self._evaluators.items()
             for k, value in zip(positions, evaluate(one), strict=True)
         }
         return [found[k] for k in range(len(found))]
@@ -367,13 +359,11 @@ class Problem(Terms):
         return np.concatenate([r, residual]), np.concatenate([J, jacobian])
 
 
-def same_but_weights(data: Observations, other: Observations) -> bool:
-    """Whether observations share all of their arrays but the weights."""
-    if len(data.blocks) != len(other.blocks):
-        return False
-    names = [field.name for field in fields(Measurements) if field.name != "weight"]
-    pairs = zip(data.blocks, other.blocks, strict=True)
-    return all(getattr(a, n) is getattr(b, n) for a, b in pairs for n in names)
+def current_units(problem: Problem) -> Floats:
+    """Standard deviation of unit weight of every quantity, shape (K,)."""
+    return (
+        problem.units if len(problem.units) else np.ones(len(problem.layout.components))
+    )
 
 
 def measured_count(problem: Problem) -> int:
@@ -389,7 +379,7 @@ def known_count(problem: Problem) -> int:
 
 def evaluator(problem: Problem) -> str:
     """Name of the way in which measurements are evaluated."""
-    plain = all(isinstance(one, RowByRow) for one in problem._evaluators)
+    plain = all(isinstance(one, RowByRow) for one in problem._evaluators.values())
     return "pinocchio" if plain else "kernel"
 
 
@@ -424,15 +414,9 @@ def error_table(problem: Problem, theta: Floats) -> Floats:
 
 def assumed_sigma(term: Term, setup: Setup) -> Floats:
     """Standard deviations of the components of measurements that state none, (d,)."""
-    return np.concatenate(
-        [
-            np.full(
-                quantity.columns.stop - quantity.columns.start,
-                setup.noise.get(quantity.name, quantity.sigma),
-            )
-            for quantity in term.measurement.quantities
-        ]
-    )
+    quantities = term.measurement.quantities
+    widths = [q.columns.stop - q.columns.start for q in quantities]
+    return np.repeat([setup.noise.get(q.name, q.sigma) for q in quantities], widths)
 
 
 def sigma_at(problem: Problem, key: BlockKey, count: int) -> Floats:
@@ -444,10 +428,8 @@ def sigma_at(problem: Problem, key: BlockKey, count: int) -> Floats:
         count: Number of measurements.
     """
     term = problem.terms[key]
-    sigma = assumed_sigma(term, problem.setup)
-    if len(problem.units):
-        sigma = sigma * problem.units[problem.layout.of_keys[key]]
-    return np.tile(sigma, (count, 1))
+    units = current_units(problem)[problem.layout.of_keys[key]]
+    return np.tile(assumed_sigma(term, problem.setup) * units, (count, 1))
 
 
 def station_kinds(problem: Problem) -> Mapping[frozenset[BlockKey], Sequence[str]]:
@@ -466,11 +448,8 @@ def representative(problem: Problem) -> list[BlockKey]:
     keys = list(problem.terms)
     if not problem.own_of_stations:
         return keys
-    shown = {
-        station
-        for alike in station_kinds(problem).values()
-        for station in alike[:ALIKE]
-    }
+    kinds = station_kinds(problem).values()
+    shown = {station for alike in kinds for station in alike[:ALIKE]}
     return [key for key in keys if problem.terms[key].frames.station in shown]
 
 

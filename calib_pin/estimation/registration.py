@@ -22,12 +22,7 @@ from calib_pin.estimation.terms import (
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.references import ReferenceObject
-from calib_pin.observations import (
-    BlockKey,
-    Measurements,
-    Observations,
-    trusted,
-)
+from calib_pin.observations import BlockKey, Measurements, Observations, trusted
 from calib_pin.parameterizations import frame_pose, frame_screws
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import WORLD, FrameSetup, Setup
@@ -73,14 +68,10 @@ class Located:
     def state(self, parameters: ParameterSet, term: Term) -> None:
         """Take over the frames of a term that a setup states."""
         frames, ends = term.frames, (term.index[:FRAME], term.of_error[-FRAME:])
-        base, tool = (
-            _given(parameters, frame, own)
-            for frame, own in zip((frames.base, frames.end), ends, strict=True)
-        )
-        if base is not None:
-            self.bases[frames.station] = base
-        if tool is not None:
-            self.tools[frames.tool] = tool
+        if (base := _given(parameters, frames.base, ends[0])) is not None:
+            self.bases.setdefault(frames.station, base)
+        if (tool := _given(parameters, frames.end, ends[1])) is not None:
+            self.tools.setdefault(frames.tool, tool)
 
     def register(self, block: Block, theta: Floats) -> Term:
         """Register the part of a block, and remember what that has located."""
@@ -113,26 +104,13 @@ class Located:
     def placed(self, terms: list[Term]) -> dict[BlockKey, Term]:
         """Terms about all that has been located."""
         identity = pin.SE3.Identity()
-        moved = [
-            replace(
-                term,
-                error=term.error.with_frames(
-                    self.bases.get(term.frames.station, identity),
-                    self.tools.get(term.frames.tool, identity) * term.frames.offset,
-                ),
-            )
-            for term in terms
-        ]
-        return {
-            term.key: term for term in with_shared_references(moved, self.references)
-        }
-
-    def knows(self, block: Block) -> bool:
-        """Whether targets that stand still tell where a station is."""
-        return all(
-            block.term.frames.place(reference) in self.references
-            for reference in block.term.measurement.references
-        )
+        moved = []
+        for term in terms:
+            base = self.bases.get(term.frames.station, identity)
+            tool = self.tools.get(term.frames.tool, identity) * term.frames.offset
+            moved.append(replace(term, error=term.error.with_frames(base, tool)))
+        placed = with_shared_references(moved, self.references)
+        return {term.key: term for term in placed}
 
 
 def relocated(problem: Problem, theta: Floats, station: str) -> Problem:
@@ -163,15 +141,14 @@ def _in_turn(blocks: Sequence[Block], found: Located) -> Iterator[Block]:
     left = list(blocks)
 
     def turn(block: Block) -> tuple[bool, bool, bool, bool]:
-        station = block.term.frames.station in found.bases
+        frames, measurement = block.term.frames, block.term.measurement
         still = block.term.key.chain == WORLD
-        external = block.term.measurement.declaration.external
-        return (
-            still and not station and not found.knows(block),
-            still and not station,
-            still or not external,
-            not block.term.measurement.sees_tool,
-        )
+        lost = still and frames.station not in found.bases
+        # Targets that stand still may tell where the station is.
+        places = map(frames.place, measurement.references)
+        blind = lost and any(place not in found.references for place in places)
+        external = measurement.declaration.external
+        return blind, lost, still or not external, not measurement.sees_tool
 
     while left:
         # Blocks hold arrays, which are not compared.
@@ -273,16 +250,13 @@ def _with_stations(
     every = {**terms}
     for block in new:
         every[block.key] = _elsewhere(terms, block, problem.setup)
-    there, values = _of_parts(
-        replace(problem, data=Observations(tuple(new))), every, theta
-    )
+    there = replace(problem, data=Observations(tuple(new)))
+    there, values = _of_parts(there, every, theta)
     found = Located()
     for key in terms:
         found.keep(there.terms[key], values)
     for term, _, _, _ in there.blocks:
-        base = _given(there.parameters, term.frames.base, term.index[:FRAME])
-        if base is not None:
-            found.bases.setdefault(term.frames.station, base)
+        found.state(there.parameters, term)
     own = [found.register(block, values) for block in _in_turn(there.blocks, found)]
     placed = found.placed(own)
     if len(problem.units):
@@ -296,33 +270,24 @@ def _elsewhere(
 ) -> Term:
     """The part of measurements from another station than any that was fitted."""
     key = block.key
-    fitted = [
-        term
-        for other, term in terms.items()
-        if other._replace(station="") == key._replace(station="")
-    ]
-    if not fitted:
-        named = zip(
-            ("model", "chain", "tool"), (key.model, key.chain, key.tool), strict=True
-        )
-        told = ", ".join(f"{what} '{name}'" for what, name in named if name)
+    fitted = reversed([*terms.items()])
+    alike = {other._replace(station=""): term for other, term in fitted}
+    term = alike.get(key._replace(station=""))
+    if term is None:
+        named = {"model": key.model, "chain": key.chain, "tool": key.tool}
+        told = ", ".join(f"{what} '{name}'" for what, name in named.items() if name)
         raise block.error(0, f"nothing of this kind was fitted: {told}")
-    term, owner = fitted[0], key.station or "elsewhere"
+    owner = key.station or "elsewhere"
     base = setup.stations.get(key.station, FrameSetup())
-    free = term.measurement.declaration.external
-    if base.estimate is not None:
-        free = base.estimate
+    free = base.estimate
+    if free is None:
+        free = term.measurement.declaration.external
     screws = *frame_screws("base", 0, free=free), *term.error.screws[FRAME:]
-    frames = replace(
-        term.frames, station=f"{owner}.station", base=base, outer=f"{owner}/"
-    )
-    return replace(
-        term,
-        key=key,
-        frames=frames,
-        error=replace(term.error, screws=screws),
-        measurement=measurement_model(key.model, setup, block.target.distinct),
-    )
+    station, outer = f"{owner}.station", f"{owner}/"
+    frames = replace(term.frames, station=station, base=base, outer=outer)
+    error = replace(term.error, screws=screws)
+    measurement = measurement_model(key.model, setup, block.target.distinct)
+    return replace(term, key=key, frames=frames, error=error, measurement=measurement)
 
 
 def _of_parts(

@@ -68,8 +68,8 @@ def robot_rows(
     basis[robot] = Vt[shown].T
     half = np.linalg.cholesky(_noise(problem, theta, components, basis, U))
     of_values = U[: len(problem.layout.row)].T
-    told = (np.linalg.solve(half, part) for part in (rows, values, of_values))
-    return RobotRows(robot, *told)
+    whitened = (np.linalg.solve(half, part) for part in (rows, values, of_values))
+    return RobotRows(robot, *whitened)
 
 
 def _noise(

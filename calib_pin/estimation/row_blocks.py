@@ -29,38 +29,6 @@ from calib_pin.setup import DistanceSetup, JointPrior
 
 
 @dataclass(frozen=True)
-class Expected:
-    """A normal prior about zero on directions of the robot's errors.
-
-    Attributes:
-        directions: Of the parameters divided by their scale, shape (P, k).
-        sizes: Standard deviation of every parameter, in scales, shape (P,).
-        scales: Scales of the parameters, shape (P,).
-    """
-
-    directions: Floats
-    sizes: Floats
-    scales: Floats
-
-    def __len__(self) -> int:
-        """Number p of rows, at most k."""
-        return len(self._rows)
-
-    def residual(self, theta: Floats) -> Floats:
-        """Independent sums in standard deviations, (..., P) -> (..., p)."""
-        return np.asarray(theta @ self._rows.T)
-
-    def jacobian(self, theta: Floats) -> Floats:
-        """Their derivative, shape (p, P)."""
-        return self._rows
-
-    @cached_property
-    def _rows(self) -> Floats:
-        root = inverse_root(self.sizes[:, None] * self.directions)
-        return np.asarray(root.T @ self.directions.T / self.scales)
-
-
-@dataclass(frozen=True)
 class Priors:
     """A normal prior on parameters, on each alone or on several together.
 
@@ -82,6 +50,22 @@ class Priors:
         """
         known = np.isfinite(sigma)
         return Priors(np.diag(1.0 / sigma)[known], np.zeros(len(sigma)))
+
+    @staticmethod
+    def expected(
+        directions: Floats, sizes: Floats, scales: Floats, places: Floats
+    ) -> Priors:
+        """A prior about zero on directions of the robot's errors.
+
+        Args:
+            directions: Of the parameters divided by their scale, shape (P, k).
+            sizes: Standard deviation of every parameter, in scales, shape (P,).
+            scales: Scales of the parameters, shape (P,).
+            places: Errors by independent ones of these sizes, in scales, see
+                `places`, shape (P, P).
+        """
+        root = inverse_root(sizes[:, None] * (places.T @ directions))
+        return Priors(root.T @ directions.T / scales, np.zeros(len(scales)))
 
     @staticmethod
     def together(prior: JointPrior, parameters: ParameterSet) -> Priors:
@@ -128,7 +112,7 @@ class Further:
     """
 
     distances: KnownDistances
-    expected: Expected | None
+    expected: Priors | None
     priors: Priors
 
     def __len__(self) -> int:
@@ -144,7 +128,7 @@ class Further:
         return np.concatenate([kind.jacobian(theta) for kind in self._kinds])
 
     @cached_property
-    def _kinds(self) -> Sequence[KnownDistances | Expected | Priors]:
+    def _kinds(self) -> Sequence[KnownDistances | Priors]:
         expected = () if self.expected is None else (self.expected,)
         return self.distances, *expected, self.priors
 
@@ -210,18 +194,20 @@ class KnownDistances:
 
     def residual(self, theta: Floats) -> Floats:
         """Whitened residuals, predicted minus known, (..., P) -> (..., D)."""
-        return np.asarray((self.lengths(theta) - self._values) / self._sigma)
+        numbers = np.array([(known.value, known.sigma) for known in self.stated])
+        values, sigma = numbers.reshape(-1, 2).T
+        return np.asarray((self.lengths(theta) - values) / sigma)
 
     def jacobian(self, theta: Floats) -> Floats:
         """Derivative of the whitened residuals by the parameters, shape (D, P)."""
         result = np.zeros((len(self), len(theta)))
         for k, own in enumerate(self._values_of(theta)):
-            slopes = self._compared(k, own)[1:]
-            for end in range(2):
-                columns, reference = self.columns[k, end], self.ends[k][end]
+            _, *slopes = self._compared(k, own)
+            for end, reference in enumerate(self.ends[k]):
+                columns = self.columns[k, end]
                 if columns[0] >= 0:
                     by_values = slopes[end] @ _slope(reference, own[end])
-                    result[k, columns] = by_values / self._sigma[k]
+                    result[k, columns] = by_values / self.stated[k].sigma
         return result
 
     def with_parallels(self, theta: Floats) -> Floats:
@@ -234,12 +220,11 @@ class KnownDistances:
             OptionError: If planes are not nearly parallel.
         """
         result = theta.copy()
-        for known, (one, other), columns in zip(
-            self.stated, self.ends, self.columns, strict=True
-        ):
-            if not (isinstance(one, Plane) and isinstance(other, Plane)):
-                continue
+        for k, (one, other) in enumerate(self.ends):
+            known, columns = self.stated[k], self.columns[k]
             if known.unit == "rad" or columns.min() < 0:
+                continue
+            if not (isinstance(one, Plane) and isinstance(other, Plane)):
                 continue
             a, b = one.turned(result[columns[0]])[0], other.turned(result[columns[1]])
             angle = float(np.arccos(min(abs(float(a @ b[0])), 1.0)))
@@ -253,14 +238,6 @@ class KnownDistances:
             normal, height = np.sign(a @ b[0]) * a, float(b[0] @ at + b[1])
             result[columns[1]] = other.towards(normal, at, height)
         return result
-
-    @cached_property
-    def _values(self) -> Floats:
-        return np.array([known.value for known in self.stated])
-
-    @cached_property
-    def _sigma(self) -> Floats:
-        return np.array([known.sigma for known in self.stated])
 
     def _values_of(self, theta: Floats) -> Iterator[Floats]:
         """Parameters of both ends of each, shape (2, ..., 3)."""

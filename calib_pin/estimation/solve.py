@@ -8,14 +8,13 @@ the compiled kernels, and needs no derivative.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from calib_pin.errors import require_known, stated_in
 from calib_pin.estimation.directions import Directions
-from calib_pin.estimation.elimination import completed
+from calib_pin.estimation.evaluators import completed
 from calib_pin.estimation.problem import SAMPLE, Problem, evaluator, known_count
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import states_sigmas
@@ -62,19 +61,24 @@ NEGLIGIBLE = 0.01
 
 
 @dataclass(frozen=True)
-class Solution:
+class Solution(LeastSquaresResult):
     """A solution, and how it was found.
 
     Attributes:
-        result: The solution, with the steps and evaluations of all stages.
         evaluator: Evaluator of the rows: `pinocchio`, the compiled `kernel`, or for
             an evolution the `loop` over members where there is no kernel.
         evolution: The evolution, if there was one.
     """
 
-    result: LeastSquaresResult
-    evaluator: str
+    evaluator: str = "pinocchio"
     evolution: EvolutionResult | None = None
+
+    def after(self, last: Solution) -> Solution:
+        """The solution with the steps of the one it started from, and its search."""
+        searched = self if self.evolution or not last.evolution else last
+        way, evolution = searched.evaluator, searched.evolution
+        found = replace(self, evaluator=way, evolution=evolution)
+        return replace(found, nit=self.nit + last.nit, nfev=self.nfev + last.nfev)
 
 
 class Solver:
@@ -130,30 +134,19 @@ class Solver:
         if self.name == "two-step":
             # Base, tool and instrument alternate with the robot until they agree.
             scales = problem.parameters.scales[:, None]
-            result = alternation(
-                problem.linearize,
-                problem.cost,
-                start,
-                scales * directions.nuisances,
-                scales * directions.robot,
-            )
-            return Solution(result, evaluator(problem))
+            first, second = scales * directions.nuisances, scales * directions.robot
+            evaluate = problem.linearize, problem.cost
+            result = alternation(*evaluate, start, first, second)
+            return Solution(**vars(result), evaluator=evaluator(problem))
         searches = self.searches and directions.count > 0
         if self.name == "de" and searches:
             return self._evolve(problem, directions, nominal, start)
         # What other directions have led to needs no search again.
         if not searches or previous is not None:
             return descend(problem, directions, start)
-        basis = problem.parameters.scales[:, None] * directions.basis
         few = replace(problem, data=problem.data.sample(ROWS))
         found = self._evolve(few, directions, nominal, start)
-        result = least_squares(problem, found.result.x, basis)
-        result = replace(
-            result,
-            nit=result.nit + found.result.nit,
-            nfev=result.nfev + found.result.nfev,
-        )
-        return replace(found, result=result)
+        return descend(problem, directions, found.x).after(found)
 
     def _evolve(
         self, problem: Problem, directions: Directions, nominal: Floats, start: Floats
@@ -175,30 +168,22 @@ class Solver:
                 self._progress(done / self._options.budget)
             return costs(nominal + members @ basis.T)
 
-        found = differential_evolution(
-            evaluate,
-            bounds,
-            self.rng,
-            self._options,
-            x0=np.clip(first, *bounds.T),
-        )
+        x0 = np.clip(first, *bounds.T)
+        found = differential_evolution(evaluate, bounds, self.rng, self._options, x0=x0)
         x = nominal + basis @ found.x
         fun, jac = problem.linearize(x)
         status = _judged(problem, found, fun, jac @ basis)
-        result = LeastSquaresResult(
-            x, fun, jac, found.fun, found.nit, found.nfev, status
-        )
-        return Solution(result, costs.evaluator, found)
+        cost, nit, nfev = found.fun, found.nit, found.nfev
+        return Solution(x, fun, jac, cost, nit, nfev, status, costs.evaluator, found)
 
 
 def descend(problem: Problem, directions: Directions, start: Floats) -> Solution:
     """Gauss-Newton in some directions from a start, shape (P,)."""
     basis = problem.parameters.scales[:, None] * directions.basis
-    result = least_squares(problem, start, basis)
-    return Solution(result, evaluator(problem))
+    return least_squares(problem, start, basis)
 
 
-def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquaresResult:
+def least_squares(problem: Problem, start: Floats, basis: Floats) -> Solution:
     """Gauss-Newton from a start; very many measurements begin with a sample of them.
 
     Args:
@@ -209,9 +194,7 @@ def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquare
     if problem.many and len(problem.data) > 2 * SAMPLE * len(problem.blocks):
         # The sample is done in no time and ends a step from the solution.
         few = replace(problem, data=problem.data.sample(SAMPLE))
-        start = gauss_newton(
-            few.linearize, few.cost, start, basis, complete=_completing(few)
-        ).x
+        start = refine(few, start, basis).x
     return refine(problem, start, basis)
 
 
@@ -221,7 +204,7 @@ def refine(
     basis: Floats,
     tolerance: float = EXACT,
     most: int = 100,
-) -> LeastSquaresResult:
+) -> Solution:
     """Gauss-Newton from a start that is close; the arguments as in `least_squares`.
 
     Args:
@@ -231,7 +214,7 @@ def refine(
         tolerance: Part of the cost that a step must promise.
         most: Most steps.
     """
-    return gauss_newton(
+    result = gauss_newton(
         problem.linearize,
         problem.cost,
         start,
@@ -240,13 +223,10 @@ def refine(
         worthwhile=INVISIBLE / max(known_count(problem), 1),
         max_iterations=most,
         spare=problem.many,
-        complete=_completing(problem),
+        # What was eliminated completes a step from where it was.
+        complete=lambda theta, step: completed(problem.stations(theta), step),
     )
-
-
-def _completing(problem: Problem) -> Callable[[Floats, Floats], Floats]:
-    """Completes a step from parameter values by what was eliminated there."""
-    return lambda theta, step: completed(problem.stations(theta), step)
+    return Solution(**vars(result), evaluator=evaluator(problem))
 
 
 def _box(problem: Problem, directions: Directions, nominal: Floats) -> Floats:
@@ -259,14 +239,10 @@ def _box(problem: Problem, directions: Directions, nominal: Floats) -> Floats:
     linear = np.full(A.shape[1], np.inf)
     if np.isfinite(A).all() and np.isfinite(r).all():
         linear = np.abs(np.linalg.lstsq(A, -r, rcond=1e-9)[0])
-    count = directions.nuisances.shape[1]
-    half = np.empty(len(linear))
-    for part, (least, most) in (
-        (slice(0, count), NUISANCE_BOX),
-        (slice(count, None), ROBOT_BOX),
-    ):
-        half[part] = np.clip(MARGIN * linear[part].max(initial=0.0), least, most)
-    return np.column_stack([-half, half])
+    parts = np.split(linear, [directions.nuisances.shape[1]])
+    sizes = [MARGIN * part.max(initial=0.0) for part in parts]
+    half = np.clip(sizes, *np.transpose([NUISANCE_BOX, ROBOT_BOX]))
+    return np.repeat(half, list(map(len, parts)))[:, None] * [-1.0, 1.0]
 
 
 def _judged(problem: Problem, found: EvolutionResult, fun: Floats, A: Floats) -> Status:

@@ -14,28 +14,31 @@ on one tip. Where there is only one of them it has the base or the tool frame.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
-from calib_pin.estimation.tool_poses import (
-    Configured,
-    ToolPoses,
-    linearized_at,
-    whitened_jacobian,
-)
+from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import MeasurementModel, declared
+from calib_pin.kinematics.spatial import Floats, adjoint, invert
+from calib_pin.measurement_models import Linearization, MeasurementModel, declared
 from calib_pin.measurement_models.references import ReferenceObject
-from calib_pin.observations import BlockKey, Indices, Measurements
+from calib_pin.observations import (
+    BlockKey,
+    Conditions,
+    Indices,
+    Labels,
+    Measurements,
+    Targets,
+)
 from calib_pin.parameterizations import frame_pose
 from calib_pin.parameterizations.error_model import ErrorModel, varying
+from calib_pin.parameterizations.linearization import PoseLinearization
 from calib_pin.parameters import Parameter, ParameterSet
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 
@@ -44,9 +47,6 @@ FRAME = 6
 
 BASE, TOOL = "base.frame", "tool.frame"
 """Names of the frames without names."""
-
-Place = tuple[str, str]
-"""A station or a tool, and the link that it stands before or is mounted on."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +82,170 @@ class Frames:
 
 
 @dataclass(frozen=True)
+class Configurations:
+    """Configurations at which one block of measurements could be taken.
+
+    Attributes:
+        key: The block.
+        q: Joint positions, shape (N, n) [rad, m].
+        target: Target that the instrument measures in each.
+        conditions: What holds at each beside the joint positions.
+        start: Where relative measurements start, shape (N, n); (0, 0) for others.
+    """
+
+    key: BlockKey
+    q: Floats
+    target: Labels
+    conditions: Conditions
+    start: Floats
+
+    def rows(self, index: NDArray[Any]) -> Configurations:
+        """The configurations that a mask or an index array picks, in its order."""
+        return replace(
+            self,
+            q=self.q[index],
+            target=self.target[index],
+            conditions=self.conditions.rows(index),
+            start=self.start[index] if self.start.size else self.start,
+        )
+
+
+Configured: TypeAlias = Configurations | Measurements
+"""Configurations, also those of measurements beside their values."""
+
+
+@dataclass(frozen=True)
+class ToolLinearization:
+    """Tool poses of N configurations and their derivatives.
+
+    Attributes:
+        T: Tool poses in the measurement frame, those of relative measurements in the
+            tool at their start, shape (N, 4, 4).
+        poses: All as if they were absolute.
+        start: Where relative ones start; None for absolute ones.
+    """
+
+    T: Floats
+    poses: PoseLinearization
+    start: PoseLinearization | None
+
+    def derivative(self, J_pose: Floats) -> Floats:
+        """Derivative by the error parameters, (N, d, 6) -> (N, d, P).
+
+        Args:
+            J_pose: Derivative by the body twist of `T`.
+        """
+        result = self.poses.derivative(J_pose)
+        if self.start is not None:
+            # The twist of T_0^-1 T is that of T without that of T_0, transformed by the
+            # adjoint.
+            result -= self.start.derivative(J_pose @ adjoint(invert(self.T)))
+        return result
+
+
+class ToolPoses:
+    """Tool poses of an error model, with what does not change between evaluations.
+
+    Args:
+        error: The error model.
+        at: The configurations.
+    """
+
+    def __init__(self, error: ErrorModel, at: Configured) -> None:
+        """Prepare nothing: what does not change is computed where it is needed."""
+        self._error, self._at = error, at
+
+    def __call__(self, of_robot: Floats) -> Floats:
+        """Tool poses as in `ToolLinearization`, shape (N, 4, 4).
+
+        Args:
+            of_robot: Parameter values of the error model, shape (P,).
+        """
+        T, *start = (self._error.poses(q, of_robot, basis) for q, basis in self._ends)
+        return np.asarray(invert(start[0]) @ T) if start else T
+
+    def linearize(self, of_robot: Floats) -> ToolLinearization:
+        """The poses with their derivatives."""
+        poses, *start = (
+            self._error.linearize(q, of_robot, basis) for q, basis in self._ends
+        )
+        if not start:
+            return ToolLinearization(poses.T, poses, None)
+        return ToolLinearization(invert(start[0].T) @ poses.T, poses, start[0])
+
+    @cached_property
+    def _ends(self) -> list[tuple[Floats, Floats]]:
+        """Configurations, and of relative measurements where they start.
+
+        With the basis functions of joint corrections, which depend on commands alone.
+        """
+        at, basis = self._at, self._error.basis
+        ends = [(at.q, basis(at.q, at.conditions))]
+        if at.start.size:
+            ends.append((at.start, basis(at.start, at.conditions.at_start)))
+        return ends
+
+
+def whitened_jacobian(
+    tool: ToolLinearization, linear: Linearization, sigma: Floats
+) -> Floats:
+    """Whitened Jacobian by all parameters, shape (N, d, P).
+
+    Args:
+        tool: Tool poses.
+        linear: Linearized measurements of them.
+        sigma: Standard deviations of the residual components, shape (N, d).
+    """
+    J = tool.derivative(whitened(linear.J_pose, sigma))
+    return np.concatenate([J, whitened(linear.J_instrument, sigma)], axis=2)
+
+
+def whitened(values: Floats, sigma: Floats) -> Floats:
+    """Values of components in their standard deviations, (N, d, ...) and (N, d)."""
+    weight = 1.0 / sigma.reshape(*sigma.shape, *[1] * (values.ndim - 2))
+    return np.asarray(kept(values, np.isinf(sigma)) * weight)
+
+
+def kept(values: Floats, aside: NDArray[np.bool_]) -> Floats:
+    """Values with zeros for those that are set aside, shape (N, d, ...).
+
+    They may be so wrong that they cannot be predicted, and nothing times infinity is
+    not nothing.
+
+    Args:
+        values: The values.
+        aside: Components that are set aside, shape (N, d).
+    """
+    if not aside.any():
+        return values
+    return np.where(aside.reshape(*aside.shape, *[1] * (values.ndim - 2)), 0.0, values)
+
+
+def linearized_at(
+    chain: Chain,
+    measurement: MeasurementModel,
+    T: Floats,
+    instrument: Floats,
+    q: Floats,
+    target: Targets,
+) -> Linearization:
+    """Linearization of a measurement model where it measures what it predicts.
+
+    Args:
+        chain: The chain.
+        measurement: The measurement model.
+        T: Tool poses in the measurement frame, shape (N, 4, 4).
+        instrument: Instrument parameters, shape (K,).
+        q: Joint positions, shape (N, n) [rad, m].
+        target: Target of each measurement.
+    """
+    # Derivatives are those of residuals, so a model is told what was measured.
+    values, names = measurement.predict(T, instrument, target), Labels.of(target)
+    data = Measurements(chain.joints, q, measurement.name, values, target=names)
+    return measurement.linearize(T, instrument, data)
+
+
+@dataclass(frozen=True)
 class Term:
     """Measurements of one instrument from one station of one chain with one tool.
 
@@ -107,18 +271,17 @@ class Term:
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
         """Its parameters by the names that they have among all."""
-        own = self.error.parameters.parameters
-        ends = {0: self.frames.station, len(own) - FRAME: self.frames.tool}
-        result = list(own)
-        for start, name in ends.items():
-            for k in range(start, start + FRAME):
-                component = own[k].name.rpartition(".")[2]
-                result[k] = replace(own[k], name=f"{name}.{component}")
-        for k, screw in enumerate(self.error.screws[FRAME:-FRAME], start=FRAME):
-            if screw.frame == 0:  # Of the instrument, as the frame of its station.
-                station = self.frames.station.rpartition(".")[0]
-                rest = own[k].name.partition(".")[2]
-                result[k] = replace(own[k], name=f"{station}.{rest}")
+        station, tool = self.frames.station, self.frames.tool
+        result = list(self.error.parameters.parameters)
+        first, last = range(FRAME), range(len(result) - FRAME, len(result))
+        for k, screw in enumerate(self.error.screws):
+            name = result[k].name
+            if k in first or k in last:
+                frame = station if k in first else tool
+                name = f"{frame}.{name.rpartition('.')[2]}"
+            elif screw.frame == 0:  # Of the instrument, as the frame of its station.
+                name = f"{station.rpartition('.')[0]}.{name.partition('.')[2]}"
+            result[k] = replace(result[k], name=name)
         for reference in self.measurement.references:
             name, length = self.frames.reference(reference), len(reference.name)
             result += [
@@ -126,6 +289,22 @@ class Term:
                 for parameter in reference.parameters
             ]
         return tuple(result)
+
+    @cached_property
+    def kind(self) -> object:
+        """The same in terms which are one stream of measurements but for stations."""
+        model = self.measurement
+        if not is_dataclass(model):
+            return self.key
+        values = [getattr(model, item.name) for item in fields(model)]
+        return (
+            self.key._replace(station=""),
+            self.error.tool.homogeneous.tobytes(),
+            self.error.payload,
+            self.index[FRAME:].tobytes(),
+            type(model),
+            *(tuple(map(id, v)) if isinstance(v, tuple) else id(v) for v in values),
+        )
 
     @property
     def components(self) -> int:
@@ -171,22 +350,6 @@ class Term:
             at: Configurations of its chain.
         """
         return ToolPoses(self.error, at)(self.values(theta)[0])
-
-    def predict(self, theta: Floats, at: Configured) -> Floats:
-        """Noise-free values in the layout of `Measurements.values`, shape (N, D).
-
-        The arguments are as in `poses`.
-        """
-        instrument = self.values(theta)[1]
-        return self.measurement.predict(self.poses(theta, at), instrument, at.target)
-
-    def observable(self, theta: Floats, at: Configured) -> NDArray[np.bool_]:
-        """Whether the instrument can measure at each configuration, shape (N,).
-
-        The arguments are as in `poses`.
-        """
-        instrument = self.values(theta)[1]
-        return self.measurement.observable(self.poses(theta, at), instrument, at.target)
 
     def jacobian(self, theta: Floats, at: Configured, sigma: Floats) -> Floats:
         """Whitened Jacobian of noise-free measurements by its parameters, (N, d, p).
@@ -309,7 +472,8 @@ class Terms:
             at: Configurations of one block.
         """
         term = self.terms[at.key]
-        return term.predict(theta, term.of_chain(at))
+        T = term.poses(theta, term.of_chain(at))
+        return term.measurement.predict(T, term.values(theta)[1], at.target)
 
     def observable(self, theta: Floats, at: Configured) -> NDArray[np.bool_]:
         """Whether an instrument can measure at each configuration, shape (N,).
@@ -317,7 +481,8 @@ class Terms:
         Arguments as for `predict`.
         """
         term = self.terms[at.key]
-        return term.observable(theta, term.of_chain(at))
+        T = term.poses(theta, term.of_chain(at))
+        return term.measurement.observable(T, term.values(theta)[1], at.target)
 
     def jacobian(self, theta: Floats, at: Configured, sigma: Floats) -> Floats:
         """Whitened Jacobian of noise-free measurements of a block, shape (N, d, P).
@@ -392,12 +557,11 @@ def assembled(terms: Sequence[Term]) -> tuple[dict[BlockKey, Term], ParameterSet
                 )
     given = ParameterSet(tuple(p for group in found for p in group.values()))
     position = {name: k for k, name in enumerate(given.names)}
-    return {
-        term.key: replace(
-            term, index=np.array([position[p.name] for p in term.parameters], np.intp)
-        )
-        for term in terms
-    }, given
+    result = {}
+    for term in terms:
+        index = np.array([position[p.name] for p in term.parameters], np.intp)
+        result[term.key] = replace(term, index=index)
+    return result, given
 
 
 def with_shared_references(
@@ -420,18 +584,12 @@ def with_shared_references(
             if rank > (len(other.parameters), other.located):
                 best[key] = reference
     best |= {key: value for key, value in found.items() if key in best}
-    return [
-        replace(
-            term,
-            measurement=term.measurement.with_references(
-                [
-                    best[term.frames.place(reference)]
-                    for reference in term.measurement.references
-                ]
-            ),
-        )
-        for term in terms
-    ]
+    result = []
+    for term in terms:
+        shared = [best[term.frames.place(r)] for r in term.measurement.references]
+        measurement = term.measurement.with_references(shared)
+        result.append(replace(term, measurement=measurement))
+    return result
 
 
 def frames_of_blocks(
@@ -447,21 +605,24 @@ def frames_of_blocks(
     stations = {k: (own_name(k, keys, k.station), chains[k.chain].base) for k in keys}
     tools = {k: (own_name(k, keys, k.tool), chains[k.chain].tip) for k in keys}
     default = chains[""] if "" in chains.names else None
-    base = default.base if default else stations[keys[0]][1]
-    bases = _owners(set(stations.values()), base)
+    link = default.base if default else stations[keys[0]][1]
+    bases = _owners(set(stations.values()), link)
     ends = _owners(set(tools.values()), default.tip if default else "")
     result = {}
     for key in keys:
         station, tool = bases[stations[key]], ends[tools[key]]
-        result[key] = _on_tool(
-            Frames(
-                station=f"{station}.station" if station else BASE,
-                base=_stated(setup.stations, station, key.station, setup.base_frame),
-            ),
-            tool,
-            _stated(setup.tools, tool, key.tool, setup.tool_frame),
-            setup.tools,
-        )
+        place = f"{station}.station" if station else BASE
+        base = _stated(setup.stations, station, key.station, setup.base_frame)
+        end = _stated(setup.tools, tool, key.tool, setup.tool_frame)
+        offset = pin.SE3.Identity()
+        for _ in setup.tools:
+            if not isinstance(end, ToolSetup) or end.on is None:
+                break
+            # It is known on another one.
+            offset = frame_pose(end) * offset
+            tool, end = end.on, setup.tools.get(end.on, FrameSetup())
+        mount = f"{tool}.tool" if tool else TOOL
+        result[key] = Frames(place, mount, base=base, end=end, offset=offset)
     return result
 
 
@@ -477,25 +638,17 @@ def prefixed(terms: Iterable[Term]) -> list[Term]:
         for reference in term.measurement.references:
             place = term.frames.station if reference.outer else term.frames.tool
             where.setdefault((reference.section, reference.name), set()).add(place)
-    ambiguous = {
-        place for places in where.values() if len(places) > 1 for place in places
-    }
-
-    def prefix(place: str) -> str:
-        named = place in ambiguous and place not in (BASE, TOOL)
-        return f"{place.rpartition('.')[0]}/" if named else ""
-
-    return [
-        replace(
-            term,
-            frames=replace(
-                term.frames,
-                outer=prefix(term.frames.station),
-                inner=prefix(term.frames.tool),
-            ),
+    several = [places for places in where.values() if len(places) > 1]
+    named = set().union(*several) - {BASE, TOOL}
+    result = []
+    for term in terms:
+        station, tool = (
+            f"{place.rpartition('.')[0]}/" if place in named else ""
+            for place in (term.frames.station, term.frames.tool)
         )
-        for term in terms
-    ]
+        frames = replace(term.frames, outer=station, inner=tool)
+        result.append(replace(term, frames=frames))
+    return result
 
 
 def own_name(key: BlockKey, keys: Sequence[BlockKey], stated: str) -> str:
@@ -508,11 +661,11 @@ def own_name(key: BlockKey, keys: Sequence[BlockKey], stated: str) -> str:
     return stated or ("" if alone or follows else key.model)
 
 
-def _owners(places: set[Place], default: str) -> dict[Place, str]:
+def _owners(places: set[tuple[str, str]], default: str) -> dict[tuple[str, str], str]:
     """The owner of each frame, empty for the one without a name.
 
     Args:
-        places: The places.
+        places: Stations or tools, with the link that each stands before or is on.
         default: The link that need not be named.
     """
     if len(places) == 1:
@@ -520,18 +673,11 @@ def _owners(places: set[Place], default: str) -> dict[Place, str]:
     links: dict[str, set[str]] = {}
     for name, link in places:
         links.setdefault(name, set()).add(link)
-    return {
-        (name, link): "/".join(
-            filter(
-                None,
-                (
-                    name,
-                    "" if link == default or (name and len(links[name]) == 1) else link,
-                ),
-            )
-        )
-        for name, link in places
-    }
+    result = {}
+    for name, link in places:
+        known = link == default or (name and len(links[name]) == 1)
+        result[name, link] = "/".join(filter(None, (name, "" if known else link)))
+    return result
 
 
 def _stated(
@@ -541,17 +687,3 @@ def _stated(
     if owner in frames or name in frames:
         return frames[owner if owner in frames else name]
     return FrameSetup() if owner else default
-
-
-def _on_tool(
-    frames: Frames, owner: str, stated: FrameSetup, tools: Mapping[str, ToolSetup]
-) -> Frames:
-    """The frames with a tool, which may be known on another one."""
-    offset = pin.SE3.Identity()
-    for _ in tools:
-        if not isinstance(stated, ToolSetup) or stated.on is None:
-            break
-        offset = frame_pose(stated) * offset
-        owner, stated = stated.on, tools.get(stated.on, FrameSetup())
-    name = f"{owner}.tool" if owner else TOOL
-    return replace(frames, tool=name, end=stated, offset=offset)

@@ -23,11 +23,7 @@ from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.statistics.systematic import (
-    candidates,
-    sampled,
-    with_effects,
-)
+from calib_pin.estimation.statistics.systematic import candidates, sampled, with_effects
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
@@ -103,9 +99,9 @@ def with_warm_up(
         known = [one for one in noise if one.estimate > 0.0]
         return float(sum(one.values * np.log(one.estimate) for one in known))
 
-    bounds = float(np.log(SHORTEST * span)), float(np.log(LONGEST * span))
+    ends = float(np.log(SHORTEST * span)), float(np.log(LONGEST * span))
     found = minimize_scalar(
-        left, bounds=bounds, method="bounded", options={"xatol": CLOSE}
+        left, bounds=ends, method="bounded", options={"xatol": CLOSE}
     )
     return stated(float(found.x))
 
@@ -146,17 +142,11 @@ def _sized(drift: DriftSetup, sizes: Mapping[str, float]) -> DriftSetup:
 
 def _moving(chains: Chains, still: Problem, setup: Setup) -> Problem:
     """The problem with the drift of a setup, about the references of another one."""
-    found = make_problem(chains, still.data, replace(setup, learned=None))
-    terms = {
-        key: replace(
-            term,
-            error=term.error.with_frames(
-                still.terms[key].error.base, still.terms[key].error.tool
-            ),
-            measurement=still.terms[key].measurement,
-        )
-        for key, term in found.terms.items()
-    }
+    found, terms = make_problem(chains, still.data, replace(setup, learned=None)), {}
+    for key, term in found.terms.items():
+        other = still.terms[key]
+        error = term.error.with_frames(other.error.base, other.error.tool)
+        terms[key] = replace(term, error=error, measurement=other.measurement)
     return replace(found, terms=terms, units=still.units)
 
 

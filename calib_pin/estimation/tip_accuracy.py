@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import visible_nuisances
-from calib_pin.estimation.evidence import PoseErrors, TipAccuracy, rms
+from calib_pin.estimation.evidence import ByCount, PoseErrors, TipAccuracy, rms
 from calib_pin.estimation.fitted import Fit, posterior_about
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
@@ -40,11 +39,20 @@ only positions were measured, orientations are known poorly or not at all.
 """
 
 
-@dataclass(frozen=True)
-class TipByCount:
-    """The error of the tip by the number of measurements; found when it is asked for.
+@serial_blas
+def tip_by_count(
+    problem: Problem,
+    theta: Floats,
+    robot: Floats,
+    index: NDArray[np.intp],
+    of_tip: Floats,
+    order: NDArray[np.int64],
+    weight: float,
+    total: int,
+) -> tuple[Floats, Floats]:
+    """The error of the tip by the number of measurements.
 
-    Attributes:
+    Args:
         problem: The problem about its solution, with some of its rows.
         theta: Parameter values, shape (P,).
         robot: Directions of the robot that were estimated, shape (P, k).
@@ -54,60 +62,39 @@ class TipByCount:
         order: Place of each measurement when they are counted, shape (N,).
         weight: Standard deviation of unit weight.
         total: Number of all measurements.
+
+    Returns:
+        Numbers of measurements, ascending, and errors [m], both of shape (K,). The
+        first number is as few as determine all, the last one all there are.
     """
-
-    problem: Problem
-    theta: Floats
-    robot: Floats
-    index: NDArray[np.intp]
-    of_tip: Floats
-    order: NDArray[np.int64]
-    weight: float
-    total: int
-
-    @cached_property
-    def curve(self) -> tuple[Floats, Floats]:
-        """Numbers of measurements, ascending, and errors [m], both of shape (K,).
-
-        The first number is as few as determine all, the last one all there are.
-        """
-        with serial_blas:
-            found = list(self._found())
-        counts, errors = zip(*found, strict=True) if found else ((), ())
-        return np.array(counts, float), np.array(errors)
-
-    def _asdict(self) -> dict[str, Floats]:
-        """The curve as `FoundCurve` is written: it is found when somebody asks."""
-        return dict(zip(("measurements", "position"), self.curve, strict=True))
-
-    def _found(self) -> Iterator[tuple[int, float]]:
-        problem = self.problem
-        _, J = problem.linearize_rows(self.theta)
-        parameters, row = problem.parameters, problem.layout.row
-        nuisances = visible_nuisances(J, parameters)
-        directions = np.column_stack([nuisances, self.robot])
-        basis = parameters.scales[:, None] * directions
-        along = self.of_tip @ basis[self.index]
-        tests = np.einsum("ndi,ndj->ij", along, along, optimize=True) / len(along)
-        rows = len(problem.data)
-        own, further = np.split(J @ basis, [len(row)])
-        known = further.T @ further
-        # The measurements in the order in which they are counted.
-        place = self.order[row]
-        least = max(2, basis.shape[1] * rows // len(row))
-        counts = np.geomspace(least, rows, COUNTS).round().astype(int)
-        for count in np.unique([*counts, self.total]):
-            some = own[place < count]
-            # Those beyond the rows at hand tell what these do on average.
-            M = known + some.T @ some * max(1.0, count / rows)
-            lengths = np.sqrt(np.diag(M))
-            if not lengths.all():
-                continue
-            # Of columns of unit length, so that rounding shows as what it is.
-            squares, V = np.linalg.eigh(M / np.outer(lengths, lengths))
-            if squares[0] > ROUNDING**2:
-                W = V / np.sqrt(squares) / lengths[:, None]
-                yield int(count), self.weight * float(np.sqrt(np.sum(W * (tests @ W))))
+    _, J = problem.linearize_rows(theta)
+    parameters, row = problem.parameters, problem.layout.row
+    nuisances = visible_nuisances(J, parameters)
+    directions = np.column_stack([nuisances, robot])
+    basis = parameters.scales[:, None] * directions
+    along = of_tip @ basis[index]
+    tests = np.einsum("ndi,ndj->ij", along, along, optimize=True) / len(along)
+    rows, found = len(problem.data), []
+    own, further = np.split(J @ basis, [len(row)])
+    known = further.T @ further
+    # The measurements in the order in which they are counted.
+    place = order[row]
+    least = max(2, basis.shape[1] * rows // len(row))
+    counts = np.geomspace(least, rows, COUNTS).round().astype(int)
+    for count in np.unique([*counts, total]):
+        some = own[place < count]
+        # Those beyond the rows at hand tell what these do on average.
+        M = known + some.T @ some * max(1.0, count / rows)
+        lengths = np.sqrt(np.diag(M))
+        if not lengths.all():
+            continue
+        # Of columns of unit length, so that rounding shows as what it is.
+        squares, V = np.linalg.eigh(M / np.outer(lengths, lengths))
+        if squares[0] > ROUNDING**2:
+            W = V / np.sqrt(squares) / lengths[:, None]
+            found.append((count, weight * np.sqrt(np.sum(W * (tests @ W)))))
+    numbers, errors = np.reshape(found, (-1, 2)).T
+    return numbers, errors
 
 
 @serial_blas
@@ -137,8 +124,11 @@ def tip_accuracy(
     settled = posterior_about(fitted, *fitted.problem.rebased(fitted.theta))
     twists = settled.twists(replace(term, error=error), q, J)
     position, orientation = _deviations(twists)
-    alone = _deviations(without_frames(twists, J))
-    rows = problem.data.sample(ROWS)
+    alone = map(rms, _deviations(without_frames(twists, J)))
+    few = replace(problem, data=problem.data.sample(ROWS))
+    order, total = np.argsort(rng.permutation(len(few.data))), len(problem.data)
+    robot = fitted.directions.robot
+    numbers = robot, own, J[:, :3], order, fitted.unit, total
     to_base = error.base.inverse().homogeneous
     return TipAccuracy(
         q=q,
@@ -146,26 +136,16 @@ def tip_accuracy(
         position=position,
         orientation=orientation,
         rms=PoseErrors(rms(position), rms(orientation)),
-        of_robot=PoseErrors(rms(alone[0]), rms(alone[1])),
-        by_count=TipByCount(
-            problem=replace(problem, data=rows),
-            theta=theta,
-            robot=fitted.directions.robot,
-            index=own,
-            of_tip=J[:, :3],
-            order=np.argsort(rng.permutation(len(rows))),
-            weight=fitted.unit,
-            total=len(problem.data),
-        ),
+        of_robot=PoseErrors(*alone),
+        by_count=ByCount(partial(tip_by_count, few, theta, *numbers)),
     )
 
 
 def _deviations(twists: Floats) -> tuple[Floats, Floats]:
     """Of position and orientation, by independent twists, shape (N, 6, k)."""
-    position, orientation = (
-        np.sqrt(np.sum(part**2, axis=(1, 2))) for part in (twists[:, :3], twists[:, 3:])
-    )
-    return position, orientation
+    squares = np.sum(twists**2, axis=2)
+    position, orientation = np.split(squares, [3], axis=1)
+    return np.sqrt(position.sum(axis=1)), np.sqrt(orientation.sum(axis=1))
 
 
 def without_frames(twists: Floats, J: Floats) -> Floats:

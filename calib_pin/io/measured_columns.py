@@ -518,15 +518,23 @@ def _positions(table: Table, chains: Chains, columns: JointColumns, i: int) -> F
     most, free = (ANGLE.largest, np.pi) if angle else (LONGEST_TRAVEL, FREE_TRAVEL)
     # A turntable may be allowed more turns than any threshold would guess.
     most = max(most, 2.0 * abs(lower), 2.0 * abs(upper))
+    travel, turned = upper - lower, np.radians(np.ptp(q))
+    if not angle and 0.5 * travel < turned <= travel:
+        gear = f"{{joint: {joint}, gear: {np.radians(1.0):.9g}}}"
+        reason = f"the positions of joint '{joint}' look converted as an angle; state "
+        reason += f"in the setup 'joints: {{{column}: {gear}}}'"
+        table.refuse(np.abs(q) > most, reason, column)
     table.check(column, q, replace(kind, largest=most), why)
     unit = table.columns[column].unit or kind.si
     # The chain gives free limits to joints without any, which may go further.
     if (lower, upper) != (-free, free) and (smaller := kind.smaller(unit)):
         excess = np.maximum(lower - q, q - upper)
+        if angle:  # Few joints stay within six degrees; an angle is none in degrees.
+            excess[np.abs(q) < 2.0 * np.pi] = 0.0
         ratio = kind.units[smaller[0]] / kind.units[unit]
         if lower <= ratio * q[np.argmax(excess)] <= upper:
             # A meter or radian of grace: limits are often narrower than the robot's.
-            grace = replace(kind, largest=max(upper - lower, 1.0))
+            grace = replace(kind, largest=max(travel, 1.0))
             why = f"the limits are {lower:.6g} to {upper:.6g}"
             table.check(column, q, grace, why, excess)
     return q

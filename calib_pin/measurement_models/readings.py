@@ -242,15 +242,33 @@ def _reversed(data: Observations, reading: ReadingSetup) -> Observations:
 
 
 def _shifted(data: Observations, reading: ReadingSetup) -> Observations:
-    q, kept, shift = data.q.copy(), np.zeros(len(data), bool), reading.shift
-    for own in in_files(data):
-        if abs(shift) < len(own):
-            mine, below = own[: len(own) - abs(shift)], own[abs(shift) :]
-            if shift < 0:
-                mine, below = below, mine
-            q[mine], kept[mine] = data.q[below], True
+    lines = [np.arange(len(own)) for own in in_files(data)]
+    return _from_below(data, reading.shift, lines)
+
+
+def _shifted_together(data: Observations, reading: ReadingSetup) -> Observations:
+    return _from_below(data, reading.shift_configurations, postures(data))
+
+
+def postures(data: Observations) -> list[Indices]:
+    """Number of the posture of each line, file by file; repeated ones count once."""
+    moved = (np.any(np.diff(data.q[own], axis=0) != 0.0, 1) for own in in_files(data))
+    return [np.append(0, np.cumsum(changed)) for changed in moved]
+
+
+def _from_below(
+    data: Observations, shift: int, numbers: Sequence[Indices]
+) -> Observations:
+    """Measurements with the joint positions of others, some numbers below them."""
+    q, kept = data.q.copy(), np.zeros(len(data), bool)
+    for own, number in zip(in_files(data), numbers, strict=True):
+        first = np.searchsorted(number, number + shift)
+        there = (number + shift >= 0) & (first < len(own))
+        q[own[there]], kept[own[there]] = data.q[own[first[there]]], True
     if not kept.any():
-        raise InputError(f"'reading' shifts by {shift} lines, which no file has")
+        raise InputError(
+            f"'reading' shifts joint positions by {shift}, beyond any file"
+        )
     return with_positions(data, q).rows(kept)
 
 
@@ -335,6 +353,7 @@ STEPS: dict[str, Callable[[Observations, ReadingSetup], Observations]] = {
     "converted": _converted,
     "reversed": _reversed,
     "shift": _shifted,
+    "shift_configurations": _shifted_together,
     "lag": _lagging,
     "axes": _turned,
     "scale": _scaled,

@@ -25,7 +25,7 @@ from calib_pin.parameters import ParameterSet, matching
 from calib_pin.setup import MonteCarloSetup, Setup
 from calib_pin.simulation import simulate
 from calib_pin.validation.judgement import expected_accuracy
-from calib_pin.validation.tip_drift import absorbed, turns
+from calib_pin.validation.tip_drift import absorbed, apart
 
 TESTS = 100
 """Configurations of the workspace at which every robot is compared with its truth."""
@@ -219,8 +219,8 @@ def _compared(
     A = true.error.poses(q, true.values(theta)[0])
     nominal = true.error.poses(q, 0.0 * true.values(theta)[0])
     calibrated = term.error.poses(q, term.values(model.theta)[0])
-    before, _ = _apart(A, nominal)
-    position, orientation = _apart(A, calibrated)
+    before, _ = apart(A, absorbed(A, nominal)[0])
+    position, orientation = apart(A, absorbed(A, calibrated)[0])
     expected = bound = np.nan
     if fitted.noise:
         found = expected_accuracy(fitted, term, model.theta, q, rng)
@@ -235,10 +235,3 @@ def _compared(
         expected=expected,
         bound=bound,
     )
-
-
-def _apart(A: Floats, B: Floats) -> tuple[Floats, Floats]:
-    """Distances and angles between poses, displacements of both ends left aside."""
-    B = absorbed(A, B, left=True, right=True)
-    distances = np.linalg.norm(B[:, :3, 3] - A[:, :3, 3], axis=1)
-    return distances, np.linalg.norm(turns(A, B), axis=1)

@@ -24,7 +24,7 @@ from calib_pin.estimation.formulation import (
 from calib_pin.estimation.identifiability import Structure
 from calib_pin.estimation.nominal import register, structure_at
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.tool_poses import Configured
+from calib_pin.estimation.terms import Configured
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared, measurement_model
@@ -255,7 +255,7 @@ def predict(
 ) -> Predicted:
     """Covariance of a fit; what it will not be able to tell stays at nominal there.
 
-    A fit also holds all errors by the size that its measurements show (`shrinkage`),
+    A fit also holds all errors by the size that its measurements show (`stages`),
     which nobody knows before: of a variance v it leaves `v / (1 + v / size^2)`.
 
     Args:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.problem import Problem, assumed_sigma
-from calib_pin.estimation.tool_poses import linearized_at
+from calib_pin.estimation.terms import linearized_at
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import CurvedModel
 from calib_pin.observations import Indices, Labels

@@ -61,13 +61,13 @@ def _verdict(found: Comparison) -> Line:
     apart = _size(found, drift.position.rms, drift.orientation.rms)
     if found.identical:
         return Line("No drift: both predict the same tool points.", "good")
-    if found.explained is None:
+    if found.drift.explained is None:
         return Line(
             f"The tool points{_where(found)} are {apart} rms apart; the files do not "
             "say how much of it is noise.",
             "strong",
         )
-    noise = _size(found, *found.explained)
+    noise = _size(found, *found.drift.explained)
     if found.drifted:
         beyond = f"{apart} rms{_where(found)} where the noise of both explains {noise}."
         return Line(f"{_cause(found)} {beyond}", "bad")
@@ -106,7 +106,7 @@ def _cause(found: Comparison) -> str:
 
 def _size(found: Comparison, position: float, orientation: float) -> str:
     """A drift in words; an orientation only where it is known."""
-    pairs = [(position, "m"), (orientation, "rad")][: 2 if found.oriented else 1]
+    pairs = [(position, "m"), (orientation, "rad")][: 2 if found.drift.oriented else 1]
     return " and ".join(amount(*pair) for pair in pairs)
 
 
@@ -178,7 +178,7 @@ def tip_differences(found: Comparison) -> Iterator[Block]:
             ("orientation", "rad", drift.orientation, explained[1]),
         ]
         of = f"{chain or 'robot'}, " if len(found.drifts) > 1 else ""
-        for name, unit, accuracy, noise in stages[: 2 if found.oriented else 1]:
+        for name, unit, accuracy, noise in stages[: 2 if found.drift.oriented else 1]:
             *cells, shown = sizes(accuracy, unit)
             rows.append((of + name, *cells, quantity(noise, unit), shown))
     title = "Tool-point difference over the workspace"
@@ -200,14 +200,14 @@ def _how(found: Comparison) -> Iterator[str]:
         )
     else:
         yield "Base and tool are known."
-    if not found.oriented:
+    if not found.drift.oriented:
         yield "The measurements contain no orientations."
     if any(d.of_tool and d.shift > FAR for d in found.displacements):
         yield (
             "The tool point of A is compared; that of B was elsewhere, and B may be "
             "less certain at A's."
         )
-    if found.explained is None:
+    if found.drift.explained is None:
         return
     ends = "" if len(absorbed) == 2 else ", base and tool included"
     yield f"The noise is that of both calibrations{ends}."
@@ -253,8 +253,8 @@ def _frames(found: Comparison) -> Iterator[Block]:
         ]
         parts.append(f"{amount(found.drift.position.rms, 'm')} by the robot")
         noise = ""
-        if found.explained is not None:
-            noise = f", where noise explains {amount(found.explained[0], 'm')}"
+        if found.drift.explained is not None:
+            noise = f", where noise explains {amount(found.drift.explained[0], 'm')}"
         yield Line(f"Measured tool points moved {', '.join(parts)}{noise}.", "note")
 
 

@@ -489,6 +489,8 @@ class ReadingSetup(Section):
         converted: Measurements in another unit.
         reversed: Whether the joint positions of every file stand in reversed order.
         shift: Lines by which the joint positions of a measurement stand below it.
+        shift_configurations: The same by configurations: lines in turn at the same
+            joint positions, those of an image say, go together.
         lag: Joint name to the part of its last motion that it had still before it when
             it was measured.
         axes: What stands in the columns x, y and z of a position: `[y, x, z]` says
@@ -511,6 +513,7 @@ class ReadingSetup(Section):
     converted: tuple[ConvertedSetup, ...] = ()
     reversed: bool = False
     shift: Annotated[int, Value("", -1e6, 1e6)] = 0
+    shift_configurations: Annotated[int, Value("", -1e6, 1e6)] = 0
     lag: Mapping[str, Annotated[float, Value("", -1.0, 1.0)]] = empty()
     axes: Annotated[tuple[Annotated[str, OneOf(SIGNED)], ...], _axes] = AXES
     scale: Conversion = 1.0

@@ -202,31 +202,24 @@ def acceptance(
     kept = [k for k in np.argsort(called) if len(visits[k]) >= LEAST]
     if not kept:
         most = max(map(len, visits), default=0)
-        raise InputError(
-            f"no pose was visited {LEAST} times: {len(first)} poses, at most {most} "
-            "visits of one",
-            allowed="repeated poses; 'plan --accept --cycles N' asks for them",
-        )
+        reason = f"no pose was visited {LEAST} times: {len(first)} poses, at most "
+        allowed = "repeated poses; 'plan --accept --cycles N' asks for them"
+        raise InputError(f"{reason}{most} visits of one", allowed=allowed)
     rng, before = np.random.default_rng(0), np.concatenate([[-1], pose[:-1]])
     poses, distances = [], []
     for k in kept:
         own, effects = errors[visits[k]], frames.effects[first[k]]
         means = tuple(map(mean, own.T, effects, repeat(frames.dof)))
-        place = own[:, :3]
-        poses.append(
-            PoseTest(
-                pose=int(called[k]),
-                visits=len(own),
-                accuracy=UNTESTABLE
-                if frames.fitted
-                else mean_distance(place, rng, effects[:3], frames.dof),
-                components=means[:3],
-                repeatability=repeatability(place, rng),
-                angles=(UNTESTABLE,) * len(means[3:]) if frames.fitted else means[3:],
-                angle_repeatability=tuple(map(three_sigma, own.T[3:])),
-                directions=_directions(place, before[visits[k]]),
-            )
-        )
+        place, accuracy, turns = own[:, :3], UNTESTABLE, means[3:]
+        if frames.fitted:
+            turns = (UNTESTABLE,) * len(turns)
+        else:
+            accuracy = mean_distance(place, rng, effects[:3], frames.dof)
+        positions = accuracy, means[:3], repeatability(place, rng)
+        angles_of = turns, tuple(map(three_sigma, own.T[3:]))
+        ways = _directions(place, before[visits[k]])
+        found = *positions, *angles_of, ways
+        poses.append(PoseTest(int(called[k]), len(own), *found))
     for k, m in combinations(kept, 2):
         turns_of = cycles[visits[k]], cycles[visits[m]]
         _, a, b = np.intersect1d(*turns_of, return_indices=True)
@@ -441,9 +434,8 @@ def judged(
     for name, most in zip(("AP", "RP", "AD", "orientation"), allowed, strict=True):
         if most is None:
             continue
-        unit = "rad" if name == "orientation" else "m"
+        unit, status = "rad" if name == "orientation" else "m", "undecided"
         interval = worst(found[name][0]) if name in found else UNTESTABLE
-        status = "undecided"
         if interval.high <= most and not test.doubts:
             status = "pass"
         elif interval.low > most and not test.moved:

@@ -109,11 +109,9 @@ def identify(
     require_known(problem.terms.values(), problem.setup)
     theta = np.zeros(len(problem.parameters))
     found, _ = analyze_structure(problem, theta, np.random.default_rng(seed))
-    parameters, groups = estimates(problem.parameters, found)
-    values, count = found.robot, found.configurations
-    ranks = _ranks(problem, found, values, count)
-    errors = robot_errors(problem, found)
-    return Identification(parameters, groups, ranks, robot_errors=errors)
+    ranks = _ranks(problem, found, found.robot, found.configurations)
+    errors, told = robot_errors(problem, found), estimates(problem.parameters, found)
+    return Identification(*told, ranks, robot_errors=errors)
 
 
 def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
@@ -147,8 +145,7 @@ def estimates(
         structure: Their structural analysis.
         fitted: The estimates, if there are any; otherwise values are zero.
     """
-    groups = list[CoupledGroup]()
-    member = defaultdict[int, list[int]](list)
+    groups, member = list[CoupledGroup](), defaultdict[int, list[int]](list)
     alone, weak = dict[int, tuple[float | None, bool]](), set[int]()
     for combination in structure.combinations:
         row = combination.row(len(parameters))
@@ -157,8 +154,7 @@ def estimates(
             alone[combination.terms[0][0]] = sigma, told
             continue
         number = len(groups) + 1
-        if not told:
-            weak.add(number)
+        weak |= set() if told else {number}
         for position, _ in combination.terms:
             member[position].append(number)
         terms = tuple(Coefficient(parameters[k].name, c) for k, c in combination.terms)
@@ -182,18 +178,15 @@ def estimates(
             return "identifiable" if alone[k][1] else "weak"
         return "weak" if weak.issuperset(member[k]) else "coupled"
 
-    theta = np.zeros(len(parameters)) if fitted is None else fitted.theta
-    return tuple(
-        ParameterEstimate(
-            name=parameter.name,
-            unit=parameter.unit,
-            value=float(theta[k]),
-            sigma=sigmas.get(k),
-            status=status(k),
-            groups=tuple(member.get(k, ())),
+    found = []
+    for k, p in enumerate(parameters):
+        value = 0.0 if fitted is None else float(fitted.theta[k])
+        told_by = tuple(member.get(k, ()))
+        own = ParameterEstimate(
+            p.name, p.unit, value, sigmas.get(k), status(k), told_by
         )
-        for k, parameter in enumerate(parameters)
-    ), tuple(groups)
+        found.append(own)
+    return tuple(found), tuple(groups)
 
 
 def _estimate(
@@ -222,18 +215,10 @@ def fitted_ranks(fitted: Fit) -> Identifiability:
         s = _told(fitted)
         rank += len(s) - fitted.directions.robot.shape[1]
         weak = max(len(fitted.structure.robot) - len(s), 0)
-    return replace(
-        _ranks(
-            problem,
-            fitted.structure,
-            s[s > 1e-12 * s.max(initial=0.0)],
-            len(problem.data),
-        ),
-        rank=rank,
-        weak=weak,
-        revealed=fitted.directions.revealed,
-        correlated=tuple(_correlated(fitted)),
-    )
+    s = s[s > 1e-12 * s.max(initial=0.0)]
+    found = _ranks(problem, fitted.structure, s, len(problem.data))
+    found = replace(found, rank=rank, weak=weak, correlated=tuple(_correlated(fitted)))
+    return replace(found, revealed=fitted.directions.revealed)
 
 
 def _told(fitted: Fit) -> Floats:
@@ -326,23 +311,18 @@ def robot_errors(
         structure: Its structural analysis.
         fitted: The estimates, if there are any; otherwise values are zero.
     """
-    parameters = structure.parameters
-    columns = geometric_columns(system, parameters)
-    free = np.flatnonzero(parameters.free)
-    nuisances = [int(k) for k in free if parameters[int(k)].nuisance]
-    order = np.array([*nuisances, *columns.order], np.intp)
+    parameters, nuisance = structure.parameters, structure.parameters.nuisance
+    columns, free = geometric_columns(system, parameters), parameters.free
+    order = np.array([*np.flatnonzero(free & nuisance), *columns.order], np.intp)
     A = np.zeros((len(structure.relations), len(parameters)))
     A[:, free] = structure.relations
-    pivots, C = combinations((A @ columns.turned)[:, order], structure.rank)
+    pivots, rows = combinations((A @ columns.turned)[:, order], structure.rank)
+    leads, C = order[np.array(pivots, np.intp)], np.zeros((len(rows), len(parameters)))
     # Columns are scaled by the expected sizes; the coefficients are not.
-    C = C / parameters.scales[order]
-    found = []
-    for pivot, row in zip(pivots, C, strict=True):
-        if pivot >= len(nuisances):
-            full = np.zeros(len(parameters))
-            full[order] = row / row[pivot]
-            found.append(_error(int(order[pivot]), full, columns, parameters, fitted))
-    found += _absorbed(pivots, C, order, columns, parameters)
+    C[:, order] = rows / parameters.scales[order]
+    given, pairs = (columns, parameters, fitted), zip(leads.tolist(), C, strict=True)
+    found = [_error(k, row / row[k], *given) for k, row in pairs if not nuisance[k]]
+    found += _absorbed(leads, C, columns, parameters)
     ranks = {name: k for k, name in enumerate((*KINDS, *system.chains.joints))}
     last = len(ranks)
     return tuple(
@@ -368,40 +348,38 @@ def _error(
     for k in columns.order:
         if columns.labels[k].kind == label.kind and abs(abs(full[k]) - 1.0) < EQUAL:
             signs.setdefault(columns.labels[k].of, "-" if full[k] < 0.0 else "")
-    kept = np.where(np.abs(row) * sizes >= least, row, 0.0)
+    kept = np.abs(row) * sizes >= least
     if not kept.any():
-        kept = np.where(np.abs(row) * sizes >= 0.5 * sizes[lead], row, 0.0)
-    terms = tuple((int(k), float(kept[k])) for k in np.flatnonzero(kept))
-    expression = Combination(terms, parameters[lead].unit).expression(parameters.names)
-    return RobotError(
-        label.kind,
-        tuple(f"{sign}{of}" for of, sign in signs.items()),
-        parameters[lead].unit,
-        value,
-        sigma,
-        "identifiable" if told else "weak",
-        expression=expression,
-        terms=tuple(Coefficient(parameters[k].name, c) for k, c in terms),
+        kept = np.abs(row) * sizes >= 0.5 * sizes[lead]
+    terms = tuple(
+        (k, float(row[k])) for k in np.flatnonzero(kept & (row != 0.0)).tolist()
     )
+    unit, names = parameters[lead].unit, parameters.names
+    of = tuple(f"{sign}{of}" for of, sign in signs.items())
+    known = value, sigma, "identifiable" if told else "weak"
+    expression = Combination(terms, unit).expression(names)
+    coefficients = tuple(Coefficient(names[k], c) for k, c in terms)
+    return RobotError(label.kind, of, unit, *known, (), expression, coefficients)
 
 
 def _absorbed(
-    pivots: Sequence[int],
-    C: Floats,
-    order: NDArray[np.intp],
-    columns: Columns,
-    parameters: ParameterSet,
+    leads: NDArray[np.intp], C: Floats, columns: Columns, parameters: ParameterSet
 ) -> Iterator[RobotError]:
-    """Errors that base, tool or instrument take along, so that none is known."""
-    sizes = np.array([expected_size(p.unit) for p in parameters])[order]
-    nuisance, leading = parameters.nuisance[order], np.array(pivots, np.intp)
-    weights = np.abs(C * sizes)
-    heavy = weights > SMALL * weights[np.arange(len(C)), leading, None]
-    for k in np.flatnonzero(~nuisance).tolist():
-        takers = leading[heavy[:, k]]
-        if k in pivots or not len(takers) or not nuisance[takers].all():
+    """Errors that base, tool or instrument take along, so that none is known.
+
+    Args:
+        leads: Leading direction of each sum that is known, shape (k,).
+        C: These sums by the named directions, shape (k, P).
+        columns: The named directions.
+        parameters: The parameters.
+    """
+    weights = np.abs(C * [expected_size(p.unit) for p in parameters])
+    heavy = weights > SMALL * weights[np.arange(len(C)), leads, None]
+    for k in columns.order:
+        takers = leads[heavy[:, k]]
+        if k in leads or not len(takers) or not parameters.nuisance[takers].all():
             continue
-        owners = [parameters[p].name.rpartition(".")[0] for p in order[takers].tolist()]
-        label, unit = columns.labels[int(order[k])], parameters[int(order[k])].unit
-        own, within = (label.kind, (label.of,), unit), tuple(dict.fromkeys(owners))
-        yield RobotError(*own, 0.0, None, "absorbed", within)
+        owners = (parameters[p].name.rpartition(".")[0] for p in takers.tolist())
+        label, unit = columns.labels[k], parameters[k].unit
+        own = label.kind, (label.of,), unit, 0.0, None, "absorbed"
+        yield RobotError(*own, tuple(dict.fromkeys(owners)))

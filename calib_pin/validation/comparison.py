@@ -9,7 +9,7 @@ frame can absorb: with another base, another first joint is the same robot.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
-from calib_pin.estimation.evidence import Finding, PoseErrors
+from calib_pin.estimation.evidence import Finding, PoseErrors, rms
 from calib_pin.estimation.statistics.population_prior import chance_of
 from calib_pin.estimation.terms import FRAME
 from calib_pin.estimation.tip_accuracy import frame_motions
@@ -32,12 +32,11 @@ from calib_pin.validation.result import (
     CalibrationResult,
     Coefficient,
     CoupledGroup,
-    ParameterEstimate,
     Printed,
     ToolAccuracy,
     frames_of,
 )
-from calib_pin.validation.tip_drift import TipDrift, absorbing, tip_drift
+from calib_pin.validation.tip_drift import TipDrift, absorbed, tip_drift
 
 RESOLUTION = 1e-9
 """Least standard deviation of a difference [SI]: of noise-free data only rounding."""
@@ -76,6 +75,9 @@ SEEN = 1e-6
 
 SAME = 1e-9
 """Largest difference between places of one nominal robot, or of a frame [m, rad]."""
+
+ENDS = ("chain starts at", "chain ends at", "joints are")
+"""Properties by which a chain is the same one, in words."""
 
 UNKNOWN = PoseErrors(math.nan, math.nan)
 """Sizes that nobody knows."""
@@ -205,11 +207,6 @@ class Comparison(Printed):
         return self.same_parameters and not self.same_rows and noise
 
     @property
-    def oriented(self) -> bool:
-        """Whether orientations can be compared: the rows of both tell them."""
-        return self.drift.oriented
-
-    @property
     def chain(self) -> str:
         """Name of the chain whose tip has drifted most, by what noise explains."""
         return max(self.drifts, key=lambda name: self.drifts[name].ratio)
@@ -220,11 +217,6 @@ class Comparison(Printed):
         return self.drifts[self.chain]
 
     @property
-    def explained(self) -> tuple[float, float] | None:
-        """Drift that the noise of both explains, rms [m] and [rad]; None if unknown."""
-        return self.drift.explained
-
-    @property
     def identical(self) -> bool:
         """Whether the tips are at the same places, whatever noise explains."""
         return all(max(drift.sizes) <= NEGLIGIBLE for drift in self.drifts.values())
@@ -232,9 +224,10 @@ class Comparison(Printed):
     @property
     def drifted(self) -> bool | None:
         """Whether the drift is more than noise explains; None if that is unknown."""
-        if self.explained is None:
+        drift = self.drift
+        if drift.explained is None:
             return None
-        return max(self.drift.sizes) > NEGLIGIBLE and self.drift.ratio > EXPLAINED
+        return max(drift.sizes) > NEGLIGIBLE and drift.ratio > EXPLAINED
 
 
 @serial_blas
@@ -254,15 +247,14 @@ def compare(
     chains = partners(first.model, second.model)
     if not chains:
         raise _incomparable(first, second)
-    oriented = all(
-        any(error.name in ORIENTED for error in record.errors)
-        for record in (first, second)
-    )
+    told = ({error.name for error in record.errors} for record in (first, second))
+    oriented = all(not names.isdisjoint(ORIENTED) for names in told)
     drifts = {}
     for name, other in chains.items():
         pair = (first, name), (second, other)
-        base, tool = np.any([_free(r, chain=n) for r, n in pair], axis=0).tolist()
-        models = (record.model.of(n) for record, n in pair)
+        known = [_free(record, chain) for record, chain in pair]
+        base, tool = np.any(known, axis=0).tolist()
+        models = (record.model.of(chain) for record, chain in pair)
         drift = tip_drift(*models, base=base, tool=tool, seed=seed)
         tips = [record.accuracies.get(n, ToolAccuracy()).tip for record, n in pair]
         noise = [t.of_robot if base and tool else t.rms for t in tips if t is not None]
@@ -272,31 +264,22 @@ def compare(
             explained = position, orientation
         drifts[name] = replace(drift, explained=explained, oriented=oriented)
     same = same_nominal(first.model, second.model)
-    here, there = (_known(record) if same else [] for record in (first, second))
-    differences = [
-        Difference(
-            a.expression if isinstance(a, CoupledGroup) else a.name,
-            a.unit,
-            a.value,
-            b.value,
-            max(math.hypot(a.sigma, b.sigma), RESOLUTION),
-            a.terms if isinstance(a, CoupledGroup) else (),
-        )
-        for a in here
-        for b in there
-        if a.sigma is not None and b.sigma is not None and _alike(a, b)
-    ]
-    mine, theirs = _alone(here, there), _alone(there, here)
-    found = Comparison(
-        first=first,
-        second=second,
-        same_nominal=same,
-        differences=tuple(sorted(differences, key=lambda d: -d.significance)),
-        alone=(mine[0], theirs[0]),
-        sums_alone=(mine[1], theirs[1]),
-        displacements=(),
-        drifts=drifts,
+    here, there = (_known(record) if same else {} for record in (first, second))
+    shared = [key for key in here if key in there and _alike(here[key], there[key])]
+    differences = list[Difference]()
+    for a, b in ((here[key], there[key]) for key in shared):
+        if a.sigma is not None and b.sigma is not None:
+            sigma = max(math.hypot(a.sigma, b.sigma), RESOLUTION)
+            own = a.expression, a.unit, a.value, b.value, sigma
+            differences.append(Difference(*own, a.terms if len(a.terms) > 1 else ()))
+    left = [[own[key] for key in own if key not in shared] for own in (here, there)]
+    mine, theirs = (
+        tuple(one.expression for one in own if len(one.terms) == 1) for own in left
     )
+    ordered = tuple(sorted(differences, key=lambda d: -d.significance))
+    sums = len(left[0]) - len(mine), len(left[1]) - len(theirs)
+    alone = mine, theirs
+    found = Comparison(first, second, same, ordered, alone, sums, (), drifts)
     return replace(found, displacements=tuple(_displacements(found, seed)))
 
 
@@ -342,65 +325,45 @@ def robot_groups(result: CalibrationResult) -> tuple[CoupledGroup, ...]:
     return tuple(g for g in result.groups if {term[0] for term in g.terms} <= known)
 
 
-_Estimate = ParameterEstimate | CoupledGroup
-
-
-def _known(record: CalibrationResult) -> list[_Estimate]:
-    """The parameters and sums of a robot that a calibration knows."""
+def _known(record: CalibrationResult) -> dict[frozenset[str], CoupledGroup]:
+    """The parameters and sums of a robot that a calibration knows, by their terms."""
     robot = robot_parameters(record)
     own = [p for p in record.parameters if p.name in robot and p.sigma is not None]
-    return [*own, *robot_groups(record)]
+    terms = [(p, (Coefficient(p.name, 1.0),)) for p in own]
+    alone = [CoupledGroup(0, p.name, p.unit, p.value, p.sigma, t) for p, t in terms]
+    every = *alone, *robot_groups(record)
+    return {frozenset(dict(one.terms)): one for one in every}
 
 
-def _alone(
-    known: Sequence[_Estimate], others: Sequence[_Estimate]
-) -> tuple[tuple[str, ...], int]:
-    """Names of parameters, and number of sums, that are not among others."""
-    left = [a for a in known if not any(_alike(a, b) for b in others)]
-    names = tuple(p.name for p in left if isinstance(p, ParameterEstimate))
-    return names, len(left) - len(names)
-
-
-def _alike(a: _Estimate, b: _Estimate) -> bool:
-    """Whether both are of the same terms, whatever their number and order."""
-    mine, theirs = (
-        dict(one.terms) if isinstance(one, CoupledGroup) else {one.name: 1.0}
-        for one in (a, b)
-    )
-    return mine.keys() == theirs.keys() and np.allclose(
-        [*mine.values()], [theirs[name] for name in mine], 1e-6, 1e-9
-    )
+def _alike(a: CoupledGroup, b: CoupledGroup) -> bool:
+    """Whether both are the same sum of the same terms, whatever their order."""
+    mine, theirs = dict(a.terms), dict(b.terms)
+    pair = [*mine.values()], [theirs[name] for name in mine]
+    return np.allclose(*pair, rtol=1e-6, atol=1e-9)
 
 
 def partners(first: CalibratedModel, second: CalibratedModel) -> dict[str, str]:
     """Names of the chains of one robot, and of the same chains in another."""
-    others = {(*_ends(t.error.chain).values(),): n for n, t in second.by_chain.items()}
-    return {
-        name: others[ends]
-        for name, term in first.by_chain.items()
-        if (ends := (*_ends(term.error.chain).values(),)) in others
-    }
+    others = {_ends(term.error.chain): name for name, term in second.by_chain.items()}
+    mine = {name: _ends(term.error.chain) for name, term in first.by_chain.items()}
+    return {name: others[ends] for name, ends in mine.items() if ends in others}
 
 
-def _ends(chain: Chain) -> dict[str, str]:
-    """The identity of a chain, its ends and its joints, in words."""
-    joints = ", ".join(
-        f"{joint} ({'turns' if revolute else 'slides'})"
-        for joint, revolute in zip(chain.joints, chain.revolute, strict=True)
-    )
-    ends = {"chain starts at": chain.base, "chain ends at": chain.tip}
-    return ends | {"joints are": joints}
+def _ends(chain: Chain) -> tuple[str, str, str]:
+    """The identity of a chain in words, see `ENDS`."""
+    pairs = zip(chain.joints, chain.revolute, strict=True)
+    joints = (f"{joint} ({'turns' if turns else 'slides'})" for joint, turns in pairs)
+    return chain.base, chain.tip, ", ".join(joints)
 
 
 def _incomparable(first: CalibrationResult, second: CalibrationResult) -> InputError:
     """Why the tips of two robots have nothing in common."""
-    mine, theirs = (_ends(record.model.of().chain) for record in (first, second))
-    what = next(what for what in mine if mine[what] != theirs[what])
-    return InputError(
-        f"cannot be compared with {first.provenance.file or 'the first'}: its {what} "
-        f"{theirs[what]}, there {mine[what]}",
-        file=second.provenance.file or None,
-    )
+    ends = (_ends(record.model.of().chain) for record in (first, second))
+    every = zip(ENDS, *ends, strict=True)
+    what, mine, theirs = next(one for one in every if one[1] != one[2])
+    known = first.provenance.file or "the first"
+    reason = f"cannot be compared with {known}: its {what} {theirs}, there {mine}"
+    return InputError(reason, file=second.provenance.file or None)
 
 
 def same_nominal(first: CalibratedModel, second: CalibratedModel) -> bool:
@@ -422,7 +385,7 @@ def _places(of: CalibratedChain) -> Floats:
 
 
 def _free(
-    record: CalibrationResult, *, chain: str = "", key: BlockKey | None = None
+    record: CalibrationResult, chain: str = "", key: BlockKey | None = None
 ) -> NDArray[np.bool_]:
     """Whether anything at base and tool was estimated, shape (2,).
 
@@ -437,9 +400,9 @@ def _free(
         if key == term.key or (key is None and term.key.chain == chain):
             found |= [free[own].any() for _, own in frames_of(term)]
         if key is None and term.key.chain == chain:
-            of, own = term.of_instrument, term.parameters[len(term.error.screws) :]
-            outer = np.array([p.outer for p in own], bool)
-            found |= [(free[of] & outer).any(), (free[of] & ~outer).any()]
+            own = term.parameters[len(term.error.screws) :]
+            outer = np.array([p.outer for p in own], bool)[free[term.of_instrument]]
+            found |= [outer.any(), (~outer).any()]
     return found
 
 
@@ -449,15 +412,16 @@ def _displacements(found: Comparison, seed: int) -> list[Displacement]:
     moved: dict[tuple[bool, str], Displacement] = {}
     chains = partners(first, second)
     for term, other in product(first.terms.values(), second.terms.values()):
-        a, b = term.frames, other.frames
-        places = [(False, _owner(a.station))] * (a.station == b.station)
-        places += [(True, _owner(a.tool))] * (a.tool == b.tool)
+        mine, theirs = term.frames, other.frames
+        places = [(False, _owner(mine.station))] * (mine.station == theirs.station)
+        places += [(True, _owner(mine.tool))] * (mine.tool == theirs.tool)
         same = chains.get(term.key.chain, term.key.chain) == other.key.chain
-        if not same or not term.error.chain.joints or set(places) <= set(moved):
-            continue
-        for one in _moved(found, term.key, other.key, seed):
-            if (place := (one.of_tool, one.frame)) in places:
-                moved.setdefault(place, one)
+        if same and term.error.chain.joints and not set(places) <= set(moved):
+            pair = zip(
+                (False, True), _moved(found, term.key, other.key, seed), strict=True
+            )
+            own = {(end, one.frame): one for end, one in pair}
+            moved = {place: own[place] for place in places} | moved
     far = (d for d in moved.values() if max(d.shift, d.turn or 0.0) > SAME)
     return sorted(far, key=lambda d: (d.of_tool, d.frame))
 
@@ -470,38 +434,37 @@ def _owner(scope: str) -> str:
 def _moved(
     found: Comparison, mine: BlockKey, theirs: BlockKey, seed: int
 ) -> Iterator[Displacement]:
-    """The displacements of both frames of a part of each calibration."""
-    records = (found.first, mine), (found.second, theirs)
+    """The displacements of base and tool of a part of each calibration."""
+    records, drift = ((found.first, mine), (found.second, theirs)), found.drift
     here, there = (record.model.of(key) for record, key in records)
-    base, tool = np.any([_free(record, key=key) for record, key in records], axis=0)
+    free = np.any([_free(record, key=key) for record, key in records], axis=0)
     q = here.chain.random_configurations(SAMPLES, np.random.default_rng(seed))
     A, B = here.poses(q), there.poses(q)
-    _, L, R = absorbing(A, B, left=base, right=tool)
+    _, L, R = absorbed(A, B, left=free[0], right=free[1])
     stood, tool_of = here.error.base.homogeneous, here.tool.homogeneous
-    left = invert(L) if base else there.error.base.homogeneous @ invert(stood)
-    right = invert(R) if tool else invert(tool_of) @ there.tool.homogeneous
-    # As many times more of a drift beyond noise may look like a displacement.
-    known = found.explained is not None and not found.identical
-    blurred = max(found.drift.ratio, 1.0) if known else 1.0
-    C = blurred**2 * np.sum([_covariance(*record, q) for record in records], axis=0)
-    if not (base or tool):
-        C = np.full((12, 12), np.nan)
+    left = invert(L) if free[0] else there.error.base.homogeneous @ invert(stood)
+    right = invert(R) if free[1] else invert(tool_of) @ there.tool.homogeneous
+    C = np.full((12, 12), np.nan)
+    if free.any():
+        # As many times more of a drift beyond noise may look like a displacement.
+        known = drift.explained is not None and not found.identical
+        blurred = max(drift.ratio, 1.0) if known else 1.0
+        C = blurred**2 * np.sum([_covariance(*one, q) for one in records], axis=0)
     frames = found.first.model.terms[mine].frames
-    for k, (motion, tools) in enumerate(
-        [(invert(stood) @ left @ stood, left @ A), (right, A @ right)]
-    ):
-        twist, told = pin.log6(pin.SE3(motion)).vector, found.oriented or k == 0
+    base, tool = invert(stood) @ left @ stood, right
+    ends = (frames.station, base, left @ A), (frames.tool, tool, A @ right)
+    for k, (scope, motion, tools) in enumerate(ends):
+        twist, told = pin.log6(pin.SE3(motion)).vector, drift.oriented or k == 0
         own = C[FRAME * k : FRAME * (k + 1), FRAME * k : FRAME * (k + 1)]
-        seen, steps = slice(0, 6 if told else 3), (tools - A)[:, :3, 3]
-        sigma = (np.sqrt(np.trace(C) / 3.0) for C in (own[:3, :3], own[3:, 3:]))
+        seen, squares = slice(0, 6 if told else 3), np.diag(own).reshape(2, 3)
         yield Displacement(
-            frame=_owner(frames.tool if k else frames.station),
+            frame=_owner(scope),
             shift=float(np.linalg.norm(motion[:3, 3])),
             turn=float(np.linalg.norm(twist[3:])) if told else None,
             of_tool=k == 1,
-            sigma=PoseErrors(*map(float, sigma)),
+            sigma=PoseErrors(*np.sqrt(squares.mean(axis=1)).tolist()),
             chance=_chance(twist[seen], own[seen, seen]),
-            motion=float(np.sqrt(np.mean(np.sum(steps**2, axis=1)))),
+            motion=rms(np.linalg.norm((tools - A)[:, :3, 3], axis=1)),
         )
 
 

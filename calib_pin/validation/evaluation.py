@@ -10,7 +10,7 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError
 from calib_pin.estimation.conditions import require_conditions
-from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.evidence import Finding, rms
 from calib_pin.estimation.formulation import Stated, fitting, make_problem, setup_of
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem, error_table
@@ -24,7 +24,7 @@ from calib_pin.setup import Setup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.assessment import registration_reason
-from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.findings import explained, find
 from calib_pin.validation.findings.case import Case, Others, some_of
 from calib_pin.validation.judgement import CHECK, told, too_large
@@ -78,14 +78,12 @@ def evaluate(
     if not ready.registered:
         findings += tuple(_unregistered(there, rows))
     reason = ready.reason or told([f for f in findings if f.severity == "error"])
-    unexplained = [said for error in errors if (said := too_large(*error))]
-    if unexplained and not reason:
-        reason = f"{unexplained[0]}; {CHECK}"
-    outside = 0
-    if isinstance(there, CalibratedModel):
-        for block in ready.problem.blocks:
-            chain = there.of(block.term.key.chain)
-            outside += int(chain.outside(block.data.q).sum())
+    large = (f"{said}; {CHECK}" for error in errors if (said := too_large(*error)))
+    reason = reason or next(large, "")
+    outside = (
+        CalibratedChain(term.error, ready.theta, plain).outside(data.q).sum()
+        for term, data, _, _ in ready.problem.blocks
+    )
     return Evaluation(
         errors=errors,
         rows=len(rows),
@@ -93,7 +91,7 @@ def evaluate(
         registered=ready.registered,
         verdict="untrusted" if reason else "good",
         reason=reason,
-        outside=outside,
+        outside=int(sum(outside)),
         located=ready.located,
         findings=findings,
     )
@@ -127,14 +125,11 @@ def _unregistered(
 ) -> Iterator[Finding]:
     """Frames or an instrument that are not where a calibration has seen them."""
     some, _ = some_of(rows)
-    ready = prepared(robot, some)
     again = prepared(robot, some, registration=True)
-    if again.reason:
-        return
-    pair = [error_sizes(one.problem, one.theta)[0] for one in (ready, again)]
+    pair = [error_sizes(p.problem, p.theta)[0] for p in (prepared(robot, some), again)]
     name, measured_in, _ = pair[0]
-    before, after = (float(np.sqrt(np.mean(sizes**2))) for _, _, sizes in pair)
-    if not after < MOVED * before:
+    before, after = (rms(sizes) for _, _, sizes in pair)
+    if again.reason or not after < MOVED * before:
         return
     unit, factor = DISPLAY[measured_in]
     yield Finding(

@@ -142,20 +142,18 @@ def fleet_row(
     worst = max(known, key=lambda one: one.calibrated.position, default=None)
     sizes = (worst.nominal, worst.calibrated, worst.bound) if worst else ()
     codes = [f.code for f in result.findings if f.severity != "info"]
+    of = serial_number or about.serial_number, date or about.date or ""
+    judged = result.verdict, result.reason, error.name, error.unit
+    counts = len(result.fitted), result.validation.count
     return FleetRow(
         job,
-        serial_number or about.serial_number,
-        date or about.date or "",
+        *of,
         result.model.chains.robot.name,
-        result.verdict,
-        result.reason,
-        error.name,
-        error.unit,
-        fitted=len(result.fitted),
-        held_out=result.validation.count,
-        nominal=before.rms,
-        calibrated=after.rms,
-        expected=Expected(*(size.position for size in sizes)),
+        *judged,
+        *counts,
+        before.rms,
+        after.rms,
+        Expected(*(size.position for size in sizes)),
         outliers=len(result.statistics.outliers),
         findings=tuple(dict.fromkeys(codes)),
     )
@@ -169,7 +167,9 @@ def with_drift(row: FleetRow, found: Comparison, previous: str) -> FleetRow:
         found: The comparison of the earlier calibration with its own.
         previous: Name of the earlier one.
     """
-    size, (explained, _) = found.drift.position.rms, found.explained or (math.nan,) * 2
+    size, explained = found.drift.position.rms, math.nan
+    if found.drift.explained is not None:
+        explained = found.drift.explained[0]
     codes = (*row.findings, *(fault.code for fault in faults(found)))
     drift = Drift(previous, size, explained, bool(found.drifted))
     return replace(row, drift=drift, findings=tuple(dict.fromkeys(codes)))

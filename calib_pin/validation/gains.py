@@ -49,15 +49,14 @@ def gains(
     if not checks:
         return ()
     joined = ModelErrors.joined(checks)
-    positions, before, after = joined.positions, joined.before, joined.after
-    variance = joined.variance
-    sigma = layout.table(problem.sigma, len(problem.data))[positions]
-    label = np.unique(labels[positions], return_inverse=True)[1].reshape(-1)
+    sigma = layout.table(problem.sigma, len(problem.data))[joined.positions]
+    label = np.unique(labels[joined.positions], return_inverse=True)[1].reshape(-1)
     present = np.isfinite(sigma)
     # By what the fit predicts of each: a point near the plane of a camera moves by
     # hundreds of pixels for nothing, and would outweigh all others.
-    larger = np.where(np.isfinite(variance), np.maximum(variance, sigma**2), sigma**2)
+    larger = np.maximum(np.nan_to_num(joined.variance, posinf=0.0), sigma**2)
     unit = np.sqrt(larger, where=present, out=np.ones(sigma.shape))
+    whitened, expected = joined.after / unit, joined.variance / unit**2
     found = []
     every = (ALL, slice(None)), *((q.name, q.columns) for q in layout.quantities)
     for name, columns in every:
@@ -67,45 +66,37 @@ def gains(
             continue
         # Lengths; of all, root mean square over the components: one for noise alone.
         scale = unit * np.sqrt(present.sum(axis=1))[:, None] if name == ALL else 1.0
-        pair = (
-            np.linalg.norm(np.where(here, (errors / scale)[:, columns], 0.0), axis=1)
-            for errors in (before, after)
+        old, new = (
+            np.linalg.norm(np.where(here, (e / scale)[:, columns], 0.0), axis=1)[rows]
+            for e in (joined.before, joined.after)
         )
-        old, new = (sizes[rows] for sizes in pair)
-        predicted = float(np.sum((variance / unit**2)[:, columns][here]))
-        ratio = float("nan")
+        predicted, ratio = float(np.sum(expected[:, columns][here])), float("nan")
         if predicted > 0.0:  # Otherwise all values were needed to fit.
-            square = np.sum((after / unit)[:, columns][here] ** 2)
+            square = np.sum(whitened[:, columns][here] ** 2)
             ratio = float(np.sqrt(square / predicted))
-        found.append(_gain(method, name, old, new, label[rows], ratio))
+        found.append(Gain(method, name, *paired(old, new, label[rows]), ratio))
     return tuple(found)
 
 
-def _gain(
-    method: str,
-    quantity: str,
-    before: Floats,
-    after: Floats,
-    label: NDArray[np.int64],
-    ratio: float,
-) -> Gain:
-    """Student's t of the mean over the labels.
+def paired(
+    before: Floats, after: Floats, label: NDArray[np.int64]
+) -> tuple[int, float, float, float, float]:
+    """Number, mean and deviation of gains, and the chances that it is none, or no loss.
 
-    Where neither robot predicts a row, nothing is gained there; where only one does,
-    the mean is infinite and settles it.
+    Student's t of the mean over the labels. Where neither robot predicts a row, nothing
+    is gained there; where only one does, the mean is infinite and settles it.
     """
     rows = np.bincount(label)
     with np.errstate(invalid="ignore"):
         gain = np.nan_to_num(before - after, posinf=np.inf, neginf=-np.inf)
         means = (np.bincount(label, gain) / np.maximum(rows, 1))[rows > 0]
         mean, count = float(means.mean()), len(means)
-        deviation = float("nan")
+        deviation, t = float("nan"), 0.0
         if count > 1 and np.isfinite(mean):
             deviation = float(means.std(ddof=1) / np.sqrt(count))
-    better = worse = 0.5
-    if not np.isfinite(mean):
-        better, worse = (0.0, 1.0) if mean > 0.0 else (1.0, 0.0)
-    elif count > 1 and mean != 0.0:
-        t = mean / deviation if deviation > 0.0 else float(np.copysign(np.inf, mean))
-        better, worse = student_tail(t, count - 1), student_tail(-t, count - 1)
-    return Gain(method, quantity, count, mean, deviation, better, worse, ratio)
+    if mean != 0.0 and (count > 1 or np.isinf(mean)):
+        t = np.inf if mean > 0.0 else -np.inf
+        if deviation > 0.0:
+            t = mean / deviation
+    dof = max(count - 1, 1)
+    return count, mean, deviation, student_tail(t, dof), student_tail(-t, dof)

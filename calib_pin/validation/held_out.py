@@ -18,18 +18,13 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding, Gain
 from calib_pin.estimation.fit import FittedModel, fit_model
-from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.registration import extended
-from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations, grouped
 from calib_pin.progress import Stages
-from calib_pin.setup import Setup
 from calib_pin.validation.findings.moved_instrument import registered_if_moved
 from calib_pin.validation.gains import PRESS, gains
-from calib_pin.validation.learned_held_out import learned_left_out
 from calib_pin.validation.left_out import left_out, press_check, unusable
-from calib_pin.validation.model_errors import ModelErrors, model_errors, registered
+from calib_pin.validation.model_errors import ModelErrors, both, model_errors
 from calib_pin.validation.splits import FEWEST_HELD_OUT, Grouping, folds
 from calib_pin.workers import SERIAL, Workers
 
@@ -63,10 +58,8 @@ class HeldOut:
 
 
 def check(
-    chains: Chain | Chains,
-    training: Observations,
-    setup: Setup,
     model: FittedModel,
+    training: Observations,
     seed: int,
     *,
     validation: Observations | None = None,
@@ -79,10 +72,8 @@ def check(
     """Check a model on validation measurements, or by cross-validation without any.
 
     Args:
-        chains: The nominal chains.
-        training: The measurements that were fitted.
-        setup: Setup of the fit.
-        model: The model that was fitted to all of them.
+        model: The model.
+        training: The measurements that it was fitted to.
         seed: Seed of the split and of further fits.
         validation: Validation measurements; None for a cross-validation.
         method: How the validation measurements were chosen; see `HeldOut.method`.
@@ -93,7 +84,7 @@ def check(
     """
     fitted = model.fit
     training = model.weighted(training)
-    grouping = Grouping.of(training, setup)
+    grouping = Grouping.of(training, fitted.problem.setup)
     problem = replace(fitted.problem, data=training)
     pressed: tuple[Gain, ...] = ()
     if fitted.dof > 0:  # Without redundancy the hat matrix says nothing.
@@ -106,11 +97,8 @@ def check(
         return replace(found, gains=found.gains + pressed, apart=True)
     masks = folds(grouping, fitted, seed)
     if parts is None:
-        parts = tuple(
-            cross_validate(
-                chains, training, setup, masks, seed, model, progress, workers
-            )
-        )
+        validated = cross_validate(model, training, masks, seed, progress, workers)
+        parts = tuple(validated)
     # A fit that fails without its fold says nothing about the robot.
     kept = tuple(part for part in parts if not part.reason)
     held = np.zeros(len(training), bool)
@@ -119,54 +107,36 @@ def check(
     if training.rows(held).configurations < FEWEST_HELD_OUT:
         kept = ()
     name = grouping.validation_name(min(len(kept), len(masks)))
-    return HeldOut(
-        training,
-        kept,
-        name,
-        gains(name, problem, kept, grouping.clusters) + pressed,
-        skipped=tuple(part.reason for part in parts if part.reason),
-    )
-
-
-_Whole = tuple[Chain | Chains, Observations, Setup, int, Fit]
-"""Input that refits share: chains, measurements, setup, seed, and the fit of all."""
+    every = gains(name, problem, kept, grouping.clusters) + pressed
+    skipped = tuple(part.reason for part in parts if part.reason)
+    return HeldOut(training, kept, name, every, skipped=skipped)
 
 
 def cross_validate(
-    chains: Chain | Chains,
+    whole: FittedModel,
     measurements: Observations,
-    setup: Setup,
     masks: Sequence[NDArray[np.bool_]],
     seed: int,
-    whole: FittedModel,
     progress: Stages | None = None,
     workers: Workers = SERIAL,
 ) -> Iterator[ModelErrors]:
     """Errors of each part of the measurements by a model fitted to the others.
 
     Args:
-        chains: The nominal chains.
+        whole: The model fitted to all measurements.
         measurements: The N measurements.
-        setup: As for `fit_model`.
         masks: The parts, each of shape (N,).
         seed: As for `fit_model`.
-        whole: The model fitted to all measurements.
         progress: Told the stage and the fraction done of all parts.
         workers: Who fits those parts that take a fit.
     """
-    found: Sequence[ModelErrors | None]
-    if whole.learned is not None:
-        found = learned_left_out(whole, masks, seed)
-    else:  # Where all of them taught nothing, some teach no more.
-        setup, found = replace(setup, learned=None), left_out(whole.fit, masks)
+    found = left_out(whole, masks, seed)
     if whole.fit.problem.many:
         # Their kernels keep all cores busy, and every worker would have a copy.
         workers = SERIAL
-    shared = chains, measurements, setup, seed, whole.fit
-    parts = zip(masks, found, strict=True)
-    refits = workers.map(
-        _refitted, shared, [mask for mask, one in parts if one is None]
-    )
+    shared = whole, measurements, seed
+    left = [mask for mask, one in zip(masks, found, strict=True) if one is None]
+    refits = workers.map(_refitted, shared, left)
     for k, one in enumerate(found, 1):
         if progress is not None:
             progress(f"check {k} of {len(found)}", (k - 1) / len(found))
@@ -174,22 +144,25 @@ def cross_validate(
 
 
 @serial_blas
-def _refitted(whole: _Whole, mask: NDArray[np.bool_]) -> ModelErrors:
+def _refitted(
+    shared: tuple[FittedModel, Observations, int], mask: NDArray[np.bool_]
+) -> ModelErrors:
     """Errors of a part of the measurements, of shape (N,), by a fit of the others."""
-    chains, measurements, setup, seed, fit = whole
+    (whole, measurements, seed), fit = shared, shared[0].fit
     # Measurements that the fit of all has rejected stay rejected.
     some = measurements.rows(~mask & (measurements.weight > 0.0))
     layout = fit.problem.layout
     try:
-        model = fit_model(chains, some, setup, seed, effects_of=fit)
+        # Where all of them taught nothing, some teach no more.
+        known = fit.problem.chains, some, whole.problem.setup
+        model = fit_model(*known, seed, effects_of=fit)
         if model.problem.layout.quantities != layout.quantities:
             raise InputError("all others of an instrument are set aside")
         found = model_errors(model, measurements.rows(mask), np.flatnonzero(mask))
     except InputError as error:
         # All other measurements of a reference may be rejected.
         none = np.zeros((0, layout.width))
-        positions = np.zeros(0, np.intp)
-        return ModelErrors(positions, none, none, none, reason=error.reason)
+        return ModelErrors(np.zeros(0, np.intp), none, none, none, reason=error.reason)
     return replace(found, reason=unusable(model.fit))
 
 
@@ -197,29 +170,22 @@ def _checked_on(
     model: FittedModel, training: Observations, validation: Observations, method: str
 ) -> HeldOut:
     """The check on validation measurements."""
-    findings = []
+    findings, part = list[Finding](), None
     q = training.q[training.weight > 0.0]
     labels = grouped(np.concatenate([q, validation.q]))
     new = ~np.isin(labels[len(q) :], labels[: len(q)])
-    if not new.all():
-        some = f"{len(new) - int(new.sum())} of {len(new)}"
+    if repeated := len(new) - int(new.sum()):
+        said = f"{repeated} of {len(new)} validation measurements repeat "
+        said += "configurations that were fitted and do not count"
+        numbers = {"repeated": float(repeated), "all": float(len(new))}
+        remedy = "validate with configurations that were not fitted"
         findings.append(
-            Finding(
-                "repeated-validation",
-                "warning",
-                f"{some} validation measurements repeat configurations that were "
-                "fitted and do not count",
-                {"repeated": float(len(new) - new.sum()), "all": float(len(new))},
-                "validate with configurations that were not fitted",
-            )
+            Finding("repeated-validation", "warning", said, numbers, remedy)
         )
-    rows = validation.rows(new)
-    if not len(rows):
-        return HeldOut(validation, findings=tuple(findings))
-    before = registered(model.fit.problem, model.fit.before, rows)
-    after = registered(model.problem, model.theta, rows)
-    part, moved = registered_if_moved(model, before, after, np.flatnonzero(new))
-    findings += moved
+    if new.any():
+        pair = both(model, validation.rows(new))
+        part, moved = registered_if_moved(model, *pair, np.flatnonzero(new))
+        findings += moved
     if part is None:
         return HeldOut(validation, findings=tuple(findings))
     clusters = Grouping.of(validation, model.problem.setup).clusters

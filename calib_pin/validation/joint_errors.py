@@ -200,17 +200,11 @@ def joint_offsets(result: CalibrationResult) -> tuple[FoundOffset, ...]:
         index, unit = [place(one.name) for one in involved], known[joint].unit
         C = np.asarray(result.covariance)[np.ix_(index, index)]
         stepped = unit == "rad" and joint in steps
-        found.append(
-            FoundOffset(
-                joint,
-                column,
-                unit,
-                value=float(w @ [one.value for one in involved]),
-                sigma=None if open_ else float(np.sqrt(w @ C @ w)),
-                steps=steps[joint] / (2.0 * np.pi) if stepped else None,
-                status=open_[0] if open_ else "identifiable",
-                within=absorbed.get(joint, ()),
-                reverses=reverses.get(joint, ""),
-            )
-        )
+        value = float(w @ [one.value for one in involved])
+        sigma = None if open_ else float(np.sqrt(w @ C @ w))
+        per_unit = steps[joint] / (2.0 * np.pi) if stepped else None
+        status, within = open_[0] if open_ else "identifiable", absorbed.get(joint, ())
+        about = status, within, reverses.get(joint, "")
+        offset = FoundOffset(joint, column, unit, value, sigma, per_unit, *about)
+        found.append(offset)
     return tuple(found)

@@ -285,6 +285,9 @@ def _distrust(grounds: Judgement) -> str:
         return f"{SCALE}; {STATED if stated else MISSING}"
     if not fitted.result.status.success:
         return fitted.result.status.advice
+    for finding in grounds.findings:
+        if finding.severity == "error":
+            return "; ".join(filter(None, (finding.message, finding.remedy)))
     if grounds.aside > BREAKDOWN:
         return (
             f"{100.0 * grounds.aside:.0f} % of the configurations are outliers; beyond "
@@ -293,9 +296,6 @@ def _distrust(grounds: Judgement) -> str:
         )
     if reason := unexplained(fitted, grounds.errors):
         return f"{reason}; {CHECK}"
-    for finding in grounds.findings:
-        if finding.severity == "error":
-            return "; ".join(filter(None, (finding.message, finding.remedy)))
     return _unaccounted(grounds, COARSE)
 
 
@@ -321,10 +321,14 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
         return ""
     times = "" if noise is None else f", {after / noise:.2g} times the noise"
     known = "" if noise else ", state the 'noise' if the instrument is so coarse"
+    advice = f"measure at rest{known}, and {CHECK}"
+    for finding in grounds.findings:
+        if finding.code == "model-lacks":
+            advice = f"{finding.message}; {finding.remedy}"
     return (
         f"{quantity.name} errors of {_shown(after, 'm')} rms remain of "
         f"{_shown(before, 'm')}{times}: nothing that was estimated explains them; "
-        f"measure at rest{known}, and {CHECK}"
+        f"{advice}"
     )
 
 

@@ -8,33 +8,41 @@ covariance `(I - H_gg)^-1` (Allen 1974; Cook and Weisberg 1982, section 2.2). Th
 exact where the problem is linear. Directions, sizes of errors, noise, effects and
 weights are those of the fit. What only the group itself tells, as the position of a
 socket of its own, is where it puts it.
+
+Where something was learned, it takes the part of the group away from that as well, see
+`residual_models.gaussian_process`: the shift of the geometry that belongs to a
+correction is found anew with it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
+from calib_pin.estimation import learning
 from calib_pin.estimation.directions import half_covariance, visible_nuisances
+from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import (
     Fit,
+    Posterior,
     by_configuration,
     effect_rows,
     shared_variances,
 )
-from calib_pin.estimation.problem import EXACT, Problem, error_table, known_count
+from calib_pin.estimation.problem import EXACT, Problem, known_count
 from calib_pin.estimation.robust.studentized import by_size, spectrum
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.residual_models import LearnedCorrection
 from calib_pin.validation.model_errors import (
     ModelErrors,
     Registered,
-    found_distances,
-    predicted_variance,
+    errors_of_registered,
 )
 from calib_pin.validation.splits import FOLDS, MOST
 
@@ -94,25 +102,25 @@ def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
         fitted: The fit of all measurements.
         labels: Group of each, shape (N,).
     """
-    problem, layout = fitted.problem, fitted.problem.layout
+    problem = fitted.problem
     every = np.arange(count := len(problem.data))
     if problem.many:
         # Among so many, no group has a say, and some of them tell the errors.
         every = np.arange(0, count, max(1, count // (FOLDS * MOST)))
         problem = replace(problem, data=problem.data.rows(every))
-        layout, count = problem.layout, len(every)
         before, after = (problem.errors(at) for at in (fitted.before, fitted.theta))
         variance = problem.sigma**2
     else:
         nominal, calibrated = Linear.of(fitted)
         before, _ = press(nominal, labels)
         after, variance = press(calibrated, labels)
-    return ModelErrors(
-        every,
-        layout.table(_or_infinite(before), count),
-        layout.table(_or_infinite(after), count),
-        layout.table(fitted.unit**2 * variance, count),
+    # What cannot be predicted is infinitely wrong.
+    before, after = (np.where(np.isnan(e), np.inf, e) for e in (before, after))
+    first, second, spread = (
+        problem.layout.table(values, len(every))
+        for values in (before, after, fitted.unit**2 * variance)
     )
+    return ModelErrors(every, first, second, spread)
 
 
 @serial_blas
@@ -143,29 +151,36 @@ def press(robot: Linear, labels: NDArray[np.int64]) -> tuple[Floats, Floats]:
 
 @serial_blas
 def left_out(
-    fitted: Fit, masks: Sequence[NDArray[np.bool_]]
+    model: FittedModel, masks: Sequence[NDArray[np.bool_]], seed: int = 0
 ) -> list[ModelErrors | None]:
-    """Errors of each of some groups of measurements by a fit of the others.
+    """Errors of each of some groups of measurements by what the others tell.
 
     Args:
-        fitted: The fit of all measurements.
+        model: The model of all measurements.
         masks: The groups, shape (N,) each.
+        seed: Seed of whatever is learned anew.
 
     Returns:
         The errors; None where it takes a fit of the others to tell.
     """
-    problem = fitted.problem
-    if not masks or problem.own_of_stations:
+    fit, learned = model.fit, model.learned
+    if not masks or fit.problem.own_of_stations:
         # The elimination of stations is no sum over groups.
         return [None] * len(masks)
-    robots = Linear.of(fitted)
-    if problem.many:
-        found = [_of_many(fitted, robots, mask) for mask in masks]
-    else:
-        effects = effect_rows(fitted)
-        found = [_of_rows(fitted, robots, effects, mask) for mask in masks]
-    reason = unusable(fitted)
-    return [None if one is None else replace(one, reason=reason) for one in found]
+    robots = Linear.of(fit)
+    pairs = [_pair(robots, mask, placed=learned is None) for mask in masks]
+    effects: Floats | None = None
+    anew: Iterator[LearnedCorrection | None] = repeat(None)
+    if learned is not None:
+        parts = [mask for mask, pair in zip(masks, pairs, strict=True) if pair]
+        about, rng = fit.problem.rebased(fit.theta), np.random.default_rng(seed)
+        anew = iter(learning.left_out(learned, fit, *about, parts, rng))
+    elif not fit.problem.many:
+        effects = effect_rows(fit)
+    return [
+        None if pair is None else _errors(model, robots[1], mask, pair, effects, anew)
+        for mask, pair in zip(masks, pairs, strict=True)
+    ]
 
 
 def unusable(fitted: Fit) -> str:
@@ -176,68 +191,85 @@ def unusable(fitted: Fit) -> str:
 
 
 class Rest(NamedTuple):
-    """A fit without a group of measurements, of m residual components.
+    """A fit without a group of measurements.
 
     Attributes:
         theta: Parameter values, shape (P,).
-        errors: Errors of the group, shape (m,).
         inner: K of `N_g^-1 = (F K) (F K)^T`, shape (k, k').
-        placed: Orthonormal basis of what the group tells of parameters that only it
-            knows, shape (m, l).
-        alone: These parameters, shape (P,).
+        alone: Positions of the parameters that only the group knows.
     """
 
     theta: Floats
-    errors: Floats
     inner: Floats
-    placed: Floats
-    alone: NDArray[np.bool_]
-
-    def beside(self, values: Floats) -> Floats:
-        """The rest of values of the group, shape (m, s), when these are placed."""
-        return np.asarray(values - self.placed @ (self.placed.T @ values))
+    alone: tuple[int, ...] = ()
 
 
-def without(robot: Linear, own: NDArray[np.bool_]) -> Rest | None:
+def _pair(
+    robots: tuple[Linear, Linear], mask: NDArray[np.bool_], *, placed: bool
+) -> tuple[Rest, Rest] | None:
+    """Nominal and fitted robot without a group of measurements.
+
+    Args:
+        robots: Those of all N measurements.
+        mask: The group, shape (N,).
+        placed: Whether the group may place what only it knows.
+
+    Returns:
+        The robots; None where the others do not determine them.
+    """
+    before, after = (without(robot, mask) for robot in robots)
+    if before is None or after is None or (after.alone and not placed):
+        return None
+    least, most = robots[1].problem.parameters.bounds
+    beyond = (after.theta < least) | (after.theta > most)
+    return None if beyond.any() else (before, after)
+
+
+def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
     """A solution without some measurements.
 
     Of a reference object that only these name, known distances do not count: they are
     there to be found.
 
     Args:
-        robot: The solution of all.
-        own: Those of the M residual components that are left out, shape (M,).
+        robot: The solution of all N measurements.
+        mask: Those that are left out, shape (N,).
 
     Returns:
         The solution; None where the others do not determine it, or the problem is not
-        linear enough to tell, see `BENT`.
+        linear enough to tell, see `BENT`. Of so many measurements that they are not
+        linearized one by one, one step is all there is to make.
     """
-    problem, count = robot.problem, len(own)
-    out, alone = _group(robot, own)
-    inverse = _inverse(robot.columns[out], int(alone.sum()))
-    if inverse is None:
+    problem, F = robot.problem, robot.factor
+    if problem.many:
+        some = replace(problem, data=problem.data.rows(mask))
+        fun, jac = some.linearize(robot.theta)
+        count = len(fun) - len(some.further)
+        B = jac[:count] @ F
+        if (inverse := _inverse(B, 0)) is None:
+            return None
+        step = inverse[0].T @ (robot.columns.T @ robot.fun - B.T @ fun[:count])
+        return Rest(robot.theta - F @ (inverse[0] @ step), inverse[0])
+    out, alone = _group(robot, mask[problem.layout.row])
+    if (inverse := _inverse(robot.columns[out], int(alone.sum()))) is None:
         return None
     inner, held = inverse
-    theta, fun = robot.theta, np.where(out, 0.0, robot.fun)
-    finite = np.isfinite(problem.sigma)
+    theta, fun = robot.theta, robot.fun
     for k in range(STEPS):
-        step = inner.T @ (robot.columns.T @ fun)
+        step = inner.T @ (robot.columns.T @ np.where(out, 0.0, fun))
         if k and np.linalg.norm(step) <= BENT * max(robot.unit, EXACT):
             break
-        theta = theta - robot.factor @ (inner @ step)
-        errors = problem.errors(theta)
-        fun[:count] = np.divide(errors, problem.sigma, np.zeros(count), where=finite)
-        fun[count:] = problem.further.residual(theta)
-        r, fun[out] = fun[:count][own], 0.0
+        theta = theta - F @ (inner @ step)
+        fun = problem.residual(theta)
     else:
         return None
-    placed, triangle = np.linalg.qr(robot.columns[:count][own] @ held)
     if held.size:
+        own = np.flatnonzero(mask[problem.layout.row])
+        placed, triangle = np.linalg.qr(robot.columns[own] @ held)
         if np.sum(placed**2, axis=1).max() > 1.0 - ALONE:
             return None  # It says no more than where they are.
-        theta = theta - robot.factor @ held @ np.linalg.solve(triangle, placed.T @ r)
-        errors = problem.errors(theta)
-    return Rest(theta, errors[own], inner, placed, alone)
+        theta = theta - F @ held @ np.linalg.solve(triangle, placed.T @ fun[own])
+    return Rest(theta, inner, tuple(np.flatnonzero(alone).tolist()))
 
 
 def _group(
@@ -267,66 +299,68 @@ def _inverse(B: Floats, alone: int) -> tuple[Floats, Floats] | None:
     return Q[:, alone:] / np.sqrt(left[alone:]), Q[:, :alone]
 
 
-def _of_rows(
-    fitted: Fit,
-    robots: tuple[Linear, Linear],
-    effects: Floats | None,
-    mask: NDArray[np.bool_],
-) -> ModelErrors | None:
-    """Errors of some measurements, shape (N,), whose rows are there.
-
-    The effects of gears and compliance are given in all rows, shape (M, S).
-    """
-    problem, layout = fitted.problem, fitted.problem.layout
-    own = mask[layout.row]
-    before, after = (without(robot, own) for robot in robots)
-    if before is None or after is None or _beyond(problem, after.theta):
-        return None
-
-    def table(values: Floats) -> Floats:
-        every = np.empty(len(own))
-        every[own] = _or_infinite(values)
-        return layout.table(every, len(mask))[mask]
-
-    names = zip(problem.parameters.names, after.alone, strict=True)
-    anew = dict.fromkeys(name.rsplit(".", 2)[0] for name, only in names if only)
-    return ModelErrors(
-        np.flatnonzero(mask),
-        table(before.errors),
-        table(after.errors),
-        table(_variance(fitted, robots[1], effects, own, after)),
-        found_distances(
-            Registered(problem, before.theta),
-            Registered(problem, after.theta),
-            [d for d in problem.setup.known if anew.keys() >= set(d.between)],
-        ),
-        tuple(anew),
-    )
-
-
-def _variance(
-    fitted: Fit,
+def _errors(
+    model: FittedModel,
     robot: Linear,
+    mask: NDArray[np.bool_],
+    pair: tuple[Rest, Rest],
     effects: Floats | None,
-    own: NDArray[np.bool_],
-    rest: Rest,
-) -> Floats:
-    """Variance of the errors of a group, as of measurements that were not fitted, (m,).
+    anew: Iterator[LearnedCorrection | None],
+) -> ModelErrors:
+    """Errors of a group by a pair of robots that were fitted without it.
 
-    See `predicted_variance`.
+    Args:
+        model: The model of all measurements.
+        robot: Its geometry.
+        mask: The group, shape (N,).
+        pair: Nominal and fitted robot without it.
+        effects: Effects of gears and compliance in all rows, shape (M, S).
+        anew: The next correction that was learned without it.
     """
-    problem, layout = fitted.problem, fitted.problem.layout
-    noise = np.ones(len(layout.components))
-    if fitted.effects is not None:
-        noise = fitted.effects.noise
-    shared = shared_variances(problem, fitted.noise, noise)
-    others = robot.columns[: len(own)] @ rest.inner
-    uncertain = others[own]
-    others[own] = 0.0
-    result = np.zeros(len(uncertain))
+    fit, (before, after) = model.fit, pair
+    rows = fit.problem.data.rows(mask)
+    problem, theta, deviations = fit.problem, after.theta, fit.posterior
+    if (learned := next(anew)) is not None:
+        of_error = np.concatenate([t.of_error for t in problem.terms.values()])
+        step = np.zeros_like(theta)
+        step[of_error] = (theta - fit.theta)[of_error]
+        # What was learned stands on the geometry; where it fades, that remains.
+        learned = replace(learned, shift=learned.shift - step)
+        problem = learning.with_learned(model.problem, learned)
+        theta = model.theta + step
+    elif not problem.many:
+        deviations = _deviations(fit, robot, after, mask, effects)
+    nominal = Registered(replace(fit.problem, data=rows), before.theta)
+    calibrated = Registered(replace(problem, data=rows), theta, after.alone)
+    given = np.flatnonzero(mask), deviations
+    found = errors_of_registered(model, nominal, calibrated, *given)
+    return replace(found, reason=unusable(fit))
+
+
+def _deviations(
+    fit: Fit,
+    robot: Linear,
+    rest: Rest,
+    mask: NDArray[np.bool_],
+    effects: Floats | None,
+) -> Posterior:
+    """Deviations of a fit without a group of measurements, see `fitted.posterior`.
+
+    Args:
+        fit: The fit of all measurements.
+        robot: Its solution.
+        rest: That without the group.
+        mask: The group, shape (N,).
+        effects: Effects of gears and compliance in all rows, shape (M, S).
+    """
+    problem, layout, noise = fit.problem, fit.problem.layout, fit.posterior.noise
+    shared = shared_variances(problem, fit.noise, noise)
+    others = robot.columns[: len(layout.row)] @ rest.inner
+    others[mask[layout.row]] = 0.0
+    moved = robot.factor @ rest.inner
+    by_effects = np.zeros((len(moved), 0))
     if effects is not None:
-        moved = effects[own] - uncertain @ (others.T @ effects[: len(own)])
-        result += np.sum(rest.beside(moved) ** 2, axis=1)
+        by_effects = moved @ (others.T @ effects)
     # Where their noise is not one, and repetitions have a part of it in common.
     less = (1.0 - noise + shared)[layout.component]
     if less.any():
@@ -334,46 +368,5 @@ def _variance(
         if shared.any():
             core += by_configuration(problem, others, shared)
         values, V = np.linalg.eigh(core)
-        uncertain = uncertain @ (V * np.sqrt(np.maximum(values, 0.0)))
-    alone = noise[layout.component[own]] * (1.0 - np.sum(rest.placed**2, axis=1))
-    spread = np.sum(rest.beside(uncertain) ** 2, axis=1)
-    result += fitted.unit**2 * (alone + spread)
-    return np.asarray(result * problem.sigma[own] ** 2)
-
-
-def _of_many(
-    fitted: Fit, robots: tuple[Linear, Linear], mask: NDArray[np.bool_]
-) -> ModelErrors | None:
-    """Errors of some of so many measurements that one step is all there is to make."""
-    problem = replace(fitted.problem, data=fitted.problem.data.rows(mask))
-    thetas = []
-    for robot in robots:
-        fun, jac = problem.linearize(robot.theta)
-        own = slice(len(fun) - len(problem.further))
-        B = jac[own] @ robot.factor
-        inverse = _inverse(B, 0)
-        if inverse is None:
-            return None
-        step = inverse[0].T @ (robot.columns.T @ robot.fun - B.T @ fun[own])
-        thetas.append(robot.theta - robot.factor @ (inverse[0] @ step))
-    before, after = thetas
-    if _beyond(problem, after):
-        return None
-    variance = predicted_variance(fitted, problem, after)
-    return ModelErrors(
-        np.flatnonzero(mask),
-        error_table(problem, before),
-        error_table(problem, after),
-        problem.layout.table(variance, len(problem.data)),
-    )
-
-
-def _beyond(problem: Problem, theta: Floats) -> bool:
-    """Whether parameter values are beyond their bounds."""
-    least, most = problem.parameters.bounds
-    return bool(((theta < least) | (theta > most)).any())
-
-
-def _or_infinite(errors: Floats) -> Floats:
-    """Errors, infinite where a measurement cannot be predicted."""
-    return np.where(np.isnan(errors), np.inf, errors)
+        moved = moved @ (V * np.sqrt(np.maximum(values, 0.0)))
+    return replace(fit.posterior, by_noise=fit.unit * moved, by_effects=by_effects)

@@ -66,22 +66,20 @@ class MeasurementErrors:
             name: The set, `train` or `validate`.
             directions: Whether directions of approach are told that no file states.
         """
-        rows = self.rows
+        rows, held = self.rows, self.rows.conditions
+        keys = [rows.keys[k] for k in rows.block_of.tolist()]
         found: dict[str, Sequence[Any]] = {
             "set": [name] * len(self),
             "file": rows.files,
             "line": rows.lines.tolist(),
             "target": rows.target,
             "payload": rows.payload,
+            **{name: [getattr(key, name) for key in keys] for name in BlockKey._fields},
         }
 
-        def add(names: Iterable[str], values: Floats) -> None:
-            found.update(zip(names, values.T.tolist(), strict=True))
+        def add(form: str, names: Iterable[object], values: Floats) -> None:
+            found.update(zip(map(form.format, names), values.T.tolist(), strict=True))
 
-        of_row = [rows.keys[k] for k in rows.block_of.tolist()]
-        for column in BlockKey._fields:
-            found[column] = [getattr(key, column) for key in of_row]
-        add((f"joint.{joint}" for joint in rows.joints), rows.q)
         width = max(block.values.shape[1] for block in rows.blocks)
         start, values, stated = (
             np.full((len(self), columns), np.nan)
@@ -94,25 +92,22 @@ class MeasurementErrors:
             if block.sigma is not None:
                 own = ~np.isnan(self.sigma[part.start])
                 stated[part, own] = block.sigma
+        add("joint.{}", rows.joints, rows.q)
         if not np.isnan(start).all():
-            add((f"start.{joint}" for joint in rows.joints), start)
-        held = rows.conditions
+            add("start.{}", rows.joints, start)
         if held.direction.size and (directions or held.source == "columns"):
-            add(
-                (f"direction.{joint}" for joint in rows.joints),
-                held.direction.astype(float),
-            )
+            add("direction.{}", rows.joints, held.direction.astype(float))
         for column in ("temperature", "time"):
             if len(getattr(held, column)):
-                add((column,), getattr(held, column)[:, None])
-        add((f"measured.{k + 1}" for k in range(width)), values)
-        add(("weight", "leverage"), np.column_stack([rows.weight, self.leverage]))
-        add((f"tool.{axis}" for axis in AXES), self.points)
+                found[column] = getattr(held, column).tolist()
+        add("measured.{}", range(1, width + 1), values)
+        add("{}", ("weight", "leverage"), np.array([rows.weight, self.leverage]).T)
+        add("tool.{}", AXES, self.points)
         stages = {"before": self.before, "after": self.after, "sigma": self.sigma}
         if not np.isnan(stated).all():
             stages["stated"] = stated
         for stage, values in stages.items():
-            add((f"{component}.{stage}" for component in self.components), values)
+            add(f"{{}}.{stage}", self.components, values)
         return found
 
     def sizes(self, quantity: Quantity) -> tuple[Floats, Floats]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.fit import FittedModel
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, Posterior
 from calib_pin.estimation.layout import alike
 from calib_pin.estimation.problem import Problem, distinct_values, error_table
 from calib_pin.estimation.registration import extended
@@ -22,6 +22,9 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.setup import DistanceSetup
 from calib_pin.validation.result import FoundDistance
+
+ARRAYS = ("positions", "before", "after", "variance")
+"""Those that have a row for each measurement."""
 
 
 @dataclass(frozen=True)
@@ -55,36 +58,22 @@ class ModelErrors:
     @staticmethod
     def joined(parts: Sequence[ModelErrors]) -> ModelErrors:
         """Those of all parts, one after the other."""
-        positions, before, after, variance = (
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("positions", "before", "after", "variance")
-        )
-        return ModelErrors(
-            positions,
-            before,
-            after,
-            variance,
-            tuple(distance for part in parts for distance in part.distances),
-            tuple(dict.fromkeys(name for part in parts for name in part.registered)),
-        )
+        names = dict.fromkeys(name for part in parts for name in part.registered)
+        arrays = ([getattr(part, name) for part in parts] for name in ARRAYS)
+        positions, before, after, variance = map(np.concatenate, arrays)
+        distances = tuple(distance for part in parts for distance in part.distances)
+        return ModelErrors(positions, before, after, variance, distances, tuple(names))
 
     def at(self, kept: NDArray[np.generic]) -> ModelErrors:
         """Those of some of the measurements, a mask or positions within them."""
-        return replace(
-            self,
-            positions=self.positions[kept],
-            before=self.before[kept],
-            after=self.after[kept],
-            variance=self.variance[kept],
-        )
+        return replace(self, **{name: getattr(self, name)[kept] for name in ARRAYS})
 
     def replaced(self, kept: NDArray[np.intp], by: ModelErrors) -> ModelErrors:
         """The same with those of some measurements, at positions within them, anew."""
         anew = {distance.between: distance for distance in by.distances}
-        arrays = {}
-        for name in ("before", "after", "variance"):
-            arrays[name] = getattr(self, name).copy()
-            arrays[name][kept] = getattr(by, name)
+        arrays = {name: getattr(self, name).copy() for name in ARRAYS}
+        for name, values in arrays.items():
+            values[kept] = getattr(by, name)
         distances = tuple(anew.get(d.between, d) for d in self.distances)
         return replace(self, distances=distances, **arrays)
 
@@ -114,9 +103,7 @@ def model_errors(
         InputError: If a new station or reference object uses up all that its
             measurements say, or they are of something that was not fitted.
     """
-    before = registered(model.fit.problem, model.fit.before, measurements)
-    after = registered(model.problem, model.theta, measurements)
-    return errors_of_registered(model, before, after, positions)
+    return errors_of_registered(model, *both(model, measurements), positions)
 
 
 @serial_blas
@@ -127,16 +114,11 @@ def fitted_errors(model: FittedModel, training: Observations) -> ModelErrors:
         model: The fitted model.
         training: The measurements, those that the fit has set aside included.
     """
-    before = registered(model.fit.problem, model.fit.before, training)
-    after = registered(model.problem, model.theta, training)
-    shown = error_table(before.problem, before.theta)
-    return ModelErrors(
-        np.arange(len(training)),
-        shown,
-        error_table(after.problem, after.theta),
-        np.full(shown.shape, np.nan),
-        found_distances(before, after, after.problem.setup.known, fitted=True),
-    )
+    before, after = both(model, training)
+    shown, fitted = (error_table(at.problem, at.theta) for at in (before, after))
+    known = found_distances(before, after, after.problem.setup.known, fitted=True)
+    unknown = np.full(shown.shape, np.nan)
+    return ModelErrors(np.arange(len(training)), shown, fitted, unknown, known)
 
 
 def errors_of_registered(
@@ -144,6 +126,7 @@ def errors_of_registered(
     before: Registered,
     after: Registered,
     positions: NDArray[np.intp],
+    deviations: Posterior | None = None,
 ) -> ModelErrors:
     """Errors of measurements that both robots are registered on.
 
@@ -152,41 +135,30 @@ def errors_of_registered(
         before: The nominal robot.
         after: The fitted model.
         positions: Positions of the measurements among all, shape (N,).
+        deviations: Those of the fit that predicts; default of the model's own.
     """
-    problem, theta, known = after.problem, after.theta, located_names(model.problem)
-    estimated = (*after.refitted, *after.new)
-    there, fit = (problem, theta), model.fit
-    # A known point that only these name has no parameters, and yet it is new.
-    alike = fit.problem.terms.keys() == problem.terms.keys()
-    alike &= fit.problem.references.keys() == problem.references.keys()
-    if alike and not estimated:
-        there = replace(fit.problem, data=problem.data), fit.theta
-    variance = predicted_variance(model.fit, *there, estimated)
-    stated = problem.setup.known
-    anew = [d for d in stated if not set(known).intersection(d.between)]
+    problem, theta = after.problem, after.theta
+    estimated = *after.refitted, *after.new
+    variance = predicted_variance(model.fit, problem, theta, estimated, deviations)
+    names = problem.parameters.names
+    placed = {names[k].rsplit(".", 2)[0] for k in after.new}
+    known = set(located_names(model.problem)) - placed
     given = {n for (_, n), found in problem.references.items() if not found.parameters}
-    return ModelErrors(
-        positions,
-        error_table(before.problem, before.theta),
-        error_table(problem, theta),
-        problem.layout.table(variance, len(problem.data)),
-        found_distances(before, after, anew),
-        tuple(n for n in located_names(problem) if n not in known and n not in given),
-    )
+    anew = [d for d in problem.setup.known if known.isdisjoint(d.between)]
+    nominal, fitted = (error_table(at.problem, at.theta) for at in (before, after))
+    spread = problem.layout.table(variance, len(problem.data))
+    lengths = found_distances(before, after, anew)
+    own = tuple(name for name in located_names(problem) if name not in known | given)
+    return ModelErrors(positions, nominal, fitted, spread, lengths, own)
 
 
 def located_names(problem: Problem) -> tuple[str, ...]:
     """Names of the stations that are estimated, and of all reference objects."""
     free = dict(zip(problem.given.names, problem.parameters.free, strict=True))
-    stations = dict.fromkeys(
-        term.frames.station
-        for term in problem.terms.values()
-        if any(free[p.name] for p in term.parameters[:FRAME])
-    )
-    return (
-        *(" ".join(reversed(name.rsplit(".", 1))) for name in stations),
-        *(name for _, name in problem.references),
-    )
+    terms = problem.terms.values()
+    found = [t for t in terms if any(free[p.name] for p in t.parameters[:FRAME])]
+    words = (" ".join(reversed(t.frames.station.rsplit(".", 1))) for t in found)
+    return (*dict.fromkeys(words), *(name for _, name in problem.references))
 
 
 def found_distances(
@@ -203,17 +175,14 @@ def found_distances(
         stated: The distances; those that end elsewhere are left out.
         fitted: Whether they were fitted.
     """
-    (first, nominal), (second, found) = (
-        (distances, distances.lengths(at.theta))
+    nominal, found = (
+        KnownDistances.of(stated, at.problem.references, at.problem.given.names)
         for at in (before, after)
-        for distances in [
-            KnownDistances.of(stated, at.problem.references, at.problem.given.names)
-        ]
     )
-    assert first.stated == second.stated
+    lengths = nominal.lengths(before.theta), found.lengths(after.theta)
     return tuple(
         FoundDistance(d.between, d.value, d.sigma, float(n), float(f), fitted, d.unit)
-        for d, n, f in zip(first.stated, nominal, found, strict=True)
+        for d, n, f in zip(found.stated, *lengths, strict=True)
     )
 
 
@@ -265,32 +234,40 @@ def registered(
     return Registered(problem, least_squares(plain, theta, basis).x, new)
 
 
+def both(
+    model: FittedModel, measurements: Observations
+) -> tuple[Registered, Registered]:
+    """The nominal robot and the fitted model, `registered` on other measurements."""
+    before = registered(model.fit.problem, model.fit.before, measurements)
+    return before, registered(model.problem, model.theta, measurements)
+
+
 def _require_redundancy(problem: Problem, theta: Floats, new: Sequence[int]) -> None:
     """Refuse measurements that a new station or reference object uses up.
 
     Raises:
         InputError: If there are such; their errors would all be zero.
     """
-    _, J = problem.linearize_rows(theta)
-    J = J[: len(problem.layout.row)]
+    row, names = problem.layout.row, problem.parameters.names
+    J = problem.linearize_rows(theta)[1][: len(row)]
     owners: dict[tuple[str, str], list[int]] = {}
     for k in new:
-        name, kind, _ = problem.parameters.names[k].rsplit(".", 2)
+        name, kind, _ = names[k].rsplit(".", 2)
         owners.setdefault((name, kind), []).append(k)
     for (name, kind), columns in owners.items():
         A = J[:, columns]
-        told = A.any(axis=1)
-        rows = np.unique(problem.layout.row[told])
-        values = distinct_values(replace(problem, data=problem.data.rows(rows)))
-        if values <= np.linalg.matrix_rank(A[told]):
-            reason = (
-                f"the measurements of '{name}', which was not fitted, say no more than "
-                "where it is; measure it in more configurations"
-            )
-            column = "station" if kind == "station" else "target"
-            if not len(rows):
-                raise InputError(reason, column=column)
+        rows = np.unique(row[A.any(axis=1)])
+        seen = replace(problem, data=problem.data.rows(rows))
+        if distinct_values(seen) > np.linalg.matrix_rank(A):
+            continue
+        reason = (
+            f"the measurements of '{name}', which was not fitted, say no more than "
+            "where it is; measure it in more configurations"
+        )
+        column = "station" if kind == "station" else "target"
+        if len(rows):
             raise problem.data.error(int(rows[0]), reason, column=column)
+        raise InputError(reason, column=column)
 
 
 ENTRIES = 4_000_000
@@ -299,7 +276,11 @@ ENTRIES = 4_000_000
 
 @serial_blas
 def predicted_variance(
-    fitted: Fit, problem: Problem, theta: Floats, estimated: Sequence[int] = ()
+    fitted: Fit,
+    problem: Problem,
+    theta: Floats,
+    estimated: Sequence[int] = (),
+    deviations: Posterior | None = None,
 ) -> Floats:
     """Variance of the errors of measurements that were not fitted, in their units.
 
@@ -313,12 +294,13 @@ def predicted_variance(
         problem: The problem of the N measurements.
         theta: Parameter values, shape (P,).
         estimated: Positions of parameters that were estimated from these.
+        deviations: Those of its parameters; default of a fit of all.
 
     Returns:
         Variances of the residual components, shape (M,); infinite for measurements that
         are set aside, NaN where the fit knows no covariance.
     """
-    sigma, deviations = problem.sigma, fitted.posterior
+    sigma, deviations = problem.sigma, deviations or fitted.posterior
     if not np.isfinite(deviations.by_noise).all():
         return np.full(sigma.shape, np.nan)
     names = {name: k for k, name in enumerate(fitted.problem.parameters.names)}

@@ -77,12 +77,11 @@ class Tested:
             "visits": [pose.visits for _, pose in poses],
         }
         for title, of in (("AP", "accuracy"), ("RP", "repeatability")):
-            for k, end in enumerate(("", "_low", "_high")):
-                ends = [getattr(pose, of)[k] for _, pose in poses]
-                found[f"{title}{end} [m]"] = ends
+            ends = zip(*(getattr(pose, of) for _, pose in poses), strict=True)
+            for end, values in zip(("", "_low", "_high"), ends, strict=True):
+                found[f"{title}{end} [m]"] = values
         known = (pose.directions for _, pose in poses)
-        found["vAP [m]"] = ["" if size is None else size for size in known]
-        return found
+        return found | {"vAP [m]": ["" if size is None else size for size in known]}
 
 
 @serial_blas
@@ -115,11 +114,8 @@ def tested(
     """
     if len(rows.blocks) != 1 or rows.blocks[0].model not in MODELS:
         listed = ", ".join(dict.fromkeys(block.model for block in rows.blocks))
-        raise InputError(
-            "an acceptance test needs positions or poses from one station",
-            value=listed,
-            allowed=" or ".join(MODELS),
-        )
+        reason = "an acceptance test needs positions or poses from one station"
+        raise InputError(reason, value=listed, allowed=" or ".join(MODELS))
     visits, others = rows, None
     if rows.validate.any() and not rows.validate.all():
         visits, others = rows.rows(rows.validate), rows.rows(~rows.validate)
@@ -137,26 +133,17 @@ def tested(
     if moved is not None:
         at = places[np.flatnonzero(good)[moved]]
         doubts += [f"the instrument was moved before {at}; test both parts alone"]
-    frames, fitted, how, further = _frames(robot, visits, others, setup, registration)
+    frames, fitted, how, more = _frames(robot, visits, others, setup, registration)
     tests = {}
     for name, fit in frames.items():
         there = registered_on(fit.problem, fit.theta, visits)
         errors = error_table(there.problem, there.theta)
-        known = fit.unknown if fitted else fit.known
-        test = acceptance(
-            x,
-            x + errors[:, :3],
-            group,
-            -errors[:, 3:6] if errors.shape[1] > 3 else None,
-            number[good],
-            cycle[good],
-            FrameErrors(
-                derivatives(there.problem, there.theta) @ known,
-                np.inf if fitted else fit.dof,
-                fitted,
-            ),
-        )
-        said = (*doubts, *further)
+        effects = derivatives(there.problem, there.theta) @ fit.known
+        commanded, said = x + errors[:, :3], (*doubts, *more)
+        angles = -errors[:, 3:6] if errors.shape[1] > 3 else None
+        visited = group, angles, number[good], cycle[good]
+        off = FrameErrors(effects, fit.dof or np.inf, fitted)
+        test = acceptance(x, commanded, *visited, off)
         tests[name] = replace(test, moved=moved is not None, doubts=said)
     name = (robot if isinstance(robot, Chains) else robot.model.chains).robot.name
     about = f"{name}: {len(x)} visits of {len(test.poses)} poses; {how}."
@@ -179,37 +166,33 @@ def _frames(
         on, own = others, f"registered on {len(others)} other measurements"
     if isinstance(robot, Chains):
         fit = frames_alone(robot, on, setup)
-        if others is None and np.isfinite(fit.known).all():
-            return {"robot": fit}, "", "base and tool as stated", doubts
-        problem, found = register(fit.problem, fit.theta)
-        nuisance = problem.parameters.free & problem.parameters.nuisance
-        fits = {"robot": _fitted(problem, found.x, nuisance)}
-        what, how = "base and tool were", f"base and tool {own}"
+        what, how = "base and tool were", "base and tool as stated"
+        if others is not None or not np.isfinite(fit.known).all():
+            problem, found = register(fit.problem, fit.theta)
+            nuisance = problem.parameters.free & problem.parameters.nuisance
+            fit = _fitted(problem, found.x, nuisance, others is None)
+            how = f"base and tool {own}"
+        fits = {"robot": fit}
     else:
-        what, how = "", "base and tool as calibrated"
+        what, how = "the station was", "base and tool as calibrated"
         models = {"nominal": robot.reference, "calibrated": robot.model}
-        if (
-            registration
-            or others is not None
-            or visits.keys[0] not in models[NOW].terms
-        ):
-            fits = {name: fitted_station(model, on) for name, model in models.items()}
+        there = visits.keys[0] in robot.model.terms
+        if registration or others is not None or not there:
+            alone = others is None
+            fits = {n: fitted_station(model, on, alone) for n, model in models.items()}
             said, unlikely = misfit(robot, fits[NOW])
             doubts += [said] * unlikely
-            what, how = "the station was", f"tool as calibrated, station {own}; {said}"
+            how = f"tool as calibrated, station {own}; {said}"
         else:
             none = np.zeros((len(robot.model.theta), 0))
-            fits = {
-                name: FrameFit(model.problem(visits), model.theta, none)
-                for name, model in models.items()
-            }
+            given = {n: (m.problem(visits), m.theta) for n, m in models.items()}
+            fits = {name: FrameFit(*own, none) for name, own in given.items()}
             pair = fits[NOW], fitted_station(robot.model, visits)
             sizes = [np.linalg.norm(error_table(f.problem, f.theta)) for f in pair]
             doubts += [ELSEWHERE] * bool(sizes[0] > MOVED * sizes[1])
         how += " (nominal robot: as registered on the calibration's measurements)"
     *_, fit = fits.values()
-    untold = what and (others is None or fit.dof == 0)
-    return fits, f"{what} {own}" if untold else "", how, doubts
+    return fits, "" if fit.dof else f"{what} {own}", how, doubts
 
 
 def _named(
@@ -275,9 +258,9 @@ class FrameFit(NamedTuple):
     Attributes:
         problem: The problem of the measurements that tell them.
         theta: Parameter values, shape (P,).
-        known: Deviations of the parameters by independent ones of size one, (P, r); of
-            a fit that has nothing left a meter and a radian each.
-        dof: Degrees of freedom that tell the size of deviations; zero for such a fit.
+        known: Deviations of the parameters by independent ones of size one, (P, r); a
+            meter and a radian each where nothing tells by how much they are off.
+        dof: Degrees of freedom that tell the size of deviations; zero there.
     """
 
     problem: Problem
@@ -285,34 +268,30 @@ class FrameFit(NamedTuple):
     known: Floats
     dof: float = np.inf
 
-    @property
-    def unknown(self) -> Floats:
-        """The same where nothing tells by how much they are off."""
-        scales = np.diag(self.problem.parameters.scales)
-        return np.asarray(scales[:, self.known.any(axis=1)])
-
 
 def frames_alone(chains: Chains, rows: Observations, setup: Setup) -> FrameFit:
     """The nominal robot with frames as a setup states them, and their priors."""
     bare = replace(setup, parameters=(), learned=None, fixed=(), bounds={}, prior={})
     names = make_problem(chains, rows, bare).parameters.names
     fixed = tuple(glob for glob in setup.fixed if matching(glob, names))
-    priors = setup.prior_by_glob.items()
-    prior = {glob: sigma for glob, sigma in priors if matching(glob, names)}
+    priors = setup.prior_by_glob
+    prior = {glob: priors[glob] for glob in priors if matching(glob, names)}
     problem = make_problem(chains, rows, replace(bare, fixed=fixed, prior=prior))
     theta, parameters = np.zeros(len(names)), problem.parameters
     known = np.diag(parameters.priors)[:, parameters.free]
     return FrameFit(registered(problem, theta), theta, known)
 
 
-def fitted_station(model: CalibratedModel, rows: Observations) -> FrameFit:
+def fitted_station(
+    model: CalibratedModel, rows: Observations, alone: bool = True
+) -> FrameFit:
     """A robot with its tool, whose station is fitted to measurements of one block."""
     problem, theta = extended(model.problem(rows), model.theta, rows)
     term = problem.terms[rows.only.key]
     problem = relocated(problem, theta, term.frames.station)
     free = np.isin(np.arange(len(theta)), term.index[:FRAME])
     basis = np.diag(problem.parameters.scales)[:, free]
-    return _fitted(problem, least_squares(problem, theta, basis).x, free)
+    return _fitted(problem, least_squares(problem, theta, basis).x, free, alone)
 
 
 def derivatives(problem: Problem, theta: Floats) -> Floats:
@@ -322,10 +301,13 @@ def derivatives(problem: Problem, theta: Floats) -> Floats:
     return np.asarray(J.reshape(len(problem.data), -1, len(theta)))
 
 
-def _fitted(problem: Problem, theta: Floats, free: NDArray[np.bool_]) -> FrameFit:
+def _fitted(
+    problem: Problem, theta: Floats, free: NDArray[np.bool_], alone: bool
+) -> FrameFit:
     """Free parameters that were fitted to measurements, and how surely.
 
     Those of one configuration have the errors of the robot in common, and count as one.
+    Where these alone are measured, they are tested and tell nothing of it.
     """
     r, J = problem.linearize_rows(theta)
     count, scales = len(problem.sigma), problem.parameters.scales[free]
@@ -333,7 +315,7 @@ def _fitted(problem: Problem, theta: Floats, free: NDArray[np.bool_]) -> FrameFi
     share = problem.data.configurations / len(problem.data)
     dof = round(share * count) - int(np.linalg.matrix_rank(A, 1e-6 * len(A) ** 0.5))
     back = np.diag(problem.parameters.scales)[:, free]
-    if dof <= 0:
+    if alone or dof <= 0:
         return FrameFit(problem, theta, back, 0)
     square = max(float(r[:count] @ r[:count]) * share / dof, 1e-12)
     # What nothing tells is known to a meter and a radian.

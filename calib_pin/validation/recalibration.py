@@ -155,10 +155,9 @@ def started(
     if start is None:
         raise OptionError("a process noise belongs to an older calibration, 'start'")
     if ladder:
-        raise OptionError(
-            "the model of an older calibration is kept; it is not selected anew",
-            allowed="an older calibration, or the selection of a model",
-        )
+        reason = "the model of an older calibration is kept; it is not selected anew"
+        allowed = "an older calibration, or the selection of a model"
+        raise OptionError(reason, allowed=allowed)
     require_usable(chains, setup, start)
     older, noise = RobotState.of(start), pooled_noise(start)
     known = {one.quantity: one.sigma for one in noise}
@@ -201,9 +200,8 @@ def expected_setup(
     state = RobotState.of(start)
     sudden = changes(state.system, state.robot).values()
     directions = drifts(state.system, state.robot, sudden)
-    effects = [
-        (d.size, directions[d.name]) for d in expected_drifts(start, process_noise)
-    ]
+    expected = expected_drifts(start, process_noise)
+    effects = [(drift.size, directions[drift.name]) for drift in expected]
     # Which joint was hit, if one was, must show as well.
     effects += [(SELDOM**0.5, c.directions) for c in sudden if c.kind == "offset"]
     known = {one.quantity: one.sigma for one in pooled_noise(start)}
@@ -261,11 +259,9 @@ def expected_drifts(
     """
     if process_noise is not None:
         if not 0.0 < process_noise < np.inf:
-            raise OptionError(
-                "the process noise is a standard deviation",
-                value=process_noise,
-                allowed="a positive number [m, rad]",
-            )
+            reason = "the process noise is a standard deviation"
+            allowed = "a positive number [m, rad]"
+            raise OptionError(reason, value=process_noise, allowed=allowed)
         return (DriftSize(EXPECTED[0].name, process_noise, np.inf),)
     before = () if start.recalibration is None else start.recalibration.last.drifts
     # What a user has stated once, says nothing of the next time.
@@ -303,9 +299,7 @@ class Innovations:
         measured: Noise of the measurements in the rows, shape (r, m).
         known: The noise as it is known.
         sudden: What may have changed at once, by name.
-        causes: The same as they show in the rows, by name.
-        drifting: How the parameters drift, shape (P, k), and how that shows in the
-            rows, (r, k), by the names of drifts.
+        drifting: How the parameters drift, shapes (P, k), by the names of drifts.
         wrong: What may be wrong of the measurements.
     """
 
@@ -342,28 +336,15 @@ class Innovations:
         self.measured = np.eye(len(self.rows))[:, :count]
         self.values = self.measured @ told.values
         self.sudden = changes(problem, robot)
-        drifting = drifts(problem, robot, self.sudden.values())
-        self.drifting = {name: (own, self.rows @ own) for name, own in drifting.items()}
+        self.drifting = drifts(problem, robot, self.sudden.values())
         for (kind, name), own in frames.items():
             self.sudden[f"{kind} {name}"] = Change(name, kind, every[:, own])
-        counts = Counter(change.kind for change in self.sudden.values())
-        self.causes = {
-            name: Sparse(
-                name,
-                self.rows @ change.directions,
-                FAR if change.kind in FRAMES else SIZES,
-                CHANCES[change.kind] / counts[change.kind],
-            )
-            for name, change in self.sudden.items()
-        }
         groups = problem.data.groups()
         labels, of_value = np.unique(groups).tolist(), groups[problem.layout.row]
         along = self.measured @ told.along
         chance = 1.0 / len(labels)
-        self.wrong = [
-            Sparse(f"measurement {k}", along[:, of_value == k], WRONG, chance)
-            for k in labels
-        ]
+        wrong = {f"measurement {k}": along[:, of_value == k] for k in labels}
+        self.wrong = [Sparse(name, E, WRONG, chance) for name, E in wrong.items()]
 
     def explained(
         self, start: CalibrationResult, process_noise: float | None, count: int
@@ -407,10 +388,8 @@ class Innovations:
             worth = np.array([d.worth for d in sizes])
             wider = np.sqrt(part * worth / np.maximum(worth - 2.0, 1.0))
             found = calm if still > 0.0 else found
-        effects = [
-            (by * drift.size, self.drifting[drift.name][0])
-            for by, drift in zip(wider.tolist(), sizes, strict=True)
-        ]
+        pairs = zip(wider.tolist(), sizes, strict=True)
+        effects = [(by * drift.size, self.drifting[drift.name]) for by, drift in pairs]
         sudden, jumps = [c for c in sparse if c.name in self.sudden], list[Jump]()
         hit = dict[str, float]()
         for cause in sudden:
@@ -421,16 +400,11 @@ class Innovations:
         effects += [(size, self.sudden[name].directions) for name, size in hit.items()]
         # A tracker that was set up anew is no error of the prediction.
         moved = (c for c in sudden if self.sudden[c.name].kind in FRAMES)
+        chi2 = replace(first, causes=(*first.causes, *moved)).square
+        still = float(still - (CALM if begun is None else 0.0))
+        made = start.provenance.file, start.provenance.created, count, chi2
         step = RecalibrationStep(
-            start=start.provenance.file,
-            created=start.provenance.created,
-            measurements=count,
-            chi2=replace(first, causes=(*first.causes, *moved)).square,
-            dof=len(self.values),
-            noise=self.known,
-            drifts=sizes,
-            jumps=tuple(jumps),
-            still=float(still - (CALM if begun is None else 0.0)),
+            *made, len(self.values), self.known, sizes, tuple(jumps), still
         )
         # Beside what all have shown, as much more as these show by chance.
         more = max(found.square / len(self.values), 1.0) ** 0.5
@@ -443,7 +417,7 @@ class Innovations:
         W, M = self.rows / self.parameters.scales, self.measured
         known = W @ self.state.covariance @ W.T + np.eye(len(W)) - M @ M.T
         causes = [
-            Cause(d.name, self.drifting[d.name][1], d.size, d.worth, most)
+            Cause(d.name, self.rows @ self.drifting[d.name], d.size, d.worth, most)
             for d in expected
             for most in [max(MOST.get(d.name, 0.0), d.size)]
         ]
@@ -454,9 +428,15 @@ class Innovations:
 
     def _sparse(self, kinds: Collection[str]) -> list[Sparse]:
         """Causes of some kinds that are there or not, and wrong measurements."""
-        own = [of for n, of in self.causes.items() if self.sudden[n].kind in kinds]
+        counts = Counter(change.kind for change in self.sudden.values())
+        found = []
+        for name, change in self.sudden.items():
+            sizes = FAR if change.kind in FRAMES else SIZES
+            chance = CHANCES[change.kind] / counts[change.kind]
+            if change.kind in kinds:
+                found.append(Sparse(name, self.rows @ change.directions, sizes, chance))
         grown = [Sparse(NOISE_GREW, self.measured, NOISIER)] * (NOISE_GREW in kinds)
-        return [*own, *self.wrong, *grown]
+        return [*found, *self.wrong, *grown]
 
     def _others(
         self, found: Explanation, cause: Cause, sudden: Sequence[Cause]
@@ -467,13 +447,12 @@ class Innovations:
         """
         instead, beside = list[str](), list[str]()
         without, E = found.without({cause.name}), cause.effects
-        limit = without.misfit(E) + CLOSE
-        left = {*self.sudden} - {other.name for other in sudden}
-        for name in (name for name in self.sudden if name in left):
-            moved = self.causes[name].effects
-            kinds = {self.sudden[n].kind for n in (name, cause.name)}
+        limit, told = without.misfit(E) + CLOSE, {other.name for other in sudden}
+        for name, change in self.sudden.items():
+            moved = self.rows @ change.directions
+            simple = {change.kind, self.sudden[cause.name].kind} <= {*SIMPLE}
             # Nothing that is measured now depends on where a known frame has stood.
-            if not (self.measured.T @ moved).any() or not kinds <= {*SIMPLE}:
+            if name in told or not simple or not (self.measured.T @ moved).any():
                 continue
             rest = moved - E @ np.linalg.lstsq(E, moved, rcond=None)[0]
             if without.misfit(moved) <= limit:
@@ -482,28 +461,27 @@ class Innovations:
                 beside.append(name)
         return instead, beside
 
+    def _label(self, name: str) -> str:
+        """A change in words."""
+        change = self.sudden[name]
+        word = change.kind if change.kind in FRAMES else "joint"
+        return f"{word} '{change.name}'" if change.name else word
+
     def _jump(self, found: Explanation, cause: Cause, *others: Sequence[str]) -> Jump:
         """A sudden change as the innovations tell it, and what it may be instead."""
         change, parameters = self.sudden[cause.name], self.parameters
         effects, covariance = found.effects(cause)
-        words = (tuple(_label(self.sudden[n]) for n in names) for names in others)
+        words = (tuple(map(self._label, names)) for names in others)
         if change.kind == "offset":
             sigma = change.size * float(covariance[0, 0]) ** 0.5
             sizes = change.unit, change.size * float(effects[0]), sigma, 0.0
         else:
             moved = change.directions @ effects * parameters.scales
-            shift, turn = (
-                float(np.linalg.norm(moved[[p.unit == unit for p in parameters]]))
-                for unit in ("m", "rad")
-            )
+            units = np.array([parameter.unit for parameter in parameters])
+            parts = (moved[units == unit] for unit in ("m", "rad"))
+            shift, turn = (float(np.linalg.norm(part)) for part in parts)
             sizes = "m", shift, np.nan, turn
         return Jump(change.name, change.kind, *sizes, *words)
-
-
-def _label(change: Change) -> str:
-    """A change in words."""
-    word = change.kind if change.kind in FRAMES else "joint"
-    return f"{word} '{change.name}'" if change.name else word
 
 
 def _factors(problem: Problem, noise: Sequence[NoiseSize]) -> Floats:
@@ -516,7 +494,6 @@ def _factors(problem: Problem, noise: Sequence[NoiseSize]) -> Floats:
     found = np.ones(len(problem.layout.components))
     for k, component in enumerate(problem.layout.components):
         own = problem.given_sigma[problem.layout.of_components[k]]
-        if len(own):
-            sigma = sigmas.get(component.quantity.name, 0.0)
-            found[k] = max(sigma / rms(own), 1.0)
+        if len(own) and component.quantity.name in sigmas:
+            found[k] = max(sigmas[component.quantity.name] / rms(own), 1.0)
     return found

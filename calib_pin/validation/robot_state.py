@@ -110,11 +110,9 @@ class RobotState:
         known = {p.name: k for k, p in enumerate(self.system.given) if self.free[k]}
         names = [p.name for p, of in zip(parameters, robot, strict=True) if of]
         if lacking := [name for name in names if name not in known]:
-            raise OptionError(
-                f"the older calibration has not estimated {enumerated(lacking)}",
-                file=self.file or None,
-                allowed="the same 'fixed' in both",
-            )
+            reason = f"the older calibration has not estimated {enumerated(lacking)}"
+            allowed = "the same 'fixed' in both"
+            raise OptionError(reason, file=self.file or None, allowed=allowed)
         return [known[name] for name in names]
 
     def prior(
@@ -134,16 +132,11 @@ class RobotState:
         C = (V * np.maximum(squares, FLOOR**2)) @ V.T
         for size, directions in effects:
             C += size**2 * directions[robot] @ directions[robot].T
-        return JointPrior(
-            robot=robot_type(self.system.chains),
-            parameters=tuple(
-                ExpectedParameter(given[k].name, given[k].unit, float(self.values[k]))
-                for k in index
-            ),
-            covariance=tuple(map(tuple, (0.5 * scales * (C + C.T)).tolist())),
-            noise=noise,
-            file=self.file,
-        )
+        values = [(given[k], float(self.values[k])) for k in index]
+        means = tuple(ExpectedParameter(p.name, p.unit, value) for p, value in values)
+        rows = tuple(map(tuple, (0.5 * scales * (C + C.T)).tolist()))
+        of_type = robot_type(self.system.chains)
+        return JointPrior(of_type, means, rows, noise, self.file)
 
 
 def _frames(system: Terms) -> Mapping[Frame, tuple[pin.SE3, tuple[str, ...]]]:
@@ -195,13 +188,11 @@ def drifts(
         robot: The errors of the robot among its parameters, shape (P,).
         sudden: What may change at once: offsets drift as well.
     """
-    sizes = [
-        1.0 / (p.scale if p.unit in ("m", "rad") else LENGTH_SCALE)
-        for p in system.given
-    ]
+    scales = [p.scale if p.unit in ("m", "rad") else LENGTH_SCALE for p in system.given]
     offsets = [c.directions / c.size for c in sudden if c.kind == "offset"]
     alone = np.hstack([np.zeros((len(robot), 0)), *offsets])
-    return {"geometry": np.diag(sizes)[:, robot], "joint offsets": alone}
+    geometry = np.diag(1.0 / np.array(scales))[:, robot]
+    return {"geometry": geometry, "joint offsets": alone}
 
 
 def changes(system: Terms, robot: NDArray[np.bool_]) -> dict[str, Change]:
@@ -212,13 +203,19 @@ def changes(system: Terms, robot: NDArray[np.bool_]) -> dict[str, Change]:
         robot: The errors of the robot among its parameters, shape (P,).
     """
     found = {f"offset {one.name}": one for one in _offsets(system, robot)}
-    every, owners = np.eye(len(robot)), [p.name.rsplit(".", 2)[0] for p in system.given]
+    every = np.eye(len(robot))
     for joint in system.chains.joints:
-        own = robot & (np.array(owners) == owner(joint))
+        own = robot & _of(system, joint)
         if own.sum() > 1:
             found[f"placement {joint}"] = Change(joint, "placement", every[:, own])
     found["robot"] = Change("", "robot", every[:, robot])
     return found
+
+
+def _of(system: Terms, joint: str) -> NDArray[np.bool_]:
+    """The parameters that have the name of a joint, shape (P,)."""
+    owners = [parameter.name.rsplit(".", 2)[0] for parameter in system.given]
+    return np.asarray(np.array(owners) == owner(joint))
 
 
 def _offsets(system: Terms, robot: NDArray[np.bool_]) -> Iterator[Change]:
@@ -230,25 +227,19 @@ def _offsets(system: Terms, robot: NDArray[np.bool_]) -> Iterator[Change]:
         for frame, joint in enumerate(chain.joints, 1):
             # Errors in the next frame, as those of a DH matrix, move with the joint.
             to_frame = {frame: np.eye(6), frame + 1: behind[frame].toActionMatrix()}
-            of_joint = [
-                (k, to_frame[screw.frame] @ screw.twist * screw.parameter.scale)
-                for screw, k in zip(term.error.screws, term.of_error, strict=True)
-                if screw.parameter.name.rsplit(".", 2)[0] == owner(joint)
-                and screw.frame in to_frame
-                and screw.basis is None
-                and robot[k]
-            ]
-            if not of_joint or joint in found:
-                continue
-            index, twists = zip(*of_joint, strict=True)
-            motion, T = chain.motions[frame - 1], np.array(twists).T
+            own, T = robot & _of(system, joint), np.zeros((6, len(robot)))
+            for screw, k in zip(term.error.screws, term.of_error, strict=True):
+                if own[k] and screw.frame in to_frame and screw.basis is None:
+                    twist = to_frame[screw.frame] @ screw.twist
+                    T[:, k] += twist * screw.parameter.scale
+            motion = chain.motions[frame - 1]
             along = np.linalg.lstsq(T, motion, rcond=1e-9)[0]
-            if np.abs(T @ along - motion).max() <= ROUNDING:
-                found.add(joint)
-                unit = "rad" if chain.revolute[frame - 1] else "m"
-                column = np.zeros((len(robot), 1))
-                np.add.at(column[:, 0], list(index), expected_size(unit) * along)
-                yield Change(joint, "offset", column, unit, expected_size(unit))
+            if joint in found or np.abs(T @ along - motion).max() > ROUNDING:
+                continue
+            found.add(joint)
+            unit = "rad" if chain.revolute[frame - 1] else "m"
+            size = expected_size(unit)
+            yield Change(joint, "offset", size * along[:, None], unit, size)
 
 
 @serial_blas
@@ -262,30 +253,20 @@ def robot_evidence(result: CalibrationResult) -> RobotEvidence:
         InputError: If it does not say what was measured, how large the noise is, or
             learned more than errors of parameters.
     """
-    if refuse := _refusal(result):
-        raise InputError(refuse, file=result.provenance.file or None)
     model, noise = result.model, result.statistics.noise
-    units = np.array([component.factor for component in noise])
-    problem = replace(model.problem(result.fitted.rows), units=units)
+    for refused, reason in (
+        (model.setup.learned, "with a learned correction tells a fleet nothing"),
+        (not np.isfinite(result.fitted.after).any(), "does not say what was measured"),
+        (not noise, "does not know its noise: its measurements are too few"),
+    ):
+        if refused:
+            file = result.provenance.file or None
+            raise InputError(f"the calibration {reason}", file=file)
+    factors = np.array([component.factor for component in noise])
+    problem = replace(model.problem(result.fitted.rows), units=factors)
     told = robot_rows(problem, model.theta, noise)
     own = [p for p, of in zip(problem.parameters, told.robot, strict=True) if of]
-    return RobotEvidence(
-        robot=robot_type(model.chains),
-        names=tuple(p.name for p in own),
-        units=tuple(p.unit for p in own),
-        scales=np.array([p.scale for p in own]),
-        rows=told.rows,
-        values=told.values,
-        noise={c.quantity: c.estimate for c in noise if c.estimate > 0.0},
-    )
-
-
-def _refusal(result: CalibrationResult) -> str:
-    """Why a calibration tells nothing of its robot; empty where it does."""
-    if result.model.setup.learned is not None:
-        return "a calibration with a learned correction tells a fleet nothing"
-    if not np.isfinite(result.fitted.after).any():
-        return "the calibration does not say what was measured"
-    if not result.statistics.noise:
-        return "the calibration does not know its noise: its measurements are too few"
-    return ""
+    names, units = tuple(p.name for p in own), tuple(p.unit for p in own)
+    scales, robot = np.array([p.scale for p in own]), robot_type(model.chains)
+    sizes = {c.quantity: c.estimate for c in noise if c.estimate > 0.0}
+    return RobotEvidence(robot, names, units, scales, told.rows, told.values, sizes)

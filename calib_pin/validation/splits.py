@@ -136,12 +136,9 @@ class Grouping:
         stretched = bool((other >= 0).any())
         if not stretched:
             other = measurements.groups()
-        groups = other
-        if (place >= 0).any():
-            groups = labels(place, np.where(place < 0, other, -1))
+        groups = labels(place, np.where(place < 0, other, -1))
         telling = len(np.unique(place[place >= 0])) >= TELLING_PLACES
-        clusters = groups if telling else other
-        return cls(measurements, place, stretched, groups, clusters)
+        return cls(measurements, place, stretched, groups, groups if telling else other)
 
     def shuffled(self, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """The G groups in random order, one stratum after the other.
@@ -171,17 +168,13 @@ class Grouping:
         """
         data, mask = self.measurements, mask.copy()
         keys, configuration = data.keys, data.groups()
-        for names in (
-            [own_name(key, keys, key.station) for key in keys],
-            [own_name(key, keys, key.tool) for key in keys],
-            [key.chain for key in keys],
-        ):
-            of_block = labels(names)
-            if not of_block.any():
+        count = int(configuration.max(initial=-1)) + 1
+        ends = [(own_name(k, keys, k.station), own_name(k, keys, k.tool)) for k in keys]
+        for names in (*zip(*ends, strict=True), [key.chain for key in keys]):
+            frame, kept = labels(names)[data.block_of], ~mask & (data.weight > 0.0)
+            if not frame.any():
                 continue
             # Distinct configurations of every frame among those that are left.
-            frame, count = of_block[data.block_of], int(configuration.max()) + 1
-            kept = ~mask & (data.weight > 0.0)
             pairs = np.unique((frame * count + configuration)[kept])
             left = np.bincount(pairs // count, minlength=len(keys))
             needed = mask & (left < FEWEST_OF_FRAME)[frame]
@@ -224,33 +217,32 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     Returns:
         One mask of shape (N,) for each part.
     """
-    rows, count = grouping.measurements, FOLDS
-    order, _ = grouping.shuffled(seed)
-    if (grouping.places >= 0).any():
-        count = min(FOLDS, len(order))
+    rows, (order, _) = grouping.measurements, grouping.shuffled(seed)
+    placed = (grouping.places >= 0).any()
+    count = min(FOLDS, len(order)) if placed else FOLDS
     if len(order) < count:
         return []
     fold = np.empty(len(order), np.int64)
     fold[order] = np.arange(len(order)) % count
     every = (grouping.spared(fold[grouping.groups] == k) for k in range(count))
     masks = [mask for mask in every if mask.any()]
+    if fitted.problem.many:
+        masks = [_few(mask, grouping.groups) for mask in masks]
+    # Only what is estimated must be seen in every part.
+    sought = [seen & (grouping.places < 0) for seen in _estimated(fitted, rows)]
     # What priors hold counts among what is known and among what is needed.
     held = len(fitted.problem.further.priors) > 0
     needed = fitted.rank if held else fitted.structure.rank
-    # Only what is estimated must be seen in every part.
-    sought = [seen & (grouping.places < 0) for seen in _estimated(fitted, rows)]
-    if fitted.problem.many:
-        masks = [_few(mask, grouping.groups) for mask in masks]
     aside = int((rows.weight == 0.0).sum())
     for mask in masks:
         seen = (len(np.unique(rows.groups()[one & ~mask])) for one in sought)
-        # Every group that is left is a configuration or more.
-        few = len(order) - int(mask.sum()) - aside <= needed
-        if few:
-            rest = replace(fitted.problem, data=rows.rows(~mask))
-            few = known_values(rest) <= needed
-        if few or any(0 < number < FEWEST for number in seen):
+        if any(0 < number < FEWEST for number in seen):
             return []
+        # Every group that is left is a configuration or more.
+        if len(order) - int(mask.sum()) - aside <= needed:
+            rest = replace(fitted.problem, data=rows.rows(~mask))
+            if known_values(rest) <= needed:
+                return []
     return masks
 
 
@@ -263,24 +255,18 @@ def _few(mask: NDArray[np.bool_], groups: NDArray[np.int64]) -> NDArray[np.bool_
 
 
 def _estimated(fitted: Fit, rows: Observations) -> Iterator[NDArray[np.bool_]]:
-    """Masks of the measurements of each target that has something to estimate, (N,).
+    """Masks of the N measurements of each target that has something to estimate, (N,).
 
-    Args:
-        fitted: The fit.
-        rows: The N measurements.
+    From another station it may be another thing, or the same one.
     """
     found: dict[tuple[str, ...], NDArray[np.bool_]] = {}
     for block, part in zip(rows.blocks, rows.slices, strict=True):
         model = fitted.problem.terms[block.key]
-        free = {
-            reference.name: model.frames.reference(reference)
-            for reference in model.measurement.references
-            if any(parameter.free for parameter in reference.parameters)
-        }
+        every = model.measurement.references
+        own = [one for one in every if any(p.free for p in one.parameters)]
+        free = {one.name: model.frames.reference(one) for one in own}
         for name in block.target.distinct:
-            halves = tuple(free[half] for half in name.split(AT) if half in free)
-            if halves:
-                # From another station it may be another thing, or the same one.
+            if halves := [free[half] for half in name.split(AT) if half in free]:
                 mask = found.setdefault((name, *halves), np.zeros(len(rows), bool))
                 mask[part] |= block.target.where(name)
     return iter(found.values())
@@ -310,12 +296,9 @@ def regions(grouping: Grouping, seed: int) -> list[NDArray[np.bool_]]:
         label = _clusters(np.concatenate([np.sin(q), np.cos(q)], axis=1), seed)
         masks += [label == k for k in range(REGIONS.clusters)]
     configuration = grouping.measurements.groups()
-    found: dict[bytes, NDArray[np.bool_]] = {}
-    for mask in map(grouping.spared, masks):
-        enough = len(np.unique(configuration[mask])) >= FEWEST
-        if enough and mask.mean() <= REGIONS.most:
-            found.setdefault(mask.tobytes(), mask)
-    return list(found.values())
+    spared = {mask.tobytes(): mask for mask in map(grouping.spared, masks)}
+    some = [mask for mask in spared.values() if mask.mean() <= REGIONS.most]
+    return [mask for mask in some if len(np.unique(configuration[mask])) >= FEWEST]
 
 
 def _clusters(points: Floats, seed: int) -> NDArray[np.int64]:
@@ -375,10 +358,8 @@ def stretches(rows: Observations) -> NDArray[np.int64]:
     longest = count // options.fewest_blocks
     # Every lag of the short ones; of the long ones a tenth apart.
     lags = np.unique(np.geomspace(1, longest, 24 + count.bit_length() * 4).astype(int))
-    length = next(
-        (h for h in lags.tolist()[1:] if _variogram(z, file, h) > options.unlike),
-        longest,
-    )
+    unlike = (h for h in lags.tolist()[1:] if _variogram(z, file, h) > options.unlike)
+    length = next(unlike, longest)
     length = max(length, min(count // options.blocks, 2 * length), 1)
     of = np.empty(count, np.int64)
     of[configuration[order]] = _blocks(z, file, length)
@@ -420,28 +401,28 @@ def places(measurements: Observations, setup: Setup) -> NDArray[np.int64]:
     slash of their names, or a known distance. -1 for other measurements, and for all
     where there are fewer than three places.
     """
-    sockets = [np.full(len(block), -1) for block in measurements.blocks]
-    number: dict[str, int] = {}
-    home: list[str] = []
-    for codes, block in zip(sockets, measurements.blocks, strict=True):
+    home, own = dict[str, str](), list[tuple[str, NDArray[np.int64]]]()
+    for block, part in zip(measurements.blocks, measurements.slices, strict=True):
         if declared(block.model).naming.configurations == 1:
             continue
         for target in block.target.distinct:
             if name := target.rpartition(AT)[2]:
-                k = number.setdefault(_at(block.station, name), len(home))
-                if k == len(home):
-                    home.append(_at(block.station, name.rpartition("/")[0] or name))
-                codes[block.target.where(target)] = k
+                socket = _at(block.station, name)
+                place = _at(block.station, name.rpartition("/")[0] or name)
+                home.setdefault(socket, place)
+                index = np.flatnonzero(block.target.where(target))
+                own.append((socket, part.start + index))
     for distance in setup.distances:
         for station in dict.fromkeys(["", *(key.station for key in measurements.keys)]):
             ends = [_at(station, name) for name in distance.between]
-            first, second = (home[number[e]] if e in number else e for e in ends)
-            home = [first if name == second else name for name in home]
-    of = {name: k for k, name in enumerate(dict.fromkeys(home))}
-    if len(of) < FEWEST_PLACES:
-        return np.full(len(measurements), -1)
-    labels = np.array([*(of[name] for name in home), -1], np.int64)
-    return np.asarray(labels[np.concatenate(sockets)])
+            first, second = (home.get(end, end) for end in ends)
+            home = {s: first if at == second else at for s, at in home.items()}
+    found = np.full(len(measurements), -1)
+    number = {place: k for k, place in enumerate(dict.fromkeys(home.values()))}
+    if len(number) >= FEWEST_PLACES:
+        for socket, index in own:
+            found[index] = number[home[socket]]
+    return found
 
 
 def _at(station: str, name: str) -> str:
@@ -472,15 +453,8 @@ def split(
     if validation is not None:
         if len(validation) == 0:
             raise InputError("there are no measurements to validate with")
-        for model in validation.models:
-            if model not in training.models:
-                raise InputError(
-                    f"cannot check '{', '.join(training.models)}' measurements with "
-                    f"'{model}' ones"
-                )
-        _require_fitted(
-            training, validation, "these cannot be checked: no {} is fitted"
-        )
+        reason = "these cannot be checked: no {} is fitted"
+        _require_fitted(training, validation, reason)
         return training, validation, "file"
     if holdout is not None:
         mask = _held_out(training, setup, holdout, seed)
@@ -518,11 +492,9 @@ def _held_out(
     held = measurements.rows(mask).configurations
     if held < FEWEST_HELD_OUT:
         least = np.ceil(100.0 * FEWEST_HELD_OUT / measurements.configurations) / 100.0
-        raise OptionError(
-            f"the holdout is of {held} configurations, too few for a check",
-            value=holdout,
-            allowed=f"at least {FEWEST_HELD_OUT} configurations, {least:.2g} here",
-        )
+        reason = f"the holdout is of {held} configurations, too few for a check"
+        allowed = f"at least {FEWEST_HELD_OUT} configurations, {least:.2g} here"
+        raise OptionError(reason, value=holdout, allowed=allowed)
     return mask
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.tip_accuracy import LEVER
-from calib_pin.kinematics.spatial import Floats, invert, se3_exp, skew, so3_log
+from calib_pin.estimation.tip_accuracy import frame_motions
+from calib_pin.kinematics.spatial import Floats, adjoint, invert, se3_exp, so3_log
 from calib_pin.parameterizations import NOTHING
 from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.calibrated_model import CalibratedChain
@@ -105,29 +105,19 @@ def tip_drift(
         return np.asarray(invert(base) @ loaded.poses(q) @ exchanged)
 
     A, B = tools(first), tools(second)
-    B = absorbed(A, B, left=base, right=tool)
+    distances, turns = apart(A, absorbed(A, B, left=base, right=tool)[0])
     ends = (("base", base), ("tool", tool))
-    return TipDrift(
-        q=q,
-        points=A[:, :3, 3],
-        drift=np.linalg.norm(B[:, :3, 3] - A[:, :3, 3], axis=1),
-        turn=np.linalg.norm(turns(A, B), axis=1),
-        absorbed=tuple(name for name, free in ends if free),
-    )
+    frames = tuple(name for name, free in ends if free)
+    return TipDrift(q, A[:, :3, 3], distances, turns, frames)
 
 
-def absorbed(A: Floats, B: Floats, *, left: bool, right: bool) -> Floats:
-    """The moved poses of `absorbing`, shape (N, 4, 4)."""
-    return absorbing(A, B, left=left, right=right)[0]
-
-
-def absorbing(
-    A: Floats, B: Floats, *, left: bool, right: bool
+def absorbed(
+    A: Floats, B: Floats, *, left: bool = True, right: bool = True
 ) -> tuple[Floats, Floats, Floats]:
     """Move poses onto others by one displacement on the left and one on the right.
 
-    `L B R` is brought to `A` by least squares (Gauss-Newton). Orientations count as
-    little as `LEVER` says.
+    `L B R` is brought to `A` by least squares (Gauss-Newton), see `frame_motions`. Of
+    what both can do alike, as with a single joint, each does a part.
 
     Args:
         A: The poses to meet, shape (N, 4, 4).
@@ -138,26 +128,21 @@ def absorbing(
     Returns:
         The moved poses, shape (N, 4, 4), L and R, shape (4, 4).
     """
-    L, R_ = np.eye(4), np.eye(4)
-    free = np.repeat([left, right], 6)
-    for _ in range(STEPS if free.any() else 0):
-        R, p = B[:, :3, :3], B[:, :3, 3]
-        J = np.zeros((len(B), 6, 12))
-        J[:, :3, :3], J[:, :3, 3:6], J[:, :3, 6:9] = np.eye(3), -skew(p), R
-        J[:, 3:, 3:6], J[:, 3:, 9:] = LEVER * R.transpose(0, 2, 1), LEVER * np.eye(3)
-        missing = np.hstack([A[:, :3, 3] - p, LEVER * turns(B, A)])
-        step = np.zeros(12)
-        # Of what both can do alike, as with a single joint, each does a part.
-        step[free] = np.linalg.lstsq(
-            J.reshape(-1, 12)[:, free], missing.reshape(-1), rcond=1e-9
-        )[0]
+    L, R, J = np.eye(4), np.eye(4), np.zeros((len(B), 6, 12))
+    for _ in range(STEPS if left or right else 0):
+        J[:, :, :6], J[:, :, 6:] = left * adjoint(invert(B)), right * np.eye(6)
+        M = invert(B) @ A
+        missing = np.hstack([M[:, :3, 3], so3_log(M[:, :3, :3])])
+        step = frame_motions(missing[:, :, None], J)[:, 0]
         by_left, by_right = se3_exp(step[:6]), se3_exp(step[6:])
-        B, L, R_ = by_left @ B @ by_right, by_left @ L, R_ @ by_right
+        B, L, R = by_left @ B @ by_right, by_left @ L, R @ by_right
         if np.abs(step).max() < 1e-10:
             break
-    return B, L, R_
+    return B, L, R
 
 
-def turns(A: Floats, B: Floats) -> Floats:
-    """Rotation vectors from orientations to others, (N, 4, 4) -> (N, 3) [rad]."""
-    return so3_log(A[:, :3, :3].transpose(0, 2, 1) @ B[:, :3, :3])
+def apart(A: Floats, B: Floats) -> tuple[Floats, Floats]:
+    """Distances [m] and angles [rad] between poses, (N, 4, 4) -> (N,) each."""
+    M = invert(A) @ B
+    turns = so3_log(M[:, :3, :3])
+    return np.linalg.norm(M[:, :3, 3], axis=1), np.linalg.norm(turns, axis=1)

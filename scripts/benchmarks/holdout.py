@@ -47,7 +47,7 @@ def main() -> None:
         }
         for where, masks in parts.items():
             begin = process_time()
-            found = left_out(whole.fit, masks)
+            found = left_out(whole, masks)
             between = process_time()
             pairs = []
             for mask, one in zip(masks, found, strict=True):

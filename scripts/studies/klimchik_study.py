@@ -80,7 +80,7 @@ def alternating_least_squares(settings: Settings, rows: Measurements) -> Alterna
         difference=_apart(joint, alternating.theta),
         cost=abs(alternating.result.cost / joint.result.cost - 1.0),
         converged=alternating.result.status is Status.CONVERGED,
-        steps=descend(joint.problem, joint.directions, joint.before).result.nit,
+        steps=descend(joint.problem, joint.directions, joint.before).nit,
         mixed=_differences(settings, joint, MEMORY),
         plain=_differences(settings, joint, 0),
     )

@@ -34,7 +34,7 @@ def test_numbers(found):
     assert tip["position"]["rms"] == pytest.approx(np.sqrt(np.mean(drift.drift**2)))
     assert tip["orientation"]["mean"] == pytest.approx(drift.turn.mean())
     explained = tuple(tip[name]["explained"] for name in ("position", "orientation"))
-    assert explained == tuple(found.explained)
+    assert explained == tuple(found.drift.explained)
     assert tip["largest"]["drift"] == tip["position"]["max"] == drift.drift.max()
     assert tip["largest"]["tip"] == drift.points[drift.farthest].tolist()
     assert tip["largest"]["configuration"] == drift.q[drift.farthest].tolist()

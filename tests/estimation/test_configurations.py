@@ -20,7 +20,7 @@ from calib_pin.estimation.configurations import (
 )
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.tool_poses import Configurations
+from calib_pin.estimation.terms import Configurations
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey

@@ -12,6 +12,7 @@ import calib_pin
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.places import expected_places
 from calib_pin.estimation.problem import Problem
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.solvers import Status
@@ -112,15 +113,19 @@ def test_noisy_rows_leave_weak_directions_to_the_prior(simulated: Simulated) -> 
     weak = found.directions.weak
     assert weak.shape[1] > 0
     assert found.evidence is not None and found.evidence.matters
-    (size,) = set(found.evidence.expected.sizes[~problem.parameters.nuisance])
-    scaled = found.theta / problem.parameters.scales
+    (size,) = set(found.evidence.sizes[~problem.parameters.nuisance])
+    # Of independent errors, about the places where these are expected.
+    places = expected_places(found.problem, problem.parameters)
+    errors = np.linalg.solve(places, found.theta / problem.parameters.scales)
+    own = np.linalg.solve(places, weak)
     # The rows tell them to ten sizes at best, so that they keep a hundredth of what
     # these say.
-    assert np.abs(weak.T @ scaled).max() < 0.1 * size
+    assert np.abs(np.linalg.qr(own)[0].T @ errors).max() < 0.1 * size
     # What they may be off by is what they were expected to be, and no more.
     C = found.covariance / np.outer(*[problem.parameters.scales] * 2)
     deviations = np.sqrt(np.diag(weak.T @ C @ weak))
-    np.testing.assert_allclose(deviations, size, rtol=0.05)
+    expected = size * np.sqrt(np.diag(np.linalg.inv(own.T @ own)))
+    np.testing.assert_allclose(deviations, expected, rtol=0.05)
 
 
 def test_large_errors_converge(simulated: Simulated) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.fit import fit, with_effects
-from calib_pin.estimation.fitted import Fit, Posterior, posterior, posterior_about
+from calib_pin.estimation.fitted import Fit, Posterior, posterior_about
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.systematic import Systematic
@@ -133,8 +133,9 @@ def test_without_effects_it_is_the_covariance_of_the_fit() -> None:
     by_noise, fitted = one.posterior.by_noise, one.fitted
     np.testing.assert_allclose(by_noise @ by_noise.T, one.posterior.covariance)
     assert fitted.evidence is not None
-    sizes = fitted.evidence.expected.sizes
-    again = posterior(fitted.problem, fitted.theta, fitted.directions, sizes=sizes)
+    sizes = fitted.evidence.sizes
+    plain = replace(fitted, evidence=None, noise=(), unit=1.0)
+    again = posterior_about(plain, fitted.problem, fitted.theta, sizes)
     deviations = np.sqrt(np.diag(fitted.covariance))
     deviations[deviations == 0.0] = 1.0
     unit = np.outer(deviations, deviations)

@@ -20,7 +20,7 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import Observations
 from calib_pin.residual_models import RESIDUAL_MODELS, TrainingRows
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.learned_held_out import learned_left_out
+from calib_pin.validation.left_out import left_out
 from calib_pin.validation.model_errors import fitted_errors
 from calib_pin.validation.splits import Grouping, folds
 
@@ -181,7 +181,7 @@ def test_left_out_measurements_have_no_part(memory: Memory) -> None:
     chain, rows = measured_rows(repeats=2)
     model = fit_model(chain, rows, replace(SETUP, learned="memory"), 7)
     masks = folds(Grouping.of(rows, SETUP), model.fit, 0)
-    parts = learned_left_out(model, masks, 7)
+    parts = left_out(model, masks, 7)
     (given, asked), (found,) = memory.rows, memory.masks
     np.testing.assert_array_equal(given.q, asked.q)
     np.testing.assert_array_equal(found, masks)

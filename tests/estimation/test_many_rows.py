@@ -112,7 +112,7 @@ def assert_same(problem: Problem, theta: Floats) -> None:
     errors = np.concatenate([e.reshape(-1) for e in chunked.errors(theta)])
     off = np.abs(errors - problem.errors(theta))
     assert (off <= rounding(problem, theta)).all()
-    plain = [one.factorize(theta)[0] for one in problem._evaluators]
+    plain = [one.factorize(theta)[0] for one in problem._evaluators.values()]
     for (r, J), rows in zip(chunked.factorize(theta), plain, strict=True):
         A = np.column_stack([J, r])
         assert len(A) <= A.shape[1]
@@ -303,8 +303,8 @@ def test_a_fit_of_very_many_rows(case: str, monkeypatch: pytest.MonkeyPatch) -> 
 
     plain = fit(problem, np.random.default_rng(0))
     found = fit(through_kernels(problem, monkeypatch), np.random.default_rng(0))
-    assert plain.solution.evaluator == "pinocchio"
-    assert found.solution.evaluator == "kernel"
+    assert plain.result.evaluator == "pinocchio"
+    assert found.result.evaluator == "kernel"
     for one in (plain, found):
         assert one.result.status is Status.CONVERGED
         assert bool(one.problem.held_at) == (case == "bound")

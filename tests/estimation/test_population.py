@@ -218,7 +218,7 @@ def test_very_many_measurements_that_bend_go_piece_by_piece(
     ]
     monkeypatch.setattr("calib_pin.estimation.problem.MANY", 1)
     pieces = replace(plain)
-    (other,) = pieces._evaluators
+    (other,) = pieces._evaluators.values()
     assert isinstance(other, RowByRow)
     assert pieces.many
     changed = (pieces, reweighted(pieces, weight), pieces.rebased(theta)[0])

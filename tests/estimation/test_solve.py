@@ -86,8 +86,8 @@ def test_all_solvers_agree_on_errors_of_expected_size() -> None:
         (search, "de", "kernel"),
     ):
         assert found.problem.setup.solver.name == name
-        assert found.solution.evaluator == evaluator
-    assert plain.solution.evolution is None
+        assert found.result.evaluator == evaluator
+    assert plain.result.evolution is None
 
 
 def test_two_steps_by_turns_reach_the_joint_solution() -> None:
@@ -121,9 +121,9 @@ def test_without_a_kernel_its_poses_do_the_same() -> None:
     unbatched = replace(term, measurement=Unbatched(term.measurement.planes))
     slow = problem.with_terms({key: unbatched})
     fast, plain = (solved(each, "de", **FEW) for each in (problem, slow))
-    assert (fast.solution.evaluator, plain.solution.evaluator) == ("kernel", "kernel")
+    assert (fast.result.evaluator, plain.result.evaluator) == ("kernel", "kernel")
     np.testing.assert_allclose(plain.theta, fast.theta, rtol=1e-9, atol=1e-15)
-    evolution = fast.solution.evolution
+    evolution = fast.result.evolution
     assert evolution is not None and evolution.population.shape == (12, 21)
     assert len(evolution.best_history) == 6
     assert fast.result.nfev > evolution.nfev  # The registration as well.
@@ -154,8 +154,8 @@ def test_a_target_ends_a_search_early() -> None:
     least = solved(problem, "gauss-newton").result.cost
     found = solved(problem, "de", target=10.0 * least)
     assert found.result.status is Status.TARGET
-    assert found.solution.evolution is not None
-    history = found.solution.evolution.best_history
+    assert found.result.evolution is not None
+    history = found.result.evolution.best_history
     assert least < history[-1] <= 10.0 * least < history[-2] < history[0]
 
 

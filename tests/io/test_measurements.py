@@ -474,6 +474,7 @@ REFUSED = [
     ("lift,elbow [deg],wrist,distance\n0,2000,0,1\n", 2, "elbow", "2000", "[mrad]'"),
     # Lengths in millimeters.
     (f"{J},distance\n15,0,0,1\n", 2, "lift", "15", "'lift [mm]'"),
+    (f"{J},distance\n1,0,0,1\n27,0,0,1\n", 3, "lift", "27", "gear: 0.0174532925"),
     (f"{J},x,y,z\n0,0,0,900000,1,2\n", 2, "x", "900000", "'x [um]'"),
     (f"{J},x,y,z\n0,0,0,1,1,2\n0,0,0,1,2,2\n0,0,0,1,30,2\n", 4, "y", "30", "'y [mm]'"),
 ]

@@ -53,6 +53,18 @@ def test_joint_positions_stand_below() -> None:
     assert lines_of_joints(found) == [2, 3, 4, 5, 6, 12, 13, 14, 15, 16]
 
 
+def test_joint_positions_of_the_configuration_below() -> None:
+    block = DATA.blocks[0]
+    q = np.repeat(np.arange(4.0), 3)[:, None] * 0.01 * np.ones(block.q.shape[1])
+    images = replace(block.rows(np.arange(len(q)) % len(block)), q=q)
+    images = replace(images, lines=np.arange(2, 14), files=("a.csv",) * 12)
+    found = read_otherwise(
+        Observations.of(images), ReadingSetup(shift_configurations=1)
+    )
+    assert found.lines.tolist() == [*range(2, 11)]
+    assert lines_of_joints(found) == [1, 1, 1, 2, 2, 2, 3, 3, 3]
+
+
 def test_files_are_reversed_one_by_one() -> None:
     assert lines_of_joints(read(reversed=True)) == [
         *range(7, 1, -1),

@@ -9,7 +9,7 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.fit import fit
-from calib_pin.estimation.fitted import Fit, posterior
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
@@ -69,7 +69,7 @@ def planned(request: pytest.FixtureRequest) -> tuple[Plan, Fit, Floats]:
     rows = replace(exact.data.only, sigma=block.table(exact.sigma))
     rng = np.random.default_rng(0)
     fitted = fit(replace(problem, data=Observations.of(rows)), rng)
-    C = posterior(fitted.problem, fitted.theta, fitted.directions).covariance
+    C = replace(fitted, evidence=None, noise=(), unit=1.0).covariance
     return plan, fitted, C
 
 

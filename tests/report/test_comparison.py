@@ -67,7 +67,7 @@ def second(found: Comparison, **changes: Any) -> Comparison:
 def test_no_drift(still):
     words = words_of(still)
     assert words.startswith("No drift beyond the noise of both: the tool points")
-    drift, noise = still.drift, still.explained
+    drift, noise = still.drift, still.drift.explained
     for size in (1e3 * drift.position.rms, 1e3 * noise[0]):
         assert f"{size:.4f} mm" in words
     assert f"{np.degrees(drift.orientation.rms):.4f} deg rms where" in words

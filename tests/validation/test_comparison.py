@@ -57,7 +57,7 @@ def test_noise_is_no_drift(record):
     assert len(significance) > 15 and significance.max() < 4.5
     assert np.sqrt(np.mean(significance**2)) == pytest.approx(1.0, abs=0.5)
     # The frames absorb a part of what the noise of base and tool is counted for.
-    assert 0.2 < found.drift.position.rms / found.explained[0] < 1.5
+    assert 0.2 < found.drift.position.rms / found.drift.explained[0] < 1.5
 
 
 def test_without_noise_tips_are_the_same(chain, recorded):
@@ -79,7 +79,7 @@ def test_a_joint_offset_is_named_and_its_drift_is_true(chain, record):
     assert name in (first.name, *(term for term, _ in first.terms))
     assert first.change == pytest.approx(2e-3, abs=4.0 * first.sigma)
     assert first.significance > 50.0
-    assert found.drift.position.rms > 3.0 * found.explained[0]
+    assert found.drift.position.rms > 3.0 * found.drift.explained[0]
 
 
 def test_frames_that_are_known_absorb_nothing(chain, recorded):
@@ -101,7 +101,7 @@ def test_placements_beside_dh(record):
     found = compare(record(0), dh)
     assert not found.same_parameters and not found.described
     assert found.drifted is False
-    assert found.drift.position.rms < 2.0 * found.explained[0]
+    assert found.drift.position.rms < 2.0 * found.drift.explained[0]
     assert found.differences == ()
     assert all(".dh." in name for name in found.alone[1])
     assert all(".placement." in name for name in found.alone[0])
@@ -142,7 +142,7 @@ def test_sums_are_matched_by_their_terms(record):
 
 def test_files_that_do_not_say_what_noise_explains(record):
     found = compare(record(0), replace(record(1), accuracies={"": ToolAccuracy()}))
-    assert found.explained is None and found.drifted is None
+    assert found.drift.explained is None and found.drifted is None
     assert not found.identical
 
 

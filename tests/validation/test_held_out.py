@@ -41,19 +41,19 @@ def fitted_to(rows: Observations) -> FittedModel:
 def test_a_copy_of_what_was_fitted_checks_nothing() -> None:
     rows, new = simulated(30), simulated(12, seed=2)
     model = fitted_to(rows)
-    found = check(CHAIN, rows, SETUP, model, 0, validation=rows, method="file")
+    found = check(model, rows, 0, validation=rows, method="file")
     assert (found.parts, found.method) == ((), "none")
     assert [f.code for f in found.findings] == ["repeated-validation"]
     assert {g.method for g in found.gains} == {"press"}
     # Some of it does not spoil the rest.
     mixed = Observations.of(rows.rows(np.arange(5)), new)
-    found = check(CHAIN, rows, SETUP, model, 0, validation=mixed, method="file")
+    found = check(model, rows, 0, validation=mixed, method="file")
     (part,) = found.parts
     np.testing.assert_array_equal(part.positions, np.arange(5, 17))
     assert found.gains[0].configurations == 12
     few = Observations.of(rows, new.rows(np.arange(4)))
     # Few are used, and are too few for a verdict.
-    found = check(CHAIN, rows, SETUP, model, 0, validation=few)
+    found = check(model, rows, 0, validation=few)
     assert (found.method, found.gains[0].configurations) == ("set", 4)
 
 
@@ -65,7 +65,7 @@ def test_set_aside_rows_stay_out() -> None:
     weight = np.ones(40)
     weight[[3, 20]] = 0.0
     spoiled = Observations.of(replace(rows, values=values, weight=weight))
-    found = check(CHAIN, spoiled, SETUP, fitted_to(spoiled), 0)
+    found = check(fitted_to(spoiled), spoiled, 0)
     assert found.method == "5-fold"
     positions = np.concatenate([part.positions for part in found.parts])
     assert sorted(positions) == list(range(40))
@@ -79,10 +79,10 @@ def test_set_aside_rows_stay_out() -> None:
 def test_without_validation_there_is_the_hat_matrix() -> None:
     rows = simulated(30)
     model = fitted_to(rows)
-    found = check(CHAIN, rows, SETUP, model, 0, validate=False)
+    found = check(model, rows, 0, validate=False)
     assert (found.parts, found.method) == ((), "none")
     assert [g.method for g in found.gains] == ["press", "press"]
-    checked = check(CHAIN, rows, SETUP, model, 0)
+    checked = check(model, rows, 0)
     folded, _, pressed, _ = checked.gains
     # The same question, asked of one row at a time and of six: without these, the
     # twelve unknowns of base and tool have 72 values in place of 87.
@@ -105,7 +105,7 @@ def jogged() -> Observations:
 
 def test_a_path_is_folded_by_stretch() -> None:
     rows = jogged()
-    found = check(CHAIN, rows, SETUP, fitted_to(rows), 0)
+    found = check(fitted_to(rows), rows, 0)
     assert found.method == "5-fold by stretch"
     for part in found.parts:
         # Whole stretches: few places where the next row belongs to another part.
@@ -199,7 +199,7 @@ def test_only_the_station_that_was_moved_is_registered_anew() -> None:
 
     def checked(*parts: Observations) -> HeldOut:
         every = Observations.of(*parts)
-        return check(CHAIN, rows, SETUP, model, 0, validation=every, method="file")
+        return check(model, rows, 0, validation=every, method="file")
 
     plain, found = checked(seen, new), checked(seen, moved(new, 0.3))
     assert plain.findings == ()
@@ -228,8 +228,8 @@ def test_validation_that_cannot_be_is_refused() -> None:
     )
     both = Observations.of(from_station("bench", 10, 4), few)
     with pytest.raises(InputError, match="door") as error:
-        check(CHAIN, rows, SETUP, model, 0, validation=both)
+        check(model, rows, 0, validation=both)
     assert (error.value.file, error.value.line) == ("door.csv", 2)
     probe = Observations.of(replace(from_station("floor", 15, 3).only, tool="probe"))
     with pytest.raises(InputError, match="'probe'"):
-        check(CHAIN, rows, SETUP, model, 0, validation=probe)
+        check(model, rows, 0, validation=probe)

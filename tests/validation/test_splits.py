@@ -69,7 +69,7 @@ def test_of_very_many_some_are_held_out(monkeypatch: pytest.MonkeyPatch) -> None
     for mask, whole in zip(masks, every, strict=True):
         assert 2 <= mask.sum() < whole.sum() and not (mask & ~whole).any()
         np.testing.assert_array_equal(mask, np.isin(groups, groups[mask]))
-    for part in left_out(model.fit, masks):
+    for part in left_out(model, masks):
         assert part is not None
         assert np.abs(part.after).max() < 3e-4 < np.abs(part.before).max()
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import comb
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, current_units
 from calib_pin.estimation.robust.studentized import Studentized
-from calib_pin.estimation.tool_poses import ToolPoses
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import AT, Observations
 
@@ -40,6 +39,8 @@ class CauseOptions:
 
 
 OPTIONS = CauseOptions()
+
+_Causes: TypeAlias = Iterator[tuple[list[int], str]]
 
 
 def causes(
@@ -73,9 +74,7 @@ def causes(
     return result
 
 
-def _targets(
-    problem: Problem, out: NDArray[np.bool_]
-) -> Iterator[tuple[list[int], str]]:
+def _targets(problem: Problem, out: NDArray[np.bool_]) -> _Causes:
     """Targets most of whose rows are out, where those of others are not."""
     target = problem.data.target
     size = len(target.names)
@@ -85,18 +84,16 @@ def _targets(
         return
     for k in np.flatnonzero(lost).tolist():
         others = (int(out.sum()) - lost[k]) / max(len(target) - counts[k], 1)
-        if (
-            lost[k] >= max(OPTIONS.few, OPTIONS.largest_share * counts[k])
-            and others < 0.5 * OPTIONS.largest_share
-        ):
+        most = max(OPTIONS.few, OPTIONS.largest_share * counts[k])
+        if lost[k] >= most and others < 0.5 * OPTIONS.largest_share:
             rows = np.flatnonzero(out & (target.codes == k)).tolist()
             yield rows, f"target {target.names[k]}"
 
 
-def _places(
-    problem: Problem, out: NDArray[np.bool_]
-) -> Iterator[tuple[list[int], str]]:
+def _places(problem: Problem, out: NDArray[np.bool_]) -> _Causes:
     """The place, of several with sockets, at which most of what is out was measured."""
+    from scipy.special import bdtrc
+
     target = problem.data.target
     names = [name.rpartition(AT)[2].rpartition("/")[0] for name in target.names]
     place = np.array(names)[target.codes]
@@ -106,17 +103,11 @@ def _places(
     if not name or len(counts) < 2 or number < max(OPTIONS.few, 0.5 * total):
         return
     # Binomial: so many there if it were a place like the others.
-    chance = sum(
-        comb(total, k) * share**k * (1.0 - share) ** (total - k)
-        for k in range(number, total + 1)
-    )
-    if chance < OPTIONS.chance:
+    if bdtrc(number - 1, total, share) < OPTIONS.chance:
         yield np.flatnonzero(out & (place == name)).tolist(), f"place {name}"
 
 
-def _stretches(
-    problem: Problem, out: NDArray[np.bool_]
-) -> Iterator[tuple[list[int], str]]:
+def _stretches(problem: Problem, out: NDArray[np.bool_]) -> _Causes:
     """Runs of successive rows that are out, too long to be chance.
 
     Of N rows of which a share p is out, runs of length L are to be expected N p^L
@@ -130,25 +121,16 @@ def _stretches(
         # Rows of one configuration are out together anyway.
         length = len(np.unique(labels[rows]))
         one_file = len(np.unique(data.files.codes[rows])) == 1
-        if (
-            one_file
-            and length >= OPTIONS.few
-            and len(out) * share**length < OPTIONS.chance
-        ):
-            yield rows.tolist(), _lines(problem, rows.tolist())
+        unlikely = len(out) * share**length < OPTIONS.chance
+        if one_file and length >= OPTIONS.few and unlikely:
+            first, last = rows[0], rows[-1]
+            where = f"rows {first} to {last}"
+            if data.files[first]:
+                where = f"lines {data.lines[first]} to {data.lines[last]}"
+            yield rows.tolist(), where
 
 
-def _lines(problem: Problem, rows: list[int]) -> str:
-    """Where a stretch of rows stands."""
-    data = problem.data
-    if data.files[rows[0]]:
-        return f"lines {data.lines[rows[0]]} to {data.lines[rows[-1]]}"
-    return f"rows {rows[0]} to {rows[-1]}"
-
-
-def _configurations(
-    problem: Problem, out: NDArray[np.bool_]
-) -> Iterator[tuple[list[int], str]]:
+def _configurations(problem: Problem, out: NDArray[np.bool_]) -> _Causes:
     """Configurations in which more than one measurement was taken, all of them out."""
     labels = problem.data.groups()
     sizes, lost = np.bincount(labels), np.bincount(labels, out)
@@ -163,14 +145,13 @@ def _exchanged(
     out: NDArray[np.bool_],
     found: Studentized,
     scale: Floats,
-) -> Iterator[tuple[list[int], str]]:
+) -> _Causes:
     """Pairs of rows each of which fits what was measured in the other."""
     if not 2 <= out.sum() <= OPTIONS.pairs:
         return
     own, data = found.sizes(scale), problem.data
-    sigma = problem.given_sigma * scale[problem.layout.component]
-    if len(problem.units):
-        sigma = sigma * problem.units[problem.layout.component]
+    units = scale * current_units(problem)
+    sigma = problem.given_sigma * units[problem.layout.component]
     for block in problem.blocks:
         rows = np.flatnonzero(out[block.rows])
         if not block.data.values.shape[1] or len(rows) < 2:
@@ -179,8 +160,8 @@ def _exchanged(
         labels, codes = found.labels[block.rows], block.data.target.codes
         alike = (codes[i] == codes[j]) & (labels[i] != labels[j])
         i, j = i[alike], j[alike]
-        of_robot, instrument = block.term.values(theta)
-        poses = ToolPoses(block.term.error, block.data.rows(rows))(of_robot)
+        instrument = block.term.values(theta)[1]
+        poses = block.term.poses(theta, block.data.rows(rows))
         fits = []
         for a, b in ((i, j), (j, i)):
             T = poses[np.searchsorted(rows, a)]

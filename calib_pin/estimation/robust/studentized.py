@@ -17,14 +17,12 @@ without that configuration.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import inverse_root
-from calib_pin.estimation.layout import Layout
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, current_units
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, states_sigmas
@@ -42,16 +40,21 @@ COUNTED = 0.5
 """Fewest independent components of a configuration that is used to estimate noise."""
 
 
-@dataclass(frozen=True)
 class Studentized:
     """Normalized residuals of N rows in G configurations and Q quantities.
+
+    Args:
+        problem: The problem of the rows.
+        components: Squares of the normalized residuals, independent with unit
+            variance if the standard deviations of the rows are right, shape (M,);
+            infinite where nothing is predicted.
+        counts: Degrees of freedom of each, 0 to 1, shape (M,).
 
     Attributes:
         labels: Configuration of each row, or the row of an image itself, shape (N,).
         whole: Configuration in which each of these was measured, shape (G,).
         layout: Row and quantity of each residual component.
-        components: Squares of the normalized residuals, independent with unit
-            variance if the standard deviations of the rows are right, shape (M,).
+        components: As above.
         configuration: Configuration of each of the C cells: what a configuration has
             of a quantity, shape (C,).
         quantity: Quantity of each cell, shape (C,).
@@ -60,45 +63,21 @@ class Studentized:
         least: Smallest credible scale, by quantity, shape (Q,).
     """
 
-    labels: NDArray[np.int64]
-    whole: NDArray[np.int64]
-    layout: Layout
-    components: Floats
-    configuration: NDArray[np.int64]
-    quantity: NDArray[np.int64]
-    squares: Floats
-    counts: Floats
-    least: Floats
-
-    @classmethod
-    def of(cls, problem: Problem, components: Floats, counts: Floats) -> Studentized:
-        """From the squares of normalized residuals of a problem's rows.
-
-        Args:
-            problem: The problem.
-            components: The squares, shape (M,); infinite where nothing is predicted.
-            counts: Degrees of freedom of each, 0 to 1, shape (M,).
-        """
-        layout, labels = problem.layout, failing(problem)
-        whole = np.zeros(int(labels.max(initial=-1)) + 1, np.int64)
-        whole[labels] = problem.data.groups()
-        width = len(layout.components)
-        cells, place = _numbered(labels[layout.row] * width + layout.component)
-        squares, total = (
-            np.asarray(np.bincount(place, values, len(cells)), float)
-            for values in (components, counts)
-        )
-        least = np.full(width, LEAST)
+    def __init__(self, problem: Problem, components: Floats, counts: Floats) -> None:
+        """Add up what configurations have of quantities."""
+        self.layout, self.labels = problem.layout, failing(problem)
+        self.whole = np.zeros(int(self.labels.max(initial=-1)) + 1, np.int64)
+        self.whole[self.labels] = problem.data.groups()
+        width, row = len(self.layout.components), self.layout.row
+        cells, place = _numbered(self.labels[row] * width + self.layout.component)
+        self.configuration, self.quantity = cells // width, cells % width
+        self.components = components
+        sums = (np.bincount(place, of, len(cells)) for of in (components, counts))
+        self.squares, self.counts = (np.asarray(total, float) for total in sums)
+        self.least = np.full(width, LEAST)
         if states_sigmas(problem.data):
             # Residuals smaller than the stated sigma do not contradict it.
-            least = 1.0 / (problem.units if len(problem.units) else np.ones(width))
-        cell = cells // width, cells % width
-        return cls(labels, whole, layout, components, *cell, squares, total, least)
-
-    @property
-    def configurations(self) -> int:
-        """Number of configurations G."""
-        return len(self.whole)
+            self.least = 1.0 / current_units(problem)
 
     def robust_scale(self, share: float = 0.5) -> Floats:
         """Scale by the median over configurations, by quantity, shape (Q,).
@@ -117,7 +96,7 @@ class Studentized:
         for k, own in enumerate(np.split(ratios, ends[:-1])):
             if len(own):
                 result[k] = np.sqrt(np.sort(own)[int(share * (len(own) - 1))])
-        return np.maximum(result, self.least)
+        return np.asarray(np.maximum(result, self.least))
 
     def scale(self, accepted: NDArray[np.bool_]) -> Floats:
         """Scale by the mean square of accepted configurations, shape (G,) -> (Q,)."""
@@ -134,7 +113,7 @@ class Studentized:
         """z^2 of each configuration at a scale by quantity, shape (G,)."""
         with np.errstate(over="ignore"):
             squares = self.squares / scale[self.quantity] ** 2
-        return np.asarray(np.bincount(self.configuration, squares))
+        return np.asarray(np.bincount(self.configuration, squares), float)
 
     def sizes(self, scale: Floats) -> Floats:
         """Normalized residual z of each row at a scale by quantity, shape (N,)."""
@@ -175,7 +154,7 @@ def studentized(
     layout, finite = problem.layout, np.isfinite(problem.sigma)
     if problem.many:
         squares = squared_or_infinite(problem.residual(theta)[: len(finite)])
-        return Studentized.of(problem, squares, finite.astype(float))
+        return Studentized(problem, squares, finite.astype(float))
     fun, jac = problem.linearize_rows(theta)
     count = len(layout.row)
     r, A = fun[:count], jac @ basis
@@ -196,7 +175,7 @@ def studentized(
         counts[rows] -= np.einsum("gmk,gk->gm", U**2, alone.astype(float))
     squares = squared_or_infinite(r)
     squares[bad & finite] = np.inf
-    return Studentized.of(problem, squares, counts)
+    return Studentized(problem, squares, counts)
 
 
 def by_size(labels: Indices) -> Iterator[Indices]:
@@ -248,9 +227,6 @@ def _numbered(values: Indices) -> tuple[Indices, Indices]:
 
 def _quantiles(counts: Floats, tail: float) -> Floats:
     """Chi-square quantiles by rounded degrees of freedom; infinite for zero."""
-    rounded = np.round(counts).astype(np.int64)
-    table = {
-        dof: chi_square_quantile(dof, tail) if dof > 0 else np.inf
-        for dof in np.unique(rounded).tolist()
-    }
-    return np.array([table[dof] for dof in rounded.tolist()], float)
+    rounded, place = np.unique(np.round(counts), return_inverse=True)
+    each = [chi_square_quantile(n, tail) if n > 0 else np.inf for n in rounded.tolist()]
+    return np.array(each, float)[place]

@@ -19,18 +19,27 @@ robot down to the noise, and the first step starts from a registration by consen
 The outcome decides which configurations are accepted; the final fit is the ordinary
 least squares of these, so all that is said of it holds, and the decision is repeated
 about it until it stands.
+
+A closed-form registration of all rows is as wrong as the worst of them. For a consensus
+it is made from small random subsets of the configurations, each is improved by its
+better half (concentration steps of least trimmed squares: Rousseeuw and Van Driessen,
+Computing LTS regression for large data sets, 2006, section 3), until two of them agree;
+the one whose better half fits best is taken. The errors of the nominal robot,
+millimeters, are noise to it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import require_known
+from calib_pin.errors import CalibPinError, require_known
 from calib_pin.estimation.evidence import Outlier
 from calib_pin.estimation.fitted import Fit, RobustDecision
+from calib_pin.estimation.places import expected_places
 from calib_pin.estimation.problem import (
     EXACT,
     SAMPLE,
@@ -39,17 +48,17 @@ from calib_pin.estimation.problem import (
     measured_count,
     reweighted,
 )
+from calib_pin.estimation.registration import registered
 from calib_pin.estimation.robust.causes import causes
-from calib_pin.estimation.robust.consensus import consensus
 from calib_pin.estimation.robust.studentized import (
     Studentized,
     failing,
     squared_or_infinite,
     studentized,
 )
-from calib_pin.estimation.row_blocks import Expected
+from calib_pin.estimation.row_blocks import Priors
 from calib_pin.estimation.solve import Solver
-from calib_pin.estimation.unit_weights import balanced
+from calib_pin.estimation.stages import balanced
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 
@@ -89,10 +98,16 @@ class RobustOptions:
         rounding: Part of the largest eigenvalue that rounding leaves.
         steps: Most weighted steps; 12 are usual.
         still: Largest change of a weight after which they stand.
-        polish: Steps to the solution of accepted configurations, a redescending one
-            away.
         rounds: Most decisions about which configurations are accepted; two are
             usual.
+        trials: Most subsets for a consensus; one in ten is free of wrong configurations
+            if four of ten are.
+        same: Relative difference in squares of two subsets that agree: a nominal
+            robot's errors make many minima close to the right one, and the wrong ones
+            are far off.
+        looked_at: Measurements that are looked at; more do not make a better start.
+        corners: The same of corners in images.
+        images: Images of a subset: three tell where a camera is, and its intrinsics.
     """
 
     chance: float = 1e-5
@@ -109,8 +124,12 @@ class RobustOptions:
     rounding: float = 1e-13
     steps: int = 40
     still: float = 0.01
-    polish: int = 2
     rounds: int = 8
+    trials: int = 30
+    same: float = 0.5
+    looked_at: int = 200
+    corners: int = 2000
+    images: int = 5
 
 
 OPTIONS = RobustOptions()
@@ -138,14 +157,9 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
         return squared
     found = _judged(squared, np.ones(int(failing(problem).max()) + 1, bool))
     scale = found.robust_scale()
-
-    def plain(disagreement: float = 0.0) -> Fit:
-        outliers = _outliers(squared, found, scale)
-        robust = RobustDecision(outliers, disagreement=disagreement)
-        return replace(squared, robust=robust)
-
+    plain = RobustDecision(_outliers(squared, found, scale))
     if loss == "squared" or (loss == "auto" and not _suspicious(squared, found, scale)):
-        return plain()
+        return replace(squared, robust=plain)
     about, theta, weight = _sought(problem, loss, squared.rank, solver.rng)
     if loss == "huber":
         if (weight == 1.0).all():
@@ -156,8 +170,12 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
     else:
         accepted = _selected(about, theta, weight)
         for _ in range(OPTIONS.rounds):
-            if not _enough(squared, accepted):
-                return plain(float(1.0 - accepted.mean()))
+            few = _weighted(squared.problem, accepted)
+            # They must be a majority that determines the robot.
+            disagreeing = 1.0 - accepted.mean() > OPTIONS.breakdown
+            if disagreeing or known_values(few) <= squared.rank:
+                plain = replace(plain, disagreement=float(1.0 - accepted.mean()))
+                return replace(squared, robust=plain)
             if accepted.all():
                 return squared
             fitted = balanced(_weighted(problem, accepted), solver)
@@ -194,9 +212,8 @@ def _judged(fitted: Fit, accepted: NDArray[np.bool_]) -> Studentized:
 def _passed(found: Studentized, scale: Floats) -> NDArray[np.bool_]:
     """The configurations whose residuals may be chance at a scale, (Q,) -> (G,)."""
     stated = bool((scale <= OPTIONS.held * found.least).all())
-    tail = (OPTIONS.stated_chance if stated else OPTIONS.chance) / max(
-        found.configurations, 1
-    )
+    chance = OPTIONS.stated_chance if stated else OPTIONS.chance
+    tail = chance / max(len(found.whole), 1)
     passed = np.asarray(found.statistic(scale) <= found.limit(tail))
     lost = np.bincount(found.whole, ~passed) / np.bincount(found.whole)
     return np.asarray(passed & (lost <= OPTIONS.lost)[found.whole])
@@ -217,28 +234,19 @@ def _suspicious(fitted: Fit, found: Studentized, scale: Floats) -> bool:
     A few stand out against the median, or carry the most of chi-square together, or so
     much is left that they may hide.
     """
-    every = np.ones(found.configurations, bool)
-    if (
-        not _passed(found, scale).all()
-        or (found.scale(every) > OPTIONS.carried * scale).any()
-    ):
+    carried = found.scale(np.ones(len(found.whole), bool)) > OPTIONS.carried * scale
+    if not _passed(found, scale).all() or carried.any():
         return True
-    problem = fitted.problem
-    layout = problem.layout
-    for k, rows in enumerate(layout.of_components):
+    problem, layout = fitted.problem, fitted.problem.layout
+    for size, rows, component in zip(
+        scale, layout.of_components, layout.components, strict=True
+    ):
         sigma = problem.sigma[rows]
         sigma = sigma[np.isfinite(sigma)]
-        size = expected_size(layout.components[k].quantity.unit)
-        if len(sigma) and scale[k] * np.median(sigma) > size:
+        usual = expected_size(component.quantity.unit)
+        if len(sigma) and size * np.median(sigma) > usual:
             return True
     return False
-
-
-def _enough(squared: Fit, accepted: NDArray[np.bool_]) -> bool:
-    """Whether the accepted configurations are a majority that determines the robot."""
-    if 1.0 - accepted.mean() > OPTIONS.breakdown:
-        return False
-    return known_values(_weighted(squared.problem, accepted)) > squared.rank
 
 
 def _sought(
@@ -254,13 +262,11 @@ def _sought(
         of each configuration, shape (G,).
     """
     parameters = problem.parameters
-    robot = parameters.free & ~parameters.nuisance
-    expected = Expected(
-        np.eye(len(parameters))[:, robot],
-        np.full(len(parameters), OPTIONS.size),
-        parameters.scales,
-    )
-    every = consensus(_plain(problem), rng)
+    robot = np.eye(len(parameters))[:, parameters.free & ~parameters.nuisance]
+    sizes = np.full(len(parameters), OPTIONS.size)
+    places = expected_places(problem, parameters)
+    expected = Priors.expected(robot, sizes, parameters.scales, places)
+    every = _consensus(_plain(problem), rng)
     every = replace(every, expected=expected, units=np.zeros(0))
     few = replace(every, data=every.data.sample(SAMPLE)) if every.many else every
     theta, weight = np.zeros(len(parameters)), np.zeros(0)
@@ -296,7 +302,7 @@ def _unfitted(problem: Problem, r: Floats) -> Studentized:
     """Residuals as they are, of a model that hardly follows single configurations."""
     told = np.isfinite(problem.sigma)
     squares = squared_or_infinite(r[: len(told)])
-    return Studentized.of(problem, squares, told.astype(float))
+    return Studentized(problem, squares, told.astype(float))
 
 
 def _step(problem: Problem, r: Floats, J: Floats, weight: Floats) -> Floats:
@@ -314,10 +320,8 @@ def _step(problem: Problem, r: Floats, J: Floats, weight: Floats) -> Floats:
     kept = eigenvalues > OPTIONS.rounding * eigenvalues[-1]
     along = V[:, kept].T @ (A.T @ b) / eigenvalues[kept]
     step = -(basis @ (V[:, kept] @ along))
-    longest = np.abs(step[parameters.nuisance]).max(initial=0.0)
-    return np.asarray(
-        step * min(1.0, OPTIONS.longest_step / max(longest, OPTIONS.longest_step))
-    )
+    longest = np.abs(step[parameters.nuisance]).max(initial=OPTIONS.longest_step)
+    return np.asarray(step * (OPTIONS.longest_step / longest))
 
 
 def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.bool_]:
@@ -340,7 +344,8 @@ def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.boo
         if held.many:
             held = replace(held, data=held.data.sample(SAMPLE))
         alike = np.ones(len(held.layout.row))
-        for _ in range(OPTIONS.polish):
+        # The solution of accepted configurations is a redescending one away.
+        for _ in range(2):
             theta = theta + _step(held, *held.linearize_rows(theta), alike)
         found = studentized(problem, theta, basis, rows)
         scale = _scale(found, accepted)
@@ -360,17 +365,98 @@ def _outliers(fitted: Fit, found: Studentized, scale: Floats) -> tuple[Outlier, 
     problem = fitted.problem
     data = problem.data
     out = ~_passed(found, scale)[found.labels] | (data.weight == 0.0)
-    rows = np.flatnonzero(out)
-    sizes = found.sizes(scale)
+    rows, sizes = np.flatnonzero(out), found.sizes(scale)
     shared = causes(problem, fitted.theta, out, found, scale)
-    order = rows[np.argsort(-sizes[rows], kind="stable")]
-    return tuple(
-        Outlier(
-            data.source(row),
-            row,
-            float(sizes[row]),
-            float(data.weight[row]),
-            shared.get(row, ""),
-        )
-        for row in order.tolist()
-    )
+    order = rows[np.argsort(-sizes[rows], kind="stable")].tolist()
+    numbers = sizes[order].tolist(), data.weight[order].tolist()
+    told = [shared.get(row, "") for row in order]
+    return tuple(map(Outlier, map(data.source, order), order, *numbers, told))
+
+
+def _consensus(problem: Problem, rng: np.random.Generator) -> Problem:
+    """The problem about references that most of its rows agree with.
+
+    Every target keeps half of its own rows, for without them nothing says where it is.
+
+    Args:
+        problem: The problem, with the robot at nominal.
+        rng: Random generator of the subsets.
+    """
+    images = all(b.term.measurement.declaration.separable for b in problem.blocks)
+    count = OPTIONS.corners if images else OPTIONS.looked_at
+    few = replace(problem, data=problem.data.sample(count))
+    things = few.data.things()
+    _, first = np.unique(things, return_index=True)
+    targets = [np.flatnonzero(things == things[k]) for k in np.sort(first)]
+    # Of each target one row more than what is unknown needs.
+    parameters, values = few.parameters, measured_count(few) / max(len(few.data), 1)
+    unknown = int((parameters.free & parameters.nuisance).sum())
+    size = max(ceil(unknown / (max(values, 1.0) * len(targets))) + 1, 3)
+    labels = few.data.groups()
+
+    def drawn() -> NDArray[np.intp]:
+        """Rows of some images, each of which tells a pose by all its corners.
+
+        Else of every target, of different configurations where there are.
+        """
+        if images:
+            some = rng.permutation(few.data.configurations)[: OPTIONS.images]
+            return np.flatnonzero(np.isin(labels, some))
+        chosen = []
+        for own in targets:
+            order = rng.permutation(own)
+            _, first = np.unique(labels[order], return_index=True)
+            chosen.append(order[np.sort(first)][:size])
+        return np.sort(np.concatenate(chosen))
+
+    best, least, agreed = problem, np.inf, 0
+    for _ in range(OPTIONS.trials):
+        about, total = _concentrated(few, drawn(), targets)
+        if about is None:
+            continue
+        agreed += abs(total - least) <= OPTIONS.same * least < np.inf
+        if total < least:
+            best, least = about, total
+        # Two subsets of images that are wrong may agree.
+        if agreed >= (3 if images else 1):
+            break
+    return problem.with_terms(best.terms)
+
+
+def _concentrated(
+    problem: Problem, rows: NDArray[np.intp], targets: list[NDArray[np.intp]]
+) -> tuple[Problem | None, float]:
+    """Register by some rows, then by the better half of each target, until it stands.
+
+    Returns:
+        The problem about its references, and the squares of its better half; None
+        where the rows do not say where everything is.
+    """
+    theta = np.zeros(len(problem.parameters))
+    about, total = None, np.inf
+    for _ in range(2):
+        try:
+            found = registered(replace(problem, data=problem.data.rows(rows)), theta)
+        except (CalibPinError, np.linalg.LinAlgError):
+            break
+        about, before = replace(found, data=problem.data), rows
+        squares = _squares(about, theta)
+        rows = np.sort(np.concatenate([_better(squares, own) for own in targets]))
+        total = float(squares[rows].sum())
+        if np.array_equal(rows, before):
+            break
+    return about, total
+
+
+def _better(squares: Floats, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The half of some rows that has the smaller squares, and at least three."""
+    count = max(ceil(0.5 * len(rows)), min(len(rows), 3))
+    return rows[np.argsort(squares[rows], kind="stable")[:count]]
+
+
+def _squares(problem: Problem, theta: Floats) -> Floats:
+    """Sum of whitened squares of each row, shape (N,); infinite if not predicted."""
+    row = problem.layout.row
+    with np.errstate(over="ignore", invalid="ignore"):
+        squares = squared_or_infinite(problem.residual(theta)[: len(row)])
+    return np.asarray(np.bincount(row, squares, len(problem.data)), float)

@@ -126,12 +126,11 @@ class Explanation:
         number = [factor.shape[1] for factor in factors]
         labels = np.repeat([KNOWN, *range(len(acting))], number)
         block = Block(self.values[:, None], labels, np.hstack(factors))
-        worth = np.array([cause.worth for cause in acting])
-        expected = np.array([cause.size**2 for cause in acting])
-        most = np.array([cause.most**2 for cause in acting])
-        components = Components([block], worth, worth * expected)
-        least = SMALLEST**2 * expected
-        found = estimate_variances(components, expected, least, most)
+        numbers = [(cause.worth, cause.size, cause.most) for cause in acting]
+        worth, size, most = np.reshape(numbers, (-1, 3)).T
+        components = Components([block], worth, worth * size**2)
+        least = (SMALLEST * size) ** 2
+        found = estimate_variances(components, size**2, least, most**2)
         sizes = np.array([cause.size for cause in self.causes])
         told = np.zeros(len(sizes))
         sizes[open_], told[open_] = np.sqrt(found.values), found.redundancies - worth
@@ -190,16 +189,14 @@ def explained(
         evidence by that without them.
     """
     found, evidence = list[Cause](), 0.0
-    for _ in range(most):
-        taken = {cause.name for cause in found}
-        left = [cause for cause in causes if cause.name not in taken]
-        if not left:
-            break
-        gain, cause = _best(first, found, left)
+    left = {cause.name: cause for cause in causes}
+    while left and len(found) < most:
+        gain, cause = _best(first, found, [*left.values()])
         if gain < np.log(sure):
             break
         found.append(cause)
         evidence += gain
+        del left[cause.name]
     by_name = {cause.name: cause for cause in causes}
     for cause in found[:-1]:
         others = [other for other in found if other is not cause]
@@ -221,17 +218,15 @@ def _best(
     promise = [now.evidence(cause)[0] + np.log(cause.chance) for cause in causes]
     order = np.argsort(promise)[::-1][:PROMISING]
     result = []
-    for k in order.tolist():
-        cause = causes[k]
+    for cause in (causes[k] for k in order):
         _, size = now.evidence(cause)
         beside = replace(first, causes=(*first.causes, *found, cause.of(size)))
         other, _ = beside.fitted()
-        without = replace(other, causes=other.causes[:-1])
-        evidence, size = without.evidence(cause)
+        evidence, size = other.without({cause.name}).evidence(cause)
         evidence += first.expected(other) + float(np.log(cause.chance))
         result.append((evidence, cause.of(size)))
-    gain, cause_ = max(result, key=lambda pair: pair[0])
-    return gain - now.likelihood - first.expected(now), cause_
+    gain, best = max(result, key=lambda pair: pair[0])
+    return gain - now.likelihood - first.expected(now), best
 
 
 def _likelihoods(v: Floats, V: Floats) -> Floats:

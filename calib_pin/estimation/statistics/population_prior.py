@@ -231,18 +231,15 @@ def common_errors(population: Population) -> tuple[CommonError, ...]:
     first, mean = population.evidences[0], population.mean
     sigma = np.sqrt(np.diag(population.covariance))
     dof = np.maximum(population.robots - 1.0, 1.0)
-    chances = np.array(
-        [f_tail(t**2, 1.0, n) for t, n in zip(mean / sigma, dof, strict=True)]
-    )
+    pairs = zip((mean / sigma) ** 2, dof, strict=True)
+    chances = np.array([f_tail(square, 1.0, n) for square, n in pairs])
     numbers = first.scales * mean, first.scales * sigma, chances, discoveries(chances)
     columns = first.names, first.units, *(column.tolist() for column in numbers)
     return tuple(map(CommonError, *columns))
 
 
 @serial_blas
-def joint_deviations(
-    population: Population,
-) -> tuple[tuple[JointDeviation, ...], ...]:
+def joint_deviations(population: Population) -> tuple[tuple[JointDeviation, ...], ...]:
     """How far every joint of every robot is from the mean, robot by robot."""
     names, spread = population.evidences[0].names, population.spread
     owners = np.array([name.rsplit(".", 2)[0] for name in names])
@@ -275,13 +272,10 @@ def discoveries(chances: Floats, rate: float = RATE) -> NDArray[np.bool_]:
         >>> discoveries(np.array([0.001, 0.04, 0.6, 0.024])).tolist()
         [True, False, False, True]
     """
-    order = np.argsort(chances, kind="stable")
+    ascending = np.sort(chances)
     limits = rate * np.arange(1, len(chances) + 1) / max(len(chances), 1)
-    passed = np.flatnonzero(chances[order] <= limits)
-    result = np.zeros(len(chances), bool)
-    if len(passed):
-        result[order[: passed[-1] + 1]] = True
-    return result
+    passed = ascending[ascending <= limits]
+    return np.asarray(chances <= passed.max(initial=-1.0))
 
 
 def chance_of(u: Floats, covariance: Floats, least: float = TOLD) -> float:
@@ -300,11 +294,9 @@ def chance_of(u: Floats, covariance: Floats, least: float = TOLD) -> float:
 
 def _median_noise(evidences: Sequence[RobotEvidence]) -> Mapping[str, float]:
     """The noise of every quantity; a few bad measurements of robots do not matter."""
-    found: dict[str, list[float]] = {}
-    for one in evidences:
-        for name, sigma in one.noise.items():
-            found.setdefault(name, []).append(sigma)
-    return {name: float(np.median(sigmas)) for name, sigmas in found.items()}
+    names = dict.fromkeys(name for one in evidences for name in one.noise)
+    known = {n: [one.noise[n] for one in evidences if n in one.noise] for n in names}
+    return {name: float(np.median(sigmas)) for name, sigmas in known.items()}
 
 
 def _widening(dof: float) -> float:

@@ -88,15 +88,10 @@ class Components:
         Args:
             labels: New component of each, or `KNOWN`, shape (K,).
         """
-        new, open_ = np.append(labels, KNOWN), labels != KNOWN
-        size = int(labels.max()) + 1
-        return Components(
-            [replace(block, labels=new[block.labels]) for block in self.blocks],
-            *(
-                np.bincount(labels[open_], known[open_], size).astype(float)
-                for known in (self.counts, self.squares)
-            ),
-        )
+        new = np.append(labels, KNOWN)
+        blocks = [replace(block, labels=new[block.labels]) for block in self.blocks]
+        of = labels[:, None] == np.arange(labels.max() + 1)
+        return Components(blocks, self.counts @ of, self.squares @ of)
 
 
 @dataclass(frozen=True)

@@ -27,14 +27,8 @@ from calib_pin.estimation.problem import (
     measured_count,
     representative,
 )
-from calib_pin.estimation.statistics.restricted_likelihood import (
-    EXACT,
-    Variances,
-)
-from calib_pin.estimation.statistics.variance_components import (
-    Groups,
-    grouped,
-)
+from calib_pin.estimation.statistics.restricted_likelihood import EXACT, Variances
+from calib_pin.estimation.statistics.variance_components import Groups, grouped
 from calib_pin.estimation.terms import Term, assembled
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -98,15 +92,11 @@ class Systematic:
             problem: A problem with the rows.
             theta: Parameter values at which frames and instrument stand, shape (P,).
         """
-        moved, _ = problem.rebased(theta)
-        plain = replace(moved.setup, fixed=(), bounds={}, prior={}, parameters=())
-        plain = replace(plain, distances=(), angles=())
-        terms, given = assembled(
-            [replace(term, error=self._about(term)) for term in moved.terms.values()]
-        )
-        there = replace(
-            moved, terms=terms, given=given, setup=plain, held_at={}, expected=None
-        )
+        moved = [term.rebased(theta) for term in problem.terms.values()]
+        about = [replace(term, error=self._about(term)) for term in moved]
+        terms, given = assembled(about)
+        plain, data = Setup(noise=problem.setup.noise), problem.data
+        there = Problem(problem.chains, terms, given, data, plain, problem.units)
         _, J = there.linearize_rows(np.zeros(len(given)))
         columns = [given.index(name) for name in self.names]
         return np.asarray(J[:, columns] * self.sizes)
@@ -120,10 +110,11 @@ class Systematic:
         """
         there, result = self._about(term), np.zeros((len(q), 6, len(self.names)))
         _, J = there.jacobian(q, np.zeros(len(there.screws)))
-        place = {name: k for k, name in enumerate(there.parameters.names)}
-        own = [k for k, name in enumerate(self.names) if name in place]
-        result[:, :, own] = J[:, :, [place[self.names[k]] for k in own]]
-        return result * self.sizes
+        for k, name in enumerate(there.parameters.names):
+            if name in self.names:
+                own = self.names.index(name)
+                result[:, :, own] = J[:, :, k] * self.sizes[own]
+        return result
 
     def _about(self, term: Term) -> ErrorModel:
         """The effects of the chain of a term about its frames."""
@@ -189,12 +180,9 @@ def systematic(
     variances = np.array([chosen.get(kind, 0.0) for kind in effects.kinds])
     variances *= min(1.0, MOST * _share(groups, noise, variances))
     kept = np.isin(effects.kinds, [*chosen])
-    return replace(
-        effects,
-        names=tuple(np.array(effects.names)[kept].tolist()),
-        sizes=(effects.sizes * np.sqrt(variances))[kept],
-        noise=noise,
-    )
+    names = tuple(np.array(effects.names)[kept].tolist())
+    sizes = (effects.sizes * np.sqrt(variances))[kept]
+    return replace(effects, names=names, sizes=sizes, noise=noise)
 
 
 def _share(groups: Groups, noise: Floats, variances: Floats) -> float:
@@ -223,21 +211,34 @@ def sampled(problem: Problem, count: int = ROWS) -> Observations:
     return data.sample(count)
 
 
-def candidates(problem: Problem) -> Systematic | None:
-    """All effects that are not estimated already, in their expected sizes."""
+def candidates(problem: Problem, whole: Sequence[str] = ()) -> Systematic | None:
+    """All effects that are not estimated already, in their expected sizes.
+
+    Args:
+        problem: The problem.
+        whole: Further parameterizations, all of whose parameters are tried.
+    """
     setup, chains = problem.setup, problem.chains
-    kinds = {
+    kinds = dict.fromkeys(whole, ("",)) | {
         name: member.effects.components
         for name, member in PARAMETERIZATIONS.items()
         if member.effects is not None and name not in setup.parameters
     }
+
+    def suits(kind: str, chain: Chain) -> bool:
+        """Whether a chain can have errors of a kind: something may have to load it."""
+        try:
+            return bool(parameterization(kind, setup).screws(chain))
+        except OptionError:
+            return False
+
     if not {"", NOTHING, *setup.payloads}.issuperset(problem.data.payload.distinct):
         # Nothing is known of what was carried.
         kinds = {k: c for k, c in kinds.items() if "payloads" not in required_keys([k])}
     errors: dict[str, ErrorModel] = {}
     sizes: dict[str, float] = {}
     for name, chain in ((name, chains[name]) for name in chains.names):
-        loaded = [kind for kind in kinds if _suits(kind, chain, setup)]
+        loaded = [kind for kind in kinds if suits(kind, chain)]
         errors[name] = ErrorModel.create(
             chain, loaded, setup=setup, estimate_base=False, estimate_tool=False
         )
@@ -248,16 +249,9 @@ def candidates(problem: Problem) -> Systematic | None:
         for parameter in errors[name].parameters:
             joint, kind, component = parameter.name.rsplit(".", 2)
             # A mimic joint has the errors of its leader, which may be of no chain.
-            if component in kinds.get(kind, ()) and turns.get(joint):
+            told = component in kinds.get(kind, ()) and turns.get(joint)
+            if told or kind in whole:
                 sizes[parameter.name] = parameter.scale
     if not sizes:
         return None
     return Systematic(errors, tuple(sizes), np.array([*sizes.values()]), np.ones(0))
-
-
-def _suits(kind: str, chain: Chain, setup: Setup) -> bool:
-    """Whether a chain can have errors of a kind: something may have to load it."""
-    try:
-        return bool(parameterization(kind, setup).screws(chain))
-    except OptionError:
-        return False

@@ -20,9 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import half_covariance
-from calib_pin.estimation.elimination import with_response
+from calib_pin.estimation.evaluators import with_response
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.estimation.problem import Problem, measured_count, repeated
+from calib_pin.estimation.problem import (
+    Problem,
+    current_units,
+    measured_count,
+    repeated,
+)
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
     chi_square_tail,
@@ -90,18 +95,16 @@ class Groups:
             kinds: Kinds that have a variance; the others are left out.
         """
         count, width = len(self.counts), self.rows.shape[1]
-        first = width - 1 - len(self.kind_of)
         kind = np.array([kinds.index(k) if k in kinds else KNOWN for k in self.kind_of])
-        columns = np.full(width, True)
-        columns[first:-1] = acting = kind != KNOWN
-        effects = np.eye(width)[first:-1][acting]
+        columns, acting = np.full(width, True), kind != KNOWN
+        columns[width - 1 - len(kind) : -1] = acting
+        effects = np.eye(width)[width - 1 - len(kind) : -1][acting]
         of_rows = np.repeat([*range(count), KNOWN], width)
         labels = np.append(of_rows, count + kind[acting]).astype(int)
-        return Components(
-            [Block(np.vstack([*self.rows, effects])[:, columns], labels)],
-            np.append(self.counts - width, np.zeros(len(kinds))),
-            np.zeros(count + len(kinds)),
-        )
+        rows = np.vstack([*self.rows, effects])[:, columns]
+        none = np.zeros(len(kinds))
+        counts = np.append(self.counts - width, none)
+        return Components([Block(rows, labels)], counts, np.zeros(len(counts)))
 
     def estimated(self, kinds: Sequence[str] = ()) -> Variances:
         """Variances of the quantities, and behind them of some kinds of effects."""
@@ -153,10 +156,9 @@ def variance_components(
     leverages = np.full(count, half.shape[1] / max(measured_count(problem), 1))
     if not problem.many:
         leverages = np.sum((result.jac[:count] @ half) ** 2, axis=1)
-    pure = pure_errors(problem, result.x, leverages)
     return tuple(
-        _component(problem, k, found, float(factors[k]), groups.counts, pure[k])
-        for k in range(len(pure))
+        _component(problem, k, found, float(factors[k]), float(groups.counts[k]), pure)
+        for k, pure in enumerate(pure_errors(problem, result.x, leverages))
     )
 
 
@@ -169,13 +171,9 @@ def grouped(problem: Problem, rows: Floats, kind_of: Sequence[str] = ()) -> Grou
             values, behind them those of what is known beside.
         kind_of: Kinds of the last columns, see `Groups`.
     """
-    layout, current = problem.layout, current_units(problem) ** 2
-    measured, known = np.split(rows, [len(layout.row)])
-    own = [measured]
-    if len(layout.components) > 1:
-        own = [measured[layout.component == k] for k in range(len(layout.components))]
-    products = np.array([part.T @ part for part in own])
-    products *= current[:, None, None]
+    current, known = current_units(problem) ** 2, rows[len(problem.layout.row) :]
+    own = (rows[at] for at in problem.layout.of_components)
+    products = np.array([part.T @ part for part in own]) * current[:, None, None]
     return Groups(_counts(problem), products, known.T @ known, current, kind_of)
 
 
@@ -207,9 +205,8 @@ def by_quantity(
         columns = np.vstack([change, np.eye(1, size, size - 1)])
         products[k] += columns.T @ K @ columns
         # What its station absorbs of measurements is no redundancy.
-        for station in {
-            id(s): s for p in term.index if (s := deviation.get(int(p)))
-        }.values():
+        met = (deviation.get(position) for position in term.index.tolist())
+        for station in {id(s): s for s in met if s}.values():
             mine = np.flatnonzero(np.isin(term.index, station.own))
             root = station.root[np.searchsorted(station.own, term.index[mine])]
             counts[k] -= float(np.sum(root * (K[np.ix_(mine, mine)] @ root)))
@@ -243,30 +240,17 @@ def _by_quantity(problem: Problem, theta: Floats) -> Iterator[tuple[int, Term, F
 
 def _counts(problem: Problem) -> Floats:
     """Measured values of each quantity, those with less weight counted less, (K,)."""
-    layout = problem.layout
-    weight = problem.data.weight[layout.row]
-    return np.asarray(
-        np.bincount(layout.component, weight, len(layout.components)), float
-    )
-
-
-def current_units(problem: Problem) -> Floats:
-    """Standard deviation of unit weight of every quantity, shape (K,)."""
-    if len(problem.units):
-        return problem.units
-    return np.ones(len(problem.layout.components))
+    layout, weight = problem.layout, problem.data.weight[problem.layout.row]
+    counts = np.bincount(layout.component, weight, len(layout.components))
+    return np.asarray(counts, float)
 
 
 def _stated(problem: Problem) -> NDArray[np.bool_]:
     """Whether the measurements or the setup state the noise of a quantity, (K,)."""
+    noise, components = problem.setup.noise, problem.layout.components
     without = {(b.model, b.station) for b in problem.data.blocks if b.sigma is None}
-    return np.array(
-        [
-            c.quantity.name in problem.setup.noise
-            or (c.model, c.station) not in without
-            for c in problem.layout.components
-        ]
-    )
+    by_rows = [(c.model, c.station) not in without for c in components]
+    return np.array([c.quantity.name in noise for c in components]) | by_rows
 
 
 def _tested(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
@@ -298,10 +282,8 @@ def _tested(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
     open_ = labels != KNOWN
     leaders, labels[open_] = np.unique(labels[open_], return_inverse=True)
     rest = groups.components().relabeled(labels)
-    variances, factors = (
-        estimate_variances(rest, found.values[leaders]),
-        np.ones(len(few)),
-    )
+    variances = estimate_variances(rest, found.values[leaders])
+    factors = np.ones(len(few))
     factors[open_] = np.sqrt(variances.values[labels[open_]])
     return found, np.maximum(factors, LEAST * factors.max())
 
@@ -320,24 +302,23 @@ def _component(
     k: int,
     found: Variances,
     factor: float,
-    counts: Floats,
+    count: float,
     pure: PureError | None,
 ) -> VarianceComponent:
     """The noise of quantity k, by variances of all relative to what is given.
 
-    The standard deviation is used with the factor; the counts are the measured values
-    of each quantity, shape (K,).
+    The standard deviation is used with the factor; the count is that of its measured
+    values.
     """
     component, stated = problem.layout.components[k], bool(_stated(problem)[k])
     given = problem.given_sigma[problem.layout.of_components[k]]
     size = float(np.sqrt(np.mean(given**2))) if len(given) else np.nan
-    redundancy, count = float(found.redundancies[k]), float(counts[k])
-    variance, known = float(found.values[k]), redundancy > 0.0
+    redundancy, variance = float(found.redundancies[k]), float(found.values[k])
+    known = redundancy > 0.0
     squares, lack, unmodeled = variance * redundancy, None, None
     low, high = variance_interval(variance, float(found.dof[k]))
     if pure is not None:
-        lack = pure.lack_of_fit(squares, redundancy)
-        unmodeled = pure.unmodeled(squares, redundancy)
+        lack, unmodeled = pure.lack_of_fit(squares, redundancy)
         if lack is not None and lack < REJECTED:
             # Residuals of one configuration are one value of what the model lacks.
             variance = pure.variance + unmodeled
@@ -394,23 +375,26 @@ class PureError:
         above = chi_square_tail(self.variance * self.dof, self.dof)
         return 2.0 * min(above, 1.0 - above)
 
-    def lack_of_fit(self, squares: float, redundancy: float) -> float | None:
-        """Probability that noise leaves more; None where nothing is left over.
+    def lack_of_fit(
+        self, squares: float, redundancy: float
+    ) -> tuple[float | None, float]:
+        """The excess over noise between configurations.
 
         Args:
             squares: Sum of squares of all residuals.
             redundancy: Their degrees of freedom.
-        """
-        between = redundancy - self.dof
-        if between < 1.0 or self.variance <= 0.0:
-            return None
-        excess = max(squares - self.variance * self.dof, 0.0)
-        return f_tail(excess / between / self.variance, between, self.dof)
 
-    def unmodeled(self, squares: float, redundancy: float) -> float:
-        """Variance of what configurations have in common; arguments as above."""
-        excess = max(squares - self.variance * redundancy, 0.0)
-        return excess / self.trace if self.trace > 0.0 else 0.0
+        Returns:
+            Probability that noise leaves more, None where nothing is left over; and the
+            variance of what configurations have in common.
+        """
+        between, noise = redundancy - self.dof, self.variance
+        common = max(squares - noise * redundancy, 0.0)
+        common = common / self.trace if self.trace > 0.0 else 0.0
+        if between < 1.0 or noise <= 0.0:
+            return None, common
+        excess = max(squares - noise * self.dof, 0.0)
+        return f_tail(excess / between / noise, between, self.dof), common
 
 
 def pure_errors(

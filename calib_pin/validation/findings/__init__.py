@@ -27,15 +27,18 @@ from calib_pin.validation.findings.approach import approach, approach_order
 from calib_pin.validation.findings.axes import axes
 from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
 from calib_pin.validation.findings.coarse_values import coarse_values
-from calib_pin.validation.findings.computed_values import computed_values
+from calib_pin.validation.findings.computed_values import (
+    computed_values,
+    constant_orientation,
+)
 from calib_pin.validation.findings.design import design
 from calib_pin.validation.findings.drift import drift
 from calib_pin.validation.findings.explanations import Family, explain
+from calib_pin.validation.findings.families import families, lacking
 from calib_pin.validation.findings.gauge_readings import gauge_readings
 from calib_pin.validation.findings.hypotheses import finding
 from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
-from calib_pin.validation.findings.joint_offsets import joint_offset
 from calib_pin.validation.findings.joint_sets import joint_sets
 from calib_pin.validation.findings.joint_turns import joint_turns
 from calib_pin.validation.findings.line_order import line_order
@@ -50,7 +53,7 @@ from calib_pin.validation.findings.rehomed import rehomed
 from calib_pin.validation.findings.repetitions import repetitions
 from calib_pin.validation.findings.ripple import ripples
 from calib_pin.validation.findings.robot import robots
-from calib_pin.validation.findings.targets import targets
+from calib_pin.validation.findings.targets import target_frames, targets
 from calib_pin.validation.findings.units import units, units_of_some
 from calib_pin.validation.findings.unmoved_joints import unmoved_joints
 
@@ -68,6 +71,7 @@ EXPLANATIONS: tuple[Family, ...] = (
     units,
     robots,
     targets,
+    target_frames,
 )
 """Explanations of errors that no robot explains."""
 
@@ -77,6 +81,7 @@ CONSEQUENCES: tuple[Kind, ...] = (
     outliers,
     noise,
     population,
+    families,
     approach,
     ripples,
 )
@@ -94,6 +99,14 @@ FACTS: tuple[Kind, ...] = (
     modeled_warm_up,
 )
 """Faults in every fit that the measurements show whatever else is wrong."""
+
+FOLLOW = (
+    ("joint-offset", "large-correction"),  # The origin has taken it over.
+    ("joint-columns", "backlash"),  # Commanded positions are off by the side.
+    ("model-lacks", "scale"),  # A robot grows to explain what it lacks.
+    ("coarse-steps", "noise"),
+)
+"""Warnings, and findings that follow from them and then are not told."""
 
 CLEARER = 0.8
 """Part of the errors that moved frames leave, below which another zero is the cause: of
@@ -127,9 +140,9 @@ def find(case: Case, seek: bool = True) -> Found:
     kinds = FACTS if causes else CONSEQUENCES + FACTS
     others = [] if causes else [*sought]
     others += [found for kind in kinds for found in _told(kind, case)]
-    if any(found.code == "joint-offset" for found in others):
-        # The origin has taken it over.
-        others = [found for found in others if found.code != "large-correction"]
+    told = {found.code for found in others if found.severity == "warning"}
+    follow = {code for first, code in FOLLOW if first in told}
+    others = [found for found in others if found.code not in follow]
     wrong = {f.evidence["between"] for f in others if f.code == "known-distance"}
     distances = [d.between for d in case.setup.known]
     ends = {end for both in distances if " - ".join(both) in wrong for end in both}
@@ -178,15 +191,20 @@ def explained(
 
 def _sought(case: Case) -> tuple[Finding, ...]:
     """Faults that change how measurements are read, the likeliest explanation alone."""
-    if reversed_gauges := _told(gauge_readings, case):
-        return reversed_gauges
+    for kind in (constant_orientation, gauge_readings):
+        if told := _told(kind, case):
+            return told
     sets = _told(joint_sets, case)
     better = [found for found in sets if found.setup]
     if better:
         # What one column lags behind another is no lag of its joint.
         return (min(better, key=lambda found: _left([found])),)
     turned = _told(rehomed, case)
-    sure = _tried(joint_motion, case) or _tried(joint_offset, case)
+    sure = _tried(joint_motion, case)
+    if sure is not None and sure.fitted:
+        # What bends follows joints as well, and the position of one most of all.
+        bent = case.fit.errors * np.sqrt(lacking(case)[1])
+        sure = None if bent < CLEARER * sure.after else sure
     if sure is not None and not _left(turned) < CLEARER * sure.after:
         # A nominal robot that is read wrong makes plateaus of its own.
         return tuple(finding(case, sure))

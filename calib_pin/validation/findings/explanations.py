@@ -38,6 +38,12 @@ from calib_pin.validation.findings.setup_lines import merged
 ROWS = 60
 """Measurements that explanations are tried on."""
 
+IMAGES, CORNERS = 12, 8
+"""The same of images, and of what is seen in each: a few images locate no board."""
+
+SEVERAL = 2
+"""Measurements at each configuration from which they are images."""
+
 NEIGHBORS = 2000
 """Measurements that are read otherwise before these are picked, see `_picked`."""
 
@@ -334,7 +340,11 @@ class _Search:
         chains = next((h.chains for h in faults if h.chains), self.case.chains)
         stated = {k: v for h in faults for k, v in h.setup.items()}
         setup = replace(setup, **stated) if stated else setup
-        return make_problem(chains, read_so(self.data, faults).sample(ROWS), setup)
+        data = _thinned(read_so(self.data, faults))
+        least = ROWS if len(data) < SEVERAL * data.configurations else IMAGES * CORNERS
+        # Each frame that is a new one needs as many.
+        count = least * len(data.blocks) // len(self.data.blocks)
+        return make_problem(chains, data.sample(count), setup)
 
     def _nominal(self, faults: Sequence[Hypothesis]) -> float:
         """Error of the registered nominal robot, rms in standard deviations."""
@@ -378,6 +388,16 @@ def _picked(data: Observations) -> Observations:
     order, length = data.in_order, 100
     starts = np.linspace(0, len(data) - length, NEIGHBORS // length).astype(np.int64)
     return data.rows(np.sort(np.unique([order[s : s + length] for s in starts])))
+
+
+def _thinned(data: Observations) -> Observations:
+    """Measurements with a few of each configuration, corners of an image say."""
+    label = data.groups() * len(data.blocks) + data.block_of
+    order = np.argsort(label, kind="stable")
+    _, first, size = np.unique(label[order], return_index=True, return_counts=True)
+    place, many = np.arange(len(data)) - np.repeat(first, size), np.repeat(size, size)
+    most = np.minimum(many, CORNERS)
+    return data.rows(np.sort(order[(place + 1) * most // many > place * most // many]))
 
 
 def _redundancy(problem: Problem) -> float:

@@ -16,6 +16,9 @@ from calib_pin.validation.findings.setup_lines import JointReading
 TURNS = (90.0, -90.0, 180.0)
 """Offsets between the zeros of a controller and of a URDF [deg]."""
 
+GEARS = (2.0, 0.5)
+"""Gears of which the motion of a joint is often told before or behind."""
+
 
 def joint_columns(case: Case) -> Iterator[Hypothesis]:
     """Explanations by joint columns, the likeliest kinds first."""
@@ -37,7 +40,7 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
         if joints[j] == turned_by_base(case):
             continue  # The frame of the base, which is another explanation, tells it.
         for turn in TURNS:
-            yield offset_by(joints, j, turn)
+            yield offset_by(joints, j, np.radians(turn).item())
     for order in _orders(len(joints)):
         moved = [f"'{joints[k]}'" for k, other in enumerate(order) if k != other]
         named = f"{', '.join(moved[:-1])} and {moved[-1]}"
@@ -63,6 +66,8 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
                     converted=(ConvertedSetup(np.radians(1.0).item(), joints=names),)
                 ),
             )
+    for j in range(len(joints)):
+        yield from (geared(joints, j, factor) for factor in GEARS)
     # Robots couple a joint to those before it.
     for other, j in combinations(turning, 2):
         for factor in (1.0, -1.0):
@@ -77,16 +82,32 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
             )
 
 
-def offset_by(joints: Sequence[str], joint: int, degrees: float) -> Hypothesis:
-    """A joint whose zero is elsewhere, by its position among all [deg]."""
+def offset_by(
+    joints: Sequence[str], joint: int, offset: float, turns: bool = True
+) -> Hypothesis:
+    """A joint whose zero is elsewhere, by its position among all [rad, m]."""
     plain = JointReading.plain(len(joints))
-    plain.offsets[joint] = np.radians(degrees)
+    plain.offsets[joint] = offset
+    shown = f"{np.degrees(offset):.4g} deg" if turns else f"{1e3 * offset:.4g} mm"
     return Hypothesis(
         "joint-offset",
-        f"joint '{joints[joint]}' is offset by {degrees:.4g} deg",
+        f"joint '{joints[joint]}' is offset by {shown}",
         f"zero of {joints[joint]}",
         joints=plain,
         joint=joints[joint],
+    )
+
+
+def geared(joints: Sequence[str], joint: int, factor: float) -> Hypothesis:
+    """A joint that moves some times as far as its column says."""
+    reading = JointReading.plain(len(joints))
+    reading.factors[joint, joint] = factor
+    return Hypothesis(
+        "joint-gear",
+        f"joint '{joints[joint]}' moves {factor:.5g} times as far as read",
+        f"gear of {joints[joint]}",
+        joints=reading,
+        figure="residuals-by-joint",
     )
 
 

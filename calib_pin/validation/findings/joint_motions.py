@@ -1,15 +1,17 @@
-"""Joints that do not stand where their columns say: gears, couplings, lag.
+"""Joints that do not stand where their columns say: zeros, gears, couplings, lag.
 
-Each changes the position of a joint by a small part of something known: of its own
-position (a gear), of that of another joint (a coupling), of its last motion (a joint
-that was read before it stood still). To first order it is one further column of the
-Jacobian of the fit, and all of them are tried at once. The one that stands out is
-fitted. Lost motion goes with the sign of the last motion; it is no matter of reading,
-and is tried along only not to pass for a lag.
+Each moves joints by something known times one number: by one (a zero), by its own
+position (a gear) or that of another joint (a coupling), along its last motion (a joint
+that was read before it stood still). To first order that is one further column of the
+Jacobian, and all are tried at once. Small ones are fitted with the errors of the robot;
+those that cost more than robots err, with the nominal one, which tells where a fit has
+spread them over all origins. Lost motion goes with the sign of the last motion; it is
+no matter of reading, and is tried along only not to pass for a lag.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -18,17 +20,20 @@ import numpy as np
 
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.readings import last_motions
+from calib_pin.measurement_models.readings import last_motions, with_positions
 from calib_pin.observations import Indices, Observations
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import ReadingSetup
-from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.case import DOUBTFUL, Case
+from calib_pin.validation.findings.explanations import DECISIVE
 from calib_pin.validation.findings.hypotheses import Explanation, Hypothesis, read_so
+from calib_pin.validation.findings.joint_columns import geared, offset_by
 from calib_pin.validation.findings.plausibility import OPTIONS
 from calib_pin.validation.findings.quick_fit import QuickFit
 from calib_pin.validation.findings.setup_lines import JointReading
 
 LEFT = 0.42
-"""Part of the sum of squares that a part of a motion leaves at most.
+"""Part of the sum of squares that a small motion leaves at most.
 
 Gears that err by what no parameter describes have left 0.43 of it, on a path.
 """
@@ -49,57 +54,98 @@ CLEAR = 5.0
 """Logarithm of the likelihood ratio to the next best."""
 
 LARGEST = 0.3
-"""Largest part; more is another fault, such as a joint that is reversed."""
+"""Largest part that is small; more is another fault, such as a joint that is
+reversed."""
 
 STEPS = 12
-"""Most steps in which a part is fitted with the robot."""
+"""Most steps in which a motion is fitted: an offset of 60 deg takes seven."""
 
 SETTLED = 0.1
-"""Change of the part, in its standard deviations, after which no more are taken."""
+"""Change of the number, in its standard deviations, after which no more are taken."""
 
 STILL = 0.99
 """Part of the errors that the last step leaves at least: the robot must settle, too."""
 
+LARGE = 10.0
+"""Errors of the nominal robot, in expected sizes, from which large ones are sought."""
+
+TRIED = 4
+"""Large ones that are fitted: what explains most to first order may not in the end."""
+
+LEAST = np.radians(3.0)
+"""Least large offset that is told [rad]; robots have up to half of it."""
+
+ROUND = (45.0, 15.0, 10.0, 5.0, 1.0)
+"""Round angles [deg]."""
+
+NEARBY = 0.6
+"""Largest distance from one of them [deg], three times a usual error of a robot."""
+
+REST = "measure again at rest: the joints must stand still when they are read"
+
 
 class Motion(NamedTuple):
-    """Part of something by which joints stand elsewhere.
+    """How joints stand elsewhere, but for one number.
 
     Attributes:
-        of: What it is a part of: `gear`, `lag`, `side` or `coupled`.
+        of: `zero`, `gear`, `coupled`, `lag` (by a part of their last motion), `early`
+            and `early-each` (by an angle before its end, of the joint that went
+            farthest, or of each) or `side`.
         joints: The joint, all joints, or the joint and the one it is coupled to.
     """
 
     of: str
     joints: tuple[int, ...]
 
-    def hypothesis(self, case: Case, part: float) -> Hypothesis:
-        """How measurements are to be read with so large a part."""
-        names = case.data.joints
-        name = names[self.joints[0]]
-        if self.of == "lag":
-            whose = f"joint '{name}'" if len(self.joints) == 1 else "all joints"
-            return Hypothesis(
-                "lag",
-                f"errors follow the last motion of {whose}: {100 * part:.2g} % of it",
-                "lag",
-                reading=ReadingSetup(lag={names[j]: part for j in self.joints}),
-                figure="residuals-over-order",
-            )
-        reading = JointReading.plain(len(names))
-        reading.factors[self.joints[0], self.joints[-1]] += part
+    def hypothesis(self, case: Case, size: float) -> Hypothesis:
+        """How measurements are to be read with a motion of a size [rad, m, or none]."""
+        names, j = case.data.joints, self.joints[0]
+        if self.of == "zero":
+            turns = case.chains.revolute[case.chains.joints.index(names[j])]
+            return offset_by(names, j, size, turns)
         if self.of == "gear":
-            code = "joint-gear"
-            words = f"joint '{name}' moves {1.0 + part:.5g} times as far as read"
-        else:
-            code, other = "joint-coupled", names[self.joints[1]]
-            words = f"joint '{name}' is coupled to '{other}', by {100 * part:.2g} %"
-        return Hypothesis(
-            code,
-            words,
-            f"{self.of} of {name}",
-            joints=reading,
-            figure="residuals-by-joint",
+            return geared(names, j, 1.0 + size)
+        if self.of == "coupled":
+            reading = JointReading.plain(len(names))
+            reading.factors[j, self.joints[1]] += size
+            other = names[self.joints[1]]
+            return Hypothesis(
+                "joint-coupled",
+                f"joint '{names[j]}' is coupled to '{other}', by {100 * size:.2g} %",
+                f"coupled of {names[j]}",
+                joints=reading,
+                figure="residuals-by-joint",
+            )
+        whose = f"joint '{names[j]}'" if len(self.joints) == 1 else "all joints"
+        lag = Hypothesis(
+            "lag",
+            f"errors follow the last motion of {whose}: {100 * size:.2g} % of it",
+            "lag",
+            figure="residuals-over-order",
         )
+        if self.of == "lag":
+            parts = ReadingSetup(lag={names[j]: size for j in self.joints})
+            return replace(lag, reading=parts)
+        whose = "every joint has" if self.of == "early-each" else "the farthest has"
+        return replace(
+            lag,
+            words="the joints were read as arrived while they still moved: "
+            f"{whose} {np.degrees(size):.2g} deg to go",
+            change=lambda data: _early(data, self, size),
+            advice=REST,
+        )
+
+
+def _early(data: Observations, motion: Motion, angle: float) -> Observations:
+    """Measurements whose joints have still an angle to go, or all of a shorter way."""
+    moved, own = last_motions(data), list(motion.joints)
+    way = np.abs(moved[:, own])
+    if motion.of == "early":
+        way = way.max(axis=1, keepdims=True)
+    share = np.where(way > 0.0, angle / np.where(way > 0.0, way, 1.0), 0.0)
+    q = data.q.copy()
+    q[:, own] -= np.minimum(share, 1.0) * moved[:, own]
+    return with_positions(data, q)
 
 
 @dataclass(frozen=True)
@@ -117,57 +163,71 @@ class _Columns:
     @cached_property
     def motions(self) -> tuple[Motion, ...]:
         """Motions that are tried, of every joint."""
-        joints = self.case.data.joints
-        revolute = dict(
-            zip(self.case.chains.joints, self.case.chains.revolute, strict=True)
-        )
+        joints, chains = self.case.data.joints, self.case.chains
+        revolute = dict(zip(chains.joints, chains.revolute, strict=True))
         every = range(len(joints))
         turning = [j for j in every if revolute.get(joints[j], True)]
         return (
-            *(Motion("gear", (j,)) for j in every),
-            *(Motion("lag", (j,)) for j in every),
+            *(
+                Motion(of, (j,))
+                for of in ("zero", "gear", "lag", "side")
+                for j in every
+            ),
             Motion("lag", tuple(every)),
-            *(Motion("side", (j,)) for j in every),
+            *(Motion(of, tuple(turning)) for of in ("early", "early-each") if turning),
             *(Motion("coupled", (j, k)) for j in turning for k in turning if j != k),
         )
 
     @cached_property
-    def by_parts(self) -> Floats:
-        """Whitened residual by the part of each motion, shape (M, K)."""
-        fit = self.fit
-        data, row = fit.problem.data, fit.problem.layout.row
-        moved = last_motions(self.case.data)[self.index][row]
+    def by_sizes(self) -> Floats:
+        """Whitened residual by the size of each motion, shape (M, K)."""
+        fit, read = self.fit, self.case.data.rows(self.index)
+        row = fit.problem.layout.row
+        moved = last_motions(self.case.data)[self.index]
         sides = np.sign(moved)
-        if data.conditions.direction.size:
-            sides = data.conditions.direction[row]
+        if read.conditions.direction.size:
+            sides = read.conditions.direction
+        farthest = np.abs(moved).max(axis=1, keepdims=True)
+        along = {
+            "lag": moved,
+            "side": sides,
+            "early": moved / np.where(farthest > 0.0, farthest, 1.0),
+            "early-each": np.sign(moved),
+        }
         start = np.concatenate(
-            [b.start if b.start.size else np.zeros(b.q.shape) for b in data.blocks]
-        )[row]
-        ends, starts, q = fit.by_joints, fit.by_starts, data.q[row]
+            [b.start if b.start.size else np.zeros(b.q.shape) for b in read.blocks]
+        )
+        ends, starts = fit.by_joints, fit.by_starts
 
         def column(motion: Motion) -> Floats:
-            if motion.of in ("lag", "side"):
-                own = list(motion.joints)
-                by = moved[:, own] if motion.of == "lag" else sides[:, own]
-                return np.asarray(-np.sum(ends[:, own] * by, axis=1))
-            j, k = motion.joints[0], motion.joints[-1]
-            return np.asarray(ends[:, j] * q[:, k] + starts[:, j] * start[:, k])
+            own, j, k = list(motion.joints), motion.joints[0], motion.joints[-1]
+            if motion.of in along:
+                return np.asarray(-np.sum((ends * along[motion.of][row])[:, own], 1))
+            if motion.of == "zero":
+                return np.asarray(ends[:, j] + starts[:, j])
+            return np.asarray(
+                ends[:, j] * read.q[row, k] + starts[:, j] * start[row, k]
+            )
 
         return np.stack([column(motion) for motion in self.motions], axis=1)
 
-    def likeliest(self) -> int | None:
-        """The motion that explains most, where it does so alone and everywhere."""
-        fit, rows = self.fit, len(self.by_parts)
-        Q, r = fit.unexplained
-        X = np.zeros((len(r), len(self.motions)))
-        X[:rows] = self.by_parts
-        X -= Q @ (Q.T @ X)
+    def gains(self) -> tuple[Floats, Floats, Floats]:
+        """Part of the squares that each motion leaves, shape (K,).
+
+        With what of it the fit cannot do, (M', K), and that along the residual, (K,).
+        """
+        _, r = self.fit.unexplained
+        X = self.fit.beyond(self.by_sizes)
         norms, along = np.sum(X**2, axis=0), X.T @ r
         # What the fit can do already is not tried: what is left of it is rounding.
-        before = np.sum(self.by_parts**2, axis=0)
-        told = norms > 1e-6 * before
+        told = norms > 1e-6 * np.sum(self.by_sizes**2, axis=0)
         gains = np.where(told, along**2 / np.where(told, norms, 1.0), 0.0)
-        left = 1.0 - gains / max(float(r @ r), 1e-300)
+        return 1.0 - gains / max(float(r @ r), 1e-300), X, along
+
+    def likeliest(self) -> Motion | None:
+        """The small motion that explains most, if it does so alone and everywhere."""
+        fit, rows, (left, X, along) = self.fit, len(self.by_sizes), self.gains()
+        _, r = fit.unexplained
         best, second = np.argsort(left)[:2]
         F = (fit.left - 1) * (1.0 / max(left[best], 1e-12) - 1.0)
         if (
@@ -180,35 +240,48 @@ class _Columns:
         stretch = stretch // (int(self.case.rank.max()) + 1)
         shares = np.bincount(stretch, X[:rows, best] * r[:rows]) / along[best]
         contrary = -float(shares[shares < 0.0].sum())
-        lost = self.motions[best].of == "side"
-        return None if lost or contrary >= CONTRARY else int(best)
+        motion = self.motions[best]
+        # What moves a zero moves an origin as well.
+        lost = motion.of in ("side", "zero")
+        return None if lost or contrary >= CONTRARY else motion
+
+    def fitted(self, motion: Motion) -> Iterator[tuple[QuickFit, float]]:
+        """The fit with a motion, and its size, in every step; it ends settled."""
+        size, here = 0.0, self
+        for _ in range(STEPS):
+            column = here.by_sizes[:, [here.motions.index(motion)]]
+            score = here.fit.score(column)
+            size += float(score.values[0])
+            read = read_so(self.case.data, [motion.hypothesis(self.case, size)])
+            before, fit = here.fit, refitted(here.fit, read.rows(self.index))
+            here = replace(here, fit=fit)
+            yield fit, size
+            still = fit.rms > STILL * before.rms
+            if still and abs(score.values[0]) < SETTLED * score.deviations[0]:
+                return
 
 
 def joint_motion(case: Case) -> Explanation | None:
-    """The small motion of a joint that errors follow; None where none stands out."""
+    """The motion of joints that errors follow; None where none stands out."""
+    return _small(case) or _large(case)
+
+
+def _small(case: Case) -> Explanation | None:
+    """The one that a fit leaves."""
     known = case.fit.whole or case.fit.redundant
     fit = case.fit if known else replace(case.fit, whole=True)
     if fit.left <= 1:
         return None
-    columns = _Columns(case, fit)
-    best = columns.likeliest()
-    if best is None:
+    motion = _Columns(case, fit).likeliest()
+    if motion is None:
         return None
     # Noise that came out large for this very fault would hold back the robot's errors.
-    fit = first = replace(fit, problem=replace(fit.problem, units=np.zeros(0)))
-    columns = replace(columns, fit=fit)
-    motion, X = columns.motions[best], columns.by_parts[:, [best]]
-    part = 0.0
-    for _ in range(STEPS):
-        score = fit.score(X)
-        part += float(score.values[0])
-        if not abs(part) < LARGEST:
+    first = replace(fit, problem=replace(fit.problem, units=np.zeros(0)))
+    columns = _Columns(case, first)
+    for step in columns.fitted(motion):
+        fit, size = step
+        if not (abs(size) < LARGEST or motion.of.startswith("early")):
             return None
-        data = read_so(case.data, [motion.hypothesis(case, part)]).rows(columns.index)
-        before, fit = fit, refitted(fit, data)
-        still = fit.rms > STILL * before.rms
-        if still and abs(score.values[0]) < SETTLED * score.deviations[0]:
-            break
     if (
         not fit.rms**2 < LEFT * first.rms**2
         or fit.largest_correction > OPTIONS.implausible
@@ -216,7 +289,7 @@ def joint_motion(case: Case) -> Explanation | None:
         # A robot of other lengths explains a prismatic joint that goes farther.
         return None
     return Explanation(
-        (motion.hypothesis(case, part),),
+        (motion.hypothesis(case, size),),
         first.errors,
         fit.errors,
         fit.left * float(np.log(first.rms / fit.rms)),
@@ -225,10 +298,65 @@ def joint_motion(case: Case) -> Explanation | None:
     )
 
 
+def _large(case: Case) -> Explanation | None:
+    """The one that the nominal robot lacks."""
+    problem = replace(case.fit.problem, units=np.zeros(0))
+    first = QuickFit(problem, case.nominal, robot=False)
+    columns, before = _Columns(case, first), first.errors
+    if not before > LARGE * expected_size(problem.layout.quantities[0].unit):
+        return None
+    tried = (columns.motions[k] for k in np.argsort(columns.gains()[0])[:TRIED])
+    found = [(*[*columns.fitted(m)][-1], m) for m in tried if m.of != "side"]
+    if not found:
+        return None
+    fit, size, motion = min(found, key=lambda one: one[0].errors)
+    if not fit.errors < DECISIVE * before:
+        return None
+    hypothesis = motion.hypothesis(case, size)
+    if motion.of == "zero":
+        turns = "deg" in hypothesis.words
+        if turns and abs(size) < LEAST:
+            return None
+        size = _rounded(size) if turns else size
+        hypothesis = motion.hypothesis(case, size)
+        fit = refitted(fit, read_so(case.data, [hypothesis]).rows(columns.index))
+        # A fit of this very offset has said it already, and more exactly.
+        name = f"{case.data.joints[motion.joints[0]]}.joint-offset.q"
+        estimated = any(p.free and p.name == name for p in problem.parameters)
+        if case.fitted is not None and estimated and case.fit.errors <= fit.errors:
+            return None
+    if motion.of == "gear" and not 1.0 + size > 0.0:
+        return None  # It is reversed, if anything.
+    known = case.fitted is not None and case.errors_left <= DOUBTFUL
+    return Explanation(
+        (hypothesis,),
+        before,
+        fit.errors,
+        len(first.linear[0]) * float(np.log(before / fit.errors)),
+        len(columns.motions),
+        fitted=False,
+        harmless=known and motion.of == "zero",
+    )
+
+
 def refitted(fit: QuickFit, data: Observations) -> QuickFit:
     """A fit to the same measurements, read otherwise: one more step."""
     fit = replace(fit, problem=replace(fit.problem, data=data))
     parameters, (A, b) = fit.problem.parameters, fit.system
+    if not (np.isfinite(A).all() and np.isfinite(b).all()):
+        raise np.linalg.LinAlgError  # A point lies behind the camera, say.
     theta, free = fit.theta.copy(), parameters.free
     theta[free] -= parameters.scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
     return replace(fit, theta=theta)
+
+
+def _rounded(angle: float) -> float:
+    """The roundest angle nearby, for zeros are set on purpose [rad].
+
+    The rest is an error of the robot, which nothing else tells from it.
+    """
+    degrees = float(np.degrees(angle))
+    for step in ROUND:
+        if abs(degrees - step * round(degrees / step)) < NEARBY:
+            return float(np.radians(step * round(degrees / step)))
+    return angle

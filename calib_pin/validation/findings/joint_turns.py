@@ -37,7 +37,7 @@ def joint_turns(case: Case) -> Iterator[Finding]:
         turns = int(max(first, min(0, last)))
         if not first <= turns <= last or turns == 0:
             continue
-        lines = setup_lines(case, (offset_by(data.joints, j, 360.0 * turns),))
+        lines = setup_lines(case, (offset_by(data.joints, j, 2.0 * np.pi * turns),))
         way = "on" if turns > 0 else "back"
         way = f"a turn {way}" if abs(turns) == 1 else f"{abs(turns)} turns {way}"
         yield Finding(

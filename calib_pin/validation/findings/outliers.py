@@ -10,11 +10,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from calib_pin.errors import enumerated
 from calib_pin.estimation.evidence import Finding, Outlier, Severity
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.robust.causes import exchanged_with
 from calib_pin.measurement_models.readings import place_of
-from calib_pin.observations import Observations
+from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import LENGTH_SCALE
 from calib_pin.setup import ReadingSetup
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -22,6 +23,10 @@ from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.places import NAMED, named, without
 from calib_pin.validation.findings.setup_lines import lines_of, written
 from calib_pin.validation.tip_drift import tip_drift
+
+STRETCH, FULL, CONFIGURATIONS = 0.1, 0.9, 6
+"""Part of all measurements, part of a stretch of the files, and configurations from
+which outliers are one that was measured with something else."""
 
 
 def outliers(case: Case) -> Iterator[Finding]:
@@ -60,21 +65,41 @@ def outliers(case: Case) -> Iterator[Finding]:
         return
     rest = np.array([o.row for o in alone])
     rows = rest[np.argsort(np.argsort(data.in_order)[rest])].tolist()
+    code, together = _together(data, rest)
+    severity = "error" if together else severity
     targets = {data.target[row] for row in rows}
     if len(targets) == 1 and any(targets):
         numbers["target"] = targets.pop()
     causes = [*dict.fromkeys(o.cause for o in alone if o.cause)]
     shared = f" ({', '.join(causes[:NAMED])})" if causes else ""
     yield Finding(
-        "outliers",
+        code,
         severity,
         f"{named(data, rows)}{shared}: {len(rows)} of {len(data)} measurements "
         f"{'does' if len(rows) == 1 else 'do'} not fit and "
-        f"{'was' if len(rows) == 1 else 'were'} set aside; {with_them}",
+        f"{'was' if len(rows) == 1 else 'were'} set aside{together}; {with_them}",
         {**numbers, "outliers": float(len(rows)), "first": place_of(data, rows[0])},
         *without(data, rows, "measure them again, or leave them out"),
         figure="residuals-over-order",
     )
+
+
+def _together(data: Observations, rows: Indices) -> tuple[str, str]:
+    """Code and words of outliers that are one long stretch of the files.
+
+    There a joint stands still that moves elsewhere, or something else was measured.
+    """
+    places = np.argsort(data.in_order)[rows]
+    many = len(rows) >= STRETCH * len(data)
+    few = len(np.unique(data.groups()[rows])) < CONFIGURATIONS
+    if few or not many or np.ptp(places) >= len(rows) / FULL:
+        return "outliers", ""
+    still = (np.ptp(data.q[rows], axis=0) == 0.0) & (np.ptp(data.q, axis=0) > 0.0)
+    if still.any():
+        names = enumerated([f"'{data.joints[j]}'" for j in np.flatnonzero(still)])
+        return "stuck-encoder", f": there the reading of joint {names} does not change"
+    words = ", all in one stretch: another robot, tool or station was measured there"
+    return "another-job", words
 
 
 def _far(data: Observations) -> Iterator[Finding]:

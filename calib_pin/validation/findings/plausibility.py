@@ -13,7 +13,7 @@ errors x of the robot, and on the growth s of all of its lengths, by
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +32,6 @@ from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.joint_offsets import offset_within
 from calib_pin.validation.findings.known_distances import (
     ROUNDING,
     SIGNIFICANT,
@@ -288,7 +287,7 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
         )
         return
     check = "check this origin in the URDF, and how the joint is mounted"
-    left, joint, offset = offset_within(
+    left, joint, offset = _offset_within(
         case, x, lambda x: float(_sizes(fitted, x).max())
     )
     if left < OPTIONS.large:
@@ -309,6 +308,35 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
         evidence,
         check,
     )
+
+
+def _offset_within(
+    case: Case, x: Floats, size: Callable[[Floats], float]
+) -> tuple[float, int, float]:
+    """The joint offset without which some errors of the robot are the smallest.
+
+    What an offset turns, origins around it share, so that each looks smaller.
+
+    Args:
+        case: The case.
+        x: Errors of the fit in their scales, shape (P,).
+        size: The size of such errors.
+
+    Returns:
+        The size without it, the joint, and the offset [rad, m].
+    """
+    fit, parameters = case.fit, case.fit.problem.parameters
+    free, robot = parameters.free, parameters.free & ~parameters.nuisance
+    moves = fit.by_joints + fit.by_starts
+    found = []
+    spread = np.linalg.lstsq(fit.linear[1][:, free], moves, rcond=1e-9)[0]
+    for joint, column in enumerate(spread.T):
+        along = np.zeros(len(parameters))
+        along[free] = column
+        along[~robot] = 0.0
+        offset = float(along @ x) / max(float(along @ along), 1e-300)
+        found.append((size(x - offset * along), joint, offset))
+    return min(found)
 
 
 def _frames(

@@ -103,11 +103,13 @@ class QuickFit:
         problem: The problem about its registered references.
         theta: Parameter values, shape (P,).
         whole: Whether the robot's errors count however few measurements there are.
+        robot: Whether they count at all; only the frames are fitted otherwise.
     """
 
     problem: Problem
     theta: Floats
     whole: bool = field(default=False, kw_only=True)
+    robot: bool = field(default=True, kw_only=True)
 
     @classmethod
     def of(
@@ -169,7 +171,8 @@ class QuickFit:
         """Columns of what is free, and residuals, above known distances and sizes."""
         r, J = self.linear
         parameters, known = self.problem.parameters, self.problem.further.distances
-        free = parameters.free & (parameters.nuisance | self.redundant | self.whole)
+        counts = self.robot and (self.redundant or self.whole)
+        free = parameters.free & (parameters.nuisance | counts)
         robot = ~parameters.nuisance & free
         prior = np.diag(np.where(robot, 1.0 / SIZE, 0.0))[robot]
         # Without them contacts draw a robot together.

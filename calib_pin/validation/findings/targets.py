@@ -1,12 +1,16 @@
-"""A target whose measurements contradict those of all others."""
+"""Targets whose measurements contradict those of others: one, or groups of them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from calib_pin.errors import enumerated
 from calib_pin.measurement_models.readings import places_of
+from calib_pin.observations import Observations
 from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.explanations import NEIGHBORS
@@ -17,6 +21,13 @@ FEWEST = 3
 
 MOST = 20
 """Most targets that are tried."""
+
+
+FRAMES = ("station", "tool")
+"""Frames that targets may stand in, and columns that tell them apart."""
+
+GROUPS = 5
+"""Most groups of targets that are tried; each has a frame of its own to fit."""
 
 
 def targets(case: Case) -> Iterator[Hypothesis]:
@@ -35,3 +46,53 @@ def targets(case: Case) -> Iterator[Hypothesis]:
                 ReadingSetup(without=places_of(data, rows)),
                 figure="residuals-over-order",
             )
+
+
+def target_frames(case: Case) -> Iterator[Hypothesis]:
+    """Groups of targets each of which has a frame of its own: boards at places, say."""
+    for group in _groups(case.data):
+        names = [*dict.fromkeys(group.values())]
+        if not 1 < len(names) <= GROUPS:
+            continue
+        for frame in FRAMES:
+            yield Hypothesis(
+                "target-frames",
+                f"the targets {enumerated([f'{name}/..' for name in names])} do not "
+                "fit together, and each fits alone",
+                "frames of targets",
+                change=partial(_apart, group=group, frame=frame),
+                advice=f"give each a {frame} of its own (a column '{frame}')",
+            )
+
+
+def _groups(data: Observations) -> Iterator[dict[str, str]]:
+    """Groups of targets by the first part of their names, and of those seen together.
+
+    By name of the target.
+    """
+    from scipy.sparse import coo_array  # Slow to import.
+    from scipy.sparse.csgraph import connected_components
+
+    names, target = data.target.distinct, data.target
+    if all("/" in name for name in names):
+        yield {name: name.rpartition("/")[0] for name in names}
+    pairs, count = (target.codes, data.groups() + len(target.names)), len(target.names)
+    size = (count + data.configurations,) * 2
+    seen = coo_array((np.ones(len(data)), pairs), shape=size)
+    label = dict(zip(target.names, connected_components(seen)[1][:count], strict=True))
+    first = {label[name]: name for name in reversed(names)}
+    yield {name: first[label[name]] for name in names}
+
+
+def _apart(data: Observations, group: dict[str, str], frame: str) -> Observations:
+    """Measurements whose groups of targets have a station, or a tool, of their own."""
+    blocks = []
+    for block in data.blocks:
+        of_row = block.target.map(group.__getitem__)
+        for name in of_row.distinct:
+            own = block.rows(of_row.where(name))
+            if frame == "station":
+                blocks.append(replace(own, station=f"{block.station}{name}"))
+            else:
+                blocks.append(replace(own, tool=f"{block.tool}{name}"))
+    return Observations.of(*blocks)

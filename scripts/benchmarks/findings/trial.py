@@ -142,7 +142,7 @@ def _run(defect: Defect, number: int) -> Outcome:
         findings, verdict = result.findings, result.verdict
         # A result that must not be used has cost the whole calibration.
         if verdict in TRUSTED or clean.verdict not in TRUSTED:
-            actual = _judged(job, spoiled, result).actual
+            actual = judged_by_file(job, spoiled, result).actual
             cost = np.sqrt(max(actual**2 - clean.actual**2, 0.0)) / NOISE
     if defect.cost is not None:
         cost = defect.cost(job, value)
@@ -167,7 +167,8 @@ def _run(defect: Defect, number: int) -> Outcome:
     )
 
 
-def _judged(job: Job, spoiled: Input, result: CalibrationResult) -> Judged:
+def judged_by_file(job: Job, spoiled: Input, result: CalibrationResult) -> Judged:
+    """The outcome of a job whose joint columns may hold something else."""
     try:
         return judged(job, result, read=partial(_positions, job, spoiled))
     except ValueError:
@@ -201,7 +202,7 @@ def _repaired(
         result = calibrated(spoiled)
     except CalibPinError as error:
         return False, f"repaired: refused: {error}"
-    found = _judged(job, spoiled, result)
+    found = judged_by_file(job, spoiled, result)
     right = found.actual <= max(AS_CLEAN * clean.actual, 2.0 * found.predicted)
     codes = ", ".join(f.code for f in result.findings if f.severity != "info")
     said = (

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -174,6 +175,8 @@ def draw(
     least: int = 0,
     size: float | None = None,
     noise: float | None = None,
+    ends: tuple[str | None, str | None] | None = None,
+    changes: Mapping[str, Any] = {},
 ) -> Job:
     """The job of a number.
 
@@ -189,6 +192,9 @@ def draw(
         size: Standard deviation of the true errors in the scales of their parameters,
             instead.
         noise: Standard deviation of what is measured, instead [m, rad, px].
+        ends: Base and tip of a robot that is none of these.
+        changes: Keys of the setup that differ, of the true robot and the user's alike,
+            such as the parameters.
     """
     rng = stream(number)
     names, models = tuple(ROBOTS), tuple(MODELS)
@@ -202,13 +208,14 @@ def draw(
         float(log_uniform(rng, limits, 1)[0]) for limits in (SIZES, NOISE, PIXELS)
     )
     offset, every_other = rng.uniform() < 0.2, bool(rng.uniform() < 0.5)
-    chain = _chain(robot)
+    chain = _chain(robot, ends or ROBOTS[robot])
     equipment = MODELS[model](chain, rng)
     keys: tuple[str, ...] = ("position", "orientation", "distance", "contact")
     if model == "camera":
         keys, length = ("pixel",), pixel
     sigmas = dict.fromkeys(keys, length if noise is None else noise)
-    problem = nominal_problem(chain, model, replace(equipment.truth, noise=sigmas))
+    truth = replace(equipment.truth, noise=sigmas, **changes)
+    problem = nominal_problem(chain, model, truth)
     parameters = problem.parameters
     sizes = 1e-3 * drawn_size if size is None else size * parameters.scales
     robotic = parameters.free & ~parameters.nuisance & (not perfect)
@@ -222,7 +229,7 @@ def draw(
         chain=chain,
         problem=problem,
         theta=theta,
-        setup=equipment.stated,
+        setup=replace(equipment.stated, **changes),
         minimal=minimal,
         count=max(
             math.ceil((turns if multiple is None else multiple) * minimal), least
@@ -232,8 +239,8 @@ def draw(
 
 
 @cache
-def _chain(robot: str) -> calib_pin.Chain:
-    base, tip = ROBOTS[robot]
+def _chain(robot: str, ends: tuple[str | None, str | None]) -> calib_pin.Chain:
+    base, tip = ends
     return calib_pin.load_chain(robot, base=base, tip=tip)
 
 

@@ -137,6 +137,27 @@ def lagging(q: Floats) -> Floats:
     return read
 
 
+def stuck(q: Floats) -> Floats:
+    """The reading of joint 2 stands still for a while."""
+    read = q.copy()
+    read[20:30, 1] = q[20, 1]
+    return read
+
+
+def of_another(rows: Measurements) -> Measurements:
+    """The last quarter is of a robot with other errors."""
+    sizes = {f"{J2}.placement.{axis}": 8e-3 for axis in "xyz"}
+    turns = {f"{J3}.placement.r{axis}": 1e-2 for axis in "xyz"}
+    other = measured(changes=sizes | turns)
+    behind = np.arange(len(rows))[:, None] >= 3 * len(rows) // 4
+    return replace(rows, values=np.where(behind, other.values, rows.values))
+
+
+def rounded(rows: Measurements) -> Measurements:
+    """The same to a hundredth of a millimeter."""
+    return replace(rows, values=ARM.poses(rows.q)[:, :3, 3].round(5))
+
+
 def repeated(rows: Measurements, index: Any) -> Measurements:
     """Some measurements again, each with noise of its own."""
     rows = rows.rows(index)
@@ -188,6 +209,14 @@ MISHAPS = [
         },
         severity="info",
     ),
+    Mishap(
+        "model-lacks",
+        lines={"parameters": ["placement"]},
+        setup=Setup(parameters=("joint-offset",)),
+        severity="warning",
+    ),
+    Mishap("stuck-encoder", positions(stuck)),
+    Mishap("another-job", of_another),
     Mishap(
         "joint-turns",
         joint(2, lambda q: q + TURN),
@@ -250,7 +279,13 @@ MISHAPS = [
         KNOWN,
     ),
     Mishap("scale", values(lambda v: 1.05 * v)),
+    Mishap(
+        "constant-orientation",
+        values(lambda v: np.hstack([v[:, :3], np.eye(4)[[3] * len(v)]])),
+        job={"model": "pose"},
+    ),
     Mishap("computed-values", computed),
+    Mishap("computed-values", rounded),
     Mishap("coarse-steps", values(lambda v: np.round(v, 3)), severity="warning"),
     Mishap("known-distance", setup=ruler(0.11), job={"names": "ab"}),
     Mishap(
@@ -395,6 +430,7 @@ ELSEWHERE = {
     "instrument-drift": "test_drift",
     "robot-drift": "test_drift",
     "target": "test_targets",
+    "target-frames": "test_targets",
     "robot": "test_robot",
     "tip-link": "test_robot",
     "base-link": "test_robot",

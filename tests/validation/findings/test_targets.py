@@ -15,7 +15,7 @@ from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.explanations import explain
 from calib_pin.validation.findings.line_order import line_order
-from calib_pin.validation.findings.targets import targets
+from calib_pin.validation.findings.targets import target_frames, targets
 
 ARM = calib_pin.load_chain("space6")
 NAMES = ("a", "b", "c")
@@ -50,6 +50,35 @@ def test_it_is_left_out() -> None:
     assert fault.code == "target"
     assert fault.reading.without == tuple(str(line) for line in range(4, 92, 3))
     assert found.after < 0.5 * found.before
+
+
+def test_groups_with_a_tool_of_their_own() -> None:
+    """Three points of one tool, and three of another that the file does not tell."""
+    names = [f"{tool}/{name}" for tool in ("old", "new") for name in NAMES]
+    points = {
+        n: PointSetup((0.1 * (k % 3), 0.05, 0.2), False) for k, n in enumerate(names)
+    }
+    tools = [
+        FrameSetup((0.0, 0.0, 0.1)),
+        FrameSetup((0.05, -0.2, 0.0), (0.3, 0.0, 1.0)),
+    ]
+    rng, parts = np.random.default_rng(4), []
+    for own, frame in zip((names[:3], names[3:]), tools, strict=True):
+        setup = Setup(targets={n: points[n] for n in own}, tool_frame=frame)
+        problem = nominal_problem(ARM, "position", setup)
+        none = np.zeros(len(problem.parameters))
+        parts.append(
+            calib_pin.simulate(
+                problem, none, rng, count=45, noise=1e-4, target=tuple(own) * 15
+            ).only
+        )
+    data = Observations.of(*(replace(part, sigma=None) for part in parts))
+    case = Case.of_robot(Chains.of(ARM), data, Setup(targets=points))
+    found = explain(case, (targets, target_frames))
+    assert found is not None
+    (fault,) = found.faults
+    assert fault.code == "target-frames"
+    assert fault.advice == "give each a tool of its own (a column 'tool')"
 
 
 @pytest.mark.slow

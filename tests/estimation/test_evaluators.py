@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.estimation.elimination import completed
+from calib_pin.estimation.evaluators import completed
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem, absorbed
@@ -47,7 +47,7 @@ def job(chain: Chain | None = None) -> Problem:
 def eliminated(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Problem:
     """The same problem, whose stations are as many as is needed."""
     monkeypatch.setattr("calib_pin.estimation.problem.MANY", 0)
-    monkeypatch.setattr("calib_pin.estimation.elimination.WORTHWHILE", 1)
+    monkeypatch.setattr("calib_pin.estimation.problem.WORTHWHILE", 1)
     return replace(problem)
 
 

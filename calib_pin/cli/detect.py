@@ -253,8 +253,8 @@ def _at_times(joints: Table, taken: Table, images: list[Path], tell: Notice) -> 
 
     taken = logs.with_images(taken)
     taken = taken.rows(np.array(_rows(taken, images)))
-    positions = logs.read_joint_log(joints, {}, tell)
-    readings = logs.read_reading_log(taken, tell)
     stand = Logs.settle, Logs.tolerance
-    readings, found = logs.join_logs(positions, readings, *stand, tell)
-    return read_table(logs.encode_joined(found, positions, readings, keep=True))
+    found, data = logs.join_logs(joints, taken, (), *stand, tell, True)
+    if found.clock is None:
+        raise taken.error("there is no column 'time' here, or in the log of the joints")
+    return read_table(data)

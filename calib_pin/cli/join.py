@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +13,7 @@ from calib_pin.cli.printing import progress_bar, stage
 from calib_pin.cli.request import Told, number
 
 if TYPE_CHECKING:
+    from calib_pin.io.table import Table
     from calib_pin.observations.joining import Joined
 
 SECONDS = "a time in seconds, more than 0 and at most 60"
@@ -63,45 +64,31 @@ def join(asked: Logs) -> int:
     """
     import calib_pin.io.exchange.rosbag as rosbag
     import calib_pin.io.logs as logs
-    from calib_pin.errors import stated_in
     from calib_pin.io.table import read_table
 
-    names = open_setup(asked.setup).columns
+    columns = open_setup(asked.setup).columns
     files = joints, measurements = asked.log, asked.measurements
     for path in files:
         require_file(path)
     check_outputs([asked.output], [*files, asked.setup], asked.force)
-    bags = [rosbag.is_bag(path) for path in files]
-    same, topic = all(bags) and joints == measurements, asked.topic
-    samples = same and rosbag.holds_calibration_data(joints)
+
+    def read(path: Path, part: str, kinds: Collection[str], topic: str | None) -> Table:
+        if rosbag.is_bag(path):
+            return rosbag.read_bag(path, kinds, topic)
+        return read_table(path, stage(bar, part), columns=columns)
+
     with progress_bar(quiet=asked.quiet) as bar:
-        if samples:
-            positions, readings, found = rosbag.read_calibration_data(
-                joints, topic, asked.tell
-            )
-        else:
-            stages = (stage(bar, of) for of in ("joints", "readings"))
-            ours, theirs = (
-                None if bag else read_table(path, part, columns=names)
-                for path, bag, part in zip(files, bags, stages, strict=True)
-            )
-            if ours and theirs:
-                ours, theirs = logs.named_alike(ours, theirs)
-            positions = (
-                logs.read_joint_log(ours, names, asked.tell)
-                if ours
-                else rosbag.read_joint_bag(joints, asked.joint_topic)
-            )
-            readings = (
-                logs.read_reading_log(theirs, asked.tell)
-                if theirs
-                else rosbag.read_reading_bag(measurements, topic)
-            )
-            with stated_in(f"{joints}, {measurements}"):
-                readings, found = logs.join_logs(
-                    positions, readings, asked.settle, asked.tolerance, asked.tell
-                )
-    data = logs.encode_joined(found, positions, readings, keep=asked.keep or samples)
+        tables = None
+        if joints == measurements and rosbag.is_bag(joints):
+            tables = rosbag.read_calibration_data(joints, asked.topic, asked.tell)
+        tables = tables or (
+            read(joints, "joints", rosbag.JOINTS, asked.joint_topic),
+            read(measurements, "readings", rosbag.READINGS, asked.topic),
+        )
+        # All columns of a bag are joints, whatever they are called.
+        names = tables[0].columns if rosbag.is_bag(joints) else columns
+        wait = asked.settle, asked.tolerance
+        found, data = logs.join_logs(*tables, names, *wait, asked.tell, asked.keep)
     document = {**_document(found), "written": [str(asked.output)]}
     text = "".join(f"{line}\n" for line in _lines(found, measurements))
     written = [f"wrote {asked.output}"]
@@ -113,7 +100,7 @@ def _lines(found: Joined, measurements: Path) -> Iterator[str]:
     """The counts of a join, and how well the clock is known."""
     clock = found.clock
     if clock is None:
-        yield f"{len(found.standstills)} samples with {found.used} readings"
+        yield f"{found.stands} samples with {found.used} readings"
         return
     empty = f", {found.empty} without" * (found.empty > 0)
     yield f"{found.stands} standstills with {found.used} readings{empty}"

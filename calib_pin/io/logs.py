@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import calib_pin.io.foreign_headers as headers
 import calib_pin.io.measured_columns as measured_columns
 import calib_pin.observations.joining as joining
-from calib_pin.errors import InputError, enumerated
+from calib_pin.errors import InputError, enumerated, stated_in
 from calib_pin.io.columns import ANGLE, LENGTH, PIXEL, PURE, Floats, Kind
 from calib_pin.io.dialects.base import header
 from calib_pin.io.measured_columns import NAMES
@@ -55,248 +55,245 @@ POSE = "pose"
 """Column of the names by which two files are joined, in the result."""
 
 
-@dataclass(frozen=True)
-class Series:
-    """Joint positions or measured values by time, or by names.
-
-    Attributes:
-        log: Time and values in SI units; an orientation as a quaternion, the last.
-        units: The columns of the values, and the unit in which each is written.
-        texts: Further columns by name, N strings each; `POSE` of logs without times,
-            `IMAGE` of images; standard deviations of those that are no series.
-        loose: Whether nothing says in which unit the times are.
-    """
-
-    log: joining.Log
-    units: Mapping[str, str | None]
-    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    loose: bool = False
-
-
-def named_alike(*tables: Table) -> tuple[Table, ...]:
-    """Two files; where these have no times, columns of the same names called `POSE`.
-
-    Args:
-        tables: The file of the joints, in which each name stands once, and that of the
-            readings. Numbers with decimals are no names.
-    """
-    if all(map(_time_column, tables)):
-        return tables
-    names = (
-        {
-            name: [cell.strip().lower() for cell in column.texts()]
-            for name, column in table.columns.items()
-            if not np.any(column.numbers[np.isfinite(column.numbers)] % 1.0)
-        }
-        for table in tables
-    )
-    found = joining.shared_names(*names) or (POSE, POSE)
-    return tuple(t.renamed({POSE: n}) for t, n in zip(tables, found, strict=True))
-
-
-def read_joint_log(table: Table, columns: Mapping[str, str], notice: Notice) -> Series:
-    """The joints of a log: those that the setup names, or its columns of positions.
-
-    Args:
-        table: The file, read with `columns`.
-        columns: Columns with foreign names, ours to theirs.
-        notice: Called with sentences about the file and what was left out.
-
-    Raises:
-        InputError: If it has no time or nothing else, or the time goes back.
-    """
-    stamp, found = _stamp(table), headers.foreign(table.columns)
-    # The pose that a controller computes, or an instrument's in the same log.
-    points = (one.name for way in headers.vectors(found) for one in way.values())
-    others = {stamp, *NAMES, *points}
-    reserved = {stamp, *measured_columns.reserved()}
-    names = [name for name in columns if name in table and name not in reserved]
-    names = names or [k.name for k in found if k.name not in others and _is_position(k)]
-    if not names:
-        raise table.error("there are no columns of joints beside the time")
-    return _read(table, names, notice, "", ())
-
-
-def read_reading_log(table: Table, notice: Notice) -> Series:
-    """The measured values of a log, or none of a list of images.
-
-    Readings of several targets, tools or stations may alternate, or share a time.
-
-    Args:
-        table: The file, read with the columns that a setup names.
-        notice: Called with sentences about the file and what was left out.
-
-    Raises:
-        InputError: If it has no time or no measured values, or the time of a target
-            goes back.
-    """
-    # Other columns that the setup names may be those of the joints.
-    measured, oriented = measured_columns.measured(), measured_columns.ORIENTED
-    lacking = {ours: table.missing[ours] for ours in table.missing.keys() & measured}
-    require_columns([replace(table, missing=lacking)])
-    table = with_images(headers.understood(table))
-    stamp, own = _stamp(table), [n for n in table.columns if n in measured]
-    turned = any(name in oriented for name in own)
-    way = measured_columns.orientation_columns(table) if turned else ""
-    own = [name for name in own if name not in oriented]
-    # Beside other values a deviation is one from some nominal value.
-    own = [n for n in own if n not in measured_columns.optional()] or own
-    if not (own or way or IMAGE in table):
-        reason = "there are no measured columns; 'columns' in the setup says which are"
-        allowed = "x, y, z, distance, u, v, an orientation, or a column 'image'"
-        raise table.error(reason, allowed=allowed)
-    texts = [name for name in (*NAMES, IMAGE) if name in table]
-    if IMAGE in texts or stamp == POSE:
-        texts += [name for name in table.columns if name.startswith("sigma")]
-    used = {stamp, *own, *oriented, *texts, "temperature"}
-    read = _read(table, own, notice, way, texts)
-    if ignored := table.ignored([name for name in table.columns if name not in used]):
-        notice(ignored)
-    return replace(read, units=dict.fromkeys(read.units))
-
-
-def _read(
-    table: Table, names: Sequence[str], notice: Notice, way: str, kept: Sequence[str]
-) -> Series:
-    """The rows of a log in the order of their times.
-
-    Args:
-        table: The log.
-        names: Columns of numbers.
-        notice: Called with sentences about the file and what was left out.
-        way: How it states orientations; empty where it does not.
-        kept: Columns of texts: of names of what a row is of, and others.
-    """
-    stamp = _stamp(table)
-    table = _whole(table, stamp, [*names, *STATED.get(way, ())], notice)
-    units = {name: table.columns[name].unit for name in names}
-    values = [table.numbers(name, _kind(unit)) for name, unit in units.items()]
-    # Steps of servos are told in radians.
-    units = {n: None if steps_of(unit or "") else unit for n, unit in units.items()}
-    if way:
-        values += [*measured_columns.read_quaternions(table, way).T]
-        units |= dict.fromkeys(QUATERNION)
-    labels = table.texts([name for name in kept if name in NAMES])
-    kind = np.zeros(len(table.lines), np.int64)
-    for texts in labels.values():
-        kind = kind * len(texts.names) + texts.codes
-    others = [(n, table.columns[n].texts()) for n in kept if n not in NAMES]
-    for name, texts in others:
-        labels[IMAGE if name == IMAGE else table.columns[name].header] = texts
-    # Images may stand in any order.
-    ordered = np.arange(len(kind)) if IMAGE in labels else kind
-    time, loose = _times(table, stamp, ordered)
-    labels |= table.texts([POSE]) if stamp == POSE else {}
-    order = np.argsort(time, kind="stable")
-    rows = np.vstack([np.empty((0, len(time))), *values]).T[order]
-    log = joining.Log(time[order], rows, kind[order])
-    cells = {name: [*texts[order]] for name, texts in labels.items()}
-    return Series(joining.continuous(log) if way else log, units, cells, loose)
-
-
-def encode_joined(
-    joined: joining.Joined, joints: Series, readings: Series, *, keep: bool
-) -> bytes:
-    """A measurement file of two logs.
-
-    Args:
-        joined: The standstills and their readings.
-        joints: The log of the joints.
-        readings: The log of the readings.
-        keep: Whether every reading is a row, as of images, or the mean of a standstill
-            with its standard deviation.
-    """
-    rows, log, oriented = [*joined.standstills], readings.log, "qx" in readings.units
-    if keep or IMAGE in readings.texts:
-        rows = [replace(one, readings=k) for one in rows for k in one.readings[:, None]]
-        rows.sort(key=lambda one: int(one.readings[0]))
-    table: dict[str, Any] = {}
-    q = np.array([one.q for one in rows])
-    for (name, unit), column in zip(joints.units.items(), q.T, strict=True):
-        table[header(name, unit)] = column / _kind(unit).units.get(unit or "", 1.0)
-    values = joining.means(rows, log.values, oriented)
-    table |= zip(readings.units, values.T, strict=True)
-    sigma = joining.mean_sigmas(rows, log.values, oriented)
-    if sigma.size and (sigma > LEAST).all():
-        names = [name for name in readings.units if name not in QUATERNION]
-        names += ROTATION_VECTOR if oriented else ()
-        table |= zip((f"sigma_{name}" for name in names), sigma.T, strict=True)
-    averaged = any(len(one.readings) > 1 for one in rows)
-    for name, cells in readings.texts.items():
-        if not (averaged and name.startswith("sigma")):
-            table[name] = [cells[one.readings[0]] for one in rows]
-    if joined.clock:
-        time = np.array([log.time[one.readings].mean() for one in rows])
-        table["time"] = time - joined.clock.ahead
-    way = "time" if joined.clock else "name"
-    comment = f"joined by {way}: {joined.stands} standstills, {joined.used} readings"
-    comment += ", each sigma that of a mean" * averaged
-    return encode_table(table, [comment])
-
-
-def join_logs(
-    joints: Series, readings: Series, settle: float, tolerance: float, notice: Notice
-) -> tuple[Series, joining.Joined]:
-    """The readings, by the unit of the joints' times, and what joins them.
-
-    Args:
-        joints: The log of the joints.
-        readings: The log of the readings.
-        settle: Time that joints stand before readings count [s].
-        tolerance: Longest time without a sample of the joints [s].
-        notice: Called with sentences about the logs and what was left out.
-
-    Raises:
-        InputError: If nothing does.
-    """
-    q, values = joints.log, readings.log
-    if POSE in joints.texts:
-        names = joints.texts[POSE], readings.texts[POSE]
-        found = joining.join_by_name(q, values, *names)
-        if alone := enumerated(found.alone):
-            notice(f"in one of both files only, and left out: {alone}")
-        return readings, found
-    if joints.loose and readings.loose:
-        q, values, steps = joining.in_one_unit(q, values)
-        if steps:
-            read = f"{'joints' if steps > 0 else 'readings'} are read as "
-            read += [*TIME.units][abs(steps)]
-            notice(f"the times of the {read}: so both last as long")
-    found = joining.join(q, values, settle, tolerance)
-    if not found.standstills:
-        raise InputError("no reading falls into a standstill of the joints")
-    images = readings.texts.get(IMAGE, ())
-    used = {images[k] for one in found.standstills for k in one.readings if images}
-    if lost := [name for name in dict.fromkeys(images) if name not in used]:
-        notice(f"the joints do not stand at the time of {enumerated(lost)}: left out")
-    return replace(readings, log=values), found
-
-
 def with_images(table: Table) -> Table:
     """The table with the names of images, if it has any, in a column of this name."""
     names = (name for name in table.columns if name.lower() in IMAGES)
     return table.renamed({IMAGE: next(names, IMAGE)})
 
 
-def _whole(table: Table, stamp: str, names: Sequence[str], notice: Notice) -> Table:
-    """The rows that miss none of some columns, nor the time or the name.
+def join_logs(
+    ours: Table,
+    theirs: Table,
+    columns: Collection[str],
+    settle: float,
+    tolerance: float,
+    notice: Notice,
+    keep: bool,
+) -> tuple[joining.Joined, bytes]:
+    """Join two logs: their standstills, and the measurement file that they become.
+
+    Args:
+        ours: The log of the joints.
+        theirs: The log of the readings.
+        columns: Columns of `ours` that are joints; where it has none of these, those of
+            positions are.
+        settle: Time that joints stand before readings count [s].
+        tolerance: Longest time without a sample of the joints [s].
+        notice: Called with sentences about the logs and what was left out.
+        keep: Whether every reading is a row, as of images, or the mean of a standstill
+            with its standard deviation.
 
     Raises:
-        InputError: If there are none.
+        InputError: If nothing joins them, one has no time or no values, or its time
+            goes back.
     """
+    ours, theirs = _stamped(ours, theirs)
+    joints = _joints(ours, columns)
+    ours, q = _read(ours, joints, "", (), notice)
+    theirs, measured, way = _readings(theirs, notice)
+    theirs, values = _read(theirs, measured, way, NAMES, notice)
+    measured += QUATERNION if way else ()
+    with stated_in(f"{ours.file}, {theirs.file}"):
+        if POSE in ours:
+            both = ours.labels(POSE), theirs.labels(POSE)
+            found = joining.join_by_name(q, values, *both)
+        else:
+            stamps = ours.columns["time"], theirs.columns["time"]
+            # Nothing says in which unit the times are.
+            if all(c.unit is None and np.all(c.numbers < SECONDS) for c in stamps):
+                q, values, steps = joining.in_one_unit(q, values)
+                if steps:
+                    read = f"{'joints' if steps > 0 else 'readings'} are read as "
+                    read += [*TIME.units][abs(steps)]
+                    notice(f"the times of the {read}: so both last as long")
+            found = joining.join(q, values, settle, tolerance)
+        if not found.standstills:
+            raise InputError("no reading falls into a standstill of the joints")
+    if alone := enumerated(found.alone):
+        notice(f"in one of both files only, and left out: {alone}")
+    if IMAGE in theirs:
+        images = theirs.labels(IMAGE)
+        used = {images[k] for one in found.standstills for k in one.readings}
+        if lost := enumerated(name for name in images.distinct if name not in used):
+            notice(f"the joints do not stand at the time of {lost}: left out")
+    units = {name: ours.columns[name].unit or "" for name in joints}
+    data = _encoded(found, units, theirs, measured, values, keep or IMAGE in theirs)
+    return found, data
+
+
+def _encoded(
+    found: joining.Joined,
+    joints: Mapping[str, str],
+    table: Table,
+    measured: Sequence[str],
+    values: joining.Log,
+    keep: bool,
+) -> bytes:
+    """The measurement file of two logs.
+
+    Args:
+        found: The standstills and their readings.
+        joints: The joints, and the units in which they are written.
+        table: The log of the readings.
+        measured: The measured columns.
+        values: Their values.
+        keep: Whether every reading is a row.
+    """
+    rows, oriented = [*found.standstills], "qx" in measured
+    if keep:
+        rows = [replace(one, readings=k) for one in rows for k in one.readings[:, None]]
+        rows.sort(key=lambda one: int(one.readings[0]))
+    cells: dict[str, Any] = {}
+    q = np.array([one.q for one in rows])
+    for (name, unit), column in zip(joints.items(), q.T, strict=True):
+        # Steps of servos are told in radians.
+        unit = "" if steps_of(unit) else unit
+        cells[header(name, unit)] = column / _kind(unit).units.get(unit, 1.0)
+    means = joining.means(rows, values.values, oriented)
+    cells |= zip(measured, means.T, strict=True)
+    sigma = joining.mean_sigmas(rows, values.values, oriented)
+    if sigma.size and (sigma > LEAST).all():
+        names = [name for name in measured if name not in QUATERNION]
+        names += ROTATION_VECTOR if oriented else ()
+        cells |= zip((f"sigma_{name}" for name in names), sigma.T, strict=True)
+    averaged = any(len(one.readings) > 1 for one in rows)
+    table = table.rows(np.array([one.readings[0] for one in rows]))
+    for name in _kept(table):
+        if not (averaged and name.startswith("sigma")):
+            column = table.columns[name]
+            cells[header(name, column.unit)] = column.texts().map(str.strip)
+    if found.clock:
+        time = np.array([values.time[one.readings].mean() for one in rows])
+        cells["time"] = time - found.clock.ahead
+    way = "time" if found.clock else "name"
+    comment = f"joined by {way}: {found.stands} standstills, {found.used} readings"
+    comment += ", each sigma that of a mean" * averaged
+    return encode_table(cells, [comment])
+
+
+def _stamped(ours: Table, theirs: Table) -> tuple[Table, Table]:
+    """Two files whose times are called `time`, or the names that both have `POSE`.
+
+    Raises:
+        InputError: If there are neither.
+    """
+    if POSE in ours and POSE in theirs:
+        return ours, theirs
+    own, other = times = [_time_column(table) for table in (ours, theirs)]
+    if all(times):
+        spare = f"{POSE} (of the file)"  # One of them alone has names.
+        ours = ours.renamed({"time": own, spare: POSE})
+        return ours, theirs.renamed({"time": other, spare: POSE})
+    names = (
+        {
+            name: [cell.strip().lower() for cell in column.texts()]
+            for name, column in table.columns.items()
+            # Numbers with decimals are no names.
+            if not np.any(column.numbers[np.isfinite(column.numbers)] % 1.0)
+        }
+        for table in (ours, theirs)
+    )
+    if both := joining.shared_names(*names):
+        return ours.renamed({POSE: both[0]}), theirs.renamed({POSE: both[1]})
+    reason = "there is no column 'time', and no column of names that both logs share"
+    allowed = "time, timestamp, stamp, zeit, t, or 'columns: {time: NAME}' in the setup"
+    raise (theirs if own else ours).error(reason, allowed=allowed)
+
+
+def _time_column(table: Table) -> str:
+    """The likeliest column of times; empty where there is none."""
+    found = headers.measured(headers.foreign(table.columns)).get("time", ())
+    names = (one.name for one in found)
+    return next(names, next((n for n in table.columns if n.lower() == "t"), ""))
+
+
+def _joints(table: Table, columns: Collection[str]) -> list[str]:
+    """Columns of joints: those that are named, or those of positions."""
+    found = headers.foreign(table.columns)
+    # The pose that a controller computes, or an instrument's in the same log.
+    points = (one.name for way in headers.vectors(found) for one in way.values())
+    others = {POSE, "time", *NAMES, *points}
+    reserved = {POSE, "time", *measured_columns.reserved()}
+    names = [name for name in columns if name in table and name not in reserved]
+    names = names or [k.name for k in found if k.name not in others and _is_position(k)]
+    if not names:
+        raise table.error("there are no columns of joints beside the time")
+    return names
+
+
+def _readings(table: Table, notice: Notice) -> tuple[Table, list[str], str]:
+    """A log by our names, its measured columns, and how it states orientations.
+
+    A list of images has none. Readings of several targets, tools or stations may
+    alternate, or share a time.
+    """
+    # Other columns that the setup names may be those of the joints.
+    measured, oriented = measured_columns.measured(), measured_columns.ORIENTED
+    lacking = {ours: table.missing[ours] for ours in table.missing.keys() & measured}
+    require_columns([replace(table, missing=lacking)])
+    table = with_images(headers.understood(table))
+    turned = oriented & table.columns.keys()
+    way = measured_columns.orientation_columns(table) if turned else ""
+    own = [name for name in table.columns if name in measured.keys() - oriented]
+    # Beside other values a deviation is one from some nominal value.
+    own = [n for n in own if n not in measured_columns.optional()] or own
+    if not (own or way or IMAGE in table):
+        reason = "there are no measured columns; 'columns' in the setup says which are"
+        allowed = "x, y, z, distance, u, v, an orientation, or a column 'image'"
+        raise table.error(reason, allowed=allowed)
+    used = {"time", *own, *oriented, *_kept(table), "temperature"}
+    if ignored := table.ignored([name for name in table.columns if name not in used]):
+        notice(ignored)
+    return table, own, way
+
+
+def _kept(table: Table) -> list[str]:
+    """Columns of readings that are written as they are."""
+    names = [name for name in (*NAMES, IMAGE) if name in table]
+    if IMAGE in table or POSE in table:
+        names += [name for name in table.columns if name.startswith("sigma")]
+    return names + [POSE] * (POSE in table)
+
+
+def _read(
+    table: Table, names: Sequence[str], way: str, apart: Sequence[str], notice: Notice
+) -> tuple[Table, joining.Log]:
+    """The rows of a log in the order of their times, and their numbers [SI].
+
+    Args:
+        table: The log.
+        names: Columns of numbers.
+        way: How it states orientations, which become quaternions; empty if it does not.
+        apart: Columns of names of what a row is of.
+        notice: Called with sentences about the file and what was left out.
+    """
+    stamp = POSE if POSE in table else "time"
     for remark in table.remarks:
         notice(f"{table.file}: {remark}")
-    kept = ~table.columns[stamp].missing()
-    for name in names:
+    missing = {stamp: table.columns[stamp].missing()}
+    for name in (*names, *STATED.get(way, ())):
         column = table.columns[name]
-        rows = column.numbers == column.sentinel
-        kept &= ~(column.missing() | rows)
-        if rows.any():
-            told = f"{column.sentinel:g} in {np.count_nonzero(rows)} rows of '{name}'"
+        signs = column.numbers == column.sentinel
+        missing[name] = column.missing() | signs
+        if signs.any():
+            told = f"{column.sentinel:g} in {np.count_nonzero(signs)} rows of '{name}'"
             notice(f"{table.file}: {told} is taken for a reading that is missing")
-    if not kept.any():
-        raise table.error(f"no row has all of {enumerated([stamp, *names])}")
-    return with_readings(table, kept, "rows", notice)
+    table = with_readings(table, missing, "rows", notice)
+    values = [table.numbers(n, _kind(table.columns[n].unit)) for n in names]
+    values += [*measured_columns.read_quaternions(table, way).T] if way else []
+    kind = np.zeros(len(table.lines), np.int64)
+    for labels in table.texts(apart).values():
+        kind = kind * len(labels.names) + labels.codes
+    time = _times(table, stamp)
+    rows = np.vstack([np.empty((0, len(time))), *values]).T
+    log, back = joining.Log(time, rows, kind), np.zeros(len(time), bool)
+    # Images may stand in any order.
+    for own in log.kinds if IMAGE not in table else ():
+        back[own[1:]] = np.diff(time[own]) <= 0.0
+    table.refuse(back, "the time does not go on here", stamp)
+    order = np.argsort(time, kind="stable")
+    log = joining.Log(time[order], rows[order], kind[order])
+    return table.rows(order), joining.continuous(log) if way else log
 
 
 def _is_position(one: headers.Foreign) -> bool:
@@ -308,75 +305,37 @@ def _is_position(one: headers.Foreign) -> bool:
     return one.numeric and known and not (counter or STAMPS.search(one.words))
 
 
-def _time_column(table: Table) -> str:
-    """The likeliest column of times; empty where there is none."""
-    found = headers.measured(headers.foreign(table.columns)).get("time", ())
-    names = (one.name for one in found)
-    return next(names, next((n for n in table.columns if n.lower() == "t"), ""))
-
-
-def _stamp(table: Table) -> str:
-    """The column by which a file is joined.
-
-    Raises:
-        InputError: If there is none.
-    """
-    if name := POSE if POSE in table else _time_column(table):
-        return name
-    reason = "there is no column 'time', and no column of names that both logs share"
-    allowed = "time, timestamp, stamp, zeit, t, or 'columns: {time: NAME}' in the setup"
-    raise table.error(reason, allowed=allowed)
-
-
-def _times(table: Table, name: str, kind: NDArray[np.int64]) -> tuple[Floats, bool]:
-    """Times [s], of dates since 1970, or the numbers of rows that have a name.
-
-    Args:
-        table: The log.
-        name: Column of its times or names.
-        kind: What each row is of, shape (N,); the time of each of these goes on.
-
-    Returns:
-        The times, shape (N,), and whether nothing tells their unit.
-    """
+def _times(table: Table, name: str) -> Floats:
+    """Times [s], of dates since 1970, or the numbers of named rows, shape (N,)."""
     column = table.columns[name]
     if name == POSE:
-        return np.arange(float(len(table.lines))), False
-    loose = column.unit is None and bool((column.numbers < SECONDS).all())
-    if not np.isfinite(column.numbers).any():
-        time = _dates(table, name)
-    else:
-        time = table.numbers(name, TIME)
-        # Seconds since 1970 have ten digits, others are of smaller units.
-        steps = int(np.log10(max(time[0], 1.0))) // 3 - 3 if column.unit is None else 0
-        time = time * 1e-3 ** max(steps, 0)
-    back = np.zeros(len(time), bool)
-    for rows in joining.Log(time, time, kind).kinds:
-        back[rows[1:]] = np.diff(time[rows]) <= 0.0
-    table.refuse(back, "the time does not go on here", name)
-    if len(time) < 3:
+        return np.arange(len(table.lines), dtype=np.float64)
+    if len(table.lines) < 3:
         raise InputError("is too short to be joined by time", file=table.file)
-    return time, loose
+    if not np.isfinite(column.numbers).any():
+        return _dates(table, name)
+    time = table.numbers(name, TIME)
+    # Seconds since 1970 have ten digits, others are of smaller units.
+    steps = int(np.log10(max(time[0], 1.0))) // 3 - 3 if column.unit is None else 0
+    return time * 1e-3 ** max(steps, 0)
 
 
 def _dates(table: Table, name: str) -> Floats:
     """Times of dates, or of clocks with or without a column of dates, (N,) [s]."""
     from dateutil.parser import parse  # type: ignore[import-untyped]
 
-    def seconds(text: str) -> float:
-        with suppress(ValueError):
-            return datetime.fromisoformat(text).timestamp()
-        with suppress(ValueError, OverflowError):
-            # Points separate day, month and year, where slashes do not say.
-            points = "." in text.split()[0]
-            found = parse(text, default=datetime(1970, 1, 1), dayfirst=points)
-            return float(found.timestamp())
-        return np.nan
-
     days = [other for other in table.columns if other.lower() in ("date", "datum")]
     cells = table.texts([*days[:1], name]).values()
-    texts = (" ".join(row).replace(",", ".") for row in zip(*cells, strict=True))
-    time = np.array([*map(seconds, texts)])
+    texts = [" ".join(row).replace(",", ".") for row in zip(*cells, strict=True)]
+    # Points separate day, month and year, where slashes do not say.
+    points = "." in texts[0].split()[0]
+    other = partial(parse, default=datetime(1970, 1, 1), dayfirst=points)
+    time = np.full(len(texts), np.nan)
+    for row, text in enumerate(texts):
+        for read in (datetime.fromisoformat, other):
+            with suppress(ValueError, OverflowError):
+                time[row] = read(text).timestamp()
+                break
     allowed = "seconds, or a date such as 2026-01-31T12:00:00.5"
     table.refuse(np.isnan(time), "not a time", name, allowed)
     # A clock without a date begins anew at midnight.

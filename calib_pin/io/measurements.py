@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 import calib_pin.io.measured_columns as measured_columns
 from calib_pin.errors import InputError, OutputError, RobotError, nearest
-from calib_pin.io.columns import NO_READING, Column, Floats, closest
+from calib_pin.io.columns import Column, Floats, closest
 from calib_pin.io.files import write_atomically
 from calib_pin.io.foreign_headers import check_gauges
 from calib_pin.io.measured_columns import DIRECTION, NAMES, place_of
@@ -248,9 +248,9 @@ class _Reader:
         table, columns = measured_columns.own_columns(table, chains, self.joints)
         table = self._of_sheet(table)
         keys = self._keys(table, chain_of)
-        kept = _with_readings(table, chains, columns, keys)
-        if not kept.all():
-            some = with_readings(table, kept, "measurements", self.notice)
+        missing = _missing(table, chains, columns, keys)
+        some = with_readings(table, missing, "measurements", self.notice)
+        if some is not table:
             return self.blocks(some)
         q = measured_columns.read_positions(table, chains, columns, chain_of)
         spare = measured_columns.spare_columns(table, chains, self.joints)
@@ -362,15 +362,11 @@ class _Reader:
         return part, {*read, *of_sigma.values()}
 
 
-def _with_readings(
+def _missing(
     table: Table, chains: Chains, columns: JointColumns, keys: Keys
-) -> Booleans:
-    """Whether measurements have all that their model and their joints read, shape (N,).
-
-    Raises:
-        InputError: If none has.
-    """
-    kept, lacking = np.ones(len(table.lines), bool), set[str]()
+) -> dict[str, Booleans]:
+    """Whether each row lacks what its model and its joints read, shape (N,) each."""
+    result = dict[str, Booleans]()
     for key, rows in keys.items():
         optional = measured_columns.optional(key.model)
         read = {*measured_columns.measured(key.model)}
@@ -379,11 +375,10 @@ def _with_readings(
         for name in read & table.columns.keys():
             missing = table.columns[name].missing()[rows]
             if missing.any() and not (missing.all() and name in optional):
-                kept[rows] &= ~missing
-                lacking.add(name)
-    for name in () if kept.any() else (n for n in table.columns if n in lacking):
-        table.refuse(table.columns[name].missing(), NO_READING, name)
-    return kept
+                result.setdefault(name, np.zeros(len(table.lines), bool))[rows] = (
+                    missing
+                )
+    return result
 
 
 def _check_names(data: Observations, sockets: Collection[str]) -> None:

@@ -30,6 +30,7 @@ from calib_pin.io.columns import (
     ANGLE,
     COMMA,
     KINDS,
+    NO_READING,
     THOUSANDS,
     Column,
     Floats,
@@ -372,21 +373,29 @@ def read_table(
     return table
 
 
-def with_readings(table: Table, kept: Booleans, what: str, notice: Notice) -> Table:
-    """The rows that have a reading, and a word on those that have none.
+def with_readings(
+    table: Table, missing: Mapping[str, Booleans], what: str, notice: Notice
+) -> Table:
+    """The rows that have all their readings, and a word on those that have not.
 
     Args:
         table: The file.
-        kept: Whether each row has one, shape (N,).
+        missing: Columns, and whether each row lacks a number of it, shape (N,).
         what: The name of its rows.
         notice: Called with a sentence that counts those without.
+
+    Raises:
+        InputError: If there are none.
     """
-    if kept.all():
+    lost = np.any([np.zeros(len(table.lines), bool), *missing.values()], axis=0)
+    if not lost.any():
         return table
-    first = table.lines[int(np.argmin(kept))]
-    lost = f"{np.count_nonzero(~kept)} of {len(kept)} {what}"
-    notice(f"{table.file}: {lost} have no reading (the first in line {first})")
-    return table.rows(np.flatnonzero(kept))
+    for name in (n for n in table.columns if n in missing and lost.all()):
+        table.refuse(missing[name], NO_READING, name)
+    first = table.lines[int(np.argmax(lost))]
+    count = f"{np.count_nonzero(lost)} of {len(lost)} {what}"
+    notice(f"{table.file}: {count} have no reading (the first in line {first})")
+    return table.rows(np.flatnonzero(~lost))
 
 
 def require_columns(tables: Sequence[Table]) -> None:

@@ -141,6 +141,8 @@ def test_images_and_joints_are_paired(run, fails):
     assert "sigma" not in Path("m.csv").read_text().splitlines()[0]
     fails(f"{words[:-9]} --times times.csv --force", "--times needs --joints")
     fails(f"{words} log.csv --times log.csv --force", "log.csv", "'image'")
+    Path("times.csv").write_text("image\n10.png\n2.png\n9.png\n")
+    fails(f"{words} log.csv --times times.csv --force", "times.csv", "'time'")
 
 
 @pytest.mark.parametrize(

@@ -523,7 +523,7 @@ REFUSED_BY_MODEL = [
     (None, "distance,model\n0,0,0,1,\n", 2, "model", ""),
     (None, f"x,y,z,{BOTH},,,1,,{FAR}1,2,3,4,,position", 3, "distance", "4"),
     (None, f"u,v,sigma_u,{BOTH},,0.5,1,,{FAR}1,1,2,,m,camera", 2, "sigma_u", "0.5"),
-    (None, f"u,v,{BOTH},,,,{FAR}1,,,m,camera", 2, "v", ""),
+    (None, f"u,v,{BOTH},,,,{FAR}1,,,m,camera", 3, "v", ""),
     (None, f"u,v,sigma,{BOTH}1,1,1,,m,camera\n0,0,0,1,1,,,m,camera", 3, "sigma", ""),
 ]
 REFUSED_BY_MODEL = [(m, f"{J},{text}", *rest) for m, text, *rest in REFUSED_BY_MODEL]

@@ -7,37 +7,38 @@ holds the joints and what sensors saw of each sample: nothing is left to be join
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from array import array
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
 from importlib.util import find_spec
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from calib_pin.errors import InputError, OptionError, enumerated
-from calib_pin.io.logs import Series
+from calib_pin.io.dialects import Heading
+from calib_pin.io.logs import POSE
+from calib_pin.io.measured_columns import POSITION
+from calib_pin.io.table import Cells, Notice, Table
 from calib_pin.measurement_models.declaration import QUATERNION
-from calib_pin.observations.joining import Joined, Log, Standstill, continuous
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 
 JOINTS = ("sensor_msgs/msg/JointState",)
-DATA = ("robot_calibration_msgs/msg/CalibrationData",)
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
-_GEOMETRY = "geometry_msgs/msg"
+DATA = "robot_calibration_msgs/msg/CalibrationData"
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
 READINGS = {
-    f"{_GEOMETRY}/PointStamped": ("point",),
-    f"{_GEOMETRY}/PoseStamped": ("pose.position", "pose.orientation"),
-    f"{_GEOMETRY}/TransformStamped": ("transform.translation", "transform.rotation"),
+    "geometry_msgs/msg/PointStamped": ("point",),
+    "geometry_msgs/msg/PoseStamped": ("pose.position", "pose.orientation"),
+    TRANSFORM: ("transform.translation", "transform.rotation"),
+    "tf2_msgs/msg/TFMessage": (),
 }
 """Messages of an instrument, and where their numbers are."""
 
-POSITION = ("x", "y", "z")
-
 TYPES = {
-    DATA[0]: "sensor_msgs/JointState joint_states\n"
+    DATA: "sensor_msgs/JointState joint_states\n"
     "robot_calibration_msgs/Observation[] observations",
     "robot_calibration_msgs/msg/Observation": "string sensor_name\n"
     "geometry_msgs/PointStamped[] features\n"
@@ -55,54 +56,29 @@ def is_bag(path: str | Path) -> bool:
     return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
 
 
-def read_joint_bag(path: str | Path, topic: str | None = None) -> Series:
-    """The joint states of a bag.
+def read_bag(path: str | Path, kinds: Collection[str], topic: str | None) -> Table:
+    """A topic of a bag by time: columns `time` and joints, or those of a measurement.
 
     Args:
         path: The bag.
-        topic: The topic; None for the only one.
-
-    Raises:
-        InputError: If it cannot be read, or has not one such topic.
-        OptionError: If the extra is missing.
-    """
-    heard, samples = dict[str, float](), list[tuple[float, tuple[float, ...]]]()
-    for time, message in _messages(path, topic, JOINTS):
-        # Each publisher states its own joints; others are where they were last.
-        heard |= zip(message.name, message.position, strict=False)
-        samples.append((time, (*heard.values(),)))
-    whole = [sample for sample in samples if len(sample[1]) == len(heard)]
-    return Series(_ordered(path, whole), dict.fromkeys(heard))
-
-
-def read_reading_bag(path: str | Path, topic: str | None = None) -> Series:
-    """The points or poses of a bag.
-
-    Args:
-        path: The bag.
+        kinds: Kinds of the messages, `JOINTS` or `READINGS`.
         topic: The topic, of transforms the child frame; None for the only one.
 
     Raises:
         InputError: If it cannot be read, or has not one such topic.
         OptionError: If the extra is missing.
     """
-    found = _messages(path, topic, (*READINGS, TRANSFORMS))
-    log = _ordered(path, [(time, _numbers(message)) for time, message in found])
-    if log.values.shape[1] == len(POSITION):
-        return Series(log, dict.fromkeys(POSITION))
-    return Series(continuous(log), dict.fromkeys(POSITION + QUATERNION))
-
-
-def holds_calibration_data(path: str | Path) -> bool:
-    """Whether a bag holds calibration data."""
-    with _opened(path) as reader:
-        return any(c.msgtype in DATA for c in reader.connections)
+    heard, rows = dict[str, float](), dict[float, dict[str, float]]()
+    for time, message in sorted(_messages(path, kinds, topic), key=itemgetter(0)):
+        # Each publisher states its own joints; others are where they were last.
+        heard = rows[time] = {**heard, "time [s]": time, **_cells(message)}
+    return _table(path, [*rows.values()])
 
 
 def read_calibration_data(
-    path: str | Path, topic: str | None, notice: Callable[[str], None]
-) -> tuple[Series, Series, Joined]:
-    """The samples of a bag of calibration data, joined as they are.
+    path: str | Path, topic: str | None, notice: Notice
+) -> tuple[Table, Table] | None:
+    """The joints and the features of a bag of calibration data, by number of sample.
 
     A feature is the point `<sensor>-<number>`, and of a single one nothing is said. A
     sensor whose features never move is none: it states known points of the tool, as the
@@ -113,52 +89,44 @@ def read_calibration_data(
         topic: Topic of the samples; None for the only one.
         notice: Called with a sentence about known points.
 
+    Returns:
+        Both; None if it holds no calibration data.
+
     Raises:
         InputError: If it cannot be read, or holds no features that were measured.
         OptionError: If the extra is missing.
     """
-    samples, names = list[tuple[float, list[float]]](), list[str]()
-    rows = list[tuple[int, str, tuple[float, ...]]]()
-    for time, message in _messages(path, topic, DATA):
-        state = message.joint_states
-        stated = dict(zip(state.name, state.position, strict=False))
-        names = names or [*stated]
-        if not {*names} <= {*stated}:
-            raise InputError("its samples are of different joints", file=path)
+    if not (messages := _messages(path, [DATA], topic)):
+        return None
+    samples, points = list[dict[str, object]](), defaultdict[str, list[Any]](list)
+    for k, (_, message) in enumerate(messages):
+        samples.append({POSE: k, **_cells(message.joint_states)})
         for sensor in message.observations:
-            for k, feature in enumerate(sensor.features):
-                point = f"{sensor.sensor_name}-{k}"
-                rows.append((len(samples), point, _numbers(feature)))
-        samples.append((time, [stated[name] for name in names]))
-    seen = dict[str, list[tuple[float, ...]]]()
-    for _, point, xyz in rows:
-        seen.setdefault(point, []).append(xyz)
-    still = {p: s[0] for p, s in seen.items() if len(s) > 2 and len({*s}) == 1}
-    rows = sorted(row for row in rows if row[1] not in still)
-    if not (names and rows):
+            for n, feature in enumerate(sensor.features):
+                row = {POSE: k, "station": sensor.sensor_name, **_cells(feature)}
+                points[f"{sensor.sensor_name}-{n}"].append(row)
+    rows, known = list[dict[str, object]](), list[str]()
+    for name, seen in points.items():
+        places = {tuple(row[axis] for axis in POSITION) for row in seen}
+        if len(places) == 1 and len(seen) > 2:
+            known.append(f"{name}: {[*places.pop()]}")
+        else:
+            rows += [{**row, "target": name} for row in seen]
+    if not rows:
         raise InputError("its calibration data hold no features", file=path)
-    if still:
-        known = ", ".join(f"{name}: {[*xyz]}" for name, xyz in still.items())
+    if known:
         said = "features that never move are known points of the tool"
-        notice(f"{path}: {said}: {known}")
-    of, points, values = zip(*rows, strict=True)
-    which = np.array(of)
-    stamps, q = (np.array(found, float) for found in zip(*samples, strict=True))
-    stands = [
-        Standstill(stamps[k], stamps[k], q[k], np.flatnonzero(which == k))
-        for k in np.unique(which)
-    ]
-    columns = {"target": points, "station": [p.rpartition("-")[0] for p in points]}
-    texts = {key: cells for key, cells in columns.items() if len({*cells}) > 1}
-    readings = Log(stamps[which], np.array(values))
-    joints = Series(Log(stamps, q), dict.fromkeys(names))
-    seen_by = Series(readings, dict.fromkeys(POSITION), texts)
-    return joints, seen_by, Joined(None, tuple(stands), 0, 0, 0)
+        notice(f"{path}: {said}: {', '.join(known)}")
+    return _table(path, samples), _table(path, rows)
 
 
-@contextmanager
-def _opened(path: str | Path) -> Iterator[Any]:
-    """A reader of a bag; whatever is wrong with the bag is told in a line."""
+def _messages(
+    path: str | Path, kinds: Collection[str], topic: str | None
+) -> list[tuple[float, Any]]:
+    """Time [s] and content of the messages of a topic or child frame.
+
+    Whatever is wrong with the bag is told in a line.
+    """
     if find_spec("rosbags") is None:
         reason = "bags need rosbags, which is missing: pip install 'calib-pin[ros]'"
         raise OptionError(reason, file=path)
@@ -170,40 +138,25 @@ def _opened(path: str | Path) -> Iterator[Any]:
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in TYPES.items():
         store.register(get_types_from_msg(text, name))
+    found = defaultdict[str, list[tuple[float, Any]]](list)
     try:
         with AnyReader([Path(path)], default_typestore=store) as reader:
-            yield reader
-    except InputError:
-        raise
+            chosen = [c for c in reader.connections if c.msgtype in kinds]
+            for connection, recorded, raw in reader.messages(chosen) if chosen else ():
+                message = reader.deserialize(raw, connection.msgtype)
+                for one in getattr(message, "transforms", [message]):
+                    name = connection.topic if one is message else one.child_frame_id
+                    stamp = getattr(one, "joint_states", one).header.stamp
+                    made = stamp.sec + 1e-9 * stamp.nanosec
+                    # Where it does not say when it was made, when it was recorded.
+                    found[name].append((made or 1e-9 * recorded, one))
     except Exception as error:  # Of the library, sqlite, lz4, struct, and what not.
         line = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"cannot be read as a bag: {line}", file=path) from error
-
-
-def _messages(
-    path: str | Path, topic: str | None, kinds: Sequence[str]
-) -> list[tuple[float, Any]]:
-    """Time [s] and content of the messages of a topic, or of a child frame."""
-    found = dict[str, list[tuple[float, Any]]]()
-    with _opened(path) as reader:
-        chosen = [c for c in reader.connections if c.msgtype in kinds]
-        for connection, stamp, raw in reader.messages(chosen) if chosen else ():
-            message = reader.deserialize(raw, connection.msgtype)
-            named = {connection.topic: message}
-            if connection.msgtype == TRANSFORMS:
-                named = {one.child_frame_id: one for one in message.transforms}
-            for name, one in named.items():
-                header = (getattr(one, "header", None) or one.joint_states.header).stamp
-                made = float(header.sec) + 1e-9 * float(header.nanosec)
-                # Where it does not say when it was made, when it was recorded.
-                time = made if made > 0.0 else 1e-9 * stamp
-                rows = found.setdefault(name, [])
-                if topic in (None, name):
-                    rows.append((time, one))
-    if topic in found:
-        return found[topic]
-    if topic is None and len(found) == 1:
-        return found.popitem()[1]
+    if topic in found or (topic is None and len(found) == 1):
+        return found[topic or next(iter(found))]
+    if not found and kinds == [DATA]:
+        return []
     words = " or ".join(sorted({kind.split("/")[-1] for kind in kinds}))
     reason = f"has {len(found)} topics of {words}: {enumerated(found) or 'none'}"
     reason += f", and no '{topic}'" if topic else ""
@@ -211,23 +164,26 @@ def _messages(
     raise InputError(reason, file=path, allowed=allowed)
 
 
-def _numbers(message: Any) -> tuple[float, ...]:
-    """Position and, of a pose, quaternion."""
-    paths = READINGS[message.__msgtype__]
-    parts = (attrgetter(path)(message) for path in paths)
-    return tuple(getattr(p, key) for p in parts for key in "xyzw" if hasattr(p, key))
+def _cells(message: Any) -> dict[str, float]:
+    """The columns of a message: its joints, or a position and maybe a quaternion."""
+    if message.__msgtype__ in JOINTS:
+        return dict(zip(message.name, message.position.tolist(), strict=False))
+    parts = (attrgetter(path)(message) for path in READINGS[message.__msgtype__])
+    numbers = (getattr(p, key) for p in parts for key in "xyzw" if hasattr(p, key))
+    return dict(zip((*POSITION, *QUATERNION), numbers, strict=False))
 
 
-def _ordered(path: str | Path, rows: Sequence[tuple[float, tuple[float, ...]]]) -> Log:
-    """A log by time; what was recorded twice counts once.
-
-    Raises:
-        InputError: If the rows are few, are not all of one kind, or hold no numbers.
-    """
-    alike = len({len(values) for _, values in rows}) == 1
-    time, first = np.unique([time for time, _ in rows], return_index=True)
-    values = np.array([values for _, values in rows] if alike else [], float)
-    if len(time) < 3 or not (values.size and np.isfinite(values).all()):
-        reason = "holds too little, several kinds of messages, or numbers that are none"
-        raise InputError(reason, file=path)
-    return Log(time, values[first])
+def _table(path: str | Path, rows: Sequence[Mapping[str, object]]) -> Table:
+    """Messages by columns, numbered from 1; one leaves blank what it does not state."""
+    names = [*dict.fromkeys(name for row in rows for name in row)]
+    lines = array("q", range(1, len(rows) + 1))
+    found = Cells(str(path), Heading(",", names, 0, ""), lines=lines)
+    for k, name in enumerate(names):
+        cells = np.array([row.get(name, np.nan) for row in rows])
+        if cells.dtype.kind == "U":
+            found.add(k, cells.tolist())
+        else:
+            found.grow(k, cells.astype(np.float64))
+    # A name that all rows have says nothing.
+    columns = {c.theirs: c for c in found.columns() if len(c.words) != 1}
+    return Table(str(path), None, columns, np.array(lines))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -185,10 +186,15 @@ def test_a_bag_joins_like_the_files(made, storage, kind):
         assert np.allclose(first.sigma, second.sigma, rtol=1e-4)
 
 
-def test_joints_of_several_publishers(made):
-    """A gripper speaks first, and each half of the arm for itself."""
-    joints, readings = made
-    states = [(99.0, joint_state(99.0, np.array([0.02]), ["finger"]))]
+def test_joints_of_several_publishers(made, capsys):
+    """A gripper speaks first, each half of the arm for itself; a point is none.
+
+    No name of a joint is taken for that of a counter.
+    """
+    joints, lost = made[0], np.array(made[1].values)
+    lost[7] = np.nan
+    readings = Log(made[1].time, lost)
+    states = [(99.0, joint_state(99.0, np.array([0.02]), ["index_1"]))]
     for half, late in ((slice(0, 3), 0.0), (slice(3, 6), 2e-3)):
         for t, q in zip(joints.time + late, joints.values, strict=True):
             states.append((t, joint_state(t, q[half], CHAIN.joints[half])))
@@ -199,25 +205,35 @@ def test_joints_of_several_publishers(made):
     data = read_measurements("b.csv", CHAIN).only
     expected = CHAIN.poses(data.q)[:, :3, 3]
     assert len(data.q) == 6 and np.allclose(data.values, expected, rtol=0, atol=5e-5)
-    assert Path("b.csv").read_text().splitlines()[1].startswith("finger,")
+    assert Path("b.csv").read_text().splitlines()[1].startswith("index_1,")
+    told = capsys.readouterr().err
+    assert f"1 of {len(lost)} rows have no reading (the first in line 8)" in told
 
 
 @pytest.mark.parametrize("storage", ["mcap", "ros1"])
 def test_calibration_data_need_no_joining(storage, capsys):
-    """And points that never move are no measurement."""
+    """And points that never move are no measurement; a sample may lack a joint."""
     rng = np.random.default_rng(1)
     q, seen = CHAIN.random_configurations(5, rng), rng.normal(size=(5, 2, 3))
     known = {"arm": np.array([[0.0, 0.0, 0.05], [0.03, 0.0, 0.05]])}
     samples = [
         (k + 1.0, sample(k + 1.0, q[k], known | {"camera": seen[k]})) for k in range(5)
     ]
+    kind, whole = sample(9.0, q[0], known | {"camera": seen[0]})
+    part = joint_state(9.0, q[0, :5], CHAIN.joints[:5])[1]
+
+    def lacking(new: Make) -> Any:
+        return replace(whole(new), joint_states=part(new))
+
+    samples.append((9.0, (kind, lacking)))
     bag = write("bag", storage, {"/calibration_data": samples})
     assert main(["join", bag, bag, "-o", "m.csv"]) == 0
     data = read_measurements("m.csv", CHAIN).only
     assert np.array_equal(data.q, np.repeat(q, 2, axis=0))
     assert np.array_equal(data.values, seen.reshape(-1, 3))
     assert [*data.target][:2] == ["camera-0", "camera-1"]
-    assert "arm-1" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "arm-1" in told and "1 of 6 rows have no reading" in told
 
 
 def refused(words: str, said: str, capsys) -> None:
@@ -236,10 +252,10 @@ def test_bags_that_cannot_be_used(made, monkeypatch, capsys):
     join = f"join {bag} {bag} -o m.csv"
     refused(join, "2 topics", capsys)
     refused(f"{join} --topic /c", "'/c'", capsys)
-    refused(f"join {bag} none.mcap -o m.csv", "none.mcap", capsys)
+    refused(f"join {bag} none.mcap -o m.csv", "none.mcap: no such file", capsys)
     only = write("points", "ros1", {"/a": points[:2]})
     refused(f"join {only} {only} -o m.csv", "JointState", capsys)
-    refused(f"join {bag} {only} -o m.csv", "too little", capsys)
+    refused(f"join {bag} {only} -o m.csv", "too short", capsys)
     (file,) = Path(bag).glob("*.db3")
     file.write_bytes(file.read_bytes()[:4000])
     refused(f"{join} --topic /a", "bag", capsys)

@@ -196,9 +196,9 @@ def calibrated(
         drawn = draw_calibration(result, bar, shapes)
     contents = drawings = figure_contents(drawn, pictures)
     if files is not None:
-        from calib_pin.io.results import provenance
+        from calib_pin.validation.result import Provenance
 
-        made = provenance(tuple(words), seconds)
+        made = Provenance.now(tuple(words), seconds)
         contents = result_contents(
             result, files, made, drawn if page else None, drawings, better
         )

@@ -355,7 +355,7 @@ class Detector:
             grid = grid[:, ::-1]  # As it is seen from the front.
         ways = [np.rot90(grid, k) for k in range(4)]
         ways = [way for way in ways if way.shape == grid.shape]
-        ways = [w for w in ways if chess and _first_is_dark(levels, w)] or ways
+        ways = [w for w in ways if chess and corners.first_is_dark(levels, w)] or ways
         chosen = min(ways, key=lambda way: float(way[0, 0].sum()))
         across = chosen[0, -1] - chosen[0, 0]
         # A right angle further, it is clear which corner is the upper left one.
@@ -373,14 +373,6 @@ class Detector:
         near = (apart > 0.0) & (apart < 1.5 * self.board.square)
         scale = float((seen[near] / apart[near]).min()) if near.any() else 0.0
         return int(np.clip(scale * self._free, *WINDOWS))
-
-
-def _first_is_dark(levels: Floats, grid: Floats) -> bool:
-    """Whether the square outside the first corner is darker than its neighbors."""
-    x, y = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
-    at = grid[0, 0] + 0.5 * np.array([-x - y, x - y, x + y, y - x])
-    a, b, c, d = corners.sampled(levels, *at.T)
-    return bool(a + c < b + d)
 
 
 def whole_grid(levels: Floats, grid: Floats, circles: bool) -> tuple[bool, bool]:

@@ -384,7 +384,8 @@ def _of_one_chain(
             for one, tips in chains.items()
             if one in whole and not any({*one} < {*other} for other in whole)
         ]
-    found, ordered = [], headers.without_meaning(columns)
+    meant = [k for choices in headers.measured(columns).values() for k in choices]
+    found, ordered = [], [k for k in columns if k.numeric and k not in meant]
     for family in [*headers.families(columns), ordered]:
         # Columns behind those of the longest chain are those of external axes.
         most = max((len(one) for one in chains if len(one) <= len(family)), default=0)

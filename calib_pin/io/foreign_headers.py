@@ -390,9 +390,3 @@ def families(columns: Sequence[Foreign]) -> list[list[Foreign]]:
     ]
     whole.sort(key=lambda own: (not JOINTED.fullmatch(own[0]), _likelihood(own[1][0])))
     return [family for _, family in whole]
-
-
-def without_meaning(columns: Sequence[Foreign]) -> list[Foreign]:
-    """All columns of numbers that mean nothing else: joints by their order alone."""
-    meant = [one for choices in measured(columns).values() for one in choices]
-    return [one for one in columns if one.numeric and one not in meant]

@@ -25,8 +25,6 @@ from calib_pin.measurement_models.declaration import QUATERNION, ROTATION_VECTOR
 from calib_pin.setup import STATED
 from calib_pin.units import steps_of
 
-TIME = Kind("s", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, np.inf)
-
 SECONDS = 1e8
 """Times from here on are counted from 1970, and their digits tell the unit."""
 
@@ -104,7 +102,7 @@ def join_logs(
                 q, values, steps = joining.in_one_unit(q, values)
                 if steps:
                     read = f"{'joints' if steps > 0 else 'readings'} are read as "
-                    read += [*TIME.units][abs(steps)]
+                    read += [*measured_columns.TIME.units][abs(steps)]
                     notice(f"the times of the {read}: so both last as long")
             found = joining.join(q, values, settle, tolerance)
         if not found.standstills:
@@ -314,7 +312,7 @@ def _times(table: Table, name: str) -> Floats:
         raise InputError("is too short to be joined by time", file=table.file)
     if not np.isfinite(column.numbers).any():
         return _dates(table, name)
-    time = table.numbers(name, TIME)
+    time = table.numbers(name, measured_columns.TIME)
     # Seconds since 1970 have ten digits, others are of smaller units.
     steps = int(np.log10(max(time[0], 1.0))) // 3 - 3 if column.unit is None else 0
     return time * 1e-3 ** max(steps, 0)

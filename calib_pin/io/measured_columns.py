@@ -59,10 +59,10 @@ SIGMAS = {
 DIRECTION = ".direction"
 """End of the name of a column with the direction in which a joint was approached."""
 
-CONDITIONS = {
-    "temperature": Kind("degC", {"degC": 1.0}, np.inf),
-    "time": Kind("s", {"s": 1, "ms": 1e-3, "us": 1e-6, "min": 60, "h": 3600}, np.inf),
-}
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
+TIME = Kind("s", SECONDS, np.inf)
+
+CONDITIONS = {"temperature": Kind("degC", {"degC": 1.0}, np.inf), "time": TIME}
 """Columns that are read where they hold numbers throughout."""
 
 FEW = 4
@@ -512,11 +512,10 @@ def _positions(table: Table, chains: Chains, columns: JointColumns, i: int) -> F
     most, free = (ANGLE.largest, np.pi) if angle else (LONGEST_TRAVEL, FREE_TRAVEL)
     # A turntable may be allowed more turns than any threshold would guess.
     most = max(most, 2.0 * abs(lower), 2.0 * abs(upper))
-    travel, turned = upper - lower, np.radians(np.ptp(q))
-    if not angle and 0.5 * travel < turned <= travel:
+    travel = upper - lower
+    if not angle and 0.5 * travel < np.radians(np.ptp(q)) <= travel:
         gear = f"{{joint: {joint}, gear: {np.radians(1.0):.9g}}}"
-        reason = f"the positions of joint '{joint}' look converted as an angle; state "
-        reason += f"in the setup 'joints: {{{column}: {gear}}}'"
+        reason = f"looks converted as an angle; state 'joints: {{{column}: {gear}}}'"
         table.refuse(np.abs(q) > most, reason, column)
     table.check(column, q, replace(kind, largest=most), why)
     unit = table.columns[column].unit or kind.si

@@ -15,15 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from calib_pin.estimation.layout import side_by_side
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.table import read_cells
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import Quantity, declared
+from calib_pin.measurement_models import declared
 from calib_pin.observations import BlockKey, Conditions, Measurements, Observations
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.measurement_errors import AXES, MeasurementErrors
+from calib_pin.validation.measurement_errors import AXES, MeasurementErrors, columns_of
 from calib_pin.validation.result import CalibrationResult
 
 MEASUREMENTS = "measurements.csv"
@@ -85,8 +84,8 @@ def decode_errors(
     """
     cells = {of.header: of for of in read_cells(data, MEASUREMENTS).columns()}
     words = {name: cells[name].texts() for name in WORDS}
-    unknown, joints = unknown_errors(model, 0), model.chains.joints
-    _, first = side_by_side(_quantities(model))
+    unknown, joints = MeasurementErrors.unknown(model, 0), model.chains.joints
+    _, first = columns_of(model)
 
     def numbers(form: str, names: Sequence[object], rows: Sequence[int]) -> Floats:
         """Cells of columns that are called by a form."""
@@ -134,25 +133,3 @@ def decode_errors(
         }
         parts.append(replace(unknown, **part))
     return parts[0], parts[1] if len(parts) > 1 else None
-
-
-def _quantities(model: CalibratedModel) -> Mapping[str, Sequence[Quantity]]:
-    """The quantities of each model that measurements were fitted with."""
-    return {key.model: term.measurement.quantities for key, term in model.terms.items()}
-
-
-def unknown_errors(model: CalibratedModel, count: int) -> MeasurementErrors:
-    """The errors of measurements that a file says nothing of.
-
-    Args:
-        model: The calibrated robot.
-        count: Number of measurements.
-    """
-    joints, (quantities, _) = model.chains.joints, side_by_side(_quantities(model))
-    unknown = np.full((count, quantities[-1].columns.stop), np.nan)
-    q = np.zeros((count, len(joints)))
-    values = np.zeros((count, model.only.measurement.width))
-    rows = Measurements(joints, q, values=values, **model.only.key._asdict())
-    points, to_base = np.full((count, 3), np.nan), np.full((1, 3, 3), np.nan)
-    told = Observations.of(rows), quantities, unknown, unknown, unknown
-    return MeasurementErrors(*told, points, to_base, leverage=points[:, 0])

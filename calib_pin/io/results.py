@@ -19,13 +19,10 @@ manifest at any time.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +55,7 @@ from calib_pin.residual_models.documents import numbers
 from calib_pin.setup import FrameSetup
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
+from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.result import (
     CalibrationResult,
     NamedArray,
@@ -268,23 +266,6 @@ def calibration_document(
     return {key: document[key] for key in first} | document
 
 
-def provenance(command: tuple[str, ...] = (), seconds: float = math.nan) -> Provenance:
-    """How a result comes about that is written now, by these versions.
-
-    Args:
-        command: The command line; none for a program of its own.
-        seconds: Time the solver took; NaN where nobody looked.
-    """
-    return Provenance(
-        command=command,
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        seconds=seconds,
-        calib_pin=version("calib-pin"),
-        pinocchio=version("pin"),
-        numpy=version("numpy"),
-    )
-
-
 def document_file(path: str | Path) -> Path:
     """The `calibration.json` of a folder, or the file itself."""
     path = Path(path)
@@ -357,7 +338,7 @@ def read_written(
         with reading(file):
             model = model_of(record.model, chains := _chains(record, robot))
             model = learned_model(model, record.residual_model)
-            fitted = measurement_errors.unknown_errors(model, record.training)
+            fitted = MeasurementErrors.unknown(model, record.training)
             held_out, errors = None, file.parent / measurement_errors.MEASUREMENTS
             if measured and errors.is_file():
                 given = read_bytes(errors), model, record.rotations

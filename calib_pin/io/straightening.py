@@ -59,12 +59,10 @@ def straightened(robot: Robot) -> Robot:
     if not slides:
         return robot
     origins = (document.origin(joints[name]).translation for name in slides)
-    remark = (
-        f"offsets of up to {max(map(np.linalg.norm, origins)):.3g} m along axes "
-        "cancel: straightened, by moving the frames of joints "
-        f"{enumerated(map(repr, slides))} along their axes; the forward kinematics are "
-        "the same, and the corrected URDF has these frames"
-    )
+    far, moved = max(map(np.linalg.norm, origins)), enumerated(map(repr, slides))
+    remark = f"offsets of up to {far:.3g} m along axes cancel: straightened, by moving "
+    remark += f"the frames of joints {moved} along their axes; the forward kinematics "
+    remark += "are the same, and the corrected URDF has these frames"
     source = urdf_tree.move_origins(document, _moved(document, slides))
     found = urdf_tree.parse_robot(source, robot.file)
     return replace(found, remarks=(*robot.remarks, remark))

@@ -198,3 +198,16 @@ def sampled(image: Floats, u: Floats, v: Floats) -> Floats:
     upper = (1.0 - t) * image[i, j] + t * image[i, j + 1]
     lower = (1.0 - t) * image[i + 1, j] + t * image[i + 1, j + 1]
     return np.asarray((1.0 - s) * upper + s * lower)
+
+
+def first_is_dark(levels: Floats, grid: Floats) -> bool:
+    """Whether the square outside the first corner is darker than its neighbors.
+
+    Args:
+        levels: Gray levels of an image, shape (H, W).
+        grid: Corners of a board in it, shape (n, m, 2) [px].
+    """
+    x, y = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
+    at = grid[0, 0] + 0.5 * np.array([-x - y, x - y, x + y, y - x])
+    a, b, c, d = sampled(levels, *at.T)
+    return bool(a + c < b + d)

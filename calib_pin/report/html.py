@@ -20,7 +20,6 @@ from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.files import write_atomically
 from calib_pin.io.results import (
     calibration_document,
-    provenance,
     read_written,
 )
 from calib_pin.io.robot_shapes import robot_shapes
@@ -33,7 +32,7 @@ from calib_pin.report.tables import STATUS, parameter_overview
 from calib_pin.report.text import Section, sections
 from calib_pin.report.tiles import tiles
 from calib_pin.report.trust import FIRST, next_step, opening
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult, Provenance
 
 FRONT = ("robot-errors", "cumulative-errors")
 """Figures of the first screen."""
@@ -169,7 +168,7 @@ def report(
             result,
             seed=result.solver.seed,
         )
-        made = result.provenance if result.provenance.calib_pin else provenance()
+        made = result.provenance if result.provenance.calib_pin else Provenance.now()
         document = calibration_document(result, made, suggestions=suggested)
     else:
         result, document, suggested = read_written(result)

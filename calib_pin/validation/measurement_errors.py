@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from calib_pin.estimation.layout import side_by_side
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity
-from calib_pin.observations import BlockKey, Observations
+from calib_pin.observations import BlockKey, Measurements, Observations
+from calib_pin.validation.calibrated_model import CalibratedModel
 
 AXES = ("x", "y", "z")
 """Names of the components of a vector."""
+
+
+def columns_of(
+    model: CalibratedModel,
+) -> tuple[tuple[Quantity, ...], Mapping[str, int]]:
+    """Error columns of a robot's measurements, and the first of each model."""
+    terms = model.terms.items()
+    return side_by_side({key.model: term.measurement.quantities for key, term in terms})
 
 
 @dataclass(frozen=True)
@@ -44,6 +54,26 @@ class MeasurementErrors:
     points: Floats
     to_base: Floats
     leverage: Floats
+
+    @staticmethod
+    def unknown(model: CalibratedModel, count: int) -> MeasurementErrors:
+        """Errors of a number of measurements of which nothing else is known.
+
+        Args:
+            model: The calibrated robot.
+            count: Number of measurements.
+        """
+        joints, (quantities, _) = (
+            model.chains.joints,
+            columns_of(model),
+        )
+        errors = np.full((count, quantities[-1].columns.stop), np.nan)
+        q = np.zeros((count, len(joints)))
+        values = np.zeros((count, model.only.measurement.width))
+        rows = Measurements(joints, q, values=values, **model.only.key._asdict())
+        points, to_base = np.full((count, 3), np.nan), np.full((1, 3, 3), np.nan)
+        told = Observations.of(rows), quantities, errors, errors, errors
+        return MeasurementErrors(*told, points, to_base, leverage=points[:, 0])
 
     def __len__(self) -> int:
         """Number of measurements."""

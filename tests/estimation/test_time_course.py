@@ -14,13 +14,14 @@ from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.time_course import with_drift, with_time_course, with_warm_up
 from calib_pin.io.json_text import encode
-from calib_pin.io.results import calibration_document, provenance, read_calibration
+from calib_pin.io.results import calibration_document, read_calibration
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Conditions, Observations
 from calib_pin.setup import DriftSetup, FrameSetup, Setup, ThermalSetup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.model_errors import model_errors
+from calib_pin.validation.result import Provenance
 
 HOUR = 3600.0
 CHAIN = calib_pin.load_chain("space6")
@@ -165,7 +166,7 @@ def test_a_calibration_tells_and_keeps_a_drift(
     assert sigma < 0.3 * np.linalg.norm(walk)
     # A file holds the walk and its time.
     file = tmp_path / "calibration.json"
-    file.write_bytes(encode(calibration_document(result, provenance())))
+    file.write_bytes(encode(calibration_document(result, Provenance.now())))
     (tmp_path / "nominal.urdf").write_bytes(CHAIN.robot.source)
     back, model = read_calibration(file), result.model
     at = job.measured(3, 50).only

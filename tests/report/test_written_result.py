@@ -9,7 +9,7 @@ import pytest
 
 from calib_pin.cli.results import result_contents, result_files
 from calib_pin.io.measurement_errors import decode_errors, encode_errors
-from calib_pin.io.results import provenance, read_written
+from calib_pin.io.results import read_written
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.figures import Drawn
 from calib_pin.report.figures import drawn as draw_all
@@ -17,7 +17,7 @@ from calib_pin.report.figures.errors import cumulative_errors, errors_per_measur
 from calib_pin.report.html import html_report
 from calib_pin.report.terminal import plain_text
 from calib_pin.report.text import report
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult, Provenance
 from tests.report.results import KINDS, changed, lost_motion
 
 SLOW = ("hands", "learned", "search", "camera")
@@ -44,7 +44,7 @@ def test_page_and_figures_from_files_are_the_same_bytes(
 
     drawn = figures(result)
     files = result_files(tmp_path / "out", model.chains.robot.name)
-    run = provenance(("calib-pin", "calibrate", "a b.csv"), 1.25)
+    run = Provenance.now(("calib-pin", "calibrate", "a b.csv"), 1.25)
     for path, data in result_contents(result, files, run, drawn, {}, better).items():
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(data)

@@ -140,15 +140,11 @@ class Exported:
         joints = self.result.model.setup.joints
         return joint_errors.told_reversed(JointColumns.of(self.chains, joints))
 
-    def corrected_poses(self, chain: Chain, q: Floats) -> Floats:
-        """Tip poses of the corrected chain of a nominal one, (N, n) -> (N, 4, 4)."""
-        return Chain(self.robot, chain.base, chain.tip).poses(q)
-
-    def distance(self, read: Read) -> float:
+    def distance(self, read: Read | None) -> float:
         """How far a file is from the whole calibration.
 
         Args:
-            read: The robot as the file has it.
+            read: The robot as the file has it; None for the corrected one.
 
         Returns:
             Distance of the tool points between calibrated base and tool, root mean
@@ -157,7 +153,9 @@ class Exported:
         far = []
         for one in self.fitted:
             q = joint_errors.configurations(one.chain)
-            found = read(one.chain, q) @ one.tool.homogeneous
+            corrected = Chain(self.robot, one.chain.base, one.chain.tip)
+            poses = corrected.poses(q) if read is None else read(one.chain, q)
+            found = poses @ one.tool.homogeneous
             far.append((found - joint_errors.in_base(one, q))[:, :3, 3])
         return float(np.sqrt(np.mean(np.sum(np.concatenate(far) ** 2, axis=1))))
 
@@ -247,18 +245,18 @@ class Format:
         encoded = self.write(one, template)
         remarks = [*encoded.remarks]
         if OFFSETS in self.holds:
-            remarks += self._lacking(one, encoded.read or one.corrected_poses)
+            remarks += self._lacking(one, encoded.read)
         if others:
             said = f"'{one.name}', not {enumerated(others)} (--chain)"
             remarks.append(f"{self.name} holds one chain: {said}")
         return replace(encoded, remarks=tuple(remarks))
 
-    def _lacking(self, exported: Exported, read: Read) -> Iterator[str]:
+    def _lacking(self, exported: Exported, read: Read | None) -> Iterator[str]:
         """Sentences about the distance to the calibration, frames and kinds of joints.
 
         Args:
             exported: The calibration.
-            read: The robot as the file has it.
+            read: The robot as the file has it; None for the corrected one.
         """
         (unit, factor), distance = DISPLAY["m"], exported.distance(read)
         lacking = [p for p in exported.parts if p not in self.holds]

@@ -17,8 +17,7 @@ from calib_pin.errors import InputError
 from calib_pin.io.columns import ANGLE, LENGTH, Column
 from calib_pin.io.dialects import DIALECTS, Dialect, Reading
 from calib_pin.io.foreign_headers import foreign, measured, understood
-from calib_pin.io.logs import TIME
-from calib_pin.io.measured_columns import read_quaternions
+from calib_pin.io.measured_columns import TIME, read_quaternions
 from calib_pin.io.table import Table, read_table
 from calib_pin.kinematics.spatial import from_quaternion, so3_exp, to_quaternion
 

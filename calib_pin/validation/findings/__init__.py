@@ -202,7 +202,8 @@ def _sought(case: Case) -> tuple[Finding, ...]:
     sure = _tried(joint_motion, case)
     if sure is not None and sure.fitted:
         # What bends follows joints as well, and the position of one most of all.
-        bent = case.fit.errors * np.sqrt(lacking(case)[1])
+        _, left = _tried(lacking, case) or ((), 1.0)
+        bent = case.fit.errors * np.sqrt(left)
         sure = None if bent < CLEARER * sure.after else sure
     if sure is not None and not _left(turned) < CLEARER * sure.after:
         # A nominal robot that is read wrong makes plateaus of its own.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -17,11 +18,10 @@ from calib_pin.validation.findings.explanations import NEIGHBORS
 from calib_pin.validation.findings.hypotheses import Hypothesis
 
 FEWEST = 3
-"""Fewest measurements of a target that contradict together."""
+"""Fewest measurements of a target that contradict together, and points of a board."""
 
 MOST = 20
 """Most targets that are tried."""
-
 
 FRAMES = ("station", "tool")
 """Frames that targets may stand in, and columns that tell them apart."""
@@ -51,8 +51,9 @@ def targets(case: Case) -> Iterator[Hypothesis]:
 def target_frames(case: Case) -> Iterator[Hypothesis]:
     """Groups of targets each of which has a frame of its own: boards at places, say."""
     for group in _groups(case.data):
-        names = [*dict.fromkeys(group.values())]
-        if not 1 < len(names) <= GROUPS:
+        names = Counter(group.values())
+        # Of fewer points a frame of their own is none: they are known elsewhere.
+        if not 1 < len(names) <= GROUPS or min(names.values()) < FEWEST:
             continue
         for frame in FRAMES:
             yield Hypothesis(

@@ -102,6 +102,7 @@ FACTS: tuple[Kind, ...] = (
 FOLLOW = (
     ("joint-offset", "large-correction"),  # The origin has taken it over.
     ("joint-columns", "backlash"),  # Commanded positions are off by the side.
+    ("lag", "backlash"),  # So are those that were read too early.
     ("model-lacks", "scale"),  # A robot grows to explain what it lacks.
     ("coarse-steps", "noise"),
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import partial
 from inspect import signature
 from pathlib import Path
@@ -198,7 +199,8 @@ def calibrated(
     if files is not None:
         from calib_pin.validation.result import Provenance
 
-        made = Provenance.now(tuple(words), seconds)
+        created = datetime.now(UTC).isoformat(timespec="seconds")
+        made = Provenance.at(created, tuple(words), seconds)
         contents = result_contents(
             result, files, made, drawn if page else None, drawings, better
         )

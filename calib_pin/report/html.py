@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -168,7 +169,9 @@ def report(
             result,
             seed=result.solver.seed,
         )
-        made = result.provenance if result.provenance.calib_pin else Provenance.now()
+        made = result.provenance
+        if not made.calib_pin:
+            made = Provenance.at(datetime.now(UTC).isoformat(timespec="seconds"))
         document = calibration_document(result, made, suggestions=suggested)
     else:
         result, document, suggested = read_written(result)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from html import escape
 from importlib import import_module
 from importlib.metadata import version
@@ -270,14 +269,16 @@ class Provenance:
     hashes: tuple[str, ...] = field(default=(), metadata={"key": None})
 
     @staticmethod
-    def now(command: tuple[str, ...] = (), seconds: float = math.nan) -> Provenance:
-        """How a result comes about that is written now, by these versions.
+    def at(
+        created: str, command: tuple[str, ...] = (), seconds: float = math.nan
+    ) -> Provenance:
+        """How a result comes about that is written by these versions.
 
         Args:
+            created: When, ISO 8601.
             command: The command line; none for a program of its own.
             seconds: Time the solver took; NaN where nobody looked.
         """
-        created = datetime.now(UTC).isoformat(timespec="seconds")
         ours, pinocchio = version("calib_pin"), version("pin")
         return Provenance(command, created, seconds, ours, pinocchio, version("numpy"))
 

@@ -44,7 +44,9 @@ def test_page_and_figures_from_files_are_the_same_bytes(
 
     drawn = figures(result)
     files = result_files(tmp_path / "out", model.chains.robot.name)
-    run = Provenance.now(("calib-pin", "calibrate", "a b.csv"), 1.25)
+    run = Provenance.at(
+        "2026-01-01T00:00:00+00:00", ("calib-pin", "calibrate", "a b.csv"), 1.25
+    )
     for path, data in result_contents(result, files, run, drawn, {}, better).items():
         path.parent.mkdir(exist_ok=True)
         path.write_bytes(data)

@@ -227,7 +227,11 @@ def _sought(case: Case) -> tuple[Finding, ...]:
 
 def _explanation(case: Case) -> Explanation | None:
     """The likeliest one; boards apart cost few trials, and hide all others."""
-    return explain(case, (target_frames,)) or explain(case, EXPLANATIONS)
+    apart = explain(case, (target_frames,))
+    # A fit that leaves as little needs no further frames.
+    if apart is not None and (case.fitted is None or apart.after < case.fit.errors):
+        return apart
+    return explain(case, EXPLANATIONS)
 
 
 def _tried(look: Callable[[_Given], _Fault | None], case: _Given) -> _Fault | None:

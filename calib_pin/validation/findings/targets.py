@@ -16,6 +16,7 @@ from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.explanations import NEIGHBORS
 from calib_pin.validation.findings.hypotheses import Hypothesis
+from calib_pin.validation.findings.robot import ABSORBED
 
 FEWEST = 3
 """Fewest measurements of a target that contradict together, and points of a board."""
@@ -63,6 +64,7 @@ def target_frames(case: Case) -> Iterator[Hypothesis]:
                 "frames of targets",
                 change=partial(_apart, group=group, frame=frame),
                 advice=f"give each a {frame} of its own (a column '{frame}')",
+                absorbs=ABSORBED,
             )
 
 

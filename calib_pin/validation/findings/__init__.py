@@ -105,8 +105,10 @@ FOLLOW = (
     ("lag", "backlash"),  # So are those that were read too early.
     ("model-lacks", "scale"),  # A robot grows to explain what it lacks.
     ("coarse-steps", "noise"),
+    ("computed-values", "coarse-steps"),
+    ("computed-values", "noise"),
 )
-"""Warnings, and findings that follow from them and then are not told."""
+"""Errors and warnings, and findings that follow from them and then are not told."""
 
 CLEARER = 0.8
 """Part of the errors that moved frames leave, below which another zero is the cause: of
@@ -140,7 +142,7 @@ def find(case: Case, seek: bool = True) -> Found:
     kinds = FACTS if causes else CONSEQUENCES + FACTS
     others = [] if causes else [*sought]
     others += [found for kind in kinds for found in _told(kind, case)]
-    told = {found.code for found in others if found.severity == "warning"}
+    told = {found.code for found in others if found.severity != "info"}
     follow = {code for first, code in FOLLOW if first in told}
     others = [found for found in others if found.code not in follow]
     wrong = {f.evidence["between"] for f in others if f.code == "known-distance"}

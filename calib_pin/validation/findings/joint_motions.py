@@ -30,6 +30,7 @@ from calib_pin.validation.findings.hypotheses import Explanation, Hypothesis, re
 from calib_pin.validation.findings.joint_columns import geared, offset_by
 from calib_pin.validation.findings.plausibility import OPTIONS
 from calib_pin.validation.findings.quick_fit import QuickFit
+from calib_pin.validation.findings.robot import turned_by_base
 from calib_pin.validation.findings.setup_lines import JointReading
 
 LEFT = 0.42
@@ -305,8 +306,12 @@ def _large(case: Case) -> Explanation | None:
     columns, before = _Columns(case, first), first.errors
     if not before > LARGE * expected_size(problem.layout.quantities[0].unit):
         return None
-    tried = (columns.motions[k] for k in np.argsort(columns.gains()[0])[:TRIED])
-    found = [(*[*columns.fitted(m)][-1], m) for m in tried if m.of != "side"]
+    tried = [columns.motions[k] for k in np.argsort(columns.gains()[0])[:TRIED]]
+    # The frame of a base that is stated is another explanation of its first joint.
+    joint = turned_by_base(case)
+    none = [Motion("zero", (case.data.joints.index(joint),))] if joint else []
+    tried = [m for m in tried if m.of != "side" and m not in none]
+    found = [(*[*columns.fitted(m)][-1], m) for m in tried]
     if not found:
         return None
     fit, size, motion = min(found, key=lambda one: one[0].errors)

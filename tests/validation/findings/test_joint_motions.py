@@ -121,6 +121,14 @@ def test_joints_that_were_still_moving(each: bool) -> None:
     assert found.after < 1e-3
 
 
+def test_a_stated_base_that_is_turned_is_no_offset_of_the_first_joint() -> None:
+    known = replace(SETUP, base_frame=FrameSetup(estimate=False))
+    rows = simulated(setup=known)
+    turned = replace(rows, values=rows.values * [-1.0, -1.0, 1.0])
+    case = Case.of_robot(CHAINS, Observations.of(turned), known)
+    assert joint_motion(case) is None
+
+
 def test_a_gear_that_no_robot_has() -> None:
     q = ROWS.q.copy()
     q[:, 5] /= 1.5

@@ -149,11 +149,7 @@ def find(case: Case, seek: bool = True) -> Found:
     distances = [d.between for d in case.setup.known]
     ends = {end for both in distances if " - ".join(both) in wrong for end in both}
     # The measurements of an end do not fit a wrong distance.
-    others = [
-        found
-        for found in others
-        if found.code != "outliers" or found.evidence.get("target") not in ends
-    ]
+    others = [found for found in others if found.evidence.get("target") not in ends]
     return Found(causes, tuple(others))
 
 

@@ -38,8 +38,8 @@ def lacking(case: Case) -> tuple[tuple[str, ...], float]:
     fit, names = case.fit, case.setup.parameters
     if case.fitted is None or not (names and fit.rms > EXACT):
         return nothing
-    plain = {n for n in names if n in PARAMETERIZATIONS and _geometric(n)}
-    effects = candidates(fit.problem, (Placement.name,) if not plain else ())
+    placed = any(map(_geometric, names))
+    effects = candidates(fit.problem, () if placed else (Placement.name,))
     if effects is None:
         return nothing
     X, kinds = effects.rows(fit.problem, fit.theta), np.array(effects.kinds)
@@ -71,7 +71,9 @@ def families(case: Case) -> Iterator[Finding]:
     unit, factor = DISPLAY[quantity.unit]
     before = case.fit.errors
     after = before * float(np.sqrt(left))
-    asked = [n for n in case.setup.parameters if n != JointOffset.name or _kept(names)]
+    # Placements have the offsets of joints.
+    covered = {JointOffset.name} if Placement.name in names else set()
+    asked = [name for name in case.setup.parameters if name not in covered]
     lines = {"parameters": [*asked, *names]}
     yield Finding(
         "model-lacks",
@@ -85,8 +87,3 @@ def families(case: Case) -> Iterator[Finding]:
         lines,
         "residuals-by-joint",
     )
-
-
-def _kept(names: tuple[str, ...]) -> bool:
-    """Whether offsets of joints are still needed: placements have them."""
-    return Placement.name not in names

@@ -102,8 +102,7 @@ class Motion(NamedTuple):
         """How measurements are to be read with a motion of a size [rad, m, or none]."""
         names, j = case.data.joints, self.joints[0]
         if self.of == "zero":
-            turns = case.chains.revolute[case.chains.joints.index(names[j])]
-            return offset_by(names, j, size, turns)
+            return offset_by(names, j, size, _turns(case, j))
         if self.of == "gear":
             return geared(names, j, 1.0 + size)
         if self.of == "coupled":
@@ -164,10 +163,8 @@ class _Columns:
     @cached_property
     def motions(self) -> tuple[Motion, ...]:
         """Motions that are tried, of every joint."""
-        joints, chains = self.case.data.joints, self.case.chains
-        revolute = dict(zip(chains.joints, chains.revolute, strict=True))
-        every = range(len(joints))
-        turning = [j for j in every if revolute.get(joints[j], True)]
+        every = range(len(self.case.data.joints))
+        turning = [j for j in every if _turns(self.case, j)]
         return (
             *(
                 Motion(of, (j,))
@@ -180,37 +177,42 @@ class _Columns:
         )
 
     @cached_property
-    def by_sizes(self) -> Floats:
-        """Whitened residual by the size of each motion, shape (M, K)."""
-        fit, read = self.fit, self.case.data.rows(self.index)
-        row = fit.problem.layout.row
+    def read(self) -> Observations:
+        """Measurements that were fitted, read without a motion."""
+        return self.case.data.rows(self.index)
+
+    @cached_property
+    def along(self) -> dict[str, Floats]:
+        """Ways of joints in motions that go with their last one, by kind, (N, n)."""
         moved = last_motions(self.case.data)[self.index]
-        sides = np.sign(moved)
-        if read.conditions.direction.size:
-            sides = read.conditions.direction
+        known = self.read.conditions.direction
         farthest = np.abs(moved).max(axis=1, keepdims=True)
-        along = {
+        return {
             "lag": moved,
-            "side": sides,
+            "side": known.astype(float) if known.size else np.sign(moved),
             "early": moved / np.where(farthest > 0.0, farthest, 1.0),
             "early-each": np.sign(moved),
         }
-        start = np.concatenate(
-            [b.start if b.start.size else np.zeros(b.q.shape) for b in read.blocks]
-        )
+
+    @cached_property
+    def by_sizes(self) -> Floats:
+        """Whitened residual by the size of each motion, shape (M, K)."""
+        return np.stack([self.column(motion) for motion in self.motions], axis=1)
+
+    def column(self, motion: Motion) -> Floats:
+        """The same of one, shape (M,)."""
+        fit, row = self.fit, self.fit.problem.layout.row
         ends, starts = fit.by_joints, fit.by_starts
-
-        def column(motion: Motion) -> Floats:
-            own, j, k = list(motion.joints), motion.joints[0], motion.joints[-1]
-            if motion.of in along:
-                return np.asarray(-np.sum((ends * along[motion.of][row])[:, own], 1))
-            if motion.of == "zero":
-                return np.asarray(ends[:, j] + starts[:, j])
-            return np.asarray(
-                ends[:, j] * read.q[row, k] + starts[:, j] * start[row, k]
-            )
-
-        return np.stack([column(motion) for motion in self.motions], axis=1)
+        own, j, k = list(motion.joints), motion.joints[0], motion.joints[-1]
+        if motion.of in self.along:
+            moved = self.along[motion.of][row]
+            return np.asarray(-np.sum(ends[:, own] * moved[:, own], axis=1))
+        if motion.of == "zero":
+            return np.asarray(ends[:, j] + starts[:, j])
+        q, blocks = self.read.q, self.read.blocks
+        start = [b.start if b.start.size else np.zeros(b.q.shape) for b in blocks]
+        by_start = starts[:, j] * np.concatenate(start)[row, k]
+        return np.asarray(ends[:, j] * q[row, k] + by_start)
 
     def gains(self) -> tuple[Floats, Floats, Floats]:
         """Part of the squares that each motion leaves, shape (K,).
@@ -250,8 +252,7 @@ class _Columns:
         """The fit with a motion, and its size, in every step; it ends settled."""
         size, here = 0.0, self
         for _ in range(STEPS):
-            column = here.by_sizes[:, [here.motions.index(motion)]]
-            score = here.fit.score(column)
+            score = here.fit.score(here.column(motion)[:, None])
             size += float(score.values[0])
             read = read_so(self.case.data, [motion.hypothesis(self.case, size)])
             before, fit = here.fit, refitted(here.fit, read.rows(self.index))
@@ -321,7 +322,7 @@ def _large(case: Case) -> Explanation | None:
         return None
     hypothesis = motion.hypothesis(case, size)
     if motion.of == "zero":
-        turns = "deg" in hypothesis.words
+        turns = _turns(case, motion.joints[0])
         if turns and abs(size) < LEAST:
             return None
         size = _rounded(size) if turns else size
@@ -355,6 +356,12 @@ def refitted(fit: QuickFit, data: Observations) -> QuickFit:
     theta, free = fit.theta.copy(), parameters.free
     theta[free] -= parameters.scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
     return replace(fit, theta=theta)
+
+
+def _turns(case: Case, joint: int) -> bool:
+    """Whether a joint turns, by its position among those of the measurements."""
+    revolute = dict(zip(case.chains.joints, case.chains.revolute, strict=True))
+    return bool(revolute.get(case.data.joints[joint], True))
 
 
 def _rounded(angle: float) -> float:

@@ -85,6 +85,9 @@ BINARY: Sequence[tuple[bytes, bytes, str]] = (
 )
 """First bytes of files that hold no lines, others in them, and what they are."""
 
+PERCENT = 90.0
+"""Largest number of a column from which, up to 100, it may be percent of a range."""
+
 TEXTS = 1 << 8
 """Different cells of a column up to which the texts of its numbers are kept: names such
 as 01 and 1.10 are few, and numbers that are measured are not."""
@@ -305,13 +308,13 @@ class Table:
             # All joints of a robot are counted by servos of one kind.
             plain = [c.numbers for c in self.columns.values() if counted(c.numbers)]
             meant = counted(np.concatenate([[], *plain])) or meant
-            if np.nanmax(np.abs(column.numbers)) == 100.0:
-                reason += "; -100 to 100 of a range: [steps/N@0], N = 819200 / range"
         if meant and column.theirs not in ("", name):
             both = f"{{{name}: {column.theirs} [{meant}]}}"
             reason += f"; state in the setup 'columns: {both}'"
         elif meant:
             reason += f"; write the header as '{name} [{meant}]'"
+        if kind.si == ANGLE.si and PERCENT < np.nanmax(np.abs(column.numbers)) <= 100.0:
+            reason += ", of percent [steps/N@0] with N = 72000 / range in deg"
         raise self.error(reason, name, ", ".join(kind.units), row)
 
     def values(self, kinds: Iterable[tuple[str, Kind]]) -> Floats:

@@ -104,7 +104,10 @@ FOLLOW = (
     ("joint-columns", "backlash"),  # Commanded positions are off by the side.
     ("lag", "backlash"),  # So are those that were read too early.
     ("model-lacks", "scale"),  # A robot grows to explain what it lacks.
-    ("coarse-steps", "noise"),
+    # What no parameter describes leaves more than noise.
+    *((code, "noise") for code in ("model-lacks", "backlash", "lag", "coarse-steps")),
+    ("instrument-drift", "noise"),
+    ("robot-drift", "noise"),
     ("computed-values", "coarse-steps"),
     ("computed-values", "noise"),
 )

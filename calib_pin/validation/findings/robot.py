@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator
+from dataclasses import replace
 from functools import partial
 
 from calib_pin.errors import RobotError
@@ -16,6 +17,9 @@ from calib_pin.validation.findings.hypotheses import Hypothesis
 OF = "the chain"
 """The subject of these explanations, of which only one can be true."""
 
+MOUNTS = {"hand": "moves with the tool", "world": "stands still"}
+"""Where a camera may be."""
+
 ABSORBED = 4.0
 """Factor by which six numbers of a frame make errors of a robot smaller: they are half
 as large on six joints, and less than a third on three."""
@@ -24,6 +28,15 @@ as large on six joints, and less than a third on three."""
 def robots(case: Case) -> Iterator[Hypothesis]:
     """Explanations by what was measured: the robot, its links, the tool."""
     yield from _frames(case)
+    if (camera := case.setup.camera) is not None:
+        mount, other = camera.mount, next(m for m in MOUNTS if m != camera.mount)
+        yield Hypothesis(
+            "camera-mount",
+            f"the camera {MOUNTS[other]}, and is not one that {MOUNTS[mount]}",
+            OF,
+            setup={"camera": replace(camera, mount=other)},
+            stated={"camera": {"mount": other}},
+        )
     # A shorter chain touches one point the better the less it moves.
     touching = any(declared(model).contact for model in case.data.models)
     if case.chains.names == ("",) and not touching:

@@ -192,9 +192,10 @@ def _targets(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
 
 
 def _mount(job: Job, rows: Measurements, rng: np.random.Generator) -> Input:
-    """A camera that stands still is said to be in the hand."""
+    """A camera that stands still is said to be in the hand, or the other way round."""
     assert job.setup.camera is not None
-    camera = replace(job.setup.camera, mount="hand")
+    mount = "hand" if job.setup.camera.mount == "world" else "world"
+    camera = replace(job.setup.camera, mount=mount)
     setup = replace(job.setup, camera=camera)
     return replace(given(job, rows, _says("mount")), setup=setup)
 

@@ -436,6 +436,7 @@ ELSEWHERE = {
     "base-link": "test_robot",
     "tool-frame": "test_robot",
     "base-frame": "test_robot",
+    "camera-mount": "test_robot",
     "implausible-correction": "test_plausibility",
     "unlike-fleet": "test_population",
     "approach-by-order": "test_approach",

@@ -13,7 +13,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.urdf import other_robots
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
-from calib_pin.setup import FrameSetup, Setup
+from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.explanations import explain
 from calib_pin.validation.findings.hypotheses import finding
@@ -122,3 +122,35 @@ def test_a_frame_that_is_far_from_where_it_was_stated(code, xyz, rpy) -> None:
     (found,) = told(chain, measured(), Setup(**known))
     assert found.code == code
     assert found.setup == {"frames": {end: {"estimate": True}}}
+
+
+@pytest.mark.parametrize(
+    ("mount", "said", "away"), [("world", "hand", 4.0), ("hand", "world", 1.8)]
+)
+def test_a_camera_that_is_somewhere_else(mount, said, away) -> None:
+    """What stands still is said to move with the tool, or the other way round."""
+    chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
+    board = {
+        name: PointSetup((0.1 + 0.05 * (k % 2), 0.05 * (k // 2), 0.15))
+        for k, name in enumerate("abcd")
+    }
+    camera = CameraSetup(mount, (900.0, 910.0), (4500.0, 4500.0))
+    setup = Setup(camera=camera, targets=board)
+    far = FrameSetup((0.1, -0.2, away))
+    problem = nominal_problem(chain, "camera", replace(setup, base_frame=far))
+    rng = np.random.default_rng(0)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    q = chain.random_configurations(2000, rng)
+    if mount == "hand":
+        # The board is below, in front of the lens.
+        T = chain.poses(q)
+        q = q[(T[:, 2, 2] < -0.9) & (T[:, 2, 3] > -0.5)]
+    q = np.repeat(q[:30], 4, axis=0)
+    names = tuple("abcd" * (len(q) // 4))
+    rows = calib_pin.simulate(problem, theta, rng, q=q, target=names, noise=0.2)
+    wrong = replace(setup, camera=replace(camera, mount=said))
+    case = Case.of_none(Chains.of(chain), rows, wrong)
+    found = explain(case, (robots,))
+    assert found is not None
+    (one,) = finding(case, found)
+    assert (one.code, one.setup) == ("camera-mount", {"camera": {"mount": mount}})

@@ -73,9 +73,9 @@ DECISIVE = 0.2
 CALM = 0.3
 """Part of the robot's largest correction that a frame which is fitted may leave."""
 
-EXPLAINED = 0.02
-"""Part of the errors with which nothing more is sought; of unknown ones, one expected
-size of an error."""
+EXPLAINED, USUAL = 0.02, 4.0
+"""Part of the errors, and expected sizes of an error, with either of which nothing more
+is sought: nominal robots of which we have measurements leave 2 to 5 mm."""
 
 KEPT = 0.75
 """Part of the measurements that counts: outliers may stand beside another fault."""
@@ -129,7 +129,9 @@ class _Search:
     def combined(self) -> Explanation | None:
         """Faults with which the nominal robot fits far better."""
         size, first = self._nominal, self.first
-        enough = EXPLAINED * first if np.isfinite(first) else self._one
+        enough = USUAL * self._one
+        if np.isfinite(first):
+            enough = max(EXPLAINED * first, enough)
         beam: list[tuple[float, tuple[Hypothesis, ...]]] = [(first, ())]
         every, last = list(beam), first
         for k in range(MOST):

@@ -6,6 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import chi2
 
 import calib_pin
 from benchmarks.criterion import Line, at_most, square
@@ -34,6 +36,8 @@ class Outcome:
         nominal: That of the nominal one.
         promised: Expected error; NaN where nothing is expected.
         here: True error by the expected one, in the region.
+        honest: Probability that a true error is within the limits of the expected one,
+            by how far the bound is above that.
     """
 
     number: int
@@ -45,6 +49,7 @@ class Outcome:
     nominal: float = np.nan
     promised: float = np.nan
     here: float = np.nan
+    honest: float = np.nan
 
     @property
     def ratio(self) -> float:
@@ -77,9 +82,10 @@ def run(number: int) -> Outcome:
         model = selection.candidates[selection.chosen].name
     q = job.chain.random_configurations(WORKSPACE, stream(number, 99))
     accuracy = result.accuracy
-    promised = here = np.nan
+    promised = here = honest = np.nan
     if accuracy.workspace is not None:
         promised = accuracy.workspace.calibrated[0]
+        honest = within(accuracy.workspace.bound[0] / promised)
     if accuracy.measured is not None:
         there = position_error(job, result.model, of.rows.q)
         here = there / accuracy.measured.calibrated[0]
@@ -93,7 +99,27 @@ def run(number: int) -> Outcome:
         position_error(job, None, q),
         promised,
         here,
+        honest,
     )
+
+
+def within(bound: float) -> float:
+    """Probability that an error is within the limits of its root mean square.
+
+    Its square is distributed as chi-square, of as many degrees of freedom as its 95 %
+    quantile tells: a region leaves a few directions open, and the error is theirs.
+
+    Args:
+        bound: The root of this quantile, by the root mean square.
+    """
+
+    def beyond(log: float) -> float:
+        return float(chi2.ppf(0.95, np.exp(log)) / np.exp(log)) - bound**2
+
+    if not 1.0 < bound < 1.9:
+        return np.nan
+    dof = np.exp(brentq(beyond, np.log(1.0), np.log(1e5)))
+    return float(np.diff(chi2.cdf(dof * np.array([LOW, HIGH]) ** 2, dof))[0])
 
 
 def judge(found: Sequence[Outcome]) -> Iterator[Line]:
@@ -110,6 +136,8 @@ def judge(found: Sequence[Outcome]) -> Iterator[Line]:
         kept = [o.number for o in some if LOW <= o.ratio <= HIGH]
         text = f"{name}: truth within {LOW:g} to {HIGH:g} of it"
         yield at_most(text, kept, len(some), SHARE, least=True)
+        honest = 100.0 * float(np.nanmean([o.honest for o in some] or [np.nan]))
+        yield Line(f"{name}: by the promises themselves", f"{honest:.0f} %")
         ratios = np.array([o.ratio for o in some] or [np.nan])
         spread = " ".join(f"{x:.2f}" for x in np.quantile(ratios, (0.05, 0.5, 0.95)))
         yield Line(f"{name}: 5, 50 and 95 % of the ratios", spread)

@@ -31,7 +31,7 @@ class GaussNewtonOptions:
         short: Length of a step, in units of the basis, that may fail to improve by
             rounding.
         negligible: Part of the squares that a step may fail to gain by rounding.
-        patience: Damped steps that are judged together.
+        patience: Steps that are judged together.
     """
 
     shortest: float = 1e-12
@@ -98,9 +98,9 @@ def gauss_newton(
         tolerance: Converged when a step promises to lower the cost by less than this
             part of it, or is shorter than this part of its way (1e-12 of the unit).
         rank_tolerance: Singular values below this part of the largest are dropped.
-        worthwhile: Converged as well when several damped steps together lower the
-            cost by less than this part of it: a valley that full steps leap out of and
-            that goes on for ever, of a direction that the residuals can hardly tell.
+        worthwhile: Converged as well when several steps together lower the cost by
+            less than this part of it: a valley that goes on for ever, of a direction
+            that the residuals can hardly tell.
         max_iterations: Limit on the steps.
         damped: Whether a step that raises the cost is damped and tried again;
             otherwise every step is taken whole.
@@ -139,12 +139,7 @@ def gauss_newton(
             # leaps along weak directions costs all that was gained.
             damping = damping if damping > 0.01 * step.weakest else 0.0
             iteration += 1
-            # Full steps are judged by what they promise.
-            passed = (
-                [*passed[1 - OPTIONS.patience :], cost]
-                if trial.damping > 0.0
-                else [cost]
-            )
+            passed = [*passed[1 - OPTIONS.patience :], cost]
             crawling = passed[0] - cost < worthwhile * cost
             if len(passed) == OPTIONS.patience and crawling:
                 status = Status.CONVERGED

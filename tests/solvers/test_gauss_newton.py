@@ -176,3 +176,18 @@ def test_a_wrong_jacobian_stalls() -> None:
         np.eye(2),
     )
     assert result.status is Status.STALLED
+
+
+def test_full_steps_that_gain_nothing_worthwhile_end() -> None:
+    """A large residual that bends away takes 95 % of every full step back."""
+
+    def linearize(x):
+        r = np.array([1.0 - 0.475 * x[0] ** 2, x[0]])
+        return r, np.array([[-0.95 * x[0]], [1.0]])
+
+    def cost(x):
+        return 0.5 * float(np.sum(linearize(x)[0] ** 2))
+
+    found = gauss_newton(linearize, cost, np.array([0.01]), np.eye(1), worthwhile=1e-5)
+    assert found.status is Status.CONVERGED
+    assert found.nit < 20

@@ -22,6 +22,9 @@ INSTRUMENTS = ("tracker", "poses", "wire")
 LOW, HIGH, SHARE = 0.8, 1.25, 90.0
 """Limits of the true error by the promised one, and the part [%] within them."""
 
+COVERED = 95.0
+"""Part [%] of the true errors that is below the bound of the promise."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -36,6 +39,7 @@ class Outcome:
         nominal: That of the nominal one.
         promised: Expected error; NaN where nothing is expected.
         here: True error by the expected one, in the region.
+        bound: Its bound with 95 % confidence.
         honest: Probability that a true error is within the limits of the expected one,
             by how far the bound is above that.
     """
@@ -49,6 +53,7 @@ class Outcome:
     nominal: float = np.nan
     promised: float = np.nan
     here: float = np.nan
+    bound: float = np.nan
     honest: float = np.nan
 
     @property
@@ -82,10 +87,11 @@ def run(number: int) -> Outcome:
         model = selection.candidates[selection.chosen].name
     q = job.chain.random_configurations(WORKSPACE, stream(number, 99))
     accuracy = result.accuracy
-    promised = here = honest = np.nan
+    promised = here = bound = honest = np.nan
     if accuracy.workspace is not None:
         promised = accuracy.workspace.calibrated[0]
-        honest = within(accuracy.workspace.bound[0] / promised)
+        bound = accuracy.workspace.bound[0]
+        honest = within(bound / promised)
     if accuracy.measured is not None:
         there = position_error(job, result.model, of.rows.q)
         here = there / accuracy.measured.calibrated[0]
@@ -99,6 +105,7 @@ def run(number: int) -> Outcome:
         position_error(job, None, q),
         promised,
         here,
+        bound,
         honest,
     )
 
@@ -136,6 +143,9 @@ def judge(found: Sequence[Outcome]) -> Iterator[Line]:
         kept = [o.number for o in some if LOW <= o.ratio <= HIGH]
         text = f"{name}: truth within {LOW:g} to {HIGH:g} of it"
         yield at_most(text, kept, len(some), SHARE, least=True)
+        below = [o.number for o in some if o.actual <= o.bound]
+        text = f"{name}: truth below its bound"
+        yield at_most(text, below, len(some), COVERED, least=True)
         honest = 100.0 * float(np.nanmean([o.honest for o in some] or [np.nan]))
         yield Line(f"{name}: by the promises themselves", f"{honest:.0f} %")
         ratios = np.array([o.ratio for o in some] or [np.nan])

@@ -10,7 +10,7 @@ the measurements and not with the square of the stations.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -31,14 +31,11 @@ PIECE = 4096
 """Measurements whose Jacobian is held at once, where there are very many."""
 
 Evaluator: TypeAlias = "RowByRow | ManyRows"
-"""The measurements of some blocks as a function of all parameters, shape (P,).
+"""The measurements of a block as a function of all parameters, shape (P,).
 
-What it says of each block is by the block's own parameters, shape (p,). Where it
-`reduces`, `factorize` returns fewer rows than there are values.
+Derivatives are by the block's own parameters, shape (p,). Where it `reduces`,
+`factorize` returns fewer rows than there are values.
 """
-
-Evaluators: TypeAlias = Mapping[tuple[int, ...], Evaluator]
-"""Evaluators of all blocks, by the positions of those of each."""
 
 Rows = tuple[NDArray[np.intp], Floats, Floats]
 """Positions of parameters (p,), residual (M,) and Jacobian by these (M, p)."""
@@ -71,26 +68,25 @@ class RowByRow:
         if isinstance(last, RowByRow) and last._block.term is block.term:
             self._tool = last._tool
 
-    def errors(self, theta: Floats) -> list[Floats]:
+    def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (N, d)."""
         term, data = self._block.term, self._block.data
         of_robot, instrument = term.values(theta)
-        return [term.measurement.residual(self._tool(of_robot), instrument, data)]
+        return term.measurement.residual(self._tool(of_robot), instrument, data)
 
-    def points(self, theta: Floats) -> list[Floats]:
+    def points(self, theta: Floats) -> Floats:
         """Tool points in the measurement frame, shape (N, 3)."""
         error, data = self._block.term.error, self._block.data
-        of_robot, _ = self._block.term.values(theta)
         basis = error.basis(data.q, data.conditions)
-        return [error.poses(data.q, of_robot, basis)[:, :3, 3]]
+        return error.poses(data.q, self._block.term.values(theta)[0], basis)[:, :3, 3]
 
-    def factorize(self, theta: Floats) -> list[tuple[Floats, Floats]]:
+    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual, shape (M,), and Jacobian, shape (M, p), M = N d if whole.
 
         Its rows are those of all values, or a triangular factor of them.
         """
         if not self.reduces:
-            return [self._rows(theta)]
+            return self._rows(theta)
         block = self._block
         R = np.zeros((0, len(block.term.index) + 1))
         for start in range(0, len(block.data), PIECE):
@@ -100,7 +96,7 @@ class RowByRow:
             r, J = RowByRow(piece, sigma)._rows(theta)
             more = np.vstack([R, np.column_stack([J, r])])
             R = np.asarray(np.linalg.qr(more, mode="r"))
-        return [(R[:, -1], R[:, :-1])]
+        return R[:, -1], R[:, :-1]
 
     def _rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
@@ -121,37 +117,28 @@ def compilable(model: ErrorModel) -> bool:
     return model.learned is None and len(flexures(model)) == 0
 
 
-def evaluators(
-    blocks: Sequence[Block], sigma: Floats, many: bool, last: Evaluators
-) -> Evaluators:
-    """Evaluators of measurements.
+def evaluator_of(
+    block: Block, sigma: Floats, many: bool, last: Evaluator | None
+) -> Evaluator:
+    """The evaluator of a block of measurements.
 
     Compiled kernels take measurements that are many and that they can evaluate. Where
     places bend row by row, Pinocchio takes them piece by piece.
 
     Args:
-        blocks: The measurements with their terms.
-        sigma: Standard deviations of their residual components, shape (M,).
+        block: The measurements with their term.
+        sigma: Standard deviations of the residual components of all blocks, (M,).
         many: Whether a Jacobian of all measurements would be too large to be handy.
-        last: Those of the same measurements with other weights or about other
-            references; what they have prepared is used again.
+        last: That of the same measurements with other weights or about other
+            references; what it has prepared is used again.
     """
-    found: dict[object, list[int]] = {}
-    for k, block in enumerate(blocks):
-        plain = many and compilable(block.term.error) and not block.data.start.size
-        found.setdefault(block.term.kind if plain else k, []).append(k)
-    result: dict[tuple[int, ...], Evaluator] = {}
-    for kind, positions in found.items():
-        at, (first, *_) = tuple(positions), positions
-        if isinstance(kind, int):
-            data, error = blocks[first].data, blocks[first].term.error
-            bent = many and len(flexures(error)) > 0 and len(data) > PIECE
-            result[at] = RowByRow(blocks[first], sigma, bent, last.get(at))
-            continue
+    error, data = block.term.error, block.data
+    if many and compilable(error) and not data.start.size:
         from calib_pin.estimation.many_rows import ManyRows
 
-        result[at] = ManyRows.of([blocks[k] for k in at], sigma, last.get(at))
-    return result
+        return ManyRows(block, sigma, last)
+    bent = many and len(flexures(error)) > 0 and len(data) > PIECE
+    return RowByRow(block, sigma, bent, last)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,35 @@ the tool is off by
     J A^+ e + (J A^+ X - X_there) g,
 
 less than both terms by themselves: a fit absorbs what it can of the effects.
+
+The least squares of a problem: directions, bounds, unit weights until they stand.
+
+The robot moves only in directions that its structure shows at nominal geometry and that
+the measurements can tell, judged by the standard deviation of unit weight. That is
+known after a fit only, so the choice is repeated until it stands; a better fit admits
+more directions, with noise-free measurements in the end all of them. At the solution
+those are taken back that only looked determined from afar (a tool point that turns out
+to lie on the last axis, for one), and those added that the errors themselves have made
+visible.
+
+Parameters that run out of their bounds are held there, and fits alternate with
+estimates of the unit weights of the quantities.
+
+Measurements in a corner of the workspace determine some directions of the error space
+well and others hardly. To estimate the latter freely makes the robot worse everywhere
+else; to leave them alone by a hard cut makes it a matter of a threshold. Here every
+error of the robot has a normal prior about nominal, and the solution is the mode of the
+posterior. Of all estimates it has the least expected error at every configuration. The
+size of errors, one for each kind of parameter (placement, compliance, ...), is told by
+the measurements where they can (evidence, or type II maximum likelihood: MacKay,
+Bayesian interpolation, 1992): what a kind shows nowhere does not grow where the
+measurements do not see it.
+
+The likelihood of the robot alone, as few independent equations.
+
+Priors are left out, frames and instrument projected out.
+Measurements that repeat a configuration, and effects of gears and compliance that the
+model lacks, have errors in common and tell less than as many independent ones.
 """
 
 from __future__ import annotations
@@ -19,27 +48,54 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import (
+    RANK,
     Directions,
+    appearing,
     half_covariance,
+    nuisance_basis,
+    practical_directions,
+    projected,
     robot_singular_values,
+    rounding,
+    visible_directions,
 )
 from calib_pin.estimation.evaluators import own_deviations, with_response
 from calib_pin.estimation.evidence import Outlier, VarianceComponent
 from calib_pin.estimation.identifiability import Structure
-from calib_pin.estimation.places import expected_places
-from calib_pin.estimation.problem import Problem, current_units, known_count
-from calib_pin.estimation.row_blocks import Priors
-from calib_pin.estimation.solve import Solution
-from calib_pin.estimation.statistics.systematic import ROWS, Systematic, sampled
+from calib_pin.estimation.nominal import analyze_structure, register
+from calib_pin.estimation.problem import (
+    EXACT,
+    Problem,
+    absorbed,
+    current_units,
+    known_count,
+)
+from calib_pin.estimation.row_blocks import Priors, expected_places
+from calib_pin.estimation.solve import Solution, Solver, descend, least_squares, refine
+from calib_pin.estimation.statistics.distributions import chi_square_quantile
+from calib_pin.estimation.statistics.restricted_likelihood import (
+    KNOWN,
+    Block,
+    Components,
+    estimate_variances,
+)
 from calib_pin.estimation.statistics.variance_components import (
     REJECTED,
+    ROWS,
+    Systematic,
     by_quantity,
     repetitions,
+    sampled,
+    systematic,
+    variance_components,
 )
 from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import states_sigmas
+from calib_pin.solvers import Status
 
 
 @dataclass(frozen=True)
@@ -340,3 +396,467 @@ def likely_posteriors(fitted: Fit) -> tuple[Posterior, ...]:
     problem, theta = fitted.problem, fitted.theta
     likely = fitted.evidence.likely
     return tuple(posterior_about(fitted, problem, theta, sizes) for sizes in likely)
+
+
+SURPRISE = 10.0
+"""Gain in chi-square per direction beyond what chance gives once in six hundred."""
+
+EXPLAINED = 1e-18
+"""Part of the cost of the nominal robot below which everything is explained."""
+
+STATED = 2.0
+"""Directions that the stated size of errors is worth against those that are measured.
+
+With as few the evidence of a handful of well determined directions prevails."""
+
+LEAST, MOST = 1e-3, 1e3
+"""Bounds of sizes, in scales."""
+
+PARTS = 3
+"""Sizes that stand for the distribution where predictions are averaged over it."""
+
+NOTICED = 1e-3
+"""Change of an estimate, in its own standard deviations, that nobody can notice."""
+
+CLEAR = 10.0
+"""Deviation of a direction, by that of the last of the best determined quarter, from
+which it counts as evidence by more than noise.
+
+The worse a direction is determined, the more of what the model lacks it collects: gears
+with the size that noise alone allows made other motions of a real UR10 worse than
+nominal (1.2 mm rms; 0.51 to 0.52 mm with any limit from 3 to 30).
+"""
+
+VISIBLE = 1e-9
+"""Part of the largest singular value below which the rows do not see a direction."""
+
+STANDS = 0.01
+"""Change of the ratios of unit weights at which they stand: a third of the deviation
+with which five hundred values tell one, and a change of no weight that matters."""
+
+LIKE = 1.5
+"""Logarithm of the change of a ratio up to which a fit goes on where it stands, in the
+directions that it has chosen."""
+
+ROUNDS = 6
+"""Most fits of an alternation; two are usual."""
+
+PULL = 0.01
+"""Posterior deviations by which a parameter must want to leave its bound inwards: less
+than anyone sees, and more than rounding or an unfinished iteration leaves."""
+
+
+def balanced(problem: Problem, solver: Solver) -> Fit:
+    """Alternate fits and estimates of unit weights until their ratios stand.
+
+    A common factor of all measurements changes no solution where nothing else is known;
+    then the fit is converted, not repeated.
+
+    Args:
+        problem: The problem, not registered.
+        solver: The solver.
+
+    Returns:
+        The fit, with the noise of its quantities.
+    """
+    fitted = bounded(problem, solver)
+    for _ in range(ROUNDS):
+        if not (fitted.dof > 0 and fitted.sigma0 > EXACT):
+            break
+        current = current_units(fitted.problem)
+        noise = variance_components(*fitted.held)
+        change = np.array([one.factor for one in noise]) / current
+        common = 1.0
+        if len(fitted.problem.further) == 0:
+            common = float(np.exp(np.mean(np.log(change))))
+        relative = np.abs(np.log(change / common)).max()
+        # A search that was cut short, or told when to end, is not carried on.
+        if relative < STANDS or fitted.result.status is not Status.CONVERGED:
+            fitted = _converted(fitted, common)
+            break
+        if relative < LIKE:
+            fitted = fit_in_units(fitted, current * change)
+        else:
+            fitted = bounded(replace(problem, units=current * change), solver)
+    if fitted.dof > 0 and fitted.unit > EXACT:
+        fitted = replace(fitted, noise=variance_components(*fitted.held))
+    return fitted
+
+
+def fit_in_units(fitted: Fit, units: Floats) -> Fit:
+    """A fit in other units, shape (K,), in its directions from where it stands."""
+    problem, directions = replace(fitted.problem, units=units), fitted.directions
+    before = least_squares(problem, fitted.before, nuisance_basis(problem.parameters))
+    result = descend(problem, directions, fitted.theta).after(before)
+    result = result.after(fitted.result)
+    return shrunk(_judged(problem, before.x, fitted.structure, directions, result))
+
+
+def _converted(fitted: Fit, factor: float) -> Fit:
+    """A fit in units that are all multiplied by one factor."""
+    result = fitted.result
+    fun, jac = result.fun / factor, result.jac / factor
+    result = replace(result, fun=fun, jac=jac, cost=result.cost / factor**2)
+    units, sigma0 = factor * current_units(fitted.problem), fitted.sigma0 / factor
+    problem = replace(fitted.problem, units=units)
+    return replace(fitted, problem=problem, result=result, sigma0=sigma0, unit=1.0)
+
+
+def bounded(problem: Problem, solver: Solver) -> Fit:
+    """Register a problem and fit it under the bounds of its parameters.
+
+    A parameter that runs out of its bounds is held there and leaves the set, so that
+    the directions are chosen anew without it: another member of its group may take
+    over what it must not. It is let go once if the cost pulls it back inside.
+    """
+    problem, before = register(problem, np.zeros(len(problem.parameters)))
+    lower, upper = problem.parameters.bounds
+    released: set[int] = set()
+    fitted = fit_in_stages(problem, before, solver)
+    while True:
+        held, x = fitted.problem, fitted.theta
+        excess = np.maximum(lower - x, x - upper) / held.parameters.scales
+        excess[~held.parameters.free] = 0.0
+        if excess.max(initial=0.0) > 0.0:
+            # The worst ones together: the others may come back inside without them.
+            worst = np.flatnonzero(excess > 0.5 * excess.max())
+            bounds = np.clip(x, lower, upper)
+            more = {int(k): float(bounds[k]) for k in worst}
+            held = replace(held, held_at={**held.held_at, **more})
+            fitted = fit_in_stages(held, before, solver)
+            continue
+        pulls = _pulls(fitted)
+        sides = {k: 1.0 if v == upper[k] else -1.0 for k, v in held.held_at.items()}
+        inward = {k for k, side in sides.items() if side * pulls[k] > PULL} - released
+        if not inward:
+            return fitted
+        released |= inward
+        kept = {k: v for k, v in held.held_at.items() if k not in inward}
+        fitted = fit_in_stages(replace(held, held_at=kept), before, solver)
+
+
+def _pulls(fitted: Fit) -> dict[int, float]:
+    """How far the cost wants held parameters to fall, in their posterior deviations.
+
+    With the moved directions projected out of its column, a parameter let go would
+    move by gradient / curvature, and would have the deviation sigma0 / curvature^0.5.
+    """
+    problem, result = fitted.problem, fitted.result
+    held = list(problem.held_at)
+    basis = fitted.directions.basis
+    moved = result.jac @ half_covariance(result.jac, basis, problem.parameters)
+    columns = result.jac[:, held]
+    alone = columns - moved @ (moved.T @ columns)
+    size = np.linalg.norm(alone, axis=0)
+    # Where the moved directions can do what it does, rounding is left.
+    seen = size > rounding(result.jac) * np.linalg.norm(columns, axis=0)
+    unit = size * max(np.nan_to_num(fitted.sigma0), 1e-300)
+    pulls = np.where(seen, result.fun @ alone / np.where(seen, unit, 1.0), 0.0)
+    return dict(zip(held, pulls.tolist(), strict=True))
+
+
+def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
+    """Fit a registered problem, without regard to bounds.
+
+    Args:
+        problem: The problem.
+        before: Its registration with the robot at nominal.
+        solver: The solver.
+    """
+    parameters, terms = problem.parameters, problem.terms.values()
+    nominal = np.where(parameters.free, before.x, 0.0)
+    for position, value in problem.held_at.items():
+        nominal[position] = value
+    r, J = before.fun, before.jac
+    if problem.held_at:
+        r, J = problem.linearize(nominal)
+    about = np.zeros(len(parameters))
+    if any(term.measurement.declaration.contact for term in terms):
+        # What is touched must be where the tool can touch it.
+        about = np.where(parameters.nuisance, nominal, 0.0)
+    structure, at_zero = analyze_structure(problem, about, solver.rng)
+    visible = visible_directions(at_zero, parameters)
+    count = known_count(problem) - absorbed(problem)
+
+    def chosen(sigma0: float | None) -> Directions:
+        return practical_directions(J, r, count, parameters, visible, sigma0)
+
+    def solved(directions: Directions, last: Fit | None) -> Fit:
+        previous = None
+        if last is not None:
+            # Within other directions; the rest returns to nominal.
+            moved, x = directions.basis, last.theta / parameters.scales
+            kept = parameters.scales * (moved @ (moved.T @ x))
+            stay = parameters.nuisance | ~parameters.free
+            previous = np.where(stay, last.theta, kept)
+        result = solver.solve(problem, directions, nominal, previous)
+        if not np.isfinite(result.cost):
+            # Without some directions, points may be behind a camera there.
+            result = solver.solve(problem, directions, nominal, None)
+        result = result.after(before if last is None else last.result)
+        return _judged(problem, before.x, structure, directions, result)
+
+    # A search takes errors for which the linear prediction of sigma0 is no good.
+    directions = chosen(0.0 if solver.searches else None)
+    last, tried = None, set[int]()
+    while directions.count not in tried:
+        tried.add(directions.count)
+        last = solved(directions, last)
+        if np.isfinite(last.sigma0):
+            directions = chosen(last.sigma0)
+    assert last is not None
+    while np.isfinite(last.sigma0):
+        # Some only looked determined from afar; they join the weak ones.
+        fun, jac, robot = last.result.fun, last.result.jac, last.directions.robot
+        told = practical_directions(jac, fun, count, parameters, robot, last.sigma0)
+        if told.count == last.directions.count:
+            break
+        weak = np.column_stack([last.directions.weak, told.weak])
+        last = solved(replace(told, weak=weak), last)
+    extended = _extended(last, EXPLAINED * before.cost)
+    if extended is not last and solver.name == "de":
+        extended = solved(extended.directions, last)
+    return shrunk(extended)
+
+
+def _judged(
+    problem: Problem,
+    before: Floats,
+    structure: Structure,
+    directions: Directions,
+    result: Solution,
+) -> Fit:
+    """The fit of a solution: its rank and its standard deviation of unit weight."""
+    basis = problem.parameters.scales[:, None] * directions.basis
+    triangle = np.linalg.qr(result.jac @ basis, mode="r")
+    s = np.linalg.svd(triangle, compute_uv=False)
+    rank = int((s > RANK * s.max(initial=0.0)).sum()) + absorbed(problem)
+    dof = known_count(problem) - rank
+    unit = sigma0 = float(np.sqrt(2.0 * result.cost / dof)) if dof > 0 else np.nan
+    if len(problem.units) or (states_sigmas(problem.data) and not np.isfinite(sigma0)):
+        unit = 1.0
+    return Fit(problem, before, structure, directions, result, rank, sigma0, unit)
+
+
+def _extended(last: Fit, negligible: float) -> Fit:
+    """A fit that moves directions which the errors have made visible, if worthwhile.
+
+    With noise, errors of their expected size explain nothing, and the robot stays
+    within the directions of its nominal geometry.
+
+    Args:
+        last: The fit.
+        negligible: Cost that rounding leaves of exact rows.
+    """
+    problem, directions, result = last.problem, last.directions, last.result
+    parameters, sigma0 = problem.parameters, last.sigma0
+    if not np.isfinite(sigma0) or result.cost <= negligible:
+        return last
+    more, promised = appearing(directions, result.jac, result.fun, parameters, sigma0)
+    surprise = SURPRISE * more.shape[1]
+    # What they explain no longer counts as noise.
+    rest = 2.0 * result.cost - promised
+    if promised * last.dof <= surprise * rest:
+        return last
+    robot = np.column_stack([directions.robot, more])
+    directions = replace(directions, robot=robot, revealed=more.shape[1])
+    # Here Gauss-Newton tells what there is to gain, whatever the solver.
+    found = descend(problem, directions, result.x).after(result)
+    fitted = _judged(problem, last.before, last.structure, directions, found)
+    gain = 2.0 * (result.cost - found.cost)
+    return fitted if gain > surprise * fitted.sigma0**2 else last
+
+
+def expected_sizes(
+    values: Floats, variances: Floats, half: Floats, kinds: NDArray[np.intp]
+) -> tuple[Floats, Floats]:
+    """The size of errors of each kind by their evidence, in scales.
+
+    Estimates `b ~ N(0, sum_k tau_k^2 H_k H_k^T + diag(v))`; tau^2 itself is about 1
+    beforehand (inverse chi-square with `STATED` degrees of freedom).
+
+    Args:
+        values: Estimates b, shape (k,).
+        variances: Their variances v, shape (k,).
+        half: What errors, one scale large, contribute to them: H, shape (k, p).
+        kinds: Kind of each error, 0 to K - 1, shape (p,).
+
+    Returns:
+        The most likely sizes, shape (K,), and for each kind the middles of `PARTS`
+        equally likely parts of its distribution beside the others, (K, PARTS).
+
+    Examples:
+        >>> none = np.zeros(0)
+        >>> expected_sizes(none, none, np.zeros((0, 3)), np.zeros(3, int))[0]
+        array([1.])
+    """
+    count, deviations = int(kinds.max(initial=-1)) + 1, np.sqrt(variances)
+    block = Block(
+        rows=(values / deviations)[:, None],
+        labels=np.append(np.full(len(values), KNOWN), kinds),
+        factors=np.hstack([np.eye(len(values)), half / deviations[:, None]]),
+    )
+    stated = np.full(count, STATED)
+    components = Components([block], stated, stated)
+    found = estimate_variances(components, np.ones(count), LEAST**2, MOST**2)
+    # Beside the others at their likeliest sizes chi-square is as wide as this.
+    dof = 2.0 * np.diag(found.information)
+    middles = (np.arange(PARTS) + 0.5) / PARTS
+    ratios = [[f / chi_square_quantile(f, middle) for middle in middles] for f in dof]
+    parts = np.sqrt(found.values[:, None] * np.reshape(ratios, (count, PARTS)))
+    # Steps of 2 % are far finer than any is known, and rounding moves no solution.
+    return 10.0 ** np.round(0.5 * np.log10(found.values), 2), parts
+
+
+def shrunk(fitted: Fit) -> Fit:
+    """The mode of the posterior from a least-squares fit, with the evidence for it.
+
+    Where the rows are exact or tell nothing there is none. Residual and Jacobian are
+    without the rows of the prior.
+    """
+    problem, result, unit = fitted.problem, fitted.result, fitted.unit
+    if not unit > EXACT or fitted.rank == 0:
+        return fitted
+    evidence = expected_errors(fitted)
+    # A search that was cut short, or met far from a minimum, stays what it is.
+    led = Status.CONVERGED, Status.ITERATIONS, Status.STALLED
+    if not evidence.matters or result.status not in led:
+        return replace(fitted, evidence=replace(evidence, matters=False))
+    # Whitened like the rows, whose unit weight is not in their standard deviations.
+    expected = replace(evidence.expected, rows=evidence.expected.rows * unit)
+    basis = problem.parameters.scales[:, None] * fitted.directions.every
+    found = refine(replace(problem, expected=expected), result.x, basis)
+    # The rows of the prior stand before those of priors of the setup.
+    stop = len(found.fun) - len(problem.further.priors)
+    rows = np.delete(np.arange(len(found.fun)), np.s_[stop - len(expected) : stop])
+    fun, jac = found.fun[rows], found.jac[rows]
+    found = replace(found, fun=fun, jac=jac, cost=0.5 * float(fun @ fun))
+    return replace(fitted, evidence=evidence, result=found.after(result))
+
+
+def expected_errors(fitted: Fit) -> Evidence:
+    """The prior of the robot's directions by the evidence of a least-squares fit.
+
+    What has a prior of its own has no other.
+    """
+    parameters, directions = fitted.problem.parameters, fitted.directions
+    theta, unit = fitted.theta, fitted.unit
+    V = np.column_stack([directions.robot, directions.weak])
+    V = V * ~np.isfinite(parameters.priors)[:, None]
+    present = np.unique(parameters.kinds[V.any(axis=1)])
+    own = np.isin(parameters.kinds, present)
+    kinds = np.searchsorted(present, parameters.kinds[own])
+    A = fitted.result.jac * parameters.scales
+    system = projected(np.column_stack([A @ V, fitted.result.fun]), A, parameters)
+    triangle = np.asarray(np.linalg.qr(system, mode="r"))
+    U, s, Wt = np.linalg.svd(triangle[:, :-1], full_matrices=False)
+    seen = s > VISIBLE * s.max(initial=0.0)
+    s, Wt = s[seen], Wt[seen]
+    deviations = unit / s
+    current = Wt @ (V.T @ (theta / parameters.scales))
+    # At the least squares what was moved has no gradient; what was not, has.
+    values = current - (U[:, seen].T @ triangle[:, -1]) / s
+    quarter = np.quantile(deviations**2, 0.25) if len(s) else np.inf
+    beside = deviations**2 * (1.0 + deviations**2 / (CLEAR**2 * quarter))
+    places = expected_places(fitted.problem, parameters)
+    half = Wt @ V.T @ places
+    found, parts = expected_sizes(values, beside, half[:, own], kinds)
+    sizes, likely = np.ones(len(V)), np.ones((PARTS, len(V)))
+    sizes[own], likely[:, own] = found[kinds], parts[kinds].T
+    P, t, _ = np.linalg.svd(half * sizes / deviations[:, None], full_matrices=False)
+    kept = (P * (t / np.hypot(1.0, t)) ** 2) @ P.T
+    change = kept @ (values / deviations) - current / deviations
+    shift = change / np.sqrt(np.diag(kept))
+    return Evidence(
+        expected=Priors.expected(V, sizes, parameters.scales, places),
+        sizes=sizes,
+        likely=likely,
+        matters=bool(np.abs(shift).max(initial=0.0) > NOTICED),
+        square=float(np.sum((values / deviations) ** 2)),
+        count=len(values),
+    )
+
+
+VISIBLE = 1e-9
+"""Part of the largest singular value below which measurements do not see an error."""
+
+
+@dataclass(frozen=True)
+class RobotRows:
+    """Equations `W theta = c` for the errors of a robot, with noise of deviation one.
+
+    Attributes:
+        robot: The parameters that are errors of the robot and free, shape (P,), K of
+            them.
+        rows: W for these divided by their scales, shape (r, K).
+        values: c, shape (r,).
+        along: How each measured value enters these, shape (r, M): the M whitened
+            residuals of the problem times it are `W theta - c`.
+    """
+
+    robot: NDArray[np.bool_]
+    rows: Floats
+    values: Floats
+    along: Floats
+
+
+def robot_rows(
+    problem: Problem, theta: Floats, components: Sequence[VarianceComponent]
+) -> RobotRows:
+    """The equations for the robot that the measurements of a problem amount to.
+
+    Args:
+        problem: The problem, in the units of its noise.
+        theta: Parameter values near its solution, shape (P,); linearized there.
+        components: The noise of every quantity.
+    """
+    parameters = problem.parameters
+    robot = parameters.free & ~parameters.nuisance
+    fun, jac = problem.linearize_rows(theta)
+    # Priors are the last rows.
+    count = len(fun) - len(problem.further.priors)
+    A = jac[:count] * parameters.scales
+    system = projected(np.column_stack([A[:, robot], fun[:count]]), A, parameters)
+    U, s, Vt = np.linalg.svd(system[:, :-1], full_matrices=False)
+    shown = s > VISIBLE * s.max(initial=0.0)
+    U, rows = U[:, shown], s[shown, None] * Vt[shown]
+    values = rows @ (theta / parameters.scales)[robot] - U.T @ system[:, -1]
+    basis = np.zeros((len(parameters), len(values)))
+    basis[robot] = Vt[shown].T
+    half = np.linalg.cholesky(_noise(problem, theta, components, basis, U))
+    of_values = U[: len(problem.layout.row)].T
+    whitened = (np.linalg.solve(half, part) for part in (rows, values, of_values))
+    return RobotRows(robot, *whitened)
+
+
+def _noise(
+    problem: Problem,
+    theta: Floats,
+    components: Sequence[VarianceComponent],
+    basis: Floats,
+    U: Floats,
+) -> Floats:
+    """Covariance of the errors of whitened residual rows along columns, (r, r).
+
+    Args:
+        problem: The problem.
+        theta: Parameter values, shape (P,).
+        components: The noise of every quantity.
+        basis: Directions of the robot that the rows see, shape (P, r).
+        U: Orthonormal columns of the rows, shape (M, r).
+    """
+    layout, parameters = problem.layout, problem.parameters
+    nuisances = np.eye(len(parameters))[:, parameters.free & parameters.nuisance]
+    effects = systematic(problem, theta, Directions(nuisances, basis, basis[:, :0]))
+    count = len(layout.row)
+    variances = np.ones(len(layout.components)) if effects is None else effects.noise
+    shared = shared_variances(problem, components, variances)
+    of_row = np.ones(len(U))
+    of_row[:count] = (variances - shared)[layout.component]
+    Q = (U.T * of_row) @ U
+    if shared.any():
+        Q += by_configuration(problem, U, shared)
+    if effects is not None:
+        X = U[:count].T @ effects.rows(problem, theta)
+        Q += X @ X.T
+    return np.asarray(Q)

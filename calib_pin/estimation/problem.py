@@ -1,11 +1,14 @@
-"""The least-squares problem: terms, measurements, and what is known beside them."""
+"""Where residual components belong: measurement, quantity, column of a table.
+The least-squares problem: terms, measurements, and what is known beside them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TypeVar
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,24 +16,171 @@ from numpy.typing import NDArray
 from calib_pin.errors import stated_in
 from calib_pin.estimation.evaluators import (
     Evaluator,
-    Evaluators,
     RowByRow,
     Rows,
     Station,
     eliminate,
-    evaluators,
+    evaluator_of,
     reduced,
 )
-from calib_pin.estimation.layout import Layout
 from calib_pin.estimation.row_blocks import Further, KnownDistances, Priors
 from calib_pin.estimation.terms import Block, Term, Terms
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.parameterizations import needed_conditions
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import JointPrior, Setup
 
-_Found = TypeVar("_Found")
+
+@dataclass(frozen=True)
+class Component:
+    """One quantity of one instrument at one station, whose noise is one unknown.
+
+    Attributes:
+        name: Name in reports: that of the quantity, with the model and the station
+            behind it where others have the same.
+        quantity: The quantity.
+        model: Name of the measurement model.
+        station: Name of the station.
+    """
+
+    name: str
+    quantity: Quantity
+    model: str
+    station: str
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The M residual components of N measurements.
+
+    Attributes:
+        row: Measurement of each, shape (M,).
+        component: Position of its quantity among `components`, shape (M,).
+        column: Column of the table that is shown, shape (M,).
+        components: The K quantities of all instruments.
+        quantities: The quantities of all models, with their columns of the table.
+        of_keys: Position among `components` of each residual component of the
+            measurements of a block, shape (d,).
+    """
+
+    row: NDArray[np.int32]
+    component: NDArray[np.int32]
+    column: NDArray[np.int32]
+    components: tuple[Component, ...]
+    quantities: tuple[Quantity, ...]
+    of_keys: Mapping[BlockKey, NDArray[np.int64]]
+
+    @staticmethod
+    def of(
+        data: Observations, measured: Mapping[BlockKey, Sequence[Quantity]]
+    ) -> Layout:
+        """The layout of measurements.
+
+        Args:
+            data: The measurements.
+            measured: The quantities of each block, also of those without measurements.
+        """
+        models = {key.model: quantities for key, quantities in measured.items()}
+        shown, first = side_by_side(models)
+        components = _components(measured)
+        keys = [(c.model, c.station, c.quantity.name) for c in components]
+        position = {key: k for k, key in enumerate(keys)}
+        of_keys = {}
+        for key, quantities in measured.items():
+            own = [position[key.model, key.station, q.name] for q in quantities]
+            widths = [q.columns.stop - q.columns.start for q in quantities]
+            of_keys[key] = np.repeat(own, widths)
+        parts = []
+        for block, rows in zip(data.blocks, data.slices, strict=True):
+            of_key = of_keys[block.key].astype(np.int32)
+            place = first[block.model] + np.arange(len(of_key), dtype=np.int32)
+            each = np.arange(rows.start, rows.stop, dtype=np.int32)
+            row, tiled = np.repeat(each, len(of_key)), (of_key, place)
+            parts.append((row, *(np.tile(of, len(block)) for of in tiled)))
+        row, component, column = map(np.concatenate, zip(*parts, strict=True))
+        return Layout(row, component, column, components, shown, of_keys)
+
+    @cached_property
+    def of_components(self) -> Sequence[NDArray[np.intp]]:
+        """Where the residual components of each stand, ascending."""
+        order = np.argsort(self.component, kind="stable")
+        ends = np.cumsum(np.bincount(self.component, minlength=len(self.components)))
+        return np.split(order, ends[:-1])
+
+    @property
+    def width(self) -> int:
+        """Columns of the table that is shown."""
+        return int(self.quantities[-1].columns.stop)
+
+    def table(self, flat: Floats, count: int, absent: float = np.nan) -> Floats:
+        """Components side by side, those of other models absent, (M,) -> (count, D)."""
+        result = np.full((count, self.width), absent)
+        result[self.row, self.column] = flat
+        return result
+
+
+def side_by_side(
+    models: Mapping[str, Sequence[Quantity]],
+) -> tuple[tuple[Quantity, ...], Mapping[str, int]]:
+    """Columns of a table that is shown, which has those of all models.
+
+    Args:
+        models: The quantities of each model.
+
+    Returns:
+        The quantities of all with these columns, and the first column of each model.
+    """
+    names = Counter(q.name for found in models.values() for q in found)
+    shown: list[Quantity] = []
+    first: dict[str, int] = {}
+    for model, quantities in models.items():
+        first[model] = at = shown[-1].columns.stop if shown else 0
+        for q in quantities:
+            name = f"{q.name} ({model})" if names[q.name] > 1 else q.name
+            columns = slice(at + q.columns.start, at + q.columns.stop)
+            shown.append(replace(q, name=name, columns=columns))
+    return tuple(shown), first
+
+
+def alike(layout: Layout, known: Layout) -> NDArray[np.intp]:
+    """Position of every component of a layout among those of a fit, shape (K,).
+
+    At a station that was not fitted an instrument measures as it does at the first one.
+
+    Args:
+        layout: The layout; each of its instruments was fitted somewhere.
+        known: The layout of the fit.
+    """
+    position: dict[tuple[str, ...], int] = {}
+    for k, c in enumerate(known.components):
+        position[c.model, c.quantity.name, c.station] = k
+        position.setdefault((c.model, c.quantity.name), k)
+    names = [(c.model, c.quantity.name, c.station) for c in layout.components]
+    return np.array([position.get(n, position[n[:2]]) for n in names], np.intp)
+
+
+def _components(
+    measured: Mapping[BlockKey, Sequence[Quantity]],
+) -> tuple[Component, ...]:
+    """The quantities of all instruments, each once."""
+    found = {
+        (q.name, key.model, key.station): q
+        for key, quantities in measured.items()
+        for q in quantities
+    }
+    stations = Counter((name, model) for name, model, _ in found)
+    models = Counter(name for name, _ in stations)
+    result = []
+    for (name, model, station), quantity in found.items():
+        told = [model] if models[name] > 1 else []
+        if station and stations[name, model] > 1:
+            told.append(station)
+        full = f"{name} ({', '.join(told)})" if told else name
+        result.append(Component(full, quantity, model, station))
+    return tuple(result)
+
 
 SAMPLE = 10_000
 """Measurements that a closed-form start is made from; more do not help it."""
@@ -73,7 +223,7 @@ class Shared:
     keys: tuple[BlockKey, ...]
     layout: Layout | None = None
     given_sigma: Floats | None = None
-    evaluators: Evaluators = field(default_factory=dict)
+    evaluators: Sequence[Evaluator] = ()
 
     def holds(self, problem: Problem) -> bool:
         """Whether a problem differs in weights, references and priors alone."""
@@ -199,8 +349,7 @@ class Problem(Terms):
 
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (M,)."""
-        parts = self._by_block(lambda one: one.errors(theta))
-        parts = [part.reshape(-1) for part in parts]
+        parts = [one.errors(theta).reshape(-1) for one in self._evaluators]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def residual(self, theta: Floats) -> Floats:
@@ -230,7 +379,7 @@ class Problem(Terms):
         They are by the block's own parameters; of very many measurements those of a
         smaller system with the same normal equations, to full precision.
         """
-        return self._by_block(lambda one: one.factorize(theta))
+        return [one.factorize(theta) for one in self._evaluators]
 
     def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual and its Jacobian by all parameters.
@@ -259,7 +408,7 @@ class Problem(Terms):
         """The same with a row for every measured value, however many there are."""
         if not self.many:
             return self.linearize(theta)
-        rows = [RowByRow(b, self.sigma).factorize(theta)[0] for b in self.blocks]
+        rows = [RowByRow(b, self.sigma).factorize(theta) for b in self.blocks]
         return self._with_further(theta, *self._stacked(rows))
 
     def stations(self, theta: Floats) -> Sequence[Station]:
@@ -298,16 +447,17 @@ class Problem(Terms):
     @property
     def many(self) -> bool:
         """Whether `linearize` returns a smaller system in place of the rows."""
-        reduces = any(one.reduces for one in self._evaluators.values())
+        reduces = any(one.reduces for one in self._evaluators)
         return reduces or bool(self.own_of_stations)
 
     @cached_property
-    def _evaluators(self) -> Evaluators:
-        """Residuals and derivatives of blocks, by the positions of these."""
-        shared = self._shared
-        last, many = shared.evaluators, self._large
-        shared.evaluators = evaluators(self.blocks, self.sigma, many, last)
-        return shared.evaluators
+    def _evaluators(self) -> Sequence[Evaluator]:
+        """Residuals and derivatives of every block."""
+        given = self.sigma, self._large
+        pairs = zip_longest(self.blocks, self._shared.evaluators)
+        found = [evaluator_of(block, *given, one) for block, one in pairs]
+        self._shared.evaluators = found
+        return found
 
     @cached_property
     def _large(self) -> bool:
@@ -328,17 +478,6 @@ class Problem(Terms):
         own = Priors.alone(np.where(parameters.nuisance, alone, np.inf))
         together = Priors.together(prior, parameters)
         return Priors(np.vstack([together.rows, own.rows]), together.mean)
-
-    def _by_block(
-        self, evaluate: Callable[[Evaluator], Iterable[_Found]]
-    ) -> list[_Found]:
-        """Values by the evaluators, block after block."""
-        found = {
-            k: value
-            for positions, one in self._evaluators.items()
-            for k, value in zip(positions, evaluate(one), strict=True)
-        }
-        return [found[k] for k in range(len(found))]
 
     def _stacked(self, found: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
         """Residual and Jacobian by all parameters, block after block."""
@@ -379,13 +518,13 @@ def known_count(problem: Problem) -> int:
 
 def evaluator(problem: Problem) -> str:
     """Name of the way in which measurements are evaluated."""
-    plain = all(isinstance(one, RowByRow) for one in problem._evaluators.values())
+    plain = all(isinstance(one, RowByRow) for one in problem._evaluators)
     return "pinocchio" if plain else "kernel"
 
 
 def tool_points(problem: Problem, theta: Floats) -> list[Floats]:
     """Tool points of every block in its measurement frame, shape (N, 3)."""
-    return problem._by_block(lambda one: one.points(theta))
+    return [one.points(theta) for one in problem._evaluators]
 
 
 def absorbed(problem: Problem) -> int:

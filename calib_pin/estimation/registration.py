@@ -10,8 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
-from calib_pin.estimation.layout import alike
-from calib_pin.estimation.problem import SAMPLE, Problem
+from calib_pin.estimation.problem import SAMPLE, Problem, alike
 from calib_pin.estimation.terms import (
     FRAME,
     Block,

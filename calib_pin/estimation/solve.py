@@ -152,7 +152,7 @@ class Solver:
         self, problem: Problem, directions: Directions, nominal: Floats, start: Floats
     ) -> Solution:
         """Differential evolution in a box around the nominal robot."""
-        from calib_pin.estimation.population import PopulationCost
+        from calib_pin.estimation.many_rows import PopulationCost
 
         scales = problem.parameters.scales
         basis = scales[:, None] * directions.basis

@@ -14,7 +14,7 @@ on one tip. Where there is only one of them it has the base or the tool frame.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Self, TypeAlias
 
@@ -289,22 +289,6 @@ class Term:
                 for parameter in reference.parameters
             ]
         return tuple(result)
-
-    @cached_property
-    def kind(self) -> object:
-        """The same in terms which are one stream of measurements but for stations."""
-        model = self.measurement
-        if not is_dataclass(model):
-            return self.key
-        values = [getattr(model, item.name) for item in fields(model)]
-        return (
-            self.key._replace(station=""),
-            self.error.tool.homogeneous.tobytes(),
-            self.error.payload,
-            self.index[FRAME:].tobytes(),
-            type(model),
-            *(tuple(map(id, v)) if isinstance(v, tuple) else id(v) for v in values),
-        )
 
     @property
     def components(self) -> int:

@@ -23,12 +23,14 @@ from calib_pin.estimation.formulation import (
     require_known,
     setup_of,
 )
-from calib_pin.estimation.geometric_columns import KINDS, Columns, geometric_columns
 from calib_pin.estimation.identifiability import (
+    KINDS,
+    Columns,
     Combination,
     Structure,
     combinations,
     everett_count,
+    geometric_columns,
     observability,
 )
 from calib_pin.estimation.nominal import analyze_structure

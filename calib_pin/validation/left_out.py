@@ -36,7 +36,7 @@ from calib_pin.estimation.fitted import (
     shared_variances,
 )
 from calib_pin.estimation.problem import EXACT, Problem, known_count
-from calib_pin.estimation.robust.studentized import by_size, spectrum
+from calib_pin.estimation.robust import by_size, spectrum
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.validation.model_errors import (

@@ -12,8 +12,8 @@ import calib_pin
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.places import expected_places
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.row_blocks import expected_places
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.solvers import Status
 

@@ -12,7 +12,7 @@ from calib_pin.estimation.fit import fit, with_effects
 from calib_pin.estimation.fitted import Fit, Posterior, posterior_about
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.statistics.systematic import Systematic
+from calib_pin.estimation.statistics.variance_components import Systematic
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import FrameSetup, Setup, ToolSetup

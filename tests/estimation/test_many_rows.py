@@ -67,7 +67,8 @@ def geared(measured: Measured) -> Measured:
 
 
 def many(problem: Problem) -> ManyRows:
-    return ManyRows(problem.blocks, problem.sigma)
+    (block,) = problem.blocks
+    return ManyRows(block, problem.sigma)
 
 
 def through_kernels(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Problem:
@@ -109,14 +110,13 @@ def assert_same(problem: Problem, theta: Floats) -> None:
     """Errors and factors of all blocks, by kernels and plain."""
     assert not problem.many
     chunked = many(problem)
-    errors = np.concatenate([e.reshape(-1) for e in chunked.errors(theta)])
-    off = np.abs(errors - problem.errors(theta))
+    off = np.abs(chunked.errors(theta).reshape(-1) - problem.errors(theta))
     assert (off <= rounding(problem, theta)).all()
-    plain = [one.factorize(theta)[0] for one in problem._evaluators.values()]
-    for (r, J), rows in zip(chunked.factorize(theta), plain, strict=True):
-        A = np.column_stack([J, r])
-        assert len(A) <= A.shape[1]
-        assert_same_products(A.T @ A, rows)
+    (plain,) = problem.factorize(theta)
+    r, J = chunked.factorize(theta)
+    A = np.column_stack([J, r])
+    assert len(A) <= A.shape[1]
+    assert_same_products(A.T @ A, plain)
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_the_number_of_threads_changes_no_bit(
             "calib_pin.estimation.many_rows.Threads", lambda: Threads(count)
         )
         chunked = many(problem)
-        arrays = [*chunked.factorize(theta)[0], *chunked.errors(theta)]
+        arrays = [*chunked.factorize(theta), chunked.errors(theta)]
         return [array.tobytes() for array in arrays]
 
     assert computed(1) == computed(3)
@@ -176,7 +176,7 @@ def test_factors_resolve_what_one_noisy_row_sees(measured: Measured) -> None:
     expected = singular_values(problem.linearize(theta)[1])
     # Its squares are below the rounding of normal equations.
     assert ((expected > 1e-12) & (expected < 1e-9)).any()
-    found = singular_values(many(problem).factorize(theta)[0][1])
+    found = singular_values(many(problem).factorize(theta)[1])
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=2e-14)
 
 
@@ -267,17 +267,17 @@ def test_short_steps_are_linear(geared: Measured) -> None:
     """What is left of residuals is of the square of the step."""
     problem = geared(load_chain("space6"), "position")
     theta, rows = values_of(problem), many(problem)
-    first, J = rows.factorize(theta)[0]
+    first, J = rows.factorize(theta)
     rng = np.random.default_rng(2)
     near = 0.1 * np.minimum(1e-3, problem.parameters.scales)
     step = rng.uniform(-1.0, 1.0, len(theta)) * near
-    r, same = rows.factorize(theta + step)[0]
+    r, same = rows.factorize(theta + step)
     assert same is J and not np.array_equal(r, first)
     change = float(np.linalg.norm(J @ step))
-    exact, _ = many(problem).factorize(theta + step)[0]
+    exact, _ = many(problem).factorize(theta + step)
     assert abs(np.linalg.norm(r) - np.linalg.norm(exact)) < 1e-3 * change
     # Farther away it is linearized anew.
-    assert rows.factorize(theta + 10.0 * near)[0][1] is not J
+    assert rows.factorize(theta + 10.0 * near)[1] is not J
 
 
 # Whole fits.

@@ -7,7 +7,7 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.places import expected_places, feet
+from calib_pin.estimation.row_blocks import expected_places, feet
 from calib_pin.kinematics.spatial import adjoint
 from calib_pin.setup import Setup
 

@@ -13,7 +13,7 @@ import pytest
 from calib_pin.compiled.blocks import BLOCK
 from calib_pin.estimation.evaluators import RowByRow
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.population import PopulationCost
+from calib_pin.estimation.many_rows import PopulationCost
 from calib_pin.estimation.problem import Problem, reweighted
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
@@ -141,7 +141,7 @@ def test_what_no_kernel_knows_is_evaluated_in_a_loop(measured: Measured) -> None
 def test_the_number_of_threads_changes_no_bit(
     model: str, measured: Measured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calib_pin.estimation.population.WORTHWHILE", 1)
+    monkeypatch.setattr("calib_pin.estimation.many_rows.WORTHWHILE", 1)
     problem = measured(load_chain("space6"), model, ["placement"], 301)
     theta = members(problem, 7)
     one, *others = (PopulationCost(problem, k)(theta).tobytes() for k in (1, 2, 3))
@@ -218,7 +218,7 @@ def test_very_many_measurements_that_bend_go_piece_by_piece(
     ]
     monkeypatch.setattr("calib_pin.estimation.problem.MANY", 1)
     pieces = replace(plain)
-    (other,) = pieces._evaluators.values()
+    (other,) = pieces._evaluators
     assert isinstance(other, RowByRow)
     assert pieces.many
     changed = (pieces, reweighted(pieces, weight), pieces.rebased(theta)[0])

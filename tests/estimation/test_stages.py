@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from calib_pin.estimation.stages import PARTS, expected_sizes
+from calib_pin.estimation.fitted import PARTS, expected_sizes
 from calib_pin.kinematics.spatial import Floats
 
 SIZES = np.array([0.5, 5.0])

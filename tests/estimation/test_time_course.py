@@ -9,10 +9,15 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.fit import fit, fit_model
+from calib_pin.estimation.fit import (
+    fit,
+    fit_model,
+    with_drift,
+    with_time_course,
+    with_warm_up,
+)
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.time_course import with_drift, with_time_course, with_warm_up
 from calib_pin.io.json_text import encode
 from calib_pin.io.results import calibration_document, read_calibration
 from calib_pin.kinematics.chains import Chains

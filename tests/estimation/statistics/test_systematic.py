@@ -11,7 +11,7 @@ import pytest
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.statistics.systematic import candidates
+from calib_pin.estimation.statistics.variance_components import candidates
 from calib_pin.observations import Conditions, Observations
 from calib_pin.setup import FrameSetup, Payload, Setup
 

@@ -8,15 +8,13 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation import stages
 from calib_pin.estimation.directions import half_covariance
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.estimation.fit import fit
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, balanced, bounded
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.solve import Solver
-from calib_pin.estimation.stages import balanced, bounded
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, PointSetup, Setup
@@ -79,7 +77,7 @@ def test_one_quantity_is_fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = calib_pin.simulate(problem, truth, rng, count=40, noise=3e-4).only
     problem = replace(problem, data=Observations.of(replace(rows, sigma=None)))
     plain = bounded(problem, Solver(problem, np.random.default_rng(0)))
-    monkeypatch.setattr(stages, "fit_in_units", None)
+    monkeypatch.setattr("calib_pin.estimation.fitted.fit_in_units", None)
     found = fitted(problem)
     np.testing.assert_array_equal(found.theta, plain.theta)
     # The prior on offsets of 1 mrad says next to nothing of errors of 0.1 mrad.

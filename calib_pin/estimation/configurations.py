@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.terms import Configurations, linearized_at
+from calib_pin.estimation.terms import linearized_at
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import (
     UNSTATED,
     BlockKey,
     Conditions,
     Labels,
+    Measurements,
     Targets,
     approached,
 )
@@ -54,8 +55,8 @@ def asked(
     target: Targets,
     conditions: Conditions = UNSTATED,
     start: Floats | None = None,
-) -> Configurations:
-    """Configurations at which to evaluate the model of a block.
+) -> Measurements:
+    """Configurations at which to evaluate the model of a block; nothing is measured.
 
     Args:
         problem: The problem; its measurements name the payloads.
@@ -68,33 +69,30 @@ def asked(
         start: Start configurations of relative measurements, shape (K, n) [rad, m];
             default the configuration before each.
     """
-    if start is None and problem.terms[key].measurement.declaration.relative:
-        start = np.roll(q, 1, axis=0)
+    if start is None:
+        relative = problem.terms[key].measurement.declaration.relative
+        start = np.roll(q, 1, axis=0) if relative else np.zeros((0, 0))
     if not len(conditions.payload):
         names = payloads_in_turn(problem, key, len(q))
         conditions = replace(conditions, payload=Labels.of(names))
     if not conditions.direction.size:
         conditions = replace(conditions, direction=approached(q), source="order")
-    conditions = _as_measured(problem, key, conditions, len(q))
-    start = np.zeros((0, 0)) if start is None else start
-    return Configurations(key, q, Labels.of(target), conditions, start)
-
-
-def _as_measured(
-    problem: Problem, key: BlockKey, conditions: Conditions, count: int
-) -> Conditions:
-    """Conditions with temperatures and times as the measurements of a block have."""
-    blocks = [block.conditions for block in problem.data.blocks if block.key == key]
-
-    def spread(known: Floats) -> Floats:
-        rows = np.linspace(0.0, max(len(known) - 1.0, 0.0), count).astype(np.intp)
-        return known[rows] if len(known) else known
-
-    if blocks and not len(conditions.temperature):
-        conditions = replace(conditions, temperature=spread(blocks[0].temperature))
-    if blocks and not len(conditions.time):
-        conditions = replace(conditions, time=spread(blocks[0].time))
-    return conditions
+    for name in ("temperature", "time"):
+        known = [
+            getattr(b.conditions, name) for b in problem.data.blocks if b.key == key
+        ]
+        if known and len(known[0]) and not len(getattr(conditions, name)):
+            rows = np.linspace(0.0, len(known[0]) - 1.0, len(q)).astype(np.intp)
+            conditions = replace(conditions, **{name: known[0][rows]})
+    return Measurements(
+        problem.chains.joints,
+        q,
+        values=np.zeros((len(q), 0)),
+        target=Labels.of(target),
+        conditions=conditions,
+        start=start,
+        **key._asdict(),
+    )
 
 
 def named_targets(problem: Problem, key: BlockKey) -> tuple[str, ...]:
@@ -121,7 +119,7 @@ def observable_configurations(
     count: int,
     rng: np.random.Generator,
     payload: Targets = (),
-) -> Configurations:
+) -> Measurements:
     """Random configurations within the limits at which an instrument can measure.
 
     Configurations of contact measurements are moved until the tool touches.
@@ -195,7 +193,7 @@ def lacking_frames(problem: Problem, keys: Iterable[BlockKey]) -> str:
 
 
 def brought_to_contact(
-    problem: Problem, theta: Floats, at: Configurations, gap: Floats | None = None
+    problem: Problem, theta: Floats, at: Measurements, gap: Floats | None = None
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Configurations moved until the tool touches, by damped Newton steps.
 

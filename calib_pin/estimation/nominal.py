@@ -24,9 +24,9 @@ from calib_pin.estimation.problem import (
 )
 from calib_pin.estimation.registration import registered
 from calib_pin.estimation.solve import Solution, least_squares
-from calib_pin.estimation.terms import Configured, ToolPoses
+from calib_pin.estimation.terms import ToolPoses
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
-from calib_pin.observations import BlockKey
+from calib_pin.observations import BlockKey, Measurements
 from calib_pin.parameterizations.linearization import PoseLinearization
 
 EXPLAINED = 1e-6
@@ -107,7 +107,7 @@ def analyze_structure(
 
 @serial_blas
 def structure_at(
-    problem: Problem, theta: Floats, at: Sequence[Configured]
+    problem: Problem, theta: Floats, at: Sequence[Measurements]
 ) -> tuple[Structure, Floats]:
     """Structure at zero robot errors of given configurations.
 
@@ -136,7 +136,7 @@ def structure_at(
     return replace(found, scaled=scaled, alike=alike), J
 
 
-def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Configured]) -> Floats:
+def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Measurements]) -> Floats:
     """Whitened Jacobian of noise-free measurements and of all further rows, (M, P).
 
     Args:
@@ -152,7 +152,7 @@ def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Configured]) -> Fl
 
 
 def scale_deviation(
-    problem: Problem, theta: Floats, at: Sequence[Configured], J: Floats
+    problem: Problem, theta: Floats, at: Sequence[Measurements], J: Floats
 ) -> float:
     """Standard deviation of the logarithm of a robot's size.
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Self, TypeAlias
+from typing import NamedTuple, Self
 
 import numpy as np
 import pinocchio as pin
@@ -30,7 +30,6 @@ from calib_pin.measurement_models import Linearization, MeasurementModel, declar
 from calib_pin.measurement_models.references import ReferenceObject
 from calib_pin.observations import (
     BlockKey,
-    Conditions,
     Indices,
     Labels,
     Measurements,
@@ -82,39 +81,6 @@ class Frames:
 
 
 @dataclass(frozen=True)
-class Configurations:
-    """Configurations at which one block of measurements could be taken.
-
-    Attributes:
-        key: The block.
-        q: Joint positions, shape (N, n) [rad, m].
-        target: Target that the instrument measures in each.
-        conditions: What holds at each beside the joint positions.
-        start: Where relative measurements start, shape (N, n); (0, 0) for others.
-    """
-
-    key: BlockKey
-    q: Floats
-    target: Labels
-    conditions: Conditions
-    start: Floats
-
-    def rows(self, index: NDArray[Any]) -> Configurations:
-        """The configurations that a mask or an index array picks, in its order."""
-        return replace(
-            self,
-            q=self.q[index],
-            target=self.target[index],
-            conditions=self.conditions.rows(index),
-            start=self.start[index] if self.start.size else self.start,
-        )
-
-
-Configured: TypeAlias = Configurations | Measurements
-"""Configurations, also those of measurements beside their values."""
-
-
-@dataclass(frozen=True)
 class ToolLinearization:
     """Tool poses of N configurations and their derivatives.
 
@@ -151,7 +117,7 @@ class ToolPoses:
         at: The configurations.
     """
 
-    def __init__(self, error: ErrorModel, at: Configured) -> None:
+    def __init__(self, error: ErrorModel, at: Measurements) -> None:
         """Prepare nothing: what does not change is computed where it is needed."""
         self._error, self._at = error, at
 
@@ -313,20 +279,19 @@ class Term:
         """
         return theta[..., self.of_error], theta[..., self.of_instrument]
 
-    def of_chain(self, at: Configured) -> Configured:
+    def of_chain(self, at: Measurements) -> Measurements:
         """Configurations of all joints with those of its chain alone."""
         if np.array_equal(self.columns, np.arange(at.q.shape[1])):
             return at
-        own: dict[str, Any] = {
-            "q": at.q[:, self.columns],
-            "start": at.start[:, self.columns] if at.start.size else at.start,
-            "conditions": at.conditions.of_joints(self.columns),
-        }
-        if isinstance(at, Measurements):
-            own["joints"] = self.error.chain.joints
-        return replace(at, **own)
+        return replace(
+            at,
+            joints=self.error.chain.joints,
+            q=at.q[:, self.columns],
+            start=at.start[:, self.columns] if at.start.size else at.start,
+            conditions=at.conditions.of_joints(self.columns),
+        )
 
-    def poses(self, theta: Floats, at: Configured) -> Floats:
+    def poses(self, theta: Floats, at: Measurements) -> Floats:
         """Tool poses as in `ToolLinearization`, shape (N, 4, 4).
 
         Args:
@@ -335,7 +300,7 @@ class Term:
         """
         return ToolPoses(self.error, at)(self.values(theta)[0])
 
-    def jacobian(self, theta: Floats, at: Configured, sigma: Floats) -> Floats:
+    def jacobian(self, theta: Floats, at: Measurements, sigma: Floats) -> Floats:
         """Whitened Jacobian of noise-free measurements by its parameters, (N, d, p).
 
         Args:
@@ -448,7 +413,7 @@ class Terms:
             result[term.index[varying(term.error)]] = False
         return result
 
-    def predict(self, theta: Floats, at: Configured) -> Floats:
+    def predict(self, theta: Floats, at: Measurements) -> Floats:
         """Noise-free values in the layout of `Measurements.values`, shape (N, D).
 
         Args:
@@ -459,7 +424,7 @@ class Terms:
         T = term.poses(theta, term.of_chain(at))
         return term.measurement.predict(T, term.values(theta)[1], at.target)
 
-    def observable(self, theta: Floats, at: Configured) -> NDArray[np.bool_]:
+    def observable(self, theta: Floats, at: Measurements) -> NDArray[np.bool_]:
         """Whether an instrument can measure at each configuration, shape (N,).
 
         Arguments as for `predict`.
@@ -468,7 +433,7 @@ class Terms:
         T = term.poses(theta, term.of_chain(at))
         return term.measurement.observable(T, term.values(theta)[1], at.target)
 
-    def jacobian(self, theta: Floats, at: Configured, sigma: Floats) -> Floats:
+    def jacobian(self, theta: Floats, at: Measurements, sigma: Floats) -> Floats:
         """Whitened Jacobian of noise-free measurements of a block, shape (N, d, P).
 
         Args:

@@ -24,13 +24,12 @@ from calib_pin.estimation.formulation import (
 from calib_pin.estimation.identifiability import Structure
 from calib_pin.estimation.nominal import register, structure_at
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.terms import Configured
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared, measurement_model
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.pose import Pose
-from calib_pin.observations import BlockKey, Indices, Observations
+from calib_pin.observations import BlockKey, Indices, Measurements, Observations
 from calib_pin.parameters import ParameterSet
 from calib_pin.planning.aims import Aims, Look, sides_tried
 from calib_pin.planning.information import Information
@@ -173,9 +172,9 @@ def identification(
 
 def _looked_at(
     problem: Problem, aims: Aims, q: Floats, aim: Indices
-) -> list[Configured]:
+) -> list[Measurements]:
     """The configurations with all targets that each instrument measures in them."""
-    result: list[Configured] = []
+    result: list[Measurements] = []
     for look in aims.looks:
         rows, target = look.measured(q, aim)
         result.append(asked(problem, look.term.key, q[rows], target))

@@ -20,10 +20,9 @@ from calib_pin.estimation.configurations import (
 )
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.terms import Configurations
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import BlockKey
+from calib_pin.observations import BlockKey, Measurements
 from calib_pin.setup import (
     CameraSetup,
     FrameSetup,
@@ -53,7 +52,7 @@ def problem_of(model: str, setup: Setup = SETUP) -> Problem:
     return nominal_problem(ARM, model, setup)
 
 
-def drawn(problem: Problem, theta: np.ndarray, count: int) -> Configurations:
+def drawn(problem: Problem, theta: np.ndarray, count: int) -> Measurements:
     rng = np.random.default_rng(0)
     return observable_configurations(problem, problem.only.key, theta, count, rng)
 

@@ -1,6 +1,4 @@
-"""Where residual components belong: measurement, quantity, column of a table.
-The least-squares problem: terms, measurements, and what is known beside them.
-"""
+"""The least-squares problem: terms, measurements, and what is known beside them."""
 
 from __future__ import annotations
 
@@ -50,6 +48,11 @@ class Component:
     model: str
     station: str
 
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """Model, quantity and station, which tell it from others."""
+        return self.model, self.quantity.name, self.station
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -82,25 +85,24 @@ class Layout:
             data: The measurements.
             measured: The quantities of each block, also of those without measurements.
         """
-        models = {key.model: quantities for key, quantities in measured.items()}
-        shown, first = side_by_side(models)
-        components = _components(measured)
-        keys = [(c.model, c.station, c.quantity.name) for c in components]
-        position = {key: k for k, key in enumerate(keys)}
-        of_keys = {}
-        for key, quantities in measured.items():
-            own = [position[key.model, key.station, q.name] for q in quantities]
-            widths = [q.columns.stop - q.columns.start for q in quantities]
-            of_keys[key] = np.repeat(own, widths)
+        shown, first = side_by_side({key.model: q for key, q in measured.items()})
+        found = _components(measured)
+        position = {c.key: k for k, c in enumerate(found)}
+        of_keys = {
+            key: np.repeat(
+                [position[key.model, q.name, key.station] for q in quantities],
+                [q.columns.stop - q.columns.start for q in quantities],
+            )
+            for key, quantities in measured.items()
+        }
         parts = []
         for block, rows in zip(data.blocks, data.slices, strict=True):
-            of_key = of_keys[block.key].astype(np.int32)
-            place = first[block.model] + np.arange(len(of_key), dtype=np.int32)
-            each = np.arange(rows.start, rows.stop, dtype=np.int32)
-            row, tiled = np.repeat(each, len(of_key)), (of_key, place)
-            parts.append((row, *(np.tile(of, len(block)) for of in tiled)))
+            own = of_keys[block.key].astype(np.int32)
+            place = first[block.model] + np.arange(len(own), dtype=np.int32)
+            row = np.repeat(np.arange(rows.start, rows.stop, dtype=np.int32), len(own))
+            parts.append((row, *(np.tile(of, len(block)) for of in (own, place))))
         row, component, column = map(np.concatenate, zip(*parts, strict=True))
-        return Layout(row, component, column, components, shown, of_keys)
+        return Layout(row, component, column, found, shown, of_keys)
 
     @cached_property
     def of_components(self) -> Sequence[NDArray[np.intp]]:
@@ -155,10 +157,10 @@ def alike(layout: Layout, known: Layout) -> NDArray[np.intp]:
     """
     position: dict[tuple[str, ...], int] = {}
     for k, c in enumerate(known.components):
-        position[c.model, c.quantity.name, c.station] = k
-        position.setdefault((c.model, c.quantity.name), k)
-    names = [(c.model, c.quantity.name, c.station) for c in layout.components]
-    return np.array([position.get(n, position[n[:2]]) for n in names], np.intp)
+        position[c.key] = k
+        position.setdefault(c.key[:2], k)
+    found = [position.get(c.key, position[c.key[:2]]) for c in layout.components]
+    return np.array(found, np.intp)
 
 
 def _components(
@@ -212,29 +214,41 @@ class Shared:
     Attributes:
         data: The measurements; their weights may differ.
         setup: What the user states.
-        keys: The blocks that there are terms of.
-        layout: Measurement and quantity of each residual component.
-        given_sigma: Standard deviations that are stated or assumed, shape (M,).
+        terms: The terms; their references may differ.
         evaluators: The last evaluators.
     """
 
     data: Observations
     setup: Setup
-    keys: tuple[BlockKey, ...]
-    layout: Layout | None = None
-    given_sigma: Floats | None = None
+    terms: Mapping[BlockKey, Term]
     evaluators: Sequence[Evaluator] = ()
 
     def holds(self, problem: Problem) -> bool:
         """Whether a problem differs in weights, references and priors alone."""
-        if problem.setup is not self.setup or tuple(problem.terms) != self.keys:
+        ours, theirs = self.data.blocks, problem.data.blocks
+        same = problem.setup is self.setup and list(problem.terms) == list(self.terms)
+        if not same or len(ours) != len(theirs):
             return False
         names = [item.name for item in fields(Measurements) if item.name != "weight"]
-        ours, theirs = self.data.blocks, problem.data.blocks
-        if len(ours) != len(theirs):
-            return False
         pairs = zip(ours, theirs, strict=True)
         return all(getattr(a, n) is getattr(b, n) for a, b in pairs for n in names)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Measurement and quantity of each residual component."""
+        terms = self.terms.items()
+        return Layout.of(self.data, {k: t.measurement.quantities for k, t in terms})
+
+    @cached_property
+    def given_sigma(self) -> Floats:
+        """Standard deviations that are stated or assumed, shape (M,)."""
+        found = [
+            np.tile(assumed_sigma(self.terms[block.key], self.setup), len(block))
+            if block.sigma is None
+            else block.sigma.reshape(-1)
+            for block in self.data.blocks
+        ]
+        return found[0] if len(found) == 1 else np.concatenate(found)
 
 
 @dataclass(frozen=True)
@@ -270,7 +284,7 @@ class Problem(Terms):
     def __post_init__(self) -> None:
         """Share what the problem knows that this one was made from, if it can."""
         if self._known is None or not self._known.holds(self):
-            known = Shared(self.data, self.setup, tuple(self.terms))
+            known = Shared(self.data, self.setup, self.terms)
             object.__setattr__(self, "_known", known)
 
     @property
@@ -281,12 +295,7 @@ class Problem(Terms):
     @property
     def layout(self) -> Layout:
         """Measurement and quantity of each residual component."""
-        shared = self._shared
-        if shared.layout is None:
-            terms = self.terms.items()
-            quantities = {key: term.measurement.quantities for key, term in terms}
-            shared.layout = Layout.of(self.data, quantities)
-        return shared.layout
+        return self._shared.layout
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
@@ -302,16 +311,7 @@ class Problem(Terms):
     @property
     def given_sigma(self) -> Floats:
         """Standard deviations that are stated or assumed, shape (M,)."""
-        shared = self._shared
-        if shared.given_sigma is None:
-            found = [
-                np.tile(assumed_sigma(self.terms[block.key], self.setup), len(block))
-                if block.sigma is None
-                else block.sigma.reshape(-1)
-                for block in self.data.blocks
-            ]
-            shared.given_sigma = found[0] if len(found) == 1 else np.concatenate(found)
-        return shared.given_sigma
+        return self._shared.given_sigma
 
     @cached_property
     def sigma(self) -> Floats:
@@ -390,24 +390,23 @@ class Problem(Terms):
         """
         found = self.factorize(theta)
         if not self.own_of_stations:
-            return self._with_further(theta, *self._stacked(found))
+            return self._stacked(theta, found)
         rows: dict[str, list[Rows]] = {}
-        for block, of_block in zip(self.blocks, found, strict=True):
-            station = block.term.frames.station
-            rows.setdefault(station, []).append((block.term.index, *of_block))
+        for (term, *_), of_block in zip(self.blocks, found, strict=True):
+            rows.setdefault(term.frames.station, []).append((term.index, *of_block))
         own = self.own_of_stations
         done = [eliminate(own[station], those) for station, those in rows.items()]
-        stations, left = zip(*done, strict=True)
         self._eliminated.clear()
-        self._eliminated[theta.tobytes()] = stations
-        return self._with_further(theta, *reduced(left, len(theta)))
+        self._eliminated[theta.tobytes()] = [station for station, _ in done]
+        r, J = reduced([left for _, left in done], len(theta))
+        return self._with_further(theta, r, J)
 
     def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same with a row for every measured value, however many there are."""
         if not self.many:
             return self.linearize(theta)
         rows = [RowByRow(b, self.sigma).factorize(theta) for b in self.blocks]
-        return self._with_further(theta, *self._stacked(rows))
+        return self._stacked(theta, rows)
 
     def stations(self, theta: Floats) -> Sequence[Station]:
         """The parameters that were eliminated, where these were last linearized.
@@ -477,14 +476,15 @@ class Problem(Terms):
         together = Priors.together(prior, parameters)
         return Priors(np.vstack([together.rows, own.rows]), together.mean)
 
-    def _stacked(self, found: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
-        """Residual and Jacobian by all parameters, block after block."""
+    def _stacked(
+        self, theta: Floats, found: Sequence[tuple[Floats, Floats]]
+    ) -> tuple[Floats, Floats]:
+        """Residual and Jacobian by all parameters, block after block, and `further`."""
         pairs = zip(self.blocks, found, strict=True)
-        parts = [(r, self.spread(block.term, J)) for block, (r, J) in pairs]
-        if len(parts) == 1:
-            return parts[0]
-        r, J = zip(*parts, strict=True)
-        return np.concatenate(r), np.concatenate(J)
+        r, J = zip(*((r, self.spread(b.term, J)) for b, (r, J) in pairs), strict=True)
+        if len(found) == 1:
+            return self._with_further(theta, r[0], J[0])
+        return self._with_further(theta, np.concatenate(r), np.concatenate(J))
 
     def _with_further(
         self, theta: Floats, r: Floats, J: Floats

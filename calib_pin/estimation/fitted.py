@@ -1,17 +1,4 @@
-"""A fitted problem: its parameters, and how far they can be off.
-
-A fit is off by noise, and by what gears and compliance did to it.
-About any references, the covariance follows from the residual rows linearized there. A
-fit moves by `theta - theta_true = A^+ (X g + e)` where g are the random effects of
-joints that the model lacks (`systematic`) and e is noise, part of which may be the same
-in all repetitions of a configuration (`variance_components`). At another configuration
-the tool is off by
-
-    J A^+ e + (J A^+ X - X_there) g,
-
-less than both terms by themselves: a fit absorbs what it can of the effects.
-
-The least squares of a problem: directions, bounds, unit weights until they stand.
+"""Fits: least squares, balanced and bounded, and how far they can be off.
 
 The robot moves only in directions that its structure shows at nominal geometry and that
 the measurements can tell, judged by the standard deviation of unit weight. That is
@@ -19,9 +6,7 @@ known after a fit only, so the choice is repeated until it stands; a better fit 
 more directions, with noise-free measurements in the end all of them. At the solution
 those are taken back that only looked determined from afar (a tool point that turns out
 to lie on the last axis, for one), and those added that the errors themselves have made
-visible.
-
-Parameters that run out of their bounds are held there, and fits alternate with
+visible. Parameters that run out of their bounds are held there, and fits alternate with
 estimates of the unit weights of the quantities.
 
 Measurements in a corner of the workspace determine some directions of the error space
@@ -34,11 +19,15 @@ the measurements where they can (evidence, or type II maximum likelihood: MacKay
 Bayesian interpolation, 1992): what a kind shows nowhere does not grow where the
 measurements do not see it.
 
-The likelihood of the robot alone, as few independent equations.
+About any references, the covariance follows from the residual rows linearized there. A
+fit moves by `theta - theta_true = A^+ (X g + e)` where g are the random effects of
+joints that the model lacks (`variance_components`) and e is noise, part of which may be
+the same in all repetitions of a configuration. At another configuration the tool is off
+by
 
-Priors are left out, frames and instrument projected out.
-Measurements that repeat a configuration, and effects of gears and compliance that the
-model lacks, have errors in common and tell less than as many independent ones.
+    J A^+ e + (J A^+ X - X_there) g,
+
+less than both terms by themselves: a fit absorbs what it can of the effects.
 """
 
 from __future__ import annotations
@@ -182,13 +171,28 @@ def by_configuration(problem: Problem, U: Floats, shared: Floats) -> Floats:
     of_row[rows] = label
     place = of_row[layout.row] * layout.width + layout.column
     result = np.zeros((rank, rank))
-    for k in np.flatnonzero(shared).tolist():
-        own = layout.component == k
-        groups, group = np.unique(place[own], return_inverse=True)
-        summed = np.zeros((len(groups), rank))
-        np.add.at(summed, group, each[own])
-        result += shared[k] * summed.T @ summed
+    for own, variance in zip(layout.of_components, shared, strict=True):
+        if variance:
+            groups, group = np.unique(place[own], return_inverse=True)
+            summed = np.zeros((len(groups), rank))
+            np.add.at(summed, group, each[own])
+            result += variance * summed.T @ summed
     return result
+
+
+def noise_along(problem: Problem, U: Floats, noise: Floats, shared: Floats) -> Floats:
+    """Covariance of the errors of whitened rows along columns, shape (r, r).
+
+    Args:
+        problem: The problem.
+        U: Orthonormal columns of the rows, those of what is known last, shape (M, r).
+        noise: Variances of the quantities, shape (K,).
+        shared: The part of these that repetitions have in common, shape (K,).
+    """
+    of_row, component = np.ones(len(U)), problem.layout.component
+    of_row[: len(component)] = (noise - shared)[component]
+    result = (U.T * of_row) @ U
+    return result + by_configuration(problem, U, shared) if shared.any() else result
 
 
 @dataclass(frozen=True)
@@ -258,7 +262,7 @@ class Fit:
     result: Solution
     rank: int
     sigma0: float
-    unit: float
+    unit: float = 1.0
     evidence: Evidence | None = None
     noise: tuple[VarianceComponent, ...] = ()
     effects: Systematic | None = None
@@ -357,19 +361,20 @@ def posterior_about(
         inverse = np.linalg.solve(spread, np.diag(1.0 / parameters.scales))
         held = np.asarray(inverse[alone])
         basis = np.eye(len(theta))[:, parameters.free]
-    half = half_covariance(np.concatenate([jac, held]), basis, parameters)
-    noise = np.ones(len(problem.layout.components))
-    if effects is not None:
-        noise = effects.noise
+    rows = np.concatenate([jac, held])
+    half = half_covariance(rows, basis, parameters)
+    noise = (
+        np.ones(len(problem.layout.components)) if effects is None else effects.noise
+    )
     shared = shared_variances(problem, fitted.noise, noise)
     core = np.eye(half.shape[1])
-    if effects is not None or shared.any():
-        rows, prior = by_quantity(problem, theta, fun, jac, half), held @ half
-        weights = (noise - shared) / current_units(problem) ** 2
-        core = prior.T @ prior + rows.known[:-1, :-1]
-        core += np.tensordot(weights, rows.products[:, :-1, :-1], axes=1)
-    if shared.any():
-        core += by_configuration(problem, jac @ half, shared)
+    if problem.many and effects is not None:
+        groups, prior = by_quantity(problem, theta, fun, jac, half), held @ half
+        weights = noise / current_units(problem) ** 2
+        core = prior.T @ prior + groups.known[:-1, :-1]
+        core += np.tensordot(weights, groups.products[:, :-1, :-1], axes=1)
+    elif effects is not None or shared.any():
+        core = noise_along(problem, rows @ half, noise, shared)
     values, vectors = np.linalg.eigh(core)
     by_noise = half @ (vectors * np.sqrt(np.maximum(values, 0.0)))
     by_effects = np.zeros((len(theta), 0))
@@ -401,9 +406,6 @@ def likely_posteriors(fitted: Fit) -> tuple[Posterior, ...]:
 SURPRISE = 10.0
 """Gain in chi-square per direction beyond what chance gives once in six hundred."""
 
-EXPLAINED = 1e-18
-"""Part of the cost of the nominal robot below which everything is explained."""
-
 STATED = 2.0
 """Directions that the stated size of errors is worth against those that are measured.
 
@@ -428,11 +430,13 @@ nominal (1.2 mm rms; 0.51 to 0.52 mm with any limit from 3 to 30).
 """
 
 VISIBLE = 1e-9
-"""Part of the largest singular value below which the rows do not see a direction."""
+"""Part of the largest singular value below which the rows do not see a direction; its
+square is the part of the cost of the nominal robot below which all is explained."""
 
 STANDS = 0.01
 """Change of the ratios of unit weights at which they stand: a third of the deviation
-with which five hundred values tell one, and a change of no weight that matters."""
+with which five hundred values tell one, and a change of no weight that matters. As many
+posterior deviations must a parameter want to leave its bound inwards."""
 
 LIKE = 1.5
 """Logarithm of the change of a ratio up to which a fit goes on where it stands, in the
@@ -440,10 +444,6 @@ directions that it has chosen."""
 
 ROUNDS = 6
 """Most fits of an alternation; two are usual."""
-
-PULL = 0.01
-"""Posterior deviations by which a parameter must want to leave its bound inwards: less
-than anyone sees, and more than rounding or an unfinished iteration leaves."""
 
 
 def balanced(problem: Problem, solver: Solver) -> Fit:
@@ -466,9 +466,8 @@ def balanced(problem: Problem, solver: Solver) -> Fit:
         current = current_units(fitted.problem)
         noise = variance_components(*fitted.held)
         change = np.array([one.factor for one in noise]) / current
-        common = 1.0
-        if len(fitted.problem.further) == 0:
-            common = float(np.exp(np.mean(np.log(change))))
+        alone = len(fitted.problem.further) == 0
+        common = float(np.exp(np.mean(np.log(change)))) if alone else 1.0
         relative = np.abs(np.log(change / common)).max()
         # A search that was cut short, or told when to end, is not carried on.
         if relative < STANDS or fitted.result.status is not Status.CONVERGED:
@@ -485,20 +484,19 @@ def balanced(problem: Problem, solver: Solver) -> Fit:
 
 def fit_in_units(fitted: Fit, units: Floats) -> Fit:
     """A fit in other units, shape (K,), in its directions from where it stands."""
-    problem, directions = replace(fitted.problem, units=units), fitted.directions
+    problem = replace(fitted.problem, units=units)
     before = least_squares(problem, fitted.before, nuisance_basis(problem.parameters))
-    result = descend(problem, directions, fitted.theta).after(before)
-    result = result.after(fitted.result)
-    return shrunk(_judged(problem, before.x, fitted.structure, directions, result))
+    result = descend(problem, fitted.directions, fitted.theta).after(before)
+    last = replace(fitted, problem=problem, before=before.x)
+    return shrunk(_judged(last, fitted.directions, result.after(fitted.result)))
 
 
 def _converted(fitted: Fit, factor: float) -> Fit:
     """A fit in units that are all multiplied by one factor."""
-    result = fitted.result
+    result, units = fitted.result, factor * current_units(fitted.problem)
     fun, jac = result.fun / factor, result.jac / factor
     result = replace(result, fun=fun, jac=jac, cost=result.cost / factor**2)
-    units, sigma0 = factor * current_units(fitted.problem), fitted.sigma0 / factor
-    problem = replace(fitted.problem, units=units)
+    problem, sigma0 = replace(fitted.problem, units=units), fitted.sigma0 / factor
     return replace(fitted, problem=problem, result=result, sigma0=sigma0, unit=1.0)
 
 
@@ -527,7 +525,7 @@ def bounded(problem: Problem, solver: Solver) -> Fit:
             continue
         pulls = _pulls(fitted)
         sides = {k: 1.0 if v == upper[k] else -1.0 for k, v in held.held_at.items()}
-        inward = {k for k, side in sides.items() if side * pulls[k] > PULL} - released
+        inward = {k for k, side in sides.items() if side * pulls[k] > STANDS} - released
         if not inward:
             return fitted
         released |= inward
@@ -565,8 +563,7 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
     """
     parameters, terms = problem.parameters, problem.terms.values()
     nominal = np.where(parameters.free, before.x, 0.0)
-    for position, value in problem.held_at.items():
-        nominal[position] = value
+    nominal[list(problem.held_at)] = list(problem.held_at.values())
     r, J = before.fun, before.jac
     if problem.held_at:
         r, J = problem.linearize(nominal)
@@ -577,13 +574,15 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
     structure, at_zero = analyze_structure(problem, about, solver.rng)
     visible = visible_directions(at_zero, parameters)
     count = known_count(problem) - absorbed(problem)
+    # A search takes errors for which the linear prediction of sigma0 is no good.
+    sigma0 = 0.0 if solver.searches else None
+    directions = practical_directions(J, r, count, parameters, visible, sigma0)
+    last = Fit(problem, before.x, structure, directions, before, 0, np.nan)
+    tried = set[int]()
 
-    def chosen(sigma0: float | None) -> Directions:
-        return practical_directions(J, r, count, parameters, visible, sigma0)
-
-    def solved(directions: Directions, last: Fit | None) -> Fit:
+    def solved(directions: Directions) -> Fit:
         previous = None
-        if last is not None:
+        if last.rank:
             # Within other directions; the rest returns to nominal.
             moved, x = directions.basis, last.theta / parameters.scales
             kept = parameters.scales * (moved @ (moved.T @ x))
@@ -593,18 +592,14 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
         if not np.isfinite(result.cost):
             # Without some directions, points may be behind a camera there.
             result = solver.solve(problem, directions, nominal, None)
-        result = result.after(before if last is None else last.result)
-        return _judged(problem, before.x, structure, directions, result)
+        return _judged(last, directions, result.after(last.result))
 
-    # A search takes errors for which the linear prediction of sigma0 is no good.
-    directions = chosen(0.0 if solver.searches else None)
-    last, tried = None, set[int]()
     while directions.count not in tried:
         tried.add(directions.count)
-        last = solved(directions, last)
+        last = solved(directions)
         if np.isfinite(last.sigma0):
-            directions = chosen(last.sigma0)
-    assert last is not None
+            sigma0 = last.sigma0
+            directions = practical_directions(J, r, count, parameters, visible, sigma0)
     while np.isfinite(last.sigma0):
         # Some only looked determined from afar; they join the weak ones.
         fun, jac, robot = last.result.fun, last.result.jac, last.directions.robot
@@ -612,21 +607,24 @@ def fit_in_stages(problem: Problem, before: Solution, solver: Solver) -> Fit:
         if told.count == last.directions.count:
             break
         weak = np.column_stack([last.directions.weak, told.weak])
-        last = solved(replace(told, weak=weak), last)
-    extended = _extended(last, EXPLAINED * before.cost)
-    if extended is not last and solver.name == "de":
-        extended = solved(extended.directions, last)
-    return shrunk(extended)
+        last = solved(replace(told, weak=weak))
+    if last.result.cost > VISIBLE**2 * before.cost:
+        extended = _extended(last)
+        if extended is not last and solver.name == "de":
+            extended = solved(extended.directions)
+        last = extended
+    return shrunk(last)
 
 
-def _judged(
-    problem: Problem,
-    before: Floats,
-    structure: Structure,
-    directions: Directions,
-    result: Solution,
-) -> Fit:
-    """The fit of a solution: its rank and its standard deviation of unit weight."""
+def _judged(last: Fit, directions: Directions, result: Solution) -> Fit:
+    """The fit of a solution: its rank and its standard deviation of unit weight.
+
+    Args:
+        last: A fit of the same problem.
+        directions: The directions that were moved.
+        result: The solution.
+    """
+    problem = last.problem
     basis = problem.parameters.scales[:, None] * directions.basis
     triangle = np.linalg.qr(result.jac @ basis, mode="r")
     s = np.linalg.svd(triangle, compute_uv=False)
@@ -635,34 +633,30 @@ def _judged(
     unit = sigma0 = float(np.sqrt(2.0 * result.cost / dof)) if dof > 0 else np.nan
     if len(problem.units) or (states_sigmas(problem.data) and not np.isfinite(sigma0)):
         unit = 1.0
-    return Fit(problem, before, structure, directions, result, rank, sigma0, unit)
+    given = problem, last.before, last.structure, directions
+    return Fit(*given, result, rank, sigma0, unit)
 
 
-def _extended(last: Fit, negligible: float) -> Fit:
+def _extended(last: Fit) -> Fit:
     """A fit that moves directions which the errors have made visible, if worthwhile.
 
     With noise, errors of their expected size explain nothing, and the robot stays
     within the directions of its nominal geometry.
-
-    Args:
-        last: The fit.
-        negligible: Cost that rounding leaves of exact rows.
     """
     problem, directions, result = last.problem, last.directions, last.result
     parameters, sigma0 = problem.parameters, last.sigma0
-    if not np.isfinite(sigma0) or result.cost <= negligible:
+    if not np.isfinite(sigma0):
         return last
     more, promised = appearing(directions, result.jac, result.fun, parameters, sigma0)
     surprise = SURPRISE * more.shape[1]
     # What they explain no longer counts as noise.
-    rest = 2.0 * result.cost - promised
-    if promised * last.dof <= surprise * rest:
+    if promised * last.dof <= surprise * (2.0 * result.cost - promised):
         return last
     robot = np.column_stack([directions.robot, more])
     directions = replace(directions, robot=robot, revealed=more.shape[1])
     # Here Gauss-Newton tells what there is to gain, whatever the solver.
     found = descend(problem, directions, result.x).after(result)
-    fitted = _judged(problem, last.before, last.structure, directions, found)
+    fitted = _judged(last, directions, found)
     gain = 2.0 * (result.cost - found.cost)
     return fitted if gain > surprise * fitted.sigma0**2 else last
 
@@ -777,13 +771,14 @@ def expected_errors(fitted: Fit) -> Evidence:
     )
 
 
-VISIBLE = 1e-9
-"""Part of the largest singular value below which measurements do not see an error."""
-
-
 @dataclass(frozen=True)
 class RobotRows:
     """Equations `W theta = c` for the errors of a robot, with noise of deviation one.
+
+    It is the likelihood of the robot alone: priors are left out, frames and instrument
+    projected out. Measurements that repeat a configuration, and effects of gears and
+    compliance that the model lacks, have errors in common and tell less than as many
+    independent ones.
 
     Attributes:
         robot: The parameters that are errors of the robot and free, shape (P,), K of
@@ -810,53 +805,26 @@ def robot_rows(
         theta: Parameter values near its solution, shape (P,); linearized there.
         components: The noise of every quantity.
     """
-    parameters = problem.parameters
+    parameters, layout = problem.parameters, problem.layout
     robot = parameters.free & ~parameters.nuisance
     fun, jac = problem.linearize_rows(theta)
     # Priors are the last rows.
-    count = len(fun) - len(problem.further.priors)
+    count, measured = len(fun) - len(problem.further.priors), len(layout.row)
     A = jac[:count] * parameters.scales
     system = projected(np.column_stack([A[:, robot], fun[:count]]), A, parameters)
     U, s, Vt = np.linalg.svd(system[:, :-1], full_matrices=False)
     shown = s > VISIBLE * s.max(initial=0.0)
     U, rows = U[:, shown], s[shown, None] * Vt[shown]
     values = rows @ (theta / parameters.scales)[robot] - U.T @ system[:, -1]
-    basis = np.zeros((len(parameters), len(values)))
-    basis[robot] = Vt[shown].T
-    half = np.linalg.cholesky(_noise(problem, theta, components, basis, U))
-    of_values = U[: len(problem.layout.row)].T
-    whitened = (np.linalg.solve(half, part) for part in (rows, values, of_values))
-    return RobotRows(robot, *whitened)
-
-
-def _noise(
-    problem: Problem,
-    theta: Floats,
-    components: Sequence[VarianceComponent],
-    basis: Floats,
-    U: Floats,
-) -> Floats:
-    """Covariance of the errors of whitened residual rows along columns, (r, r).
-
-    Args:
-        problem: The problem.
-        theta: Parameter values, shape (P,).
-        components: The noise of every quantity.
-        basis: Directions of the robot that the rows see, shape (P, r).
-        U: Orthonormal columns of the rows, shape (M, r).
-    """
-    layout, parameters = problem.layout, problem.parameters
-    nuisances = np.eye(len(parameters))[:, parameters.free & parameters.nuisance]
-    effects = systematic(problem, theta, Directions(nuisances, basis, basis[:, :0]))
-    count = len(layout.row)
-    variances = np.ones(len(layout.components)) if effects is None else effects.noise
-    shared = shared_variances(problem, components, variances)
-    of_row = np.ones(len(U))
-    of_row[:count] = (variances - shared)[layout.component]
-    Q = (U.T * of_row) @ U
-    if shared.any():
-        Q += by_configuration(problem, U, shared)
+    unit = np.eye(len(parameters))
+    nuisances, basis = unit[:, parameters.free & parameters.nuisance], unit[:, robot]
+    seen = basis @ Vt[shown].T
+    effects = systematic(problem, theta, Directions(nuisances, seen, seen[:, :0]))
+    noise = np.ones(len(layout.components)) if effects is None else effects.noise
+    Q = noise_along(problem, U, noise, shared_variances(problem, components, noise))
     if effects is not None:
-        X = U[:count].T @ effects.rows(problem, theta)
+        X = U[:measured].T @ effects.rows(problem, theta)
         Q += X @ X.T
-    return np.asarray(Q)
+    half = np.linalg.cholesky(Q)
+    whitened = (np.linalg.solve(half, part) for part in (rows, values, U[:measured].T))
+    return RobotRows(robot, *whitened)

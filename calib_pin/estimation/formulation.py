@@ -1,6 +1,4 @@
-"""Parts of a setup that are left to the conditions of the measurements.
-The problem that a setup and measurements amount to, and variants of the setup.
-"""
+"""The problem that a setup and measurements amount to, and variants of the setup."""
 
 from __future__ import annotations
 
@@ -61,18 +59,20 @@ def require_conditions(
     Raises:
         InputError: If there are such.
     """
-    names = setup.parameters
-    if of_robot:
-        names = tuple(name for name in names if name in outside_urdf())
+    names = [n for n in setup.parameters if not of_robot or n in outside_urdf()]
     for condition, name in needed_conditions(names).items():
+        column = condition
         if condition == "direction":
-            continue  # Where it is not known a joint stands in the middle.
+            # Where it is known of none; else a joint may stand in the middle.
+            column = f"{data.joints[0]}.direction"
+            if of_robot or data.conditions.direction.size:
+                continue
         reason = f"the parameters '{name}' need the {condition} of every measurement"
         reason += ", and here it is not stated"
-        other = f"a column '{condition}', or parameters without '{name}'"
+        other = f"a column '{column}', or parameters without '{name}'"
         for block in data.blocks:
             if len(block) and not len(getattr(block.conditions, condition)):
-                raise block.error(0, reason, column=condition, allowed=other)
+                raise block.error(0, reason, column=column, allowed=other)
 
 
 def at_conditions(chains: Chains, data: Observations, setup: Setup) -> Setup:
@@ -129,7 +129,6 @@ def make_problem(
     chains, (data,) = fitting(chains, setup, Observations.of(data))
     _require_payloads(data, setup)
     require_conditions(data, setup)
-    _require_directions(data, setup)
     setup = at_conditions(chains, data, setup)
     targets = {block.key: block.target.distinct for block in data.blocks}
     terms, given = make_terms(chains, targets, setup)
@@ -200,23 +199,21 @@ def require_known(
     for known in setup.known:
         lost = [name for name in known.between if name not in every]
         ends = [places[name] for name in known.between if name in places]
-        frames = {frame for _, frame in ends}
+        frames = sorted({frame for _, frame in ends})
         flat = all(isinstance(reference, Plane) for reference, _ in ends)
+        why = "is about planes alone" if known.unit == "rad" and not flat else ""
+        if len(frames) > 1:
+            why = f"is about two frames: {' and '.join(frames)}"
         if lost:
-            why = f"names '{lost[0]}', which no measurement does"
-            why += nearest(lost[0], every)
-        elif len(frames) > 1:
-            why = f"is about two frames: {' and '.join(sorted(frames))}"
-        elif known.unit == "rad" and not flat:
-            why = "is about planes alone"
-        else:
-            continue
-        raise OptionError(
-            f"'{known.key}' {why}",
-            file=setup.file or None,
-            value=list(known.between),
-            allowed=", ".join(sorted(filter(None, every))) or None,
-        )
+            hint = nearest(lost[0], every)
+            why = f"names '{lost[0]}', which no measurement does{hint}"
+        if why:
+            raise OptionError(
+                f"'{known.key}' {why}",
+                file=setup.file or None,
+                value=list(known.between),
+                allowed=", ".join(sorted(filter(None, every))) or None,
+            )
 
 
 def make_terms(
@@ -322,10 +319,13 @@ def nominal_problem(
     chains = Chains.of(chains, setup)
     keys = [BlockKey(measured)] if isinstance(measured, str) else measured
     named = keys if isinstance(keys, Mapping) else dict.fromkeys(keys, ())
-    payloads = tuple(setup.payloads) or ("",)
+    payloads, needed = (
+        tuple(setup.payloads) or ("",),
+        needed_conditions(setup.parameters),
+    )
     # Rows that no one has measured have the conditions of the reference.
-    stated, needed = setup.thermal.reference, needed_conditions(setup.parameters)
-    reference, none = REFERENCE if stated is None else stated, np.zeros(0)
+    stated = setup.thermal.reference
+    reference = REFERENCE if stated is None else stated
     blocks = []
     for key, names in named.items():
         model = measurement_model(key.model, setup, names)
@@ -335,19 +335,21 @@ def nominal_problem(
             )
         targets = tuple(names or model.targets) or ("",)
         count = len(targets) * len(payloads)
-        zeros = np.zeros((count, len(chains.joints)))
-        values = np.zeros((count, model.width))
+        zeros, values = (
+            np.zeros((count, len(chains.joints))),
+            np.zeros((count, model.width)),
+        )
         values[:, -1:] = model.declaration.oriented  # The quaternion of no rotation.
         held = replace(
             UNSTATED,
-            temperature=np.full(count, reference) if "temperature" in needed else none,
-            time=np.zeros(count) if "time" in needed else none,
+            temperature=np.full(count * ("temperature" in needed), reference),
+            time=np.zeros(count * ("time" in needed)),
             payload=Labels.of([name for name in payloads for _ in targets]),
             direction=zeros.astype(np.int8),
         )
         block = Measurements(
-            joints=chains.joints,
-            q=zeros,
+            chains.joints,
+            zeros,
             values=values,
             target=Labels.of(targets * len(payloads)),
             conditions=held,
@@ -428,22 +430,6 @@ def _require_payloads(data: Observations, setup: Setup) -> None:
             reason = "there are several payloads, and the row names none"
         row = int(np.argmax(data.payload.where(name)))
         raise data.error(row, reason, column="payload", allowed=", ".join(known))
-
-
-def _require_directions(data: Observations, setup: Setup) -> None:
-    """Refuse measurements that do not tell from where joints came, if that matters.
-
-    Raises:
-        InputError: If none of them does.
-    """
-    held = data.conditions.direction
-    if "direction" in needed_conditions(setup.parameters) and not held.size:
-        raise data.error(
-            0,
-            "nothing tells from which side the joints came, which 'hysteresis' needs",
-            column=f"{data.joints[0]}.direction",
-            allowed="absolute measurements in the order of measuring, or such columns",
-        )
 
 
 def geometric_setup(chains: Robots, measurements: Observations, setup: Setup) -> Setup:

@@ -1,4 +1,4 @@
-"""Which error parameters can be known: ranks, coupled groups, observability.
+"""Which error parameters can be known, and how people call them.
 
 Everything here works on identification Jacobians whose columns are multiplied by the
 scale of their parameter. Columns are never divided by their norm: a column that is
@@ -8,8 +8,6 @@ Two ranks are kept apart. The *structural* rank belongs to the robot and the way
 measured: the Jacobian at zero errors over many random configurations, decided near
 machine precision. The *practical* rank belongs to these measurements: a direction
 counts if its posterior standard deviation is below `WEAK` times its scale.
-
-Error parameters in the directions that people think in.
 
 A person does not think of an error of a joint along x of its frame, but of the zero of
 the joint, of the length and twist of the link before it, of the offset along its axis
@@ -21,9 +19,10 @@ common normal of its axis and the one before, along the axis, and across both.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -259,8 +258,7 @@ NEAR = 1e-4
 """Distance below which two lines count as one [m]."""
 
 
-@dataclass(frozen=True)
-class Label:
+class Label(NamedTuple):
     """An error as a person names it.
 
     Attributes:
@@ -290,34 +288,30 @@ class Columns:
     order: tuple[int, ...]
 
 
-@dataclass(frozen=True)
-class _Place:
+class _Place(NamedTuple):
     """A joint between its axis and the one before, in its own frame.
 
     Attributes:
         joint: Its name; empty for the tip.
-        revolute: Whether it turns.
         axis: Its axis, shape (3,); None for the tip.
         before: Name of the joint before; empty for the first.
-        turned_before: Whether that one turns.
-        line: Point and direction of the axis before.
+        origin: A point of the axis before, shape (3,).
+        along: Direction of that, shape (3,).
         link: Link between both.
     """
 
     joint: str
-    revolute: bool
     axis: Floats | None
     before: str
-    turned_before: bool
-    line: tuple[Floats, Floats]
+    origin: Floats
+    along: Floats
     link: str
 
     def directions(self, axis: Floats) -> tuple[Floats, Floats, Floats]:
         """Common normal, direction across it, and axis; a right-handed frame."""
-        point, other = self.line
         # From the axis before to the own one, which passes through the origin.
-        apart = -point if self.axis is not None else point
-        normal = skew(other) @ (self.axis if self.axis is not None else axis)
+        apart = self.origin if self.axis is None else -self.origin
+        normal = skew(self.along) @ (axis if self.axis is None else self.axis)
         if np.linalg.norm(normal) < PARALLEL:
             normal = apart - (apart @ axis) * axis
             if np.linalg.norm(normal) < NEAR:
@@ -342,7 +336,10 @@ def geometric_columns(system: Terms, parameters: ParameterSet) -> Columns:
     ranked = dict[int, tuple[int, int]]()
     for term in system.terms.values():
         chain = term.error.chain
-        places = _places(chain)
+        places, turns = (
+            _places(chain),
+            dict(zip(chain.joints, chain.revolute, strict=True)),
+        )
         together = defaultdict[tuple[int, str], list[tuple[int, Screw]]](list)
         inner = slice(FRAME, len(term.error.screws) - FRAME)
         for position, screw in zip(
@@ -352,15 +349,16 @@ def geometric_columns(system: Terms, parameters: ParameterSet) -> Columns:
             own = parameters[position]
             if own.free and not own.nuisance and position not in labels:
                 together[screw.frame, stem].append((position, screw))
-                labels[position] = Label(*_beyond(screw))
+                labels[position] = _beyond(screw)
         for (frame, _), entries in together.items():
+            place = places[frame - 1]
             geometric = [(k, s) for k, s in entries if s.basis is None]
             positions = [k for k, _ in geometric]
             twists = np.array([s.twist for _, s in geometric]).reshape(-1, 6)
-            block = _aligned(twists, parameters.scales[positions], places[frame - 1])
+            block = _aligned(twists, parameters.scales[positions], place)
             turned[np.ix_(positions, positions)] = block
             for k, twist in zip(positions, block.T @ twists, strict=True):
-                labels[k] = _named(twist, places[frame - 1])
+                labels[k] = _named(twist, place, turns)
             for k, _ in entries:
                 ranked.setdefault(k, (_urgency(labels[k].kind), len(ranked)))
     return Columns(turned, labels, tuple(sorted(ranked, key=ranked.__getitem__)))
@@ -371,29 +369,27 @@ def _urgency(kind: str) -> int:
     return max((*KINDS, kind).index(kind) - KINDS.index("link twist"), 0)
 
 
-def _beyond(screw: Screw) -> tuple[str, str]:
-    """Kind and owner of a joint correction, by its name."""
+def _beyond(screw: Screw) -> Label:
+    """A joint correction, by its name."""
     owner, kind, component = screw.parameter.name.rsplit(".", 2)
     joint = owner.removeprefix("joint:")
     if kind == "hysteresis":
-        return component, joint  # Its component says what it is.
-    return kind, f"{joint} {component}"
+        return Label(component, joint)  # Its component says what it is.
+    return Label(kind, f"{joint} {component}")
 
 
-def _places(chain: Chain) -> Sequence[_Place]:
+def _places(chain: Chain) -> list[_Place]:
     """The joints of a chain and, last, its tip."""
     zero = np.zeros((1, len(chain.joints)))
     frames = [np.eye(4), *chain.joint_frames(), chain.poses(zero)[0]]
-    axes = [np.array([0.0, 0.0, 1.0]), *chain.axes, None]
-    joints = "", *chain.joints, ""
-    revolute = False, *map(bool, chain.revolute), False
+    axes, joints = [np.array([0.0, 0.0, 1.0]), *chain.axes], ["", *chain.joints]
     links = [chain.base, *(_moved_link(chain, joint) for joint in chain.joints)]
+    ends = zip([*joints[1:], ""], [*axes[1:], None], strict=True)
     found = []
-    for k in range(1, len(frames)):
-        before = invert(frames[k]) @ frames[k - 1]
-        line = before[:3, 3], before[:3, :3] @ axes[k - 1]
-        here = joints[k], revolute[k], axes[k]
-        found.append(_Place(*here, joints[k - 1], revolute[k - 1], line, links[k - 1]))
+    for k, (joint, axis) in enumerate(ends):
+        before = invert(frames[k + 1]) @ frames[k]
+        line = before[:3, 3], before[:3, :3] @ axes[k]
+        found.append(_Place(joint, axis, joints[k], *line, links[k]))
     return found
 
 
@@ -419,7 +415,7 @@ def _aligned(twists: Floats, scales: Floats, place: _Place) -> Floats:
     moments = np.linalg.norm(twists[turns, :3], axis=1).max(initial=0.0)
     # Rotations about the frame before are errors of the link behind its axis.
     if axis is None or (len(turns) == 3 and moments > NEAR):
-        axis = place.line[1]
+        axis = place.along
     towards = np.array(place.directions(axis)).T
     for rows, own in ((shifts, slice(0, 3)), (turns, slice(3, 6))):
         given = twists[rows, own]
@@ -429,33 +425,34 @@ def _aligned(twists: Floats, scales: Floats, place: _Place) -> Floats:
     return result
 
 
-def _named(twist: Floats, place: _Place) -> Label:
-    """The kind of an error by its screw, in the frame of the joint."""
+def _named(twist: Floats, place: _Place, turns: Mapping[str, bool]) -> Label:
+    """The kind of an error by its screw, in the frame of the joint.
+
+    Args:
+        twist: The screw, shape (6,).
+        place: The joint.
+        turns: Whether each joint of the chain turns.
+    """
     shift, turn = twist[:3], twist[3:]
     turning = bool(np.linalg.norm(turn) > 1e-9)
     direction = turn if turning else shift
     direction = direction / np.linalg.norm(direction)
     point = skew(turn) @ shift / (turn @ turn) if turning else np.zeros(3)
-    origin, other = place.line
-    own = place.axis is not None and _along(direction, place.axis)
-    axial = "axis tilt" if turning else "link offset"
-    if own and (not turning or _distance(point, direction) < NEAR):
-        free = turning == place.revolute
-        return Label("joint offset" if free else axial, place.joint)
-    through = not turning or _distance(point - origin, direction) < NEAR
-    if place.before and through and _along(direction, other):
-        free = turning == place.turned_before
-        return Label("joint offset" if free else axial, place.before)
-    joint = place.joint or "tip"
-    normal = place.directions(other if place.axis is None else place.axis)[0]
-    if place.before and _along(direction, normal):
+
+    def along(other: Floats) -> bool:
+        return bool(abs(direction @ other) > 1.0 - 1e-4)
+
+    for joint, axis, origin in (
+        (place.joint, place.axis, np.zeros(3)),
+        (place.before, place.along, place.origin),
+    ):
+        off = point - origin
+        through = np.linalg.norm(off - (off @ direction) * direction) < NEAR
+        if joint and axis is not None and along(axis) and (through or not turning):
+            free = turning == turns[joint]
+            axial = "axis tilt" if turning else "link offset"
+            return Label("joint offset" if free else axial, joint)
+    normal = place.directions(place.along if place.axis is None else place.axis)[0]
+    if place.before and along(normal):
         return Label("link twist" if turning else "link length", place.link)
-    return Label("axis tilt" if turning else "axis shift", joint)
-
-
-def _along(direction: Floats, other: Floats) -> bool:
-    return bool(abs(direction @ other) > 1.0 - 1e-4)
-
-
-def _distance(point: Floats, direction: Floats) -> float:
-    return float(np.linalg.norm(point - (point @ direction) * direction))
+    return Label("axis tilt" if turning else "axis shift", place.joint or "tip")

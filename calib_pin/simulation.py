@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, require_known
-from calib_pin.estimation.configurations import (
+from calib_pin.estimation.nominal import (
     asked,
     brought_to_contact,
     named_targets,

@@ -39,9 +39,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.estimation.directions import (
+from calib_pin.estimation.evidence import Outlier, VarianceComponent
+from calib_pin.estimation.identifiability import (
     RANK,
     Directions,
+    Structure,
     appearing,
     half_covariance,
     nuisance_basis,
@@ -51,9 +53,6 @@ from calib_pin.estimation.directions import (
     rounding,
     visible_directions,
 )
-from calib_pin.estimation.evaluators import own_deviations, with_response
-from calib_pin.estimation.evidence import Outlier, VarianceComponent
-from calib_pin.estimation.identifiability import Structure
 from calib_pin.estimation.nominal import analyze_structure, register
 from calib_pin.estimation.problem import (
     EXACT,
@@ -61,21 +60,21 @@ from calib_pin.estimation.problem import (
     absorbed,
     current_units,
     known_count,
+    own_deviations,
+    with_response,
 )
 from calib_pin.estimation.row_blocks import Priors, expected_places
 from calib_pin.estimation.solve import Solution, Solver, descend, least_squares, refine
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
-from calib_pin.estimation.statistics.restricted_likelihood import (
-    KNOWN,
-    Block,
-    Components,
-    estimate_variances,
-)
 from calib_pin.estimation.statistics.variance_components import (
+    KNOWN,
     REJECTED,
     ROWS,
+    Block,
+    Components,
     Systematic,
     by_quantity,
+    estimate_variances,
     repetitions,
     sampled,
     systematic,

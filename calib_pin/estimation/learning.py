@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError, require_known
-from calib_pin.estimation.directions import visible_nuisances
 from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.identifiability import visible_nuisances
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.terms import Term, Terms
 from calib_pin.kinematics.spatial import Floats

@@ -31,8 +31,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled import blocks as compiled
 from calib_pin.compiled import kernels, link_kernels, row_kernels
 from calib_pin.compiled.threads import Threads
-from calib_pin.estimation.evaluators import compilable
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, compilable
 from calib_pin.estimation.terms import Block, kept
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Batch, BatchedModel

@@ -51,9 +51,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import CalibPinError, require_known
-from calib_pin.estimation.directions import inverse_root
 from calib_pin.estimation.evidence import Outlier
 from calib_pin.estimation.fitted import Fit, RobustDecision, balanced
+from calib_pin.estimation.identifiability import inverse_root
 from calib_pin.estimation.problem import (
     EXACT,
     SAMPLE,

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
-from calib_pin.estimation.directions import inverse_root
+from calib_pin.estimation.identifiability import inverse_root
 from calib_pin.estimation.terms import FRAME, Terms
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, skew

@@ -13,9 +13,14 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from calib_pin.errors import require_known, stated_in
-from calib_pin.estimation.directions import Directions
-from calib_pin.estimation.evaluators import completed
-from calib_pin.estimation.problem import SAMPLE, Problem, evaluator, known_count
+from calib_pin.estimation.identifiability import Directions
+from calib_pin.estimation.problem import (
+    SAMPLE,
+    Problem,
+    completed,
+    evaluator,
+    known_count,
+)
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import states_sigmas
 from calib_pin.progress import Progress

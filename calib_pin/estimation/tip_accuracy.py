@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.directions import visible_nuisances
 from calib_pin.estimation.evidence import ByCount, PoseErrors, TipAccuracy, rms
 from calib_pin.estimation.fitted import Fit, posterior_about
+from calib_pin.estimation.identifiability import visible_nuisances
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 

@@ -9,20 +9,19 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import InputError, OptionError
-from calib_pin.estimation.configurations import asked
-from calib_pin.estimation.directions import (
-    WEAK,
-    Directions,
-    visible_directions,
-    visible_nuisances,
-)
 from calib_pin.estimation.formulation import (
     make_problem,
     nominal_problem,
     require_known,
 )
-from calib_pin.estimation.identifiability import Structure
-from calib_pin.estimation.nominal import register, structure_at
+from calib_pin.estimation.identifiability import (
+    WEAK,
+    Directions,
+    Structure,
+    visible_directions,
+    visible_nuisances,
+)
+from calib_pin.estimation.nominal import asked, register, structure_at
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import InputError, OptionError, RobotError, nearest
-from calib_pin.estimation.configurations import lacking_frames
+from calib_pin.estimation.nominal import lacking_frames
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.joint_space import quasi_random

@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 
 import calib_pin
-from calib_pin.estimation.directions import visible_directions
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.identifiability import visible_directions
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.collision import load_collisions

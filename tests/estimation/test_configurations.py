@@ -12,13 +12,13 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
-from calib_pin.estimation.configurations import (
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.nominal import (
     TOUCHING,
     asked,
     brought_to_contact,
     observable_configurations,
 )
-from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -106,8 +106,8 @@ def test_places_out_of_reach(
     refused: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of two sockets the other has all rows; one alone is refused."""
-    monkeypatch.setattr("calib_pin.estimation.configurations.DRAWS", 30)
-    monkeypatch.setattr("calib_pin.estimation.configurations.PATIENCE", 5)
+    monkeypatch.setattr("calib_pin.estimation.nominal.DRAWS", 30)
+    monkeypatch.setattr("calib_pin.estimation.nominal.PATIENCE", 5)
     sockets = {"near": SETUP.sockets["s/0"], "far": PointSetup((5.0, 0.0, 0.0))}
     problem = problem_of("fixed-point", Setup(sockets=sockets, tool_frame=TOOL))
     at = drawn(problem, zero(problem), 6)
@@ -142,7 +142,7 @@ def test_frames_that_a_setup_leaves_out_are_asked_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A camera with an image of one pixel sees nothing."""
-    monkeypatch.setattr("calib_pin.estimation.configurations.DRAWS", 3)
+    monkeypatch.setattr("calib_pin.estimation.nominal.DRAWS", 3)
     camera = CameraSetup("world", (900.0, 900.0), (640.0, 480.0), size=(1.0, 1.0))
     setup = Setup(camera=camera, targets={"m": PointSetup((0.0, 0.0, 0.0))})
     ahead = FrameSetup((0.0, 0.0, 9.0))

@@ -11,9 +11,12 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import OptionError
-from calib_pin.estimation.configurations import observable_configurations
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import jacobian_at, scale_deviation
+from calib_pin.estimation.nominal import (
+    jacobian_at,
+    observable_configurations,
+    scale_deviation,
+)
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,

@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from calib_pin.compiled.blocks import BLOCK
-from calib_pin.estimation.evaluators import RowByRow
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.many_rows import PopulationCost
-from calib_pin.estimation.problem import Problem, reweighted
+from calib_pin.estimation.problem import Problem, RowByRow, reweighted
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -205,7 +204,7 @@ def test_very_many_measurements_that_bend_go_piece_by_piece(
     """Of the same residuals and normal equations, in the memory of one piece."""
     piece = 64
     count = 2 * piece + 11
-    monkeypatch.setattr("calib_pin.estimation.evaluators.PIECE", piece)
+    monkeypatch.setattr("calib_pin.estimation.problem.PIECE", piece)
     stated = {"payloads": LOAD, "prior": PRIOR}
     plain = measured(load_chain("space6"), model, BENDING, count, **stated)
     theta = 0.1 * members(plain, 2)[0]

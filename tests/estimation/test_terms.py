@@ -11,10 +11,10 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
-from calib_pin.estimation.configurations import asked, named_targets
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.many_rows import PopulationCost
+from calib_pin.estimation.nominal import asked, named_targets
 from calib_pin.estimation.problem import Problem, known_count, measured_count
 from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.spatial import Floats

@@ -10,9 +10,9 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import OptionError
-from calib_pin.estimation.configurations import asked
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.identifiability import observability
+from calib_pin.estimation.nominal import asked
 from calib_pin.estimation.problem import Problem, sigma_at
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats

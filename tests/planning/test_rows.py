@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.configurations import asked, observable_configurations
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.nominal import asked, observable_configurations
 from calib_pin.estimation.problem import Problem, sigma_at
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains

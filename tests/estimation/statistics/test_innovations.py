@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib_pin.estimation.statistics.innovations import (
+from calib_pin.estimation.statistics.population_prior import (
     Cause,
     Explanation,
     Sparse,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib_pin.estimation.statistics.restricted_likelihood import (
+from calib_pin.estimation.statistics.variance_components import (
     KNOWN,
     Block,
     Components,

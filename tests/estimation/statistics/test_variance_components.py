@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.directions import half_covariance
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit, balanced, bounded
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.identifiability import half_covariance
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.solve import Solver
 from calib_pin.kinematics.spatial import Floats

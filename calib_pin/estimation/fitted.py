@@ -42,9 +42,10 @@ from numpy.typing import NDArray
 from calib_pin.estimation.evidence import Outlier, VarianceComponent
 from calib_pin.estimation.identifiability import (
     RANK,
+    WEAK,
     Directions,
     Structure,
-    appearing,
+    column_space,
     half_covariance,
     nuisance_basis,
     practical_directions,
@@ -639,14 +640,26 @@ def _judged(last: Fit, directions: Directions, result: Solution) -> Fit:
 def _extended(last: Fit) -> Fit:
     """A fit that moves directions which the errors have made visible, if worthwhile.
 
-    With noise, errors of their expected size explain nothing, and the robot stays
-    within the directions of its nominal geometry.
+    Special geometry hides them at nominal: parallel or intersecting axes. Away from it
+    they show, the more the larger the errors are. With noise, errors of their expected
+    size explain nothing, and the robot stays within its nominal directions.
     """
     problem, directions, result = last.problem, last.directions, last.result
-    parameters, sigma0 = problem.parameters, last.sigma0
-    if not np.isfinite(sigma0):
+    parameters = problem.parameters
+    if not np.isfinite(last.sigma0):
         return last
-    more, promised = appearing(directions, result.jac, result.fun, parameters, sigma0)
+    robot = np.eye(len(parameters))[:, parameters.free & ~parameters.nuisance]
+    known = np.column_stack([directions.robot, directions.weak])
+    hidden = column_space(robot - known @ (known.T @ robot))
+    A = result.jac * parameters.scales
+    moved, columns = column_space(A @ directions.basis), A @ hidden
+    rest = columns - moved @ (moved.T @ columns)
+    U, s, Vt = np.linalg.svd(rest, full_matrices=False)
+    shown = s * WEAK > last.sigma0
+    more = hidden @ Vt[shown].T
+    # Rounding must not move, by 1e-20, parameters that nothing moves.
+    more[np.abs(more) < 1e-13] = 0.0
+    promised = float(np.sum((U[:, shown].T @ result.fun) ** 2))
     surprise = SURPRISE * more.shape[1]
     # What they explain no longer counts as noise.
     if promised * last.dof <= surprise * (2.0 * result.cost - promised):

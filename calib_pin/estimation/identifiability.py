@@ -611,44 +611,6 @@ def practical_directions(
     return Directions(nuisance, robot @ Vt[:kept].T, robot @ Vt[kept:].T)
 
 
-def appearing(
-    directions: Directions,
-    J: Floats,
-    r: Floats,
-    parameters: ParameterSet,
-    sigma0: float,
-) -> tuple[Floats, float]:
-    """Robot directions that the errors themselves have made visible.
-
-    Special geometry hides them at nominal: parallel or intersecting axes. Away from it
-    they show, the more the larger the errors are.
-
-    Args:
-        directions: Directions that the fit moved, and those held at nominal.
-        J: Whitened Jacobian at its solution, shape (M, P).
-        r: Whitened residual there, shape (M,).
-        parameters: The parameters.
-        sigma0: Standard deviation of unit weight of the fit.
-
-    Returns:
-        Directions that these measurements can estimate beside those, shape (P, k), and
-        the part of the sum of squares that they explain to first order.
-    """
-    robot = np.eye(len(parameters))[:, parameters.free & ~parameters.nuisance]
-    known = np.column_stack([directions.robot, directions.weak])
-    hidden = column_space(robot - known @ (known.T @ robot))
-    A = J * parameters.scales
-    moved = column_space(A @ directions.basis)
-    columns = A @ hidden
-    projected = columns - moved @ (moved.T @ columns)
-    U, s, Vt = np.linalg.svd(projected, full_matrices=False)
-    shown = s * WEAK > sigma0
-    result = hidden @ Vt[shown].T
-    # Rounding must not move, by 1e-20, parameters that nothing moves.
-    result[np.abs(result) < 1e-13] = 0.0
-    return result, float(np.sum((U[:, shown].T @ r) ** 2))
-
-
 def half_covariance(J: Floats, basis: Floats, parameters: ParameterSet) -> Floats:
     """Factor H of the covariance `H H^T` of least squares at unit weight.
 

@@ -30,7 +30,7 @@ from calib_pin.estimation.problem import (
 )
 from calib_pin.estimation.registration import registered
 from calib_pin.estimation.solve import Solution, least_squares
-from calib_pin.estimation.terms import ToolPoses, linearized_at
+from calib_pin.estimation.terms import ToolPoses
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.observations import (
     UNSTATED,
@@ -464,7 +464,7 @@ def brought_to_contact(
     for _ in range(NEWTON):
         names, held = at.target[left], at.conditions.rows(left)
         T, J_q = term.error.kinematics(q[left], robot, held)
-        linear = linearized_at(chain, term.measurement, T, instrument, q[left], names)
+        linear = term.linearized(T, instrument, q[left], names)
         short = -linear.residual if gap is None else gap[left] - linear.residual
         size = np.abs(short).max(axis=1)
         touches[left[size < TOUCHING]] = True

@@ -61,6 +61,7 @@ from calib_pin.estimation.problem import (
     current_units,
     known_values,
     measured_count,
+    numbered,
     reweighted,
 )
 from calib_pin.estimation.registration import registered
@@ -243,7 +244,7 @@ class Studentized:
         self.whole = np.zeros(int(self.labels.max(initial=-1)) + 1, np.int64)
         self.whole[self.labels] = problem.data.groups()
         width, row = len(self.layout.components), self.layout.row
-        cells, place = _numbered(self.labels[row] * width + self.layout.component)
+        cells, place = numbered(self.labels[row] * width + self.layout.component)
         self.configuration, self.quantity = cells // width, cells % width
         with np.errstate(over="ignore"):
             self.components = np.where(np.isfinite(r), r**2, np.inf)
@@ -384,16 +385,6 @@ def spectrum(B: Floats) -> tuple[Floats, Floats]:
         return U, eigenvalues
     U, s, _ = np.linalg.svd(B, full_matrices=False)
     return U, s**2
-
-
-def _numbered(values: Indices) -> tuple[Indices, Indices]:
-    """Distinct values, ascending, and which of them each one is, (M,) -> (C,), (M,)."""
-    largest = int(values.max(initial=-1))
-    if largest > 8 * len(values):  # Where most are in use, sorting takes longer.
-        return np.unique(values, return_inverse=True)
-    used = np.zeros(largest + 1, bool)
-    used[values] = True
-    return np.flatnonzero(used), (np.cumsum(used) - 1)[values]
 
 
 def _quantiles(counts: Floats, tail: float) -> Floats:

@@ -23,7 +23,6 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
-from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.measurement_models import Linearization, MeasurementModel, declared
@@ -187,30 +186,6 @@ def kept(values: Floats, aside: NDArray[np.bool_]) -> Floats:
     return np.where(aside.reshape(*aside.shape, *[1] * (values.ndim - 2)), 0.0, values)
 
 
-def linearized_at(
-    chain: Chain,
-    measurement: MeasurementModel,
-    T: Floats,
-    instrument: Floats,
-    q: Floats,
-    target: Targets,
-) -> Linearization:
-    """Linearization of a measurement model where it measures what it predicts.
-
-    Args:
-        chain: The chain.
-        measurement: The measurement model.
-        T: Tool poses in the measurement frame, shape (N, 4, 4).
-        instrument: Instrument parameters, shape (K,).
-        q: Joint positions, shape (N, n) [rad, m].
-        target: Target of each measurement.
-    """
-    # Derivatives are those of residuals, so a model is told what was measured.
-    values, names = measurement.predict(T, instrument, target), Labels.of(target)
-    data = Measurements(chain.joints, q, measurement.name, values, target=names)
-    return measurement.linearize(T, instrument, data)
-
-
 @dataclass(frozen=True)
 class Term:
     """Measurements of one instrument from one station of one chain with one tool.
@@ -300,6 +275,23 @@ class Term:
         """
         return ToolPoses(self.error, at)(self.values(theta)[0])
 
+    def linearized(
+        self, T: Floats, instrument: Floats, q: Floats, target: Targets
+    ) -> Linearization:
+        """Linearization of the measurement model where it measures what it predicts.
+
+        Args:
+            T: Tool poses in the measurement frame, shape (N, 4, 4).
+            instrument: Instrument parameters, shape (K,).
+            q: Joint positions of its chain, shape (N, n) [rad, m].
+            target: Target of each measurement.
+        """
+        # Derivatives are those of residuals, so a model is told what was measured.
+        model, joints = self.measurement, self.error.chain.joints
+        values, names = model.predict(T, instrument, target), Labels.of(target)
+        data = Measurements(joints, q, model.name, values, target=names)
+        return model.linearize(T, instrument, data)
+
     def jacobian(self, theta: Floats, at: Measurements, sigma: Floats) -> Floats:
         """Whitened Jacobian of noise-free measurements by its parameters, (N, d, p).
 
@@ -310,8 +302,7 @@ class Term:
         """
         of_robot, instrument = self.values(theta)
         tool = ToolPoses(self.error, at).linearize(of_robot)
-        chain, model = self.error.chain, self.measurement
-        linear = linearized_at(chain, model, tool.T, instrument, at.q, at.target)
+        linear = self.linearized(tool.T, instrument, at.q, at.target)
         return whitened_jacobian(tool, linear, sigma)
 
     def rebased(self, theta: Floats) -> Self:

@@ -71,6 +71,7 @@ from calib_pin.estimation.problem import (
     current_units,
     known_values,
     measured_count,
+    numbered,
     repeated,
     representative,
     with_response,
@@ -475,7 +476,7 @@ def repetitions(problem: Problem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         if not data.values.shape[1] or data.start.size:
             used[own] = False
     rows = np.flatnonzero(used)
-    return rows, np.unique(repeated(problem)[rows], return_inverse=True)[1]
+    return rows, numbered(repeated(problem)[rows])[1]
 
 
 # Gears and compliance.

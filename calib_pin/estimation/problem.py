@@ -285,7 +285,7 @@ class Problem(Terms):
     data: Observations
     setup: Setup = field(default_factory=Setup)
     units: Floats = field(default_factory=lambda: np.zeros(0))
-    _known: Shared | None = field(default=None, repr=False, compare=False)
+    _known: Shared = field(default=None, repr=False, compare=False)  # type: ignore
     held_at: Mapping[int, float] = field(default_factory=dict)
     expected: Priors | None = None
 
@@ -296,14 +296,9 @@ class Problem(Terms):
             object.__setattr__(self, "_known", known)
 
     @property
-    def _shared(self) -> Shared:
-        assert self._known is not None
-        return self._known
-
-    @property
     def layout(self) -> Layout:
         """Measurement and quantity of each residual component."""
-        return self._shared.layout
+        return self._known.layout
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
@@ -319,7 +314,7 @@ class Problem(Terms):
     @property
     def given_sigma(self) -> Floats:
         """Standard deviations that are stated or assumed, shape (M,)."""
-        return self._shared.given_sigma
+        return self._known.given_sigma
 
     @cached_property
     def sigma(self) -> Floats:
@@ -396,25 +391,39 @@ class Problem(Terms):
         Returns:
             Residual, shape (M,), and Jacobian, shape (M, P).
         """
-        found = self.factorize(theta)
+        pairs = zip(self.blocks, self.factorize(theta), strict=True)
+        parts = [(r, self.spread(block.term, J)) for block, (r, J) in pairs]
         if not self.own_of_stations:
-            return self._stacked(theta, found)
-        rows: dict[str, list[Rows]] = {}
-        for (term, *_), of_block in zip(self.blocks, found, strict=True):
-            rows.setdefault(term.frames.station, []).append((term.index, *of_block))
-        own = self.own_of_stations
-        done = [eliminate(own[station], those) for station, those in rows.items()]
+            return self._whole(theta, parts)
+        alone = np.concatenate([*self.own_of_stations.values()])
+        shared = np.setdiff1d(np.arange(len(theta)), alone)
+        rows: dict[str, list[tuple[Floats, Floats]]] = {}
+        for (term, *_), part in zip(self.blocks, parts, strict=True):
+            rows.setdefault(term.frames.station, []).append(part)
         self._eliminated.clear()
-        self._eliminated[theta.tobytes()] = [station for station, _ in done]
-        r, J = reduced([left for _, left in done], len(theta))
-        return self._with_further(theta, r, J)
+        stations, left = self._eliminated.setdefault(theta.tobytes(), []), []
+        for name, members in rows.items():
+            r, J = map(np.concatenate, zip(*members, strict=True))
+            station, rest = eliminate(self.own_of_stations[name], shared, r, J)
+            stations.append(station)
+            left.append(rest)
+        R, jac = np.concatenate(left), np.zeros((1, len(theta)))
+        if not np.isfinite(R).all():
+            return self._whole(theta, [(np.full(1, np.nan), jac)])
+        R = np.asarray(np.linalg.qr(R, mode="r"))
+        jac = np.zeros((len(R), len(theta)))
+        jac[:, shared] = R[:, :-1]
+        return self._whole(theta, [(R[:, -1], jac)])
 
     def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same with a row for every measured value, however many there are."""
         if not self.many:
             return self.linearize(theta)
-        rows = [RowByRow(b, self.sigma).factorize(theta) for b in self.blocks]
-        return self._stacked(theta, rows)
+        parts = []
+        for block in self.blocks:
+            r, J = RowByRow(block, self.sigma).factorize(theta)
+            parts.append((r, self.spread(block.term, J)))
+        return self._whole(theta, parts)
 
     def stations(self, theta: Floats) -> Sequence[Station]:
         """The parameters that were eliminated, where these were last linearized.
@@ -459,9 +468,9 @@ class Problem(Terms):
     def _evaluators(self) -> Sequence[Evaluator]:
         """Residuals and derivatives of every block."""
         given = self.sigma, self._large
-        pairs = zip_longest(self.blocks, self._shared.evaluators)
+        pairs = zip_longest(self.blocks, self._known.evaluators)
         found = [evaluator_of(block, *given, one) for block, one in pairs]
-        self._shared.evaluators = found
+        self._known.evaluators = found
         return found
 
     @cached_property
@@ -469,7 +478,7 @@ class Problem(Terms):
         return len(self.layout.row) * len(self.given) >= MANY
 
     @cached_property
-    def _eliminated(self) -> dict[bytes, Sequence[Station]]:
+    def _eliminated(self) -> dict[bytes, list[Station]]:
         """The last elimination, by the parameter values at which it was made."""
         return {}
 
@@ -484,24 +493,17 @@ class Problem(Terms):
         together = Priors.together(prior, parameters)
         return Priors(np.vstack([together.rows, own.rows]), together.mean)
 
-    def _stacked(
-        self, theta: Floats, found: Sequence[tuple[Floats, Floats]]
+    def _whole(
+        self, theta: Floats, parts: list[tuple[Floats, Floats]]
     ) -> tuple[Floats, Floats]:
-        """Residual and Jacobian by all parameters, block after block, and `further`."""
-        pairs = zip(self.blocks, found, strict=True)
-        r, J = zip(*((r, self.spread(b.term, J)) for b, (r, J) in pairs), strict=True)
-        if len(found) == 1:
-            return self._with_further(theta, r[0], J[0])
-        return self._with_further(theta, np.concatenate(r), np.concatenate(J))
-
-    def _with_further(
-        self, theta: Floats, r: Floats, J: Floats
-    ) -> tuple[Floats, Floats]:
-        """Residual and Jacobian with the further rows behind the measurements."""
-        if not len(self.further):
-            return r, J
-        residual, jacobian = self.further.residual(theta), self.further.jacobian(theta)
-        return np.concatenate([r, residual]), np.concatenate([J, jacobian])
+        """Residual and Jacobian by all parameters, part after part, and `further`."""
+        if len(self.further):
+            further = self.further.residual(theta), self.further.jacobian(theta)
+            parts = [*parts, further]
+        if len(parts) == 1:
+            return parts[0]
+        r, J = zip(*parts, strict=True)
+        return np.concatenate(r), np.concatenate(J)
 
 
 def current_units(problem: Problem) -> Floats:
@@ -657,9 +659,6 @@ Derivatives are by the block's own parameters, shape (p,). Where it `reduces`,
 `factorize` returns fewer rows than there are values.
 """
 
-Rows = tuple[NDArray[np.intp], Floats, Floats]
-"""Positions of parameters (p,), residual (M,) and Jacobian by these (M, p)."""
-
 
 class RowByRow:
     """Measurements of a block by Pinocchio, a residual row for each value.
@@ -767,7 +766,7 @@ class Station:
 
     Attributes:
         own: Their positions, shape (k,).
-        shared: Positions of the other parameters of its measurements, shape (m,).
+        shared: Positions of the parameters that no station has alone, shape (m,).
         root: Factor of their covariance by its own measurements, `A^+ = root U^T`, with
             U orthonormal, shape (k, rank).
         response: Their change with the others', `-A^+ B`, shape (k, m).
@@ -781,26 +780,28 @@ class Station:
     settled: Floats
 
 
-def eliminate(own: NDArray[np.intp], rows: Sequence[Rows]) -> tuple[Station, Rows]:
+def eliminate(
+    own: NDArray[np.intp], shared: NDArray[np.intp], r: Floats, J: Floats
+) -> tuple[Station, Floats]:
     """Eliminate the parameters of a station from the rows of its measurements.
 
     Args:
         own: Positions of its parameters, shape (k,).
-        rows: Its linearized measurements.
+        shared: Positions of those that no station has alone, shape (m,).
+        r: Whitened residual of its measurements, shape (M,).
+        J: Jacobian by all parameters, shape (M, P).
 
     Returns:
-        The station, and the rows that are left for the other parameters.
+        The station, and rows that are left for the shared ones, residual last.
     """
-    every, r, J = _stacked(rows)
-    is_own = np.isin(every, own)
-    A, B = J[:, is_own], J[:, ~is_own]
-    U, s, Vt = np.linalg.svd(A, full_matrices=False)
+    U, s, Vt = np.linalg.svd(J[:, own], full_matrices=False)
     kept = s > SINGULAR * s.max(initial=0.0)
     U, root = U[:, kept], Vt[kept].T / s[kept]
-    along, rest = U.T @ B, U.T @ r
-    shared = every[~is_own]
-    station = Station(every[is_own], shared, root, -root @ along, -root @ rest)
-    return station, (shared, r - U @ rest, B - U @ along)
+    rows = np.column_stack([J[:, shared], r])
+    along = U.T @ rows
+    change = -root @ along
+    station = Station(own, shared, root, change[:, :-1], change[:, -1])
+    return station, rows - U @ along
 
 
 def completed(stations: Sequence[Station], step: Floats) -> Floats:
@@ -833,34 +834,3 @@ def own_deviations(stations: Sequence[Station], count: int) -> Floats:
     for station in stations:
         result[station.own, : station.root.shape[1]] = station.root
     return result
-
-
-def reduced(rows: Sequence[Rows], count: int) -> tuple[Floats, Floats]:
-    """A residual and a Jacobian by all parameters with the same normal equations.
-
-    Args:
-        rows: Linearized measurements.
-        count: Number of parameters P.
-    """
-    every, r, columns = _stacked(rows)
-    if not (np.isfinite(r).all() and np.isfinite(columns).all()):
-        return np.full(1, np.nan), np.zeros((1, count))
-    R = np.asarray(np.linalg.qr(np.column_stack([columns, r]), mode="r"))
-    J = np.zeros((len(R), count))
-    J[:, every] = R[:, :-1]
-    return R[:, -1], J
-
-
-def _stacked(rows: Sequence[Rows]) -> Rows:
-    """Rows behind one another, by all parameters of any of them."""
-    if len(rows) == 1 and (np.diff(rows[0][0]) > 0).all():
-        return rows[0]
-    every = np.unique(np.concatenate([index for index, _, _ in rows]))
-    J = np.zeros((sum(len(r) for _, r, _ in rows), len(every)))
-    start = 0
-    for index, r, columns in rows:
-        # Several parameters of a term may be one.
-        at = np.searchsorted(every, index)
-        np.add.at(J[start : start + len(r)].T, at, columns.T)
-        start += len(r)
-    return every, np.concatenate([r for _, r, _ in rows]), J

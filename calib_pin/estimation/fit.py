@@ -7,7 +7,7 @@ The course of time, as the measurements tell it: a warm-up, a drift.
 
 The increments of an instrument that drifts (`parameterizations/drift`) are random
 effects beside the noise: all shifts have one unknown variance, all turns another. So
-are gears and compliance that the model lacks (`statistics/systematic`): where the robot
+are gears and compliance that the model lacks (`variance_components`): where the robot
 was measured along a path they are as smooth over the time as a drift. The fit of a
 still instrument gives the residuals; restricted maximum likelihood gives all variances,
 and the likelihood ratio says whether a drift is more than chance beside the others.
@@ -17,7 +17,6 @@ accuracy.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,7 +51,7 @@ from calib_pin.parameterizations.drift import USUAL, InstrumentDrift
 from calib_pin.parameterizations.thermal import WarmUp, passed
 from calib_pin.progress import Progress, portion
 from calib_pin.residual_models import LearnedCorrection
-from calib_pin.setup import DriftSetup, Setup
+from calib_pin.setup import Setup
 from calib_pin.solvers.status import Status
 
 FIT_PART = 0.2
@@ -254,38 +253,32 @@ def with_drift(
     """
     require_conditions(measurements, setup)
     setup = at_conditions(chains, measurements, setup)
-    unknown = [kind for kind in KINDS.values() if getattr(setup.drift, kind) is None]
+    drift, kinds = setup.drift, KINDS.values()
+    unknown = [kind for kind in kinds if getattr(drift, kind) is None]
     if InstrumentDrift.name not in setup.parameters or not unknown:
         return setup
-    still = _sized(setup.drift, dict.fromkeys(unknown, 0.0))
+    still, usual = (
+        replace(drift, **dict.fromkeys(unknown, size))  # type: ignore[arg-type]
+        for size in (0.0, USUAL)
+    )
     fitted = _fitted(chains, measurements, replace(setup, drift=still), seed)
-    usual = _sized(still, dict.fromkeys(unknown, USUAL))
     sample = replace(fitted.problem, data=sampled(fitted.problem))
-    moving = _moving(chains, sample, replace(setup, drift=usual))
-    sizes = _drift_sizes(fitted, sample, moving)
-    return replace(setup, drift=_sized(still, sizes))
+    # The problem with a drift of the usual size, about the references of the fit.
+    moving, terms = replace(setup, drift=usual, learned=None), {}
+    found = make_problem(chains, sample.data, moving)
+    for key, term in found.terms.items():
+        other = sample.terms[key]
+        error = term.error.with_frames(other.error.base, other.error.tool)
+        terms[key] = replace(term, error=error, measurement=other.measurement)
+    found = replace(found, terms=terms, units=sample.units)
+    sizes = _drift_sizes(fitted, sample, found)
+    return replace(setup, drift=replace(still, **sizes))  # type: ignore[arg-type]
 
 
 def _fitted(chains: Chains, data: Observations, setup: Setup, seed: int) -> Fit:
     """The fit of the parameters, without what would be learned."""
     problem = make_problem(chains, data, replace(setup, learned=None))
     return fit(problem, np.random.default_rng(seed))
-
-
-def _sized(drift: DriftSetup, sizes: Mapping[str, float]) -> DriftSetup:
-    """A drift with other sizes of some kinds."""
-    shift, turn = (sizes.get(k, getattr(drift, k)) for k in KINDS.values())
-    return replace(drift, shift=shift, turn=turn)
-
-
-def _moving(chains: Chains, still: Problem, setup: Setup) -> Problem:
-    """The problem with the drift of a setup, about the references of another one."""
-    found, terms = make_problem(chains, still.data, replace(setup, learned=None)), {}
-    for key, term in found.terms.items():
-        other = still.terms[key]
-        error = term.error.with_frames(other.error.base, other.error.tool)
-        terms[key] = replace(term, error=error, measurement=other.measurement)
-    return replace(found, terms=terms, units=still.units)
 
 
 def _drift_sizes(fitted: Fit, still: Problem, moving: Problem) -> dict[str, float]:

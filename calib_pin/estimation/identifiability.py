@@ -15,8 +15,6 @@ the joint, of the length and twist of the link before it, of the offset along it
 translations and rotations of every joint are turned into these directions: along the
 common normal of its axis and the one before, along the axis, and across both.
 
-Directions of the robot that a fit may move.
-
 A redundant model has directions that nothing can see, and real measurements leave some
 more that they can hardly tell. Moving them would shift links by centimeters for nothing
 in return, so they stay at nominal.

@@ -1,11 +1,10 @@
-"""The nominal robot: its frames fitted, its structure, and whether its scale is known.
+"""The nominal robot: its frames fitted, where it can be measured, its structure.
 
 A robot whose lengths are all longer by one factor moves like the nominal one, only
 larger. What it leaves at angles or in the sockets of a ball is the same.
 
-Random configurations at which an instrument can measure.
-
-A camera must see its points and a beam must meet its plane, so configurations are drawn
+A structure is that of random configurations at which an instrument can measure. A
+camera must see its points and a beam must meet its plane, so configurations are drawn
 until enough of them can be measured. For a contact measurement, the tool is brought
 into contact.
 """

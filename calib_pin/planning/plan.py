@@ -17,7 +17,6 @@ from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices, Measurements, Observations
 from calib_pin.parameterizations import frame_pose
-from calib_pin.planning.aims import Aim, Aims, require_plannable
 from calib_pin.planning.criteria import CRITERIA, Prediction
 from calib_pin.planning.planned_problem import (
     STRUCTURE,
@@ -31,7 +30,7 @@ from calib_pin.planning.planned_problem import (
 )
 from calib_pin.planning.search import METHODS, Found, Progress, Search
 from calib_pin.planning.travel import visits
-from calib_pin.planning.workspace import Workspace
+from calib_pin.planning.workspace import Aim, Aims, Workspace, require_plannable
 from calib_pin.solvers import Status
 from calib_pin.validation.assessment import estimates, robot_errors
 from calib_pin.validation.result import CoupledGroup, ParameterEstimate, Printed

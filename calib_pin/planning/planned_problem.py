@@ -30,10 +30,9 @@ from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.observations import BlockKey, Indices, Measurements, Observations
 from calib_pin.parameters import ParameterSet
-from calib_pin.planning.aims import Aims, Look, sides_tried
-from calib_pin.planning.information import Information
+from calib_pin.planning.criteria import Information
 from calib_pin.planning.rows import IdentificationRows, LookRows
-from calib_pin.planning.workspace import Candidates
+from calib_pin.planning.workspace import Aims, Candidates, Look, sides_tried
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.result import RobotError

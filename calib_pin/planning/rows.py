@@ -28,7 +28,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import CurvedModel
 from calib_pin.observations import Indices, Labels
 from calib_pin.parameterizations.linearization import PoseLinearization
-from calib_pin.planning.aims import Aims, Look
+from calib_pin.planning.workspace import Aims, Look
 
 Pullback = Callable[[Floats], Floats]
 """Derivative by the rows, (N, d, m), to derivative by the configurations, (N, n)."""

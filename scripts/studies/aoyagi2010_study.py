@@ -30,8 +30,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.planning.criteria import CRITERIA
-from calib_pin.planning.information import Information
+from calib_pin.planning.criteria import CRITERIA, Information
 from calib_pin.planning.planned_problem import (
     ASSUMED_TOOL,
     STRUCTURE,

@@ -21,8 +21,8 @@ from calib_pin.kinematics.spatial import Floats, adjoint, from_quaternion, inver
 from calib_pin.measurement_models.base import Curvature, Linearization
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.observations import Measurements
-from calib_pin.planning.aims import Aims
 from calib_pin.planning.rows import IdentificationRows
+from calib_pin.planning.workspace import Aims
 
 PUBLISHED = {"hand-picked": "hand_picked.csv", "swarm": "swarm.csv"}
 """The published sets of configurations."""

@@ -18,8 +18,8 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import BlockKey, Indices
-from calib_pin.planning.aims import Aims
 from calib_pin.planning.rows import IdentificationRows
+from calib_pin.planning.workspace import Aims
 from calib_pin.setup import PointSetup, Setup
 
 Equipped = Callable[..., Problem]

@@ -1,8 +1,9 @@
-"""Errors that robots of one type have in common: the mean and spread of each.
+"""What is known of a robot beforehand, and how far its measurements are from that.
 
-The errors of robot i are `theta_i = mu + u_i`, `u_i ~ N(0, Lambda)`, with a diagonal
-Lambda. Its measurements tell `W_i theta_i = c_i` with independent noise of deviation
-one, as many rows as they can tell errors apart. So
+Robots of one type have a mean and a spread of each error in common: the errors of robot
+i are `theta_i = mu + u_i`, `u_i ~ N(0, Lambda)`, with a diagonal Lambda. Its
+measurements tell `W_i theta_i = c_i` with independent noise of deviation one, as many
+rows as they can tell errors apart. So
 
     c_i ~ N(W_i mu, V_i),   V_i = W_i Lambda W_i' + 1,
 
@@ -14,8 +15,6 @@ Student's t adds where a spread is known from few robots.
 
 Beforehand the mean of an error is as large as its scale, and its spread as that of all
 errors together: what no robot shows keeps the mean zero and these sizes.
-
-How far measurements are from what was predicted, and which causes explain that.
 
 Innovations `v ~ N(0, V)` are new measurements minus their prediction, with
 

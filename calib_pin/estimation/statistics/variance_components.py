@@ -3,7 +3,7 @@
 Standard deviations, stated or assumed, give the ratio of the measurements of one
 quantity among each other. Of every quantity the standard deviation of
 unit weight is estimated, so that position and orientation, pixels and millimeters are
-balanced by the data (Helmert, Foerstner; see `restricted_likelihood`). Known distances,
+balanced by the data (Helmert, Foerstner). Known distances,
 priors and expected sizes keep the standard deviations that they have.
 
 Where configurations are repeated, the scatter of the repetitions is the pure error;
@@ -29,9 +29,8 @@ c_j of one size kappa in their expected sizes. They are not estimated but their 
 are, beside the noise of every quantity, by restricted maximum likelihood; either is
 kept where the likelihood ratio says that there is something.
 
-Variance components of a Gaussian model, by restricted maximum likelihood.
-
-Values come in independent blocks,
+All variances are those of a Gaussian model by restricted maximum likelihood. Values
+come in independent blocks,
 
     y = -X b + Z u,   u_j ~ N(0, s_k) of component k,
 

@@ -65,12 +65,20 @@ from calib_pin.estimation.problem import (
     with_response,
 )
 from calib_pin.estimation.row_blocks import Priors, expected_places
-from calib_pin.estimation.solve import Solution, Solver, descend, least_squares, refine
+from calib_pin.estimation.solve import (
+    INVISIBLE,
+    Solution,
+    Solver,
+    descend,
+    least_squares,
+    refine,
+)
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.estimation.statistics.variance_components import (
     KNOWN,
     REJECTED,
     ROWS,
+    STATED,
     Block,
     Components,
     Systematic,
@@ -406,19 +414,11 @@ def likely_posteriors(fitted: Fit) -> tuple[Posterior, ...]:
 SURPRISE = 10.0
 """Gain in chi-square per direction beyond what chance gives once in six hundred."""
 
-STATED = 2.0
-"""Directions that the stated size of errors is worth against those that are measured.
-
-With as few the evidence of a handful of well determined directions prevails."""
-
 LEAST, MOST = 1e-3, 1e3
 """Bounds of sizes, in scales."""
 
 PARTS = 3
 """Sizes that stand for the distribution where predictions are averaged over it."""
-
-NOTICED = 1e-3
-"""Change of an estimate, in its own standard deviations, that nobody can notice."""
 
 CLEAR = 10.0
 """Deviation of a direction, by that of the last of the best determined quarter, from
@@ -777,7 +777,7 @@ def expected_errors(fitted: Fit) -> Evidence:
         expected=Priors.expected(V, sizes, parameters.scales, places),
         sizes=sizes,
         likely=likely,
-        matters=bool(np.abs(shift).max(initial=0.0) > NOTICED),
+        matters=bool(np.abs(shift).max(initial=0.0) > INVISIBLE),
         square=float(np.sum((values / deviations) ** 2)),
         count=len(values),
     )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import OptionError, require_known
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.identifiability import visible_nuisances
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import SAMPLE, Problem
 from calib_pin.estimation.terms import Term, Terms
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
@@ -30,9 +30,6 @@ from calib_pin.residual_models import (
 from calib_pin.setup import Setup
 
 _Terms = TypeVar("_Terms", bound=Terms)
-
-FEW = 1000
-"""Configurations that tell whether a correction is zero; then it is zero everywhere."""
 
 
 def require_learnable(name: str, setup: Setup, measurements: Observations) -> None:
@@ -103,7 +100,7 @@ def learned_correction(
     """
     directions, rows = _learnable(fitted, problem, theta)
     found = RESIDUAL_MODELS[name](rows, rng, progress=progress)
-    if not (found.shift.any() or found(rows.q[:FEW]).any()):
+    if not (found.shift.any() or found(rows.q[:SAMPLE]).any()):
         # Nothing held on the validation measurements.
         return None
     return LearnedCorrection(found, directions @ found.shift)

@@ -22,6 +22,7 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.identifiability import Structure, nuisance_basis, structure
 from calib_pin.estimation.problem import (
+    EXACT,
     Problem,
     representative,
     sigma_at,
@@ -41,9 +42,6 @@ from calib_pin.observations import (
     approached,
 )
 from calib_pin.parameterizations.linearization import PoseLinearization
-
-EXPLAINED = 1e-6
-"""Part of a change of scale that rounding leaves where parameters express it."""
 
 LEAST = 50
 """Least number of configurations that show a structure."""
@@ -213,14 +211,14 @@ def scale_deviation(
     rank = int((s > 1e-11 * s[0]).sum())
     # Minimum-norm growth, and all that changes without moving the tool.
     z = Vt[:rank].T @ ((Vt[:rank] @ (moved.T @ b)) / s[:rank] ** 2)
-    if np.linalg.norm(moved @ z - b) > EXPLAINED * np.linalg.norm(b):
+    if np.linalg.norm(moved @ z - b) > EXACT * np.linalg.norm(b):
         return 0.0
     still = rows @ Vt[rank:].T
     noticed = rows @ z
     noticed = noticed - still @ np.linalg.lstsq(still, noticed, rcond=1e-11)[0]
     size = float(np.linalg.norm(noticed))
     # What rounding leaves of large terms is nothing noticed.
-    least = EXPLAINED * float(np.linalg.norm(rows * z))
+    least = EXACT * float(np.linalg.norm(rows * z))
     return 1.0 / size if size > least else np.inf
 
 
@@ -277,8 +275,8 @@ def _grown(poses: PoseLinearization, to_point: Floats) -> Floats:
 
 
 DRAWS = 400
-"""Largest number of rounds of random draws: a camera on a small arm sees its board from
-one configuration of two hundred."""
+"""Most random draws for each that is wanted: a camera on a small arm sees its board
+from one configuration of two hundred."""
 
 AT_ONCE = 4
 """Candidates per round for each missing configuration; at least K in all."""

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import stated_in
+from calib_pin.estimation.identifiability import RANK
 from calib_pin.estimation.row_blocks import Further, KnownDistances, Priors
 from calib_pin.estimation.terms import (
     Block,
@@ -196,8 +197,8 @@ SAMPLE = 10_000
 """Measurements that a closed-form start is made from; more do not help it."""
 
 EXACT = 1e-6
-"""Scatter, in standard deviations, below which measurements differ by rounding alone.
-"""
+"""Scatter, in standard deviations, below which measurements differ by rounding alone;
+part of a change of scale that rounding leaves where parameters express it."""
 
 WORTHWHILE = 60
 """Parameters of single stations from which they are eliminated: as many as a robot has.
@@ -646,9 +647,6 @@ def known_values(problem: Problem) -> int:
 if TYPE_CHECKING:
     from calib_pin.estimation.many_rows import ManyRows
 
-SINGULAR = 1e-10
-"""Singular values below this part of the largest are rounding."""
-
 PIECE = 4096
 """Measurements whose Jacobian is held at once, where there are very many."""
 
@@ -795,7 +793,7 @@ def eliminate(
         The station, and rows that are left for the shared ones, residual last.
     """
     U, s, Vt = np.linalg.svd(J[:, own], full_matrices=False)
-    kept = s > SINGULAR * s.max(initial=0.0)
+    kept = s > RANK * s.max(initial=0.0)
     U, root = U[:, kept], Vt[kept].T / s[kept]
     rows = np.column_stack([J[:, shared], r])
     along = U.T @ rows

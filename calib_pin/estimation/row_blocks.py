@@ -327,10 +327,6 @@ def _angle(a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
     return np.arctan2(sine, side * cosine), slope * b, slope * a
 
 
-SCREWS = 6
-"""Errors that move a frame in all ways; fewer have no other place."""
-
-
 def expected_places(system: Terms, parameters: ParameterSet) -> Floats:
     """Errors about the frames of joints by independent ones at their places.
 
@@ -356,9 +352,9 @@ def expected_places(system: Terms, parameters: ParameterSet) -> Floats:
                 joints[screw.frame, stem].append(k)
         for (frame, _), own in joints.items():
             index = term.index[own]
-            if len(own) == SCREWS and frame <= len(places):
+            if len(own) == FRAME and frame <= len(places):
                 twists = np.array([term.error.screws[k].twist for k in own]).T
-                there = np.eye(SCREWS)
+                there = np.eye(FRAME)
                 there[:3, 3:] = skew(places[frame - 1])
                 # Both in the scales of the parameters: translations, then rotations.
                 scales = parameters.scales[index]

@@ -59,7 +59,8 @@ ENOUGH = 1e-12
 """The same for very many rows; of a million it is a thousandth of a deviation."""
 
 INVISIBLE = 1e-3
-"""Gain in chi-square, in squared deviations of unit weight, that nobody can see."""
+"""Gain in chi-square, in squared deviations of unit weight, or change of an estimate,
+in its own deviations, that nobody can see."""
 
 NEGLIGIBLE = 0.01
 """Part of the cost that an evolution may leave to gain and yet have converged."""

@@ -16,7 +16,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 
 SAMPLES = 300
-"""Configurations of the workspace."""
+"""Configurations that stand for the workspace."""
 
 ROWS = 400
 """Measurements among which the error is followed from few to many."""

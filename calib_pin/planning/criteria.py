@@ -42,16 +42,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
 from calib_pin.estimation.identifiability import observability
+from calib_pin.estimation.tip_accuracy import ROUNDING
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices
-
-ROUNDING = 1e-7
-"""Least singular value of a factor with columns of unit length: by rounding a singular
-matrix has up to 2e-8. The diagonal of the factor would not do, it may be 1e-4."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +224,7 @@ def _power_mean(x: Floats, exponent: float) -> tuple[float, Floats]:
     return (size * signed.max() + np.log(total)) / exponent, weights / total / x
 
 
-Criterion = Spectral | Prediction
+Criterion: TypeAlias = "Spectral | Prediction"
 """A cost of information matrices."""
 
 CRITERIA: dict[str, Spectral] = {

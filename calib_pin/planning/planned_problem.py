@@ -23,6 +23,7 @@ from calib_pin.estimation.identifiability import (
 )
 from calib_pin.estimation.nominal import asked, register, structure_at
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared, measurement_model
@@ -36,9 +37,6 @@ from calib_pin.planning.workspace import Aims, Candidates, Look, sides_tried
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.result import RobotError
-
-STRUCTURE = 300
-"""Candidates that show what can be identified at all."""
 
 ASSUMED_TOOL = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
 """Where a target sits in the tip that nobody has stated: beside the last axis [m]."""
@@ -144,10 +142,10 @@ def identification(
         information of measured rows and priors in the same columns, shape (m, m).
     """
     zero = np.zeros(len(problem.parameters))
-    first = slice(STRUCTURE)
+    first = slice(SAMPLES)
     at = _looked_at(problem, aims, candidates.q[first], candidates.aim[first])
     if measured is not None:
-        at += measured.sample(STRUCTURE).blocks
+        at += measured.sample(SAMPLES).blocks
     structure, J = structure_at(problem, zero, at)
     nuisances = visible_nuisances(J, problem.parameters)
     robot = visible_directions(J, problem.parameters)

@@ -17,9 +17,10 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import InputError, OptionError, RobotError, nearest
-from calib_pin.estimation.nominal import lacking_frames
+from calib_pin.estimation.nominal import DRAWS, lacking_frames
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.terms import Term
+from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.joint_space import quasi_random
 from calib_pin.kinematics.spatial import Floats
@@ -234,9 +235,6 @@ def require_plannable(keys: Sequence[BlockKey]) -> None:
             )
 
 
-DRAWS = 400
-"""Quasi-random configurations tried for each candidate that is wanted."""
-
 LEAST_DRAWS = 60_000
 """Quasi-random configurations tried before the first that is allowed."""
 
@@ -245,9 +243,6 @@ MARGIN = 0.01
 
 TIDY = 1e6
 """Reciprocal of the last digit of planned joint positions [1/rad, 1/m]."""
-
-RESTS = 300
-"""Random configurations among which chains that are not measured find their rest."""
 
 BLOCK = 1000
 """Configurations that are tried at once."""
@@ -496,7 +491,7 @@ class Workspace:
         if self.collisions is None or moving.all() or self.collisions.free(rest).all():
             return moving, rest[0]
         # Arms that hang through the body would refuse all: the nearest that do not.
-        q = chains.random_configurations(RESTS, np.random.default_rng(0))
+        q = chains.random_configurations(SAMPLES, np.random.default_rng(0))
         q = np.round(np.clip(q, self.lower, self.upper) * TIDY) / TIDY
         free = q[self.collisions.free(q)]
         if len(free):

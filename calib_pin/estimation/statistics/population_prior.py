@@ -48,6 +48,8 @@ from calib_pin.estimation.statistics.distributions import (
 )
 from calib_pin.estimation.statistics.variance_components import (
     KNOWN,
+    REJECTED,
+    STATED,
     Block,
     Components,
     Variances,
@@ -59,18 +61,8 @@ from calib_pin.setup.population import ParameterPrior, PopulationPrior, RobotTyp
 LEAST = 5
 """Robots that a prior is made from at least: with fewer a spread is a guess."""
 
-STATED = 2.0
-"""Robots that the common spread is worth against those that show one of their own."""
-
 SMALLEST = 1e-6
 """Least variance, in squared scales or expected sizes: a spread of a micrometer."""
-
-OUTSIDE = 0.05
-"""Part of the robots that an interval leaves outside where the normal prior is as wide
-as Student's t."""
-
-RATE = 0.05
-"""Part of the errors that are told apart which chance may have made."""
 
 TOLD = 0.01
 """Part of a spread that the measurements of a robot must tell to count."""
@@ -208,7 +200,7 @@ class CommonError:
         mean: Mean of the robots.
         sigma: Its standard deviation.
         chance: Probability of so large a mean by chance.
-        significant: Whether it differs from zero, see `RATE`. Of errors that only
+        significant: Whether it differs from zero, see `REJECTED`. Of errors that only
             their sum shows none does by itself.
     """
 
@@ -275,7 +267,7 @@ def joint_deviations(population: Population) -> tuple[tuple[JointDeviation, ...]
     return tuple(tuple(every[k : k + len(joints)]) for k in starts)
 
 
-def discoveries(chances: Floats, rate: float = RATE) -> NDArray[np.bool_]:
+def discoveries(chances: Floats, rate: float = REJECTED) -> NDArray[np.bool_]:
     """Which of many tests are told apart, at a false discovery rate, shape (n,).
 
     Args:
@@ -320,8 +312,8 @@ def _widening(dof: float) -> float:
         >>> round(_widening(10.0), 3), round(_widening(200.0), 3)
         (1.292, 1.012)
     """
-    normal = chi_square_quantile(1.0, OUTSIDE)
-    return student_quantile(dof, 0.5 * OUTSIDE) ** 2 / normal
+    normal = chi_square_quantile(1.0, REJECTED)
+    return student_quantile(dof, 0.5 * REJECTED) ** 2 / normal
 
 
 PROMISING = 6

@@ -97,7 +97,7 @@ from calib_pin.solvers import LeastSquaresResult
 
 REJECTED = 0.05
 """Probability at which a stated standard deviation is rejected by mistake, of those of
-all stations any."""
+all stations any; part of the errors that are told apart which chance may have made."""
 
 LEAST_DOF = 0.5
 """Degrees of freedom below which an estimated variance tells nothing."""
@@ -108,6 +108,11 @@ estimated from one value may be anything."""
 
 LEAST = 1e-3
 """Least part of the largest unit weight: an exact quantity leaves the others a say."""
+
+STATED = 2.0
+"""Errors that a size which is stated beforehand is worth against those that show one.
+
+With as few the evidence of a handful of well determined errors prevails."""
 
 REPEATED = 4
 """Degrees of freedom from which repetitions tell the pure error, to a factor of two."""

@@ -18,6 +18,7 @@ accuracy.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -257,10 +258,9 @@ def with_drift(
     unknown = [kind for kind in kinds if getattr(drift, kind) is None]
     if InstrumentDrift.name not in setup.parameters or not unknown:
         return setup
-    still, usual = (
-        replace(drift, **dict.fromkeys(unknown, size))  # type: ignore[arg-type]
-        for size in (0.0, USUAL)
-    )
+    sizes: dict[str, Any] = dict.fromkeys(unknown, 0.0)
+    some: dict[str, Any] = dict.fromkeys(unknown, USUAL)
+    still, usual = replace(drift, **sizes), replace(drift, **some)
     fitted = _fitted(chains, measurements, replace(setup, drift=still), seed)
     sample = replace(fitted.problem, data=sampled(fitted.problem))
     # The problem with a drift of the usual size, about the references of the fit.
@@ -271,8 +271,8 @@ def with_drift(
         error = term.error.with_frames(other.error.base, other.error.tool)
         terms[key] = replace(term, error=error, measurement=other.measurement)
     found = replace(found, terms=terms, units=sample.units)
-    sizes = _drift_sizes(fitted, sample, found)
-    return replace(setup, drift=replace(still, **sizes))  # type: ignore[arg-type]
+    sizes |= _drift_sizes(fitted, sample, found)
+    return replace(setup, drift=replace(still, **sizes))
 
 
 def _fitted(chains: Chains, data: Observations, setup: Setup, seed: int) -> Fit:

@@ -88,6 +88,7 @@ from calib_pin.estimation.statistics.variance_components import (
     sampled,
     systematic,
     variance_components,
+    variances,
 )
 from calib_pin.estimation.terms import Term
 from calib_pin.kinematics.spatial import Floats
@@ -371,9 +372,7 @@ def posterior_about(
         basis = np.eye(len(theta))[:, parameters.free]
     rows = np.concatenate([jac, held])
     half = half_covariance(rows, basis, parameters)
-    noise = (
-        np.ones(len(problem.layout.components)) if effects is None else effects.noise
-    )
+    noise = variances(problem, effects)
     shared = shared_variances(problem, fitted.noise, noise)
     core = np.eye(half.shape[1])
     if problem.many and effects is not None:
@@ -832,7 +831,7 @@ def robot_rows(
     nuisances, basis = unit[:, parameters.free & parameters.nuisance], unit[:, robot]
     seen = basis @ Vt[shown].T
     effects = systematic(problem, theta, Directions(nuisances, seen, seen[:, :0]))
-    noise = np.ones(len(layout.components)) if effects is None else effects.noise
+    noise = variances(problem, effects)
     Q = noise_along(problem, U, noise, shared_variances(problem, components, noise))
     if effects is not None:
         X = U[:measured].T @ effects.rows(problem, theta)

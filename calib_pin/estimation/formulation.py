@@ -9,12 +9,17 @@ from functools import cache
 from typing import TypeAlias
 
 import numpy as np
-import pinocchio as pin
 
 from calib_pin.errors import OptionError, enumerated, nearest, stated_in
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.row_blocks import PLACES
-from calib_pin.estimation.terms import Term, assembled, frames_of_blocks, prefixed
+from calib_pin.estimation.terms import (
+    FRAME,
+    Term,
+    assembled,
+    frames_of_blocks,
+    prefixed,
+)
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.robot_types import robot_type
 from calib_pin.kinematics.spatial import Floats
@@ -258,27 +263,14 @@ def make_terms(
         drifting = station if frames.station in outside else ""
         with stated_in(setup.file):
             error = created(key.chain, base, tool, drifting)
-            error = _on_tool(error, frames.offset)
+        # A tool that is known on another one shares its errors:
+        # `X Exp(S_1 t_1) ... K = X K Exp(Ad S_1 t_1) ...` with the adjoint of K^-1.
+        carried, inner = frames.offset.toActionMatrixInverse(), error.screws[:-FRAME]
+        last = [replace(s, twist=carried @ s.twist) for s in error.screws[-FRAME:]]
+        error = replace(error, screws=(*inner, *last))
         columns, index = chains.columns(key.chain), np.zeros(0, np.intp)
         terms.append(Term(error, models[key], key, frames, columns, index))
     return assembled(prefixed(terms))
-
-
-def _on_tool(error: ErrorModel, offset: pin.SE3) -> ErrorModel:
-    """The model of a tool that is known on another one, whose errors it shares.
-
-    `X Exp(S_1 t_1) ... K = X K Exp(Ad S_1 t_1) ...` with the adjoint of K^-1.
-
-    Args:
-        error: The model of the other tool.
-        offset: Pose K of the tool in that one.
-    """
-    carried, last = offset.toActionMatrixInverse(), len(error.chain.joints) + 2
-    screws = [
-        replace(screw, twist=carried @ screw.twist) if screw.frame == last else screw
-        for screw in error.screws
-    ]
-    return replace(error, screws=tuple(screws))
 
 
 def _require_own_loads(chains: Chains, setup: Setup) -> None:
@@ -319,10 +311,8 @@ def nominal_problem(
     chains = Chains.of(chains, setup)
     keys = [BlockKey(measured)] if isinstance(measured, str) else measured
     named = keys if isinstance(keys, Mapping) else dict.fromkeys(keys, ())
-    payloads, needed = (
-        tuple(setup.payloads) or ("",),
-        needed_conditions(setup.parameters),
-    )
+    payloads = tuple(setup.payloads) or ("",)
+    needed = needed_conditions(setup.parameters)
     # Rows that no one has measured have the conditions of the reference.
     stated = setup.thermal.reference
     reference = REFERENCE if stated is None else stated
@@ -335,10 +325,8 @@ def nominal_problem(
             )
         targets = tuple(names or model.targets) or ("",)
         count = len(targets) * len(payloads)
-        zeros, values = (
-            np.zeros((count, len(chains.joints))),
-            np.zeros((count, model.width)),
-        )
+        zeros = np.zeros((count, len(chains.joints)))
+        values = np.zeros((count, model.width))
         values[:, -1:] = model.declaration.oriented  # The quaternion of no rotation.
         held = replace(
             UNSTATED,

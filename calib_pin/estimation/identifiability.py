@@ -339,10 +339,8 @@ def geometric_columns(system: Terms, parameters: ParameterSet) -> Columns:
     ranked = dict[int, tuple[int, int]]()
     for term in system.terms.values():
         chain = term.error.chain
-        places, turns = (
-            _places(chain),
-            dict(zip(chain.joints, chain.revolute, strict=True)),
-        )
+        places = _places(chain)
+        turns = dict(zip(chain.joints, chain.revolute, strict=True))
         together = defaultdict[tuple[int, str], list[tuple[int, Screw]]](list)
         inner = slice(FRAME, len(term.error.screws) - FRAME)
         for position, screw in zip(

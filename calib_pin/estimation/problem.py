@@ -509,9 +509,8 @@ class Problem(Terms):
 
 def current_units(problem: Problem) -> Floats:
     """Standard deviation of unit weight of every quantity, shape (K,)."""
-    return (
-        problem.units if len(problem.units) else np.ones(len(problem.layout.components))
-    )
+    units, count = problem.units, len(problem.layout.components)
+    return units if len(units) else np.ones(count)
 
 
 def measured_count(problem: Problem) -> int:

@@ -287,10 +287,8 @@ def _of_terms(
     """
     found, given = assembled([*terms.values()])
     position = {name: k for k, name in enumerate(given.names)}
-    moved, values = (
-        [position[name] for name in problem.given.names],
-        np.zeros(len(given)),
-    )
+    moved = [position[name] for name in problem.given.names]
+    values = np.zeros(len(given))
     values[moved] = theta
     held = {moved[k]: value for k, value in problem.held_at.items()}
     return replace(problem, terms=found, given=given, held_at=held), values

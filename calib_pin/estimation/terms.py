@@ -13,6 +13,7 @@ on one tip. Where there is only one of them it has the base or the tool frame.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -131,9 +132,8 @@ class ToolPoses:
 
     def linearize(self, of_robot: Floats) -> ToolLinearization:
         """The poses with their derivatives."""
-        poses, *start = (
-            self._error.linearize(q, of_robot, basis) for q, basis in self._ends
-        )
+        linearize = self._error.linearize
+        poses, *start = (linearize(q, of_robot, basis) for q, basis in self._ends)
         if not start:
             return ToolLinearization(poses.T, poses, None)
         return ToolLinearization(invert(start[0].T) @ poses.T, poses, start[0])
@@ -256,7 +256,7 @@ class Term:
 
     def of_chain(self, at: Measurements) -> Measurements:
         """Configurations of all joints with those of its chain alone."""
-        if np.array_equal(self.columns, np.arange(at.q.shape[1])):
+        if at.joints == self.error.chain.joints:
             return at
         return replace(
             at,
@@ -273,7 +273,7 @@ class Term:
             theta: Values of all parameters, shape (P,).
             at: Configurations of its chain.
         """
-        return ToolPoses(self.error, at)(self.values(theta)[0])
+        return ToolPoses(self.error, self.of_chain(at))(self.values(theta)[0])
 
     def linearized(
         self, T: Floats, instrument: Floats, q: Floats, target: Targets
@@ -301,6 +301,7 @@ class Term:
             sigma: Standard deviations of the residual components, shape (N, d).
         """
         of_robot, instrument = self.values(theta)
+        at = self.of_chain(at)
         tool = ToolPoses(self.error, at).linearize(of_robot)
         linear = self.linearized(tool.T, instrument, at.q, at.target)
         return whitened_jacobian(tool, linear, sigma)
@@ -412,8 +413,8 @@ class Terms:
             at: Configurations of one block.
         """
         term = self.terms[at.key]
-        T = term.poses(theta, term.of_chain(at))
-        return term.measurement.predict(T, term.values(theta)[1], at.target)
+        instrument = term.values(theta)[1]
+        return term.measurement.predict(term.poses(theta, at), instrument, at.target)
 
     def observable(self, theta: Floats, at: Measurements) -> NDArray[np.bool_]:
         """Whether an instrument can measure at each configuration, shape (N,).
@@ -421,8 +422,8 @@ class Terms:
         Arguments as for `predict`.
         """
         term = self.terms[at.key]
-        T = term.poses(theta, term.of_chain(at))
-        return term.measurement.observable(T, term.values(theta)[1], at.target)
+        T, instrument = term.poses(theta, at), term.values(theta)[1]
+        return term.measurement.observable(T, instrument, at.target)
 
     def jacobian(self, theta: Floats, at: Measurements, sigma: Floats) -> Floats:
         """Whitened Jacobian of noise-free measurements of a block, shape (N, d, P).
@@ -433,7 +434,7 @@ class Terms:
             sigma: Standard deviations of the residual components, shape (N, d).
         """
         term = self.terms[at.key]
-        return self.spread(term, term.jacobian(theta, term.of_chain(at), sigma))
+        return self.spread(term, term.jacobian(theta, at, sigma))
 
     def spread(self, term: Term, J: Floats) -> Floats:
         """Columns of the parameters of a term among those of all, (..., p) -> (..., P).
@@ -582,11 +583,9 @@ def prefixed(terms: Iterable[Term]) -> list[Term]:
     named = set().union(*several) - {BASE, TOOL}
     result = []
     for term in terms:
-        station, tool = (
-            f"{place.rpartition('.')[0]}/" if place in named else ""
-            for place in (term.frames.station, term.frames.tool)
-        )
-        frames = replace(term.frames, outer=station, inner=tool)
+        ends = term.frames.station, term.frames.tool
+        owners = [f"{p.rpartition('.')[0]}/" if p in named else "" for p in ends]
+        frames = replace(term.frames, outer=owners[0], inner=owners[1])
         result.append(replace(term, frames=frames))
     return result
 
@@ -610,12 +609,9 @@ def _owners(places: set[tuple[str, str]], default: str) -> dict[tuple[str, str],
     """
     if len(places) == 1:
         return dict.fromkeys(places, "")
-    links: dict[str, set[str]] = {}
+    links, result = Counter(name for name, _ in places), {}
     for name, link in places:
-        links.setdefault(name, set()).add(link)
-    result = {}
-    for name, link in places:
-        known = link == default or (name and len(links[name]) == 1)
+        known = link == default or (name and links[name] == 1)
         result[name, link] = "/".join(filter(None, (name, "" if known else link)))
     return result
 

@@ -326,9 +326,8 @@ class Selection:
         U = self._rows[some]
         count, d, m = U.shape
         # As one table: products of many small ones take several times as long.
-        Y, by_U = (
-            (U.reshape(-1, m) @ A).reshape(U.shape) for A in (self._found.inverse, B)
-        )
+        both = self._found.inverse, B
+        Y, by_U = ((U.reshape(-1, m) @ A).reshape(U.shape) for A in both)
         I_G = np.eye(d) + sign * Y @ np.swapaxes(Y, 1, 2)
         alone = np.zeros(count, bool)
         if sign < 0.0:

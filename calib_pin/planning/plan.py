@@ -264,10 +264,8 @@ def _finished(
     information = search.objective.information(rows.rows(q, aim))
     assert information is not None, "the search only ends in sets that determine all"
     rng = np.random.default_rng(0)  # A generator that nothing shares.
-    draws = (
-        rng.choice(len(search.candidates.q), search.count, replace=False)
-        for _ in range(RANDOM_SETS)
-    )
+    size, count = len(search.candidates.q), search.count
+    draws = (rng.choice(size, count, replace=False) for _ in range(RANDOM_SETS))
     predicted = predict(information, rows.basis, tests, problem.parameters)
     told = robot_errors(problem, structure, predicted)
     predicted = replace(predicted, robot_errors=told)

@@ -209,11 +209,8 @@ class TipTests:
             )
             basis = rows.basis[term.of_error]
             aim = np.arange(len(q)) % max(len(sides), 1)
-            J = (
-                LookRows(look, basis, np.ones(6))
-                .rows(q, aim)
-                .reshape(-1, 2, 3, len(basis.T))
-            )
+            J = LookRows(look, basis, np.ones(6)).rows(q, aim)
+            J = J.reshape(-1, 2, 3, len(basis.T))
             found.append(np.einsum("npdi,npdj->pij", J, J, optimize=True) / len(q))
         return TipTests(*np.mean(found, axis=0))
 

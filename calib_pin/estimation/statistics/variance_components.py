@@ -625,6 +625,11 @@ def _share(groups: Groups, noise: Floats, variances: Floats) -> float:
     return max(found, 0.0) / float(predicted)
 
 
+def variances(problem: Problem, effects: Systematic | None) -> Floats:
+    """Variance of each quantity beside effects, in the units of the problem, (K,)."""
+    return np.ones(len(problem.layout.components)) if effects is None else effects.noise
+
+
 def sampled(problem: Problem, count: int = ROWS) -> Observations:
     """Measurements that effects are estimated from; of many stations those of some."""
     data = problem.data

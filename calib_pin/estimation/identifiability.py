@@ -114,12 +114,29 @@ class Structure:
         free, of_free = parameters.free, np.cumsum(parameters.free) - 1
         order = np.array([k for k in parameters.eliminated if free[k]], np.int64)
         _, C = combinations(self.relations[:, of_free[order]], self.rank)
+        return tuple(self._readable(row, order) for row in C / parameters.scales[order])
+
+    def _readable(self, coefficients: Floats, order: NDArray[np.int64]) -> Combination:
+        """A sum whose first term has coefficient 1, unless another dwarfs that term.
+
+        A tool point close to the last axis, say, makes the first term a hundredth of
+        what the others weigh; the sum is then a length and not a strangely large angle.
+
+        Args:
+            coefficients: Of the free parameters in the order of elimination, (K,).
+            order: Positions of these parameters, shape (K,).
+        """
+        own = [self.parameters[int(k)] for k in order]
         # The scale of a frame is that of an unknown stand, not of an error.
-        sizes = [expected_size(p.unit) if p.nuisance else p.scale for p in parameters]
-        return tuple(
-            _readable(row, order, np.array(sizes)[order], parameters)
-            for row in C / parameters.scales[order]
-        )
+        sizes = [expected_size(p.unit) if p.nuisance else p.scale for p in own]
+        weights = np.abs(coefficients) * sizes
+        heaviest = int(np.argmax(weights))
+        kept = np.flatnonzero(weights > CRUMB * weights[heaviest])
+        dwarfed = weights[heaviest] > DWARFED * weights[kept[0]]
+        lead = heaviest if dwarfed else int(kept[0])
+        values = (coefficients[kept] / coefficients[lead]).tolist()
+        terms = tuple(zip(order[kept].tolist(), values, strict=True))
+        return Combination(terms, own[lead].unit)
 
     @cached_property
     def unidentifiable(self) -> tuple[int, ...]:
@@ -217,35 +234,6 @@ def everett_count(revolute: NDArray[np.bool_], frames: int = 2) -> int:
     Each of its frames beyond a base and a tool has six more.
     """
     return int(4 * revolute.sum() + 2 * (~revolute).sum() + 6 * (frames - 1))
-
-
-def _readable(
-    coefficients: Floats,
-    order: NDArray[np.int64],
-    sizes: Floats,
-    parameters: ParameterSet,
-) -> Combination:
-    """A sum whose first term has coefficient 1, unless another dwarfs that term.
-
-    A tool point close to the last axis, say, makes the first term a hundredth of what
-    the others weigh; the sum is then a length and not a strangely large angle.
-
-    Args:
-        coefficients: Of the free parameters in the order of elimination, shape (K,).
-        order: Positions of these parameters, shape (K,).
-        sizes: Their sizes, shape (K,).
-        parameters: The parameters.
-    """
-    weights = np.abs(coefficients) * sizes
-    heaviest = int(np.argmax(weights))
-    kept = np.flatnonzero(weights > CRUMB * weights[heaviest])
-    first = int(kept[0])
-    lead = heaviest if weights[heaviest] > DWARFED * weights[first] else first
-    values = coefficients[kept] / coefficients[lead]
-    return Combination(
-        tuple(zip(order[kept].tolist(), values.tolist(), strict=True)),
-        parameters[int(order[lead])].unit,
-    )
 
 
 KINDS = (
@@ -361,13 +349,11 @@ def geometric_columns(system: Terms, parameters: ParameterSet) -> Columns:
             for k, twist in zip(positions, block.T @ twists, strict=True):
                 labels[k] = _named(twist, place, turns)
             for k, _ in entries:
-                ranked.setdefault(k, (_urgency(labels[k].kind), len(ranked)))
+                # What describes links and joints comes first, then the rest.
+                kind = labels[k].kind
+                urgency = (*KINDS, kind).index(kind) - KINDS.index("link twist")
+                ranked.setdefault(k, (max(urgency, 0), len(ranked)))
     return Columns(turned, labels, tuple(sorted(ranked, key=ranked.__getitem__)))
-
-
-def _urgency(kind: str) -> int:
-    """Elimination takes what describes links and joints first, then the rest."""
-    return max((*KINDS, kind).index(kind) - KINDS.index("link twist"), 0)
 
 
 def _beyond(screw: Screw) -> Label:
@@ -511,10 +497,8 @@ class Directions:
             parameters: The parameters.
         """
         scaled = np.where(parameters.nuisance, 0.0, row * parameters.scales)
-        length = np.linalg.norm(scaled)
-        if length == 0.0:
-            return 0.0
-        return float(np.linalg.norm(self.weak.T @ scaled) / length)
+        length = float(np.linalg.norm(scaled))
+        return float(np.linalg.norm(self.weak.T @ scaled)) / length if length else 0.0
 
 
 def nuisance_basis(parameters: ParameterSet) -> Floats:
@@ -585,12 +569,11 @@ def practical_directions(
         robot: Structurally visible robot directions, shape (P, r).
         sigma0: Standard deviation of unit weight of a fit, where one is known.
     """
-    A = J * parameters.scales
-    U = _absorbed(A, parameters)
+    A, nuisance = J * parameters.scales, parameters.free & parameters.nuisance
+    U = column_space(A[:, nuisance])
     system = np.column_stack([A @ robot, r])
-    system -= U @ (U.T @ system)
     # The triangular factor holds the same problem in few rows.
-    triangle = np.asarray(np.linalg.qr(system, mode="r"))
+    triangle = np.asarray(np.linalg.qr(system - U @ (U.T @ system), mode="r"))
     rest = triangle[:, -1]
     left, s, Vt = np.linalg.svd(triangle[:, :-1], full_matrices=True)
     if sigma0 is None:
@@ -603,8 +586,8 @@ def practical_directions(
     else:
         kept = int((s * WEAK > sigma0).sum())
     kept = min(kept, int((s > rounding(A) * s.max(initial=0.0)).sum()))
-    nuisance = np.eye(len(parameters))[:, parameters.free & parameters.nuisance]
-    return Directions(nuisance, robot @ Vt[:kept].T, robot @ Vt[kept:].T)
+    nuisances = np.eye(len(parameters))[:, nuisance]
+    return Directions(nuisances, robot @ Vt[:kept].T, robot @ Vt[kept:].T)
 
 
 def half_covariance(J: Floats, basis: Floats, parameters: ParameterSet) -> Floats:
@@ -684,13 +667,8 @@ def projected(columns: Floats, A: Floats, parameters: ParameterSet) -> Floats:
         A: Whitened Jacobian times the scales, shape (M, P).
         parameters: The parameters.
     """
-    U = _absorbed(A, parameters)
-    return columns - U @ (U.T @ columns)
-
-
-def _absorbed(A: Floats, parameters: ParameterSet) -> Floats:
-    """Orthonormal basis of the columns of the nuisances in A, (M, P) -> (M, k)."""
-    return column_space(A[:, parameters.free & parameters.nuisance])
+    U = column_space(A[:, parameters.free & parameters.nuisance])
+    return np.asarray(columns - U @ (U.T @ columns))
 
 
 def column_space(A: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Very many measurements, or parameter values, by compiled kernels.
+"""Very many measurements by compiled kernels, chunk by chunk into one factor.
 
 The Jacobian of a million measurements does not fit into memory, and nothing needs it: a
 step of Gauss-Newton, a rank and a covariance follow from the triangular factor R of the
@@ -20,9 +20,9 @@ chain traverses from child to parent have their sign in the motion and inverted 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Literal, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -31,11 +31,9 @@ from numpy.typing import NDArray
 from calib_pin.compiled import blocks as compiled
 from calib_pin.compiled import kernels, link_kernels, row_kernels
 from calib_pin.compiled.threads import Threads
-from calib_pin.estimation.problem import Problem, compilable
 from calib_pin.estimation.terms import Block, kept
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import Batch, BatchedModel
-from calib_pin.observations import Conditions, Measurements
+from calib_pin.observations import Measurements
 from calib_pin.parameterizations import Screw
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.linearization import ordered_screws
@@ -50,9 +48,6 @@ within which measurements are linear: what is left is its square, 1e-8 m. The la
 of a fit of very many measurements are shorter, and cost no pass over them: from its
 sample the fit ends a million positions with a noise of 0.1 mm after one pass, a
 thousandth of a standard deviation from where a second one ends."""
-
-WORTHWHILE = 40_000
-"""Evaluations of a configuration that are worth a thread: about a millisecond."""
 
 
 class ManyRows:
@@ -101,7 +96,7 @@ class ManyRows:
         return same and error.payload == own.payload
 
     def _known_to(self, other: ManyRows) -> list[tuple[Floats, Floats, Floats]]:
-        """What was linearized, where weights of another one are a multiple of these."""
+        """Linearizations that hold for weights which are a multiple of these."""
         factor = self._sigma.min() / other._sigma.min()
         if self._block.term is not other._block.term or not 0.0 < factor < np.inf:
             return []
@@ -318,118 +313,3 @@ def _to_axis(axis: Floats) -> pin.SE3:
     sine = float(np.linalg.norm(turn))
     direction = turn / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
     return pin.SE3(pin.exp3(direction * np.arctan2(sine, axis[2])), np.zeros(3))
-
-
-class PopulationCost:
-    """Half the sum of squared whitened residuals and priors of every member.
-
-    Args:
-        problem: The problem.
-        threads: Number of threads; default one per available core.
-
-    Attributes:
-        evaluator: `kernel`, or `loop` where the members are evaluated one by one: the
-            measurement model has no batch form, something was learned, or places of
-            the chain bend row by row.
-
-    Examples:
-        >>> import numpy as np, calib_pin
-        >>> from calib_pin.estimation.formulation import nominal_problem
-        >>> from calib_pin.setup import Setup
-        >>> from calib_pin.simulation import exact_problem
-        >>> chain = calib_pin.load_chain("space6")
-        >>> nominal = nominal_problem(chain, "position", Setup())
-        >>> zero = np.zeros(len(nominal.parameters))
-        >>> problem = exact_problem(nominal, zero, np.zeros((5, 6)), [""] * 5)
-        >>> PopulationCost(problem)(np.array([zero, zero + 1e-3])) > 1e-6
-        array([False,  True])
-    """
-
-    def __init__(self, problem: Problem, threads: int | None = None) -> None:
-        """Compute what does not depend on the parameters."""
-        self._problem, self._threads = problem, Threads(threads)
-        self._parts: list[_Part] = []
-        self.evaluator: Literal["kernel", "loop"] = "kernel"
-        for block in problem.blocks:
-            error, measurement = block.term.error, block.term.measurement
-            batches: Sequence[Batch] = []
-            if compilable(error) and isinstance(measurement, BatchedModel):
-                weights = 1.0 / block.table(problem.sigma)
-                batches = measurement.batches(block.data, weights)
-            if not batches:
-                self.evaluator = "loop"
-                return
-            segments = Segments(error)
-            self._parts += [_Part(block, segments, batch) for batch in batches]
-
-    def __call__(self, theta: Floats) -> Floats:
-        """Costs of parameter values, shape (S, P) -> (S,)."""
-        if self.evaluator == "loop":
-            return np.array([self._problem.cost(member) for member in theta])
-        further = self._problem.further.residual(theta)
-        costs = 0.5 * np.asarray(np.sum(further**2, axis=-1))
-
-        def evaluate(members: slice) -> None:
-            for part in self._parts:
-                costs[members] += part.costs(theta[members])
-
-        least = -(-WORTHWHILE // max(len(self._problem.data), 1))
-        for _ in self._threads.map(evaluate, self._threads.slices(len(theta), least)):
-            pass
-        return costs
-
-
-class _Part:
-    """The measurements of one batch."""
-
-    def __init__(self, block: Block, segments: Segments, batch: Batch) -> None:
-        self._batch, self._segments, self._term = batch, segments, block.term
-        self._comparison = kernels.COMPARISONS.index(batch.comparison)
-        start, conditions = block.data.start, block.data.conditions.rows(batch.rows)
-        # From base to tool the joints come in the other order and move back.
-        way = -1 if batch.inward else 1
-        revolute = segments.revolute[::way]
-
-        def move(q: Floats, at: Conditions) -> tuple[Floats, NDArray[np.int64], Floats]:
-            factors = block.term.error.basis(q, at) * (way * segments.factors)
-            moved = (q * (way * segments.signs))[:, ::way]
-            return *compiled.motions(moved, revolute), factors.T.copy()
-
-        motion, starts, factors = move(block.data.q[batch.rows], conditions)
-        begin, begin_factors = motion[:0], factors[:, :0]
-        if start.size:
-            begin, _, begin_factors = move(start[batch.rows], conditions.at_start)
-        self._rows = kernels.Rows(
-            starts=starts,
-            motion=motion,
-            begin=begin,
-            revolute=revolute.copy(),
-            joints=np.arange(len(revolute))[::way][segments.joints],
-            factors=factors,
-            begin_factors=begin_factors,
-            point=batch.point,
-            site=batch.site,
-            values=batch.values.T.copy(),
-            weights=batch.weights.T.copy(),
-        )
-
-    def costs(self, theta: Floats) -> Floats:
-        """Half the sums of squares of these measurements, shape (S, P) -> (S,)."""
-        of_robot, instrument = self._term.values(theta)
-        chains = self._segments.links(of_robot)
-        if self._batch.inward:
-            chains = _inverted(chains)
-        amounts = of_robot[:, self._term.error.joint_corrections]
-        found, result = self._batch.geometry(instrument), np.empty(len(instrument))
-        of_members = chains, amounts, found.points, found.sites
-        kernels.population_costs(self._comparison, *of_members, self._rows, result)
-        return result
-
-
-def _inverted(chains: Floats) -> Floats:
-    """Chains from tool to base, shape (S, n + 1, 12)."""
-    links = chains.reshape(*chains.shape[:2], 3, 4)[:, ::-1]
-    result = np.empty_like(links)
-    result[..., :3] = np.swapaxes(links[..., :3], 2, 3)
-    result[..., 3] = -np.einsum("snji,snj->sni", links[..., :3], links[..., 3])
-    return result.reshape(chains.shape)

@@ -133,8 +133,7 @@ def structure_at(
     Raises:
         InputError: If the measured values have no derivative.
     """
-    J = jacobian_at(problem, theta, at)
-    count = sum(len(some.q) for some in at)
+    J, count = jacobian_at(problem, theta, at), sum(map(len, at))
     alike = _omitted(problem, [some.key for some in at])
     shown = problem.parameters.without(alike)
     if not np.isfinite(J).all():

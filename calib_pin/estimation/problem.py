@@ -28,6 +28,7 @@ from calib_pin.estimation.terms import (
     Term,
     Terms,
     ToolPoses,
+    compilable,
     whitened,
     whitened_jacobian,
 )
@@ -35,7 +36,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.parameterizations import needed_conditions
-from calib_pin.parameterizations.error_model import ErrorModel, flexures
+from calib_pin.parameterizations.error_model import flexures
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import JointPrior, Setup
 
@@ -723,14 +724,6 @@ class RowByRow:
         J = whitened_jacobian(tool, linear, self._sigma)
         r = whitened(linear.residual, self._sigma)
         return r.reshape(-1), J.reshape(-1, len(term.index))
-
-
-def compilable(model: ErrorModel) -> bool:
-    """Whether nothing but the joints' own motions changes row by row.
-
-    Compiled kernels know corrections of these alone.
-    """
-    return model.learned is None and len(flexures(model)) == 0
 
 
 def evaluator_of(

@@ -187,9 +187,8 @@ class KnownDistances:
         whole = tuple(k for k in known if all(name in found for name in k.between))
         pairs = [(found[k.between[0]], found[k.between[1]]) for k in whole]
         columns = np.array([(a[1], b[1]) for a, b in pairs], np.int64)
-        return KnownDistances(
-            whole, tuple((a[0], b[0]) for a, b in pairs), columns.reshape(-1, 2, 3)
-        )
+        ends = tuple((a[0], b[0]) for a, b in pairs)
+        return KnownDistances(whole, ends, columns.reshape(-1, 2, 3))
 
     def __len__(self) -> int:
         """Number of distances and angles D."""
@@ -234,10 +233,10 @@ class KnownDistances:
         result = theta.copy()
         for k, (one, other) in enumerate(self.ends):
             known, columns = self.stated[k], self.columns[k]
-            if known.unit == "rad" or columns.min() < 0:
+            flat = isinstance(one, Plane) and isinstance(other, Plane)
+            if not flat or known.unit == "rad" or columns.min() < 0:
                 continue
-            if not (isinstance(one, Plane) and isinstance(other, Plane)):
-                continue
+            assert isinstance(one, Plane) and isinstance(other, Plane)
             a, b = one.turned(result[columns[0]])[0], other.turned(result[columns[1]])
             angle = float(np.arccos(min(abs(float(a @ b[0])), 1.0)))
             if angle > PARALLEL:

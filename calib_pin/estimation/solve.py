@@ -83,8 +83,8 @@ class Solution(LeastSquaresResult):
         """The solution with the steps of the one it started from, and its search."""
         searched = self if self.evolution or not last.evolution else last
         way, evolution = searched.evaluator, searched.evolution
-        found = replace(self, evaluator=way, evolution=evolution)
-        return replace(found, nit=self.nit + last.nit, nfev=self.nfev + last.nfev)
+        nit, nfev = self.nit + last.nit, self.nfev + last.nfev
+        return replace(self, evaluator=way, evolution=evolution, nit=nit, nfev=nfev)
 
 
 class Solver:
@@ -158,7 +158,7 @@ class Solver:
         self, problem: Problem, directions: Directions, nominal: Floats, start: Floats
     ) -> Solution:
         """Differential evolution in a box around the nominal robot."""
-        from calib_pin.estimation.many_rows import PopulationCost
+        from calib_pin.estimation.population import PopulationCost
 
         scales = problem.parameters.scales
         basis = scales[:, None] * directions.basis

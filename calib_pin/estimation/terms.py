@@ -36,7 +36,7 @@ from calib_pin.observations import (
     Targets,
 )
 from calib_pin.parameterizations import frame_pose
-from calib_pin.parameterizations.error_model import ErrorModel, varying
+from calib_pin.parameterizations.error_model import ErrorModel, flexures, varying
 from calib_pin.parameterizations.linearization import PoseLinearization
 from calib_pin.parameters import Parameter, ParameterSet
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
@@ -184,6 +184,14 @@ def kept(values: Floats, aside: NDArray[np.bool_]) -> Floats:
     if not aside.any():
         return values
     return np.where(aside.reshape(*aside.shape, *[1] * (values.ndim - 2)), 0.0, values)
+
+
+def compilable(model: ErrorModel) -> bool:
+    """Whether nothing but the joints' own motions changes row by row.
+
+    Compiled kernels know corrections of these alone.
+    """
+    return model.learned is None and len(flexures(model)) == 0
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from scipy import optimize
 import calib_pin
 from benchmarks.ranger import Ranger
 from calib_pin.estimation.formulation import make_problem, nominal_problem
-from calib_pin.estimation.many_rows import PopulationCost
+from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.plane_distance import PlaneDistance

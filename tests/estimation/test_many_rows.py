@@ -15,7 +15,8 @@ from calib_pin.compiled.threads import Threads
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.many_rows import ManyRows, PopulationCost
+from calib_pin.estimation.many_rows import ManyRows
+from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem, RowByRow, reweighted
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
@@ -451,7 +452,7 @@ def test_what_no_kernel_knows_is_evaluated_in_a_loop(measured: Measured) -> None
 def test_the_number_of_threads_changes_no_cost(
     model: str, measured: Measured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calib_pin.estimation.many_rows.WORTHWHILE", 1)
+    monkeypatch.setattr("calib_pin.estimation.population.WORTHWHILE", 1)
     problem = measured(load_chain("space6"), model, ["placement"], 301)
     theta = members(problem, 7)
     one, *others = (PopulationCost(problem, k)(theta).tobytes() for k in (1, 2, 3))

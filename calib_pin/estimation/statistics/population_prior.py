@@ -1,4 +1,4 @@
-"""What is known of a robot beforehand, and how far its measurements are from that.
+"""Knowledge of a robot beforehand, and how far its measurements are from it.
 
 Robots of one type have a mean and a spread of each error in common: the errors of robot
 i are `theta_i = mu + u_i`, `u_i ~ N(0, Lambda)`, with a diagonal Lambda. Its

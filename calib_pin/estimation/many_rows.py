@@ -21,8 +21,7 @@ chain traverses from child to parent have their sign in the motion and inverted 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -51,7 +50,7 @@ thousandth of a standard deviation from where a second one ends."""
 
 
 class ManyRows:
-    """Measurements of a block, whitened; see `evaluators.Evaluator`.
+    """Measurements of a block, whitened; see `problem.Evaluator`.
 
     Args:
         block: The block.
@@ -63,11 +62,12 @@ class ManyRows:
 
     reduces = True
 
-    def __init__(self, block: Block, sigma: Floats, last: object = None) -> None:
+    def __init__(self, block: Block, sigma: Floats, last: Any = None) -> None:
         """Cut the measurements into chunks."""
         self._block, self._sigma = block, block.table(sigma)
         error, data = block.term.error, block.data
-        self._segments = segments = Segments(error)
+        alike = isinstance(last, ManyRows) and last._block.term.error is error
+        self._segments = segments = last._segments if alike else Segments(error)
         # The twist along the joint's axis, of what stands before the joint.
         along = np.where(segments.revolute, 5, 2)[segments.joints]
         self._along = 6 * segments.joints + along
@@ -245,7 +245,7 @@ class Segments:
                     continue
                 k, sign = factor
                 twist = sign * behind.toActionMatrixInverse() @ model.screws[k].twist
-                screws.append(replace(model.screws[k], frame=segment, twist=twist))
+                screws.append(Screw(model.screws[k].parameter, segment, twist))
                 order.append(k)
             constants.append(behind.homogeneous[:3].reshape(-1))
         self.constants, self.screws = np.array(constants[::-1]), screws[::-1]
@@ -309,7 +309,7 @@ def _applied(screws: list[int]) -> list[Factor]:
 
 def _to_axis(axis: Floats) -> pin.SE3:
     """A rotation that takes z to a unit axis."""
-    turn = np.cross([0.0, 0.0, 1.0], axis)
+    turn = np.array([-axis[1], axis[0], 0.0])
     sine = float(np.linalg.norm(turn))
     direction = turn / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
     return pin.SE3(pin.exp3(direction * np.arctan2(sine, axis[2])), np.zeros(3))

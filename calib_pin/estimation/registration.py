@@ -124,7 +124,7 @@ def relocated(problem: Problem, theta: Floats, station: str) -> Problem:
     Args:
         problem: The problem of measurements from there, about its solution.
         theta: Parameter values, shape (P,).
-        station: Owner and kind of the base frame, see `Scope`.
+        station: Owner and kind of the base frame, see `Frames`.
     """
     found = Located()
     for term in problem.terms.values():

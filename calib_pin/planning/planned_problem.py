@@ -247,7 +247,7 @@ def predict(
 ) -> Predicted:
     """Covariance of a fit; what it will not be able to tell stays at nominal there.
 
-    A fit also holds all errors by the size that its measurements show (`stages`),
+    A fit also holds all errors by the size that its measurements show (`fitted`),
     which nobody knows before: of a variance v it leaves `v / (1 + v / size^2)`.
 
     Args:

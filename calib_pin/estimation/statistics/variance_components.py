@@ -819,7 +819,7 @@ class Variances:
         """Of the unknowns, shape (q, q)."""
         return np.asarray(self.half @ self.half.T)
 
-    @property
+    @cached_property
     def dof(self) -> Floats:
         """Degrees of freedom of chi-square that varies as the estimates do, (K,).
 

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled import blocks as compiled
 from calib_pin.compiled import kernels, link_kernels, row_kernels
 from calib_pin.compiled.threads import Threads
-from calib_pin.estimation.terms import Block, kept
+from calib_pin.estimation.terms import Block, Term, kept
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import Screw
@@ -47,6 +47,11 @@ within which measurements are linear: what is left is its square, 1e-8 m. The la
 of a fit of very many measurements are shorter, and cost no pass over them: from its
 sample the fit ends a million positions with a noise of 0.1 mm after one pass, a
 thousandth of a standard deviation from where a second one ends."""
+
+
+PASSES = 3
+"""Passes that are remembered: of the nominal robot, of the fitted one, and of that
+about other references."""
 
 
 class ManyRows:
@@ -72,11 +77,12 @@ class ManyRows:
         along = np.where(segments.revolute, 5, 2)[segments.joints]
         self._along = 6 * segments.joints + along
         self._threads, self._chunks = Threads(), list[_Chunk]()
-        # Parameters with residual and Jacobian there, of the last two passes.
-        self._known: list[tuple[Floats, Floats, Floats]] = []
+        self._passes: list[_Pass] = []
         if isinstance(last, ManyRows) and last._prepared_for(error):
             self._threads, self._chunks = last._threads, last._chunks
-            self._known = last._known_to(self)
+            self._passes = [
+                one.for_weights(block.term, self._sigma) for one in last._passes
+            ]
             return
 
         def chunk(start: int) -> _Chunk:
@@ -95,15 +101,6 @@ class ManyRows:
         same = error.chain is own.chain and error.screws is own.screws
         return same and error.payload == own.payload
 
-    def _known_to(self, other: ManyRows) -> list[tuple[Floats, Floats, Floats]]:
-        """Linearizations that hold for weights which are a multiple of these."""
-        factor = self._sigma.min() / other._sigma.min()
-        if self._block.term is not other._block.term or not 0.0 < factor < np.inf:
-            return []
-        if not np.allclose(factor * other._sigma, self._sigma, 1e-12, 0.0):
-            return []
-        return [(at, factor * r, factor * J) for at, r, J in self._known]
-
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (N, d)."""
         at, residual = self._at(theta), self._block.term.measurement.residual
@@ -121,8 +118,8 @@ class ManyRows:
     def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
         """The residual rows reduced by orthogonal transformations.
 
-        Of parameters that are near those of one of the last two passes, those of the
-        nominal robot and of the fitted one, it is the linearization there, see `NEAR`.
+        Of parameters that are near those of one of the last passes, it is the
+        linearization there, see `NEAR` and `PASSES`.
 
         Returns:
             Residual, shape (M,), and Jacobian, shape (M, p), M <= p + 1.
@@ -130,12 +127,14 @@ class ManyRows:
         term = self._block.term
         values = theta[term.index]
         near = np.minimum(NEAR, 0.1 * np.array([p.scale for p in term.parameters]))
-        for known, r, J in self._known:
-            if (np.abs(values - known) <= near).all():
-                return r + J @ (values - known), J
+        for one in self._passes:
+            step = values - one.values
+            if one.sigma is self._sigma and (np.abs(step) <= near).all():
+                return one.r + one.J @ step, one.J
         r, J = self._factors(theta)
         if np.isfinite(r).all():
-            self._known = [(values, r, J), *self._known[:1]]
+            found = _Pass(term, self._sigma, values, r, J)
+            self._passes = [found, *self._passes[: PASSES - 1]]
         return r, J
 
     def _factors(self, theta: Floats) -> tuple[Floats, Floats]:
@@ -184,6 +183,33 @@ class ManyRows:
             kernels.move(*given, at.amounts, motion)
         kernels.poses(at.links, motion, starts, T)
         return T, motion, starts
+
+
+class _Pass(NamedTuple):
+    """Linearization of all rows.
+
+    Attributes:
+        term: The term about its references.
+        sigma: Standard deviations of the components, shape (N, d).
+        values: Parameter values, shape (p,).
+        r: Residual there, as of `ManyRows.factorize`, shape (M,).
+        J: Its derivative, shape (M, p).
+    """
+
+    term: Term
+    sigma: Floats
+    values: Floats
+    r: Floats
+    J: Floats
+
+    def for_weights(self, term: Term, sigma: Floats) -> _Pass:
+        """The same with deviations of which its own are a multiple, if it is."""
+        factor = self.sigma.min() / sigma.min()
+        if self.term is not term or not 0.0 < factor < np.inf:
+            return self
+        if not np.allclose(factor * sigma, self.sigma, 1e-12, 0.0):
+            return self
+        return self._replace(sigma=sigma, r=factor * self.r, J=factor * self.J)
 
 
 class _At(NamedTuple):

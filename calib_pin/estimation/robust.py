@@ -251,12 +251,13 @@ class Studentized:
         """
         result = self.least.copy()
         used = np.flatnonzero(self.counts >= 0.5)  # Fewer tell no noise.
+        used = used[np.argsort(self.quantity[used], kind="stable")]
         ratios = self.squares[used] / _quantiles(self.counts[used], 1.0 - share)
-        order = np.lexsort((ratios, self.quantity[used]))
         ends = np.cumsum(np.bincount(self.quantity[used], minlength=len(result)))
-        for k, own in enumerate(np.split(ratios[order], ends[:-1])):
+        for k, own in enumerate(np.split(ratios, ends[:-1])):
             if len(own):
-                result[k] = np.sqrt(own[int(share * (len(own) - 1))])
+                place = int(share * (len(own) - 1))
+                result[k] = np.sqrt(np.partition(own, place)[place])
         return np.asarray(np.maximum(result, self.least))
 
     def scale(self, accepted: Flags) -> Floats:

@@ -11,18 +11,22 @@ from dataclasses import replace
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.conditions import require_conditions
-from calib_pin.estimation.fit import FittedModel, fit_model
+from calib_pin.estimation.fit import (
+    FittedModel,
+    fit_model,
+    time_course,
+    with_time_course,
+)
 from calib_pin.estimation.formulation import (
     Stated,
     fitting,
     geometric_setup,
     make_terms,
+    require_conditions,
     require_known,
     setup_of,
 )
 from calib_pin.estimation.problem import tool_points
-from calib_pin.estimation.time_course import time_course, with_time_course
 from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.spatial import Floats

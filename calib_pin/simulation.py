@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, require_known
-from calib_pin.estimation.configurations import (
+from calib_pin.estimation.nominal import (
     asked,
     brought_to_contact,
     named_targets,
@@ -18,7 +18,6 @@ from calib_pin.estimation.configurations import (
     payloads_in_turn,
 )
 from calib_pin.estimation.problem import Problem, assumed_sigma
-from calib_pin.estimation.terms import Configurations
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import (
     AT,
@@ -218,19 +217,19 @@ def exact_problem(
     return exact_at(problem, theta, at)
 
 
-def exact_at(problem: Problem, theta: Floats, *at: Configurations) -> Problem:
+def exact_at(problem: Problem, theta: Floats, *at: Measurements) -> Problem:
     """The problem with noise-free measurements at configurations of its blocks.
 
     Args:
         problem: The problem.
         theta: Parameter values, shape (P,).
-        at: Configurations of each block.
+        at: Measurements of each block.
     """
     exact = [_exact(problem, theta, one) for one in at]
     return replace(problem, data=Observations.of(*exact))
 
 
-def _exact(problem: Problem, theta: Floats, at: Configurations) -> Measurements:
+def _exact(problem: Problem, theta: Floats, at: Measurements) -> Measurements:
     """Noise-free measurements at configurations of a block."""
     return Measurements(
         joints=problem.chains.joints,
@@ -246,7 +245,7 @@ def _exact(problem: Problem, theta: Floats, at: Configurations) -> Measurements:
 def _measured(
     problem: Problem,
     theta: Floats,
-    at: Configurations,
+    at: Measurements,
     rng: np.random.Generator,
     noise: float | None,
     repeats: int,
@@ -287,7 +286,7 @@ def _drawn(
     count: int,
     every: bool,
     rng: np.random.Generator,
-) -> Configurations:
+) -> Measurements:
     """Random configurations of a block, those of starts of relative distances added.
 
     Args:
@@ -331,7 +330,7 @@ def _legs(target: Sequence[str], size: int) -> tuple[str, ...]:
     )
 
 
-def _relative(at: Configurations) -> Configurations:
+def _relative(at: Measurements) -> Measurements:
     """Configurations without those that others start from, the first of each name.
 
     The payload at the start stays to the end.
@@ -355,8 +354,8 @@ def _relative(at: Configurations) -> Configurations:
 
 
 def _measurable(
-    problem: Problem, theta: Floats, at: Configurations, strict: bool
-) -> Configurations:
+    problem: Problem, theta: Floats, at: Measurements, strict: bool
+) -> Measurements:
     """Configurations that can be measured; those of a contact where the tool touches.
 
     Raises:
@@ -373,8 +372,8 @@ def _measurable(
 
 
 def _everything_seen(
-    problem: Problem, theta: Floats, at: Configurations, strict: bool
-) -> Configurations:
+    problem: Problem, theta: Floats, at: Measurements, strict: bool
+) -> Measurements:
     """All targets that an instrument sees at each configuration, in their order.
 
     Raises:

@@ -15,11 +15,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.estimation.configurations import observable_configurations
-from calib_pin.estimation.directions import visible_directions
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
-from calib_pin.estimation.nominal import analyze_structure
+from calib_pin.estimation.identifiability import visible_directions
+from calib_pin.estimation.nominal import analyze_structure, observable_configurations
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_robot
 from calib_pin.io.urdf_tree import parse_robot

@@ -9,8 +9,8 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
-from calib_pin.estimation.configurations import asked
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.nominal import asked
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_chains
 from calib_pin.observations import (

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from calib_pin.kinematics.chain import Chain
     from calib_pin.kinematics.chains import Chains
     from calib_pin.kinematics.collision import Collisions
-    from calib_pin.planning.ways import Ways
+    from calib_pin.planning.travel import Ways
     from calib_pin.setup import Obstacle
 
 CLEARANCE = number(float, "--clearance", "0 to 1 m", 0.0, 1.0)
@@ -71,7 +71,7 @@ def ways_of(option: str, chain: Chain, collisions: Collisions | None) -> Ways:
         OptionError: If its URDF describes no solids, or a joint follows one elsewhere.
     """
     from calib_pin.kinematics.chains import Chains
-    from calib_pin.planning.ways import Ways
+    from calib_pin.planning.travel import Ways
 
     chains = Chains.of(chain)
     if len(chains.joints) > len(chain.joints):

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from calib_pin.kinematics.chain import Chain
     from calib_pin.kinematics.spatial import Floats
     from calib_pin.observations import BlockKey, Indices
-    from calib_pin.planning.ways import Ways
+    from calib_pin.planning.travel import Ways
     from calib_pin.progress import Progress
     from calib_pin.report.blocks import Block
     from calib_pin.setup import Setup
@@ -104,7 +104,7 @@ def compensate(asked: Commands, context: typer.Context) -> int:
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.exchange.motions import paced
     from calib_pin.io.results import read_result, written_before
-    from calib_pin.planning.ways import Passage
+    from calib_pin.planning.travel import Passage
     from calib_pin.report.blocks import Line
     from calib_pin.report.compensation_text import (
         accuracy_lines,

@@ -12,7 +12,7 @@ KNOWN = {
     "--model": "measurement_models:MEASUREMENT_MODELS",
     "--parameters": "parameterizations:PARAMETERIZATIONS",
     "--solver": "estimation.solve:SOLVERS",
-    "--loss": "estimation.robust.weights:LOSSES",
+    "--loss": "estimation.robust:LOSSES",
     "--learned": "residual_models:RESIDUAL_MODELS",
     "--use": "validation.model_selection:USES",
     "--criterion": "planning.criteria:CRITERIA",

@@ -39,7 +39,7 @@ def open_setup(file: Path | None, **flags: Any) -> Setup:
     """
     from dataclasses import replace
 
-    from calib_pin.estimation.robust.weights import LOSSES
+    from calib_pin.estimation.robust import LOSSES
     from calib_pin.estimation.solve import SOLVERS
     from calib_pin.io.measured_columns import asked_models
     from calib_pin.io.setup import read_setup

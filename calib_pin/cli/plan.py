@@ -55,7 +55,7 @@ def plan(asked: PlanRequest, context: typer.Context) -> int:
     from calib_pin.io.targets import ROW
     from calib_pin.planning.plan import plan as run
     from calib_pin.planning.plan import sides_of
-    from calib_pin.planning.ways import VIA, Ways
+    from calib_pin.planning.travel import VIA, Ways
     from calib_pin.planning.workspace import joint_limits
     from calib_pin.report.compensation_text import line_list
     from calib_pin.report.plan_text import plan_report

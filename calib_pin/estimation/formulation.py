@@ -9,16 +9,21 @@ from functools import cache
 from typing import TypeAlias
 
 import numpy as np
-import pinocchio as pin
 
 from calib_pin.errors import OptionError, enumerated, nearest, stated_in
-from calib_pin.estimation.conditions import at_conditions, require_conditions
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.row_blocks import PLACES
-from calib_pin.estimation.terms import Term, assembled, frames_of_blocks, prefixed
+from calib_pin.estimation.terms import (
+    FRAME,
+    Term,
+    assembled,
+    frames_of_blocks,
+    prefixed,
+)
 from calib_pin.kinematics.chains import Chains, Robots
 from calib_pin.kinematics.robot_types import robot_type
-from calib_pin.measurement_models import measurement_model
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import declared, measurement_model
 from calib_pin.measurement_models.catalog import require_values
 from calib_pin.measurement_models.references import Plane, ReferenceObject
 from calib_pin.observations import (
@@ -39,10 +44,77 @@ from calib_pin.parameterizations import (
 )
 from calib_pin.parameterizations.drift import InstrumentDrift
 from calib_pin.parameterizations.error_model import ErrorModel
-from calib_pin.parameterizations.thermal import REFERENCE
+from calib_pin.parameterizations.thermal import REFERENCE, ThermalGrowth, WarmUp
 from calib_pin.parameters import ParameterSet, matching
 from calib_pin.plugins import upper
 from calib_pin.setup import WORLD, JointPrior, Setup
+
+
+def require_conditions(
+    data: Observations, setup: Setup, *, of_robot: bool = False
+) -> None:
+    """Refuse measurements that do not state what their parameters depend on.
+
+    Args:
+        data: The measurements.
+        setup: The setup.
+        of_robot: Whether only errors of the robot count. Without a time an instrument
+            stands where it was when its drift began.
+
+    Raises:
+        InputError: If there are such.
+    """
+    names = [n for n in setup.parameters if not of_robot or n in outside_urdf()]
+    for condition, name in needed_conditions(names).items():
+        column = condition
+        if condition == "direction":
+            # Where it is known of none; else a joint may stand in the middle.
+            column = f"{data.joints[0]}.direction"
+            if of_robot or data.conditions.direction.size:
+                continue
+        reason = f"the parameters '{name}' need the {condition} of every measurement"
+        reason += ", and here it is not stated"
+        other = f"a column '{column}', or parameters without '{name}'"
+        for block in data.blocks:
+            if len(block) and not len(getattr(block.conditions, condition)):
+                raise block.error(0, reason, column=column, allowed=other)
+
+
+def at_conditions(chains: Chains, data: Observations, setup: Setup) -> Setup:
+    """The setup with what it leaves to the measurements: their temperature and times.
+
+    Args:
+        chains: The chains.
+        data: The measurements, which state what is needed.
+        setup: The setup.
+    """
+    held = data.conditions
+    if ThermalGrowth.name in setup.parameters and setup.thermal.reference is None:
+        # A tenth of a degree is as good, and looks like a temperature.
+        mean = round(float(np.mean(held.temperature)), 1)
+        setup = replace(setup, thermal=replace(setup.thermal, reference=mean))
+    if WarmUp.name in setup.parameters and len(held.time):
+        thermal, span = setup.thermal, float(np.ptp(held.time))
+        if not thermal.switched_on:
+            thermal = replace(thermal, switched_on=(float(held.time.min()),))
+        if thermal.warm_up_time is None and span > 0.0:
+            thermal = replace(thermal, warm_up_time=span / 3.0)
+        setup = replace(setup, thermal=thermal)
+    if InstrumentDrift.name not in setup.parameters:
+        return setup
+    spans = dict(setup.drift.spans)
+    named = frames_of_blocks(chains, data.keys, setup)
+    times: dict[str, list[Floats]] = {}
+    for block in data.blocks:
+        if declared(block.model).external and len(block):
+            station = named[block.key].station.rpartition(".")[0]
+            times.setdefault(station, []).append(block.conditions.time)
+    for station, parts in times.items():
+        first, last = (float(end(np.concatenate(parts))) for end in (np.min, np.max))
+        if station not in spans and last > first:
+            spans[station] = first, last
+    return replace(setup, drift=replace(setup.drift, spans=spans))
+
 
 Stated: TypeAlias = Setup | Mapping[str, object] | None
 """A setup, the keys of a setup file, or nothing."""
@@ -62,7 +134,6 @@ def make_problem(
     chains, (data,) = fitting(chains, setup, Observations.of(data))
     _require_payloads(data, setup)
     require_conditions(data, setup)
-    _require_directions(data, setup)
     setup = at_conditions(chains, data, setup)
     targets = {block.key: block.target.distinct for block in data.blocks}
     terms, given = make_terms(chains, targets, setup)
@@ -133,23 +204,21 @@ def require_known(
     for known in setup.known:
         lost = [name for name in known.between if name not in every]
         ends = [places[name] for name in known.between if name in places]
-        frames = {frame for _, frame in ends}
+        frames = sorted({frame for _, frame in ends})
         flat = all(isinstance(reference, Plane) for reference, _ in ends)
+        why = "is about planes alone" if known.unit == "rad" and not flat else ""
+        if len(frames) > 1:
+            why = f"is about two frames: {' and '.join(frames)}"
         if lost:
-            why = f"names '{lost[0]}', which no measurement does"
-            why += nearest(lost[0], every)
-        elif len(frames) > 1:
-            why = f"is about two frames: {' and '.join(sorted(frames))}"
-        elif known.unit == "rad" and not flat:
-            why = "is about planes alone"
-        else:
-            continue
-        raise OptionError(
-            f"'{known.key}' {why}",
-            file=setup.file or None,
-            value=list(known.between),
-            allowed=", ".join(sorted(filter(None, every))) or None,
-        )
+            hint = nearest(lost[0], every)
+            why = f"names '{lost[0]}', which no measurement does{hint}"
+        if why:
+            raise OptionError(
+                f"'{known.key}' {why}",
+                file=setup.file or None,
+                value=list(known.between),
+                allowed=", ".join(sorted(filter(None, every))) or None,
+            )
 
 
 def make_terms(
@@ -194,27 +263,14 @@ def make_terms(
         drifting = station if frames.station in outside else ""
         with stated_in(setup.file):
             error = created(key.chain, base, tool, drifting)
-            error = _on_tool(error, frames.offset)
+        # A tool that is known on another one shares its errors:
+        # `X Exp(S_1 t_1) ... K = X K Exp(Ad S_1 t_1) ...` with the adjoint of K^-1.
+        carried, inner = frames.offset.toActionMatrixInverse(), error.screws[:-FRAME]
+        last = [replace(s, twist=carried @ s.twist) for s in error.screws[-FRAME:]]
+        error = replace(error, screws=(*inner, *last))
         columns, index = chains.columns(key.chain), np.zeros(0, np.intp)
         terms.append(Term(error, models[key], key, frames, columns, index))
     return assembled(prefixed(terms))
-
-
-def _on_tool(error: ErrorModel, offset: pin.SE3) -> ErrorModel:
-    """The model of a tool that is known on another one, whose errors it shares.
-
-    `X Exp(S_1 t_1) ... K = X K Exp(Ad S_1 t_1) ...` with the adjoint of K^-1.
-
-    Args:
-        error: The model of the other tool.
-        offset: Pose K of the tool in that one.
-    """
-    carried, last = offset.toActionMatrixInverse(), len(error.chain.joints) + 2
-    screws = [
-        replace(screw, twist=carried @ screw.twist) if screw.frame == last else screw
-        for screw in error.screws
-    ]
-    return replace(error, screws=tuple(screws))
 
 
 def _require_own_loads(chains: Chains, setup: Setup) -> None:
@@ -256,9 +312,10 @@ def nominal_problem(
     keys = [BlockKey(measured)] if isinstance(measured, str) else measured
     named = keys if isinstance(keys, Mapping) else dict.fromkeys(keys, ())
     payloads = tuple(setup.payloads) or ("",)
+    needed = needed_conditions(setup.parameters)
     # Rows that no one has measured have the conditions of the reference.
-    stated, needed = setup.thermal.reference, needed_conditions(setup.parameters)
-    reference, none = REFERENCE if stated is None else stated, np.zeros(0)
+    stated = setup.thermal.reference
+    reference = REFERENCE if stated is None else stated
     blocks = []
     for key, names in named.items():
         model = measurement_model(key.model, setup, names)
@@ -273,14 +330,14 @@ def nominal_problem(
         values[:, -1:] = model.declaration.oriented  # The quaternion of no rotation.
         held = replace(
             UNSTATED,
-            temperature=np.full(count, reference) if "temperature" in needed else none,
-            time=np.zeros(count) if "time" in needed else none,
+            temperature=np.full(count * ("temperature" in needed), reference),
+            time=np.zeros(count * ("time" in needed)),
             payload=Labels.of([name for name in payloads for _ in targets]),
             direction=zeros.astype(np.int8),
         )
         block = Measurements(
-            joints=chains.joints,
-            q=zeros,
+            chains.joints,
+            zeros,
             values=values,
             target=Labels.of(targets * len(payloads)),
             conditions=held,
@@ -361,22 +418,6 @@ def _require_payloads(data: Observations, setup: Setup) -> None:
             reason = "there are several payloads, and the row names none"
         row = int(np.argmax(data.payload.where(name)))
         raise data.error(row, reason, column="payload", allowed=", ".join(known))
-
-
-def _require_directions(data: Observations, setup: Setup) -> None:
-    """Refuse measurements that do not tell from where joints came, if that matters.
-
-    Raises:
-        InputError: If none of them does.
-    """
-    held = data.conditions.direction
-    if "direction" in needed_conditions(setup.parameters) and not held.size:
-        raise data.error(
-            0,
-            "nothing tells from which side the joints came, which 'hysteresis' needs",
-            column=f"{data.joints[0]}.direction",
-            allowed="absolute measurements in the order of measuring, or such columns",
-        )
 
 
 def geometric_setup(chains: Robots, measurements: Observations, setup: Setup) -> Setup:

@@ -1,4 +1,4 @@
-"""Which error parameters can be known: ranks, coupled groups, observability.
+"""Which error parameters can be known, and how people call them.
 
 Everything here works on identification Jacobians whose columns are multiplied by the
 scale of their parameter. Columns are never divided by their norm: a column that is
@@ -8,20 +8,33 @@ Two ranks are kept apart. The *structural* rank belongs to the robot and the way
 measured: the Jacobian at zero errors over many random configurations, decided near
 machine precision. The *practical* rank belongs to these measurements: a direction
 counts if its posterior standard deviation is below `WEAK` times its scale.
+
+A person does not think of an error of a joint along x of its frame, but of the zero of
+the joint, of the length and twist of the link before it, of the offset along its axis
+(Denavit and Hartenberg), and of a tilt that these cannot express (Hayati). Here the
+translations and rotations of every joint are turned into these directions: along the
+common normal of its axis and the one before, along the axis, and across both.
+
+A redundant model has directions that nothing can see, and real measurements leave some
+more that they can hardly tell. Moving them would shift links by centimeters for nothing
+in return, so they stay at nominal.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.estimation.directions import robot_values, rounding
-from calib_pin.kinematics.spatial import Floats
-from calib_pin.parameterizations.base import expected_size
+from calib_pin.estimation.terms import FRAME, Terms
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats, invert, skew
+from calib_pin.parameterizations.base import Screw, expected_size
 from calib_pin.parameters import ParameterSet
 
 CRUMB = 1e-6
@@ -101,12 +114,29 @@ class Structure:
         free, of_free = parameters.free, np.cumsum(parameters.free) - 1
         order = np.array([k for k in parameters.eliminated if free[k]], np.int64)
         _, C = combinations(self.relations[:, of_free[order]], self.rank)
+        return tuple(self._readable(row, order) for row in C / parameters.scales[order])
+
+    def _readable(self, coefficients: Floats, order: NDArray[np.int64]) -> Combination:
+        """A sum whose first term has coefficient 1, unless another dwarfs that term.
+
+        A tool point close to the last axis, say, makes the first term a hundredth of
+        what the others weigh; the sum is then a length and not a strangely large angle.
+
+        Args:
+            coefficients: Of the free parameters in the order of elimination, (K,).
+            order: Positions of these parameters, shape (K,).
+        """
+        own = [self.parameters[int(k)] for k in order]
         # The scale of a frame is that of an unknown stand, not of an error.
-        sizes = [expected_size(p.unit) if p.nuisance else p.scale for p in parameters]
-        return tuple(
-            _readable(row, order, np.array(sizes)[order], parameters)
-            for row in C / parameters.scales[order]
-        )
+        sizes = [expected_size(p.unit) if p.nuisance else p.scale for p in own]
+        weights = np.abs(coefficients) * sizes
+        heaviest = int(np.argmax(weights))
+        kept = np.flatnonzero(weights > CRUMB * weights[heaviest])
+        dwarfed = weights[heaviest] > DWARFED * weights[kept[0]]
+        lead = heaviest if dwarfed else int(kept[0])
+        values = (coefficients[kept] / coefficients[lead]).tolist()
+        terms = tuple(zip(order[kept].tolist(), values, strict=True))
+        return Combination(terms, own[lead].unit)
 
     @cached_property
     def unidentifiable(self) -> tuple[int, ...]:
@@ -206,30 +236,446 @@ def everett_count(revolute: NDArray[np.bool_], frames: int = 2) -> int:
     return int(4 * revolute.sum() + 2 * (~revolute).sum() + 6 * (frames - 1))
 
 
-def _readable(
-    coefficients: Floats,
-    order: NDArray[np.int64],
-    sizes: Floats,
-    parameters: ParameterSet,
-) -> Combination:
-    """A sum whose first term has coefficient 1, unless another dwarfs that term.
+KINDS = (
+    *("joint offset", "link length", "link offset", "link twist"),
+    *("axis tilt", "axis shift"),
+)
+"""Kinds of geometric errors, those that describe a robot best first."""
 
-    A tool point close to the last axis, say, makes the first term a hundredth of what
-    the others weigh; the sum is then a length and not a strangely large angle.
+PARALLEL = 0.02
+"""Sine of the angle below which two axes count as parallel."""
+
+NEAR = 1e-4
+"""Distance below which two lines count as one [m]."""
+
+
+class Label(NamedTuple):
+    """An error as a person names it.
+
+    Attributes:
+        kind: One of `KINDS`, or what a joint correction belongs to, such as
+            `transmission`, or is, `backlash`.
+        of: Name of the joint; of the link for its length and twist.
+    """
+
+    kind: str
+    of: str
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Robot parameters turned into named directions.
+
+    Attributes:
+        turned: Orthogonal matrix B of all parameters, shape (P, P): values in the named
+            directions are `B^T theta`.
+        labels: Label of each direction, by its position.
+        order: Positions of these directions in the order of elimination: those that
+            describe a robot best first, from base to tip.
+    """
+
+    turned: Floats
+    labels: dict[int, Label]
+    order: tuple[int, ...]
+
+
+class _Place(NamedTuple):
+    """A joint between its axis and the one before, in its own frame.
+
+    Attributes:
+        joint: Its name; empty for the tip.
+        axis: Its axis, shape (3,); None for the tip.
+        before: Name of the joint before; empty for the first.
+        origin: A point of the axis before, shape (3,).
+        along: Direction of that, shape (3,).
+        link: Link between both.
+    """
+
+    joint: str
+    axis: Floats | None
+    before: str
+    origin: Floats
+    along: Floats
+    link: str
+
+    def directions(self, axis: Floats) -> tuple[Floats, Floats, Floats]:
+        """Common normal, direction across it, and axis; a right-handed frame."""
+        # From the axis before to the own one, which passes through the origin.
+        apart = self.origin if self.axis is None else -self.origin
+        normal = skew(self.along) @ (axis if self.axis is None else self.axis)
+        if np.linalg.norm(normal) < PARALLEL:
+            normal = apart - (apart @ axis) * axis
+            if np.linalg.norm(normal) < NEAR:
+                first = np.eye(3)[int(np.argmin(np.abs(axis)))]
+                normal = first - (first @ axis) * axis
+        elif normal @ apart < -NEAR * np.linalg.norm(normal):
+            normal = -normal
+        normal = normal - (normal @ axis) * axis
+        normal = normal / np.linalg.norm(normal)
+        return normal, skew(axis) @ normal, axis
+
+
+def geometric_columns(system: Terms, parameters: ParameterSet) -> Columns:
+    """The directions of all robot parameters of a system.
 
     Args:
-        coefficients: Of the free parameters in the order of elimination, shape (K,).
-        order: Positions of these parameters, shape (K,).
-        sizes: Their sizes, shape (K,).
+        system: The robot and how it is measured.
+        parameters: Its parameters; those that are not free keep their directions.
+    """
+    count = len(parameters)
+    turned, labels = np.eye(count), dict[int, Label]()
+    ranked = dict[int, tuple[int, int]]()
+    for term in system.terms.values():
+        chain = term.error.chain
+        places = _places(chain)
+        turns = dict(zip(chain.joints, chain.revolute, strict=True))
+        together = defaultdict[tuple[int, str], list[tuple[int, Screw]]](list)
+        inner = slice(FRAME, len(term.error.screws) - FRAME)
+        for position, screw in zip(
+            term.index[inner].tolist(), term.error.screws[inner], strict=True
+        ):
+            stem = screw.parameter.name.rpartition(".")[0]
+            own = parameters[position]
+            if own.free and not own.nuisance and position not in labels:
+                together[screw.frame, stem].append((position, screw))
+                labels[position] = _beyond(screw)
+        for (frame, _), entries in together.items():
+            place = places[frame - 1]
+            geometric = [(k, s) for k, s in entries if s.basis is None]
+            positions = [k for k, _ in geometric]
+            twists = np.array([s.twist for _, s in geometric]).reshape(-1, 6)
+            block = _aligned(twists, parameters.scales[positions], place)
+            turned[np.ix_(positions, positions)] = block
+            for k, twist in zip(positions, block.T @ twists, strict=True):
+                labels[k] = _named(twist, place, turns)
+            for k, _ in entries:
+                # What describes links and joints comes first, then the rest.
+                kind = labels[k].kind
+                urgency = (*KINDS, kind).index(kind) - KINDS.index("link twist")
+                ranked.setdefault(k, (max(urgency, 0), len(ranked)))
+    return Columns(turned, labels, tuple(sorted(ranked, key=ranked.__getitem__)))
+
+
+def _beyond(screw: Screw) -> Label:
+    """A joint correction, by its name."""
+    owner, kind, component = screw.parameter.name.rsplit(".", 2)
+    joint = owner.removeprefix("joint:")
+    if kind == "hysteresis":
+        return Label(component, joint)  # Its component says what it is.
+    return Label(kind, f"{joint} {component}")
+
+
+def _places(chain: Chain) -> list[_Place]:
+    """The joints of a chain and, last, its tip."""
+    zero = np.zeros((1, len(chain.joints)))
+    frames = [np.eye(4), *chain.joint_frames(), chain.poses(zero)[0]]
+    axes, joints = [np.array([0.0, 0.0, 1.0]), *chain.axes], ["", *chain.joints]
+    links = [chain.base, *(_moved_link(chain, joint) for joint in chain.joints)]
+    ends = zip([*joints[1:], ""], [*axes[1:], None], strict=True)
+    found = []
+    for k, (joint, axis) in enumerate(ends):
+        before = invert(frames[k + 1]) @ frames[k]
+        line = before[:3, 3], before[:3, :3] @ axes[k]
+        found.append(_Place(joint, axis, joints[k], *line, links[k]))
+    return found
+
+
+def _moved_link(chain: Chain, joint: str) -> str:
+    """The first link that a joint moves."""
+    model = chain.robot.model
+    index = model.getJointId(joint)
+    bodies = (f.name for f in model.frames if f.parentJoint == index)
+    names = (name.rpartition(":")[2] for name in bodies)
+    return next((name for name in names if name in chain.robot.links), joint)
+
+
+def _aligned(twists: Floats, scales: Floats, place: _Place) -> Floats:
+    """Orthogonal matrix that turns screws of one frame into named directions.
+
+    Only of full triples of translations or of rotations about one point; others keep
+    their directions.
+    """
+    result = np.eye(len(twists))
+    shifts = np.flatnonzero(np.linalg.norm(twists[:, 3:], axis=1) < 1e-9)
+    turns = np.flatnonzero(np.linalg.norm(twists[:, 3:], axis=1) > 0.5)
+    axis = place.axis
+    moments = np.linalg.norm(twists[turns, :3], axis=1).max(initial=0.0)
+    # Rotations about the frame before are errors of the link behind its axis.
+    if axis is None or (len(turns) == 3 and moments > NEAR):
+        axis = place.along
+    towards = np.array(place.directions(axis)).T
+    for rows, own in ((shifts, slice(0, 3)), (turns, slice(3, 6))):
+        given = twists[rows, own]
+        alike = len(rows) == 3 and np.ptp(scales[rows]) == 0.0
+        if alike and np.allclose(given @ given.T, np.eye(3), atol=1e-9):
+            result[np.ix_(rows, rows)] = given @ towards
+    return result
+
+
+def _named(twist: Floats, place: _Place, turns: Mapping[str, bool]) -> Label:
+    """The kind of an error by its screw, in the frame of the joint.
+
+    Args:
+        twist: The screw, shape (6,).
+        place: The joint.
+        turns: Whether each joint of the chain turns.
+    """
+    shift, turn = twist[:3], twist[3:]
+    turning = bool(np.linalg.norm(turn) > 1e-9)
+    direction = turn if turning else shift
+    direction = direction / np.linalg.norm(direction)
+    point = skew(turn) @ shift / (turn @ turn) if turning else np.zeros(3)
+
+    def along(other: Floats) -> bool:
+        return bool(abs(direction @ other) > 1.0 - 1e-4)
+
+    for joint, axis, origin in (
+        (place.joint, place.axis, np.zeros(3)),
+        (place.before, place.along, place.origin),
+    ):
+        off = point - origin
+        through = np.linalg.norm(off - (off @ direction) * direction) < NEAR
+        if joint and axis is not None and along(axis) and (through or not turning):
+            free = turning == turns[joint]
+            axial = "axis tilt" if turning else "link offset"
+            return Label("joint offset" if free else axial, joint)
+    normal = place.directions(place.along if place.axis is None else place.axis)[0]
+    if place.before and along(normal):
+        return Label("link twist" if turning else "link length", place.link)
+    return Label("axis tilt" if turning else "axis shift", place.joint or "tip")
+
+
+WEAK = 10.0
+"""Posterior standard deviation, in scales, from which a direction is left alone."""
+
+RANK = 1e-12
+"""Singular values below this part of the largest are rounding."""
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Directions that a fit may move, in parameters divided by their scale.
+
+    Attributes:
+        nuisances: Unit vectors of the free nuisances, shape (P, f).
+        robot: Robot directions that are estimated, shape (P, r).
+        weak: Robot directions that stay at nominal, shape (P, w).
+        revealed: Number of the robot directions, the last ones, that nominal geometry
+            hides and that are estimated all the same; 0 for errors of expected size.
+    """
+
+    nuisances: Floats
+    robot: Floats
+    weak: Floats
+    revealed: int = 0
+
+    @property
+    def basis(self) -> Floats:
+        """Moved directions, shape (P, f + r)."""
+        return np.column_stack([self.nuisances, self.robot])
+
+    @property
+    def every(self) -> Floats:
+        """Moved directions and those held at nominal, shape (P, f + r + w)."""
+        return np.column_stack([self.nuisances, self.robot, self.weak])
+
+    @property
+    def hidden(self) -> Floats:
+        """Robot directions that nominal geometry hides, shape (P, revealed)."""
+        return self.robot[:, self.robot.shape[1] - self.revealed :]
+
+    @property
+    def count(self) -> int:
+        """Number of directions that are moved."""
+        return int(self.nuisances.shape[1] + self.robot.shape[1])
+
+    def weak_part(self, row: Floats, parameters: ParameterSet) -> float:
+        """Part of a sum of robot parameters that lies in directions held at nominal.
+
+        Args:
+            row: Coefficients of the sum, shape (P,).
+            parameters: The parameters.
+        """
+        scaled = np.where(parameters.nuisance, 0.0, row * parameters.scales)
+        length = float(np.linalg.norm(scaled))
+        return float(np.linalg.norm(self.weak.T @ scaled)) / length if length else 0.0
+
+
+def nuisance_basis(parameters: ParameterSet) -> Floats:
+    """The free parameters of base, tool and instrument by their scales, (P, f)."""
+    return np.diag(parameters.scales)[:, parameters.free & parameters.nuisance]
+
+
+def visible_directions(J: Floats, parameters: ParameterSet) -> Floats:
+    """Robot directions that change something which the nuisances cannot absorb.
+
+    The solution stays in these directions: what a frame can absorb, the frame
+    absorbs, and what nothing can see keeps its nominal value.
+
+    Args:
+        J: Jacobian at zero errors over many random configurations, with the rows of
+            the priors, shape (M, P).
+        parameters: The parameters.
+
+    Returns:
+        Orthonormal directions of the parameters divided by their scale, shape (P, r).
+    """
+    _, Vt = _visible(J, parameters)
+    result = np.zeros((len(parameters), len(Vt)))
+    # Rounding must not move, by 1e-20, parameters that nothing moves.
+    robot = parameters.free & ~parameters.nuisance
+    result[robot] = np.where(np.abs(Vt) < 1e-13, 0.0, Vt).T
+    return result
+
+
+def visible_nuisances(J: Floats, parameters: ParameterSet) -> Floats:
+    """Directions of base, tool and instrument that change something.
+
+    Args:
+        J: Jacobian as for `visible_directions`, shape (M, P).
+        parameters: The parameters.
+
+    Returns:
+        Orthonormal directions of the parameters divided by their scale, shape (P, f).
+    """
+    free = parameters.free & parameters.nuisance
+    A = (J * parameters.scales)[:, free]
+    # The rows of A have the range of its transpose.
+    directions = column_space(np.asarray(np.linalg.qr(A, mode="r")).T)
+    result = np.zeros((len(parameters), directions.shape[1]))
+    result[free] = directions
+    return result
+
+
+def practical_directions(
+    J: Floats,
+    r: Floats,
+    count: int,
+    parameters: ParameterSet,
+    robot: Floats,
+    sigma0: float | None = None,
+) -> Directions:
+    """Choose the robot directions that these measurements can estimate.
+
+    The nuisances are projected out of the whitened, scaled Jacobian; a right singular
+    direction with singular value s then has the posterior standard deviation
+    `sigma0 / s`, in scales.
+
+    Args:
+        J: Whitened Jacobian at zero robot errors, shape (M, P).
+        r: Whitened residual there, shape (M,); predicts sigma0 where it is None.
+        count: Residual components; more than M where J and r are a reduced system.
+        parameters: The parameters.
+        robot: Structurally visible robot directions, shape (P, r).
+        sigma0: Standard deviation of unit weight of a fit, where one is known.
+    """
+    A, nuisance = J * parameters.scales, parameters.free & parameters.nuisance
+    U = column_space(A[:, nuisance])
+    system = np.column_stack([A @ robot, r])
+    # The triangular factor holds the same problem in few rows.
+    triangle = np.asarray(np.linalg.qr(system - U @ (U.T @ system), mode="r"))
+    rest = triangle[:, -1]
+    left, s, Vt = np.linalg.svd(triangle[:, :-1], full_matrices=True)
+    if sigma0 is None:
+        # By the linear prediction of sigma0 with those that are better determined: to
+        # start with few keeps a poor linearization from moving what no data hold.
+        dof = count - U.shape[1] - 1 - np.arange(len(s))
+        squares = rest @ rest - np.cumsum((left.T[: len(s)] @ rest) ** 2)
+        predicted = np.sqrt(np.maximum(squares, 0.0) / np.maximum(dof, 1))
+        kept = int(np.cumprod((s * WEAK > predicted) & (dof > 0)).sum())
+    else:
+        kept = int((s * WEAK > sigma0).sum())
+    kept = min(kept, int((s > rounding(A) * s.max(initial=0.0)).sum()))
+    nuisances = np.eye(len(parameters))[:, nuisance]
+    return Directions(nuisances, robot @ Vt[:kept].T, robot @ Vt[kept:].T)
+
+
+def half_covariance(J: Floats, basis: Floats, parameters: ParameterSet) -> Floats:
+    """Factor H of the covariance `H H^T` of least squares at unit weight.
+
+    It belongs to the references that the Jacobian is taken about, and so does what is
+    multiplied by it. The columns of `J H` are orthonormal.
+
+    Args:
+        J: Whitened Jacobian at the solution, shape (M, P).
+        basis: Directions that were moved, of the scaled parameters, shape (P, k).
+        parameters: The parameters.
+
+    Returns:
+        The factor, shape (P, rank).
+    """
+    scaled = parameters.scales[:, None] * basis
+    A = J @ scaled
+    # What nothing shows, or was eliminated, costs nothing.
+    used = A.any(axis=0)
+    return np.asarray(scaled[:, used] @ inverse_root(A[:, used]))
+
+
+def inverse_root(A: Floats) -> Floats:
+    """Factor F of the pseudoinverse `(A^T A)^+ = F F^T`, (M, k) -> (k, rank)."""
+    triangle = np.linalg.qr(A, mode="r")
+    _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
+    rank = int((s > RANK * s.max(initial=0.0)).sum())
+    return np.asarray(Vt[:rank].T / s[:rank])
+
+
+def robot_singular_values(
+    directions: Directions, J: Floats, parameters: ParameterSet
+) -> Floats:
+    """Singular values of the moved robot directions, the nuisances projected out.
+
+    Args:
+        directions: Directions that were fitted.
+        J: Whitened Jacobian at its solution, shape (M, P).
         parameters: The parameters.
     """
-    weights = np.abs(coefficients) * sizes
-    heaviest = int(np.argmax(weights))
-    kept = np.flatnonzero(weights > CRUMB * weights[heaviest])
-    first = int(kept[0])
-    lead = heaviest if weights[heaviest] > DWARFED * weights[first] else first
-    values = coefficients[kept] / coefficients[lead]
-    return Combination(
-        tuple(zip(order[kept].tolist(), values.tolist(), strict=True)),
-        parameters[int(order[lead])].unit,
-    )
+    A = J * parameters.scales
+    columns = projected(A @ directions.robot, A, parameters)
+    return np.asarray(np.linalg.svd(np.linalg.qr(columns, mode="r"), compute_uv=False))
+
+
+def robot_values(J: Floats, parameters: ParameterSet) -> Floats:
+    """Nonzero singular values of `visible_directions`, descending, shape (r,)."""
+    return _visible(J, parameters)[0]
+
+
+def _visible(J: Floats, parameters: ParameterSet) -> tuple[Floats, Floats]:
+    """Singular values and right vectors of what nuisances cannot absorb, (r,), (r, R).
+
+    Of the scaled columns of the R robot parameters, without rounding.
+    """
+    A = J * parameters.scales
+    own = A[:, parameters.free & ~parameters.nuisance]
+    triangle = np.linalg.qr(projected(own, A, parameters), mode="r")
+    _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
+    # Relative to what stood there before: the projection leaves rounding behind.
+    longest = np.linalg.eigvalsh(own.T @ own).max(initial=0.0) ** 0.5
+    seen = s > rounding(A) * longest
+    return s[seen], Vt[seen]
+
+
+def rounding(A: Floats) -> float:
+    """Relative size of singular values that rounding alone produces."""
+    return float(10.0 * max(A.shape, default=1) * np.finfo(float).eps)
+
+
+def projected(columns: Floats, A: Floats, parameters: ParameterSet) -> Floats:
+    """Columns with what the nuisances can absorb of them taken away.
+
+    Args:
+        columns: Scaled columns, or residuals, shape (M, k).
+        A: Whitened Jacobian times the scales, shape (M, P).
+        parameters: The parameters.
+    """
+    U = column_space(A[:, parameters.free & parameters.nuisance])
+    return np.asarray(columns - U @ (U.T @ columns))
+
+
+def column_space(A: Floats) -> Floats:
+    """Orthonormal basis of the columns of A, rounding left out."""
+    # Those of stations that were eliminated are zero, and may be very many.
+    A = A[:, A.any(axis=0)]
+    if A.shape[1] == 0:
+        return np.zeros((len(A), 0))
+    U, s, _ = np.linalg.svd(A, full_matrices=False)
+    return np.asarray(U[:, s > rounding(A) * s[0]])

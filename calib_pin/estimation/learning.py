@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError, require_known
-from calib_pin.estimation.directions import visible_nuisances
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.identifiability import visible_nuisances
+from calib_pin.estimation.problem import SAMPLE, Problem
 from calib_pin.estimation.terms import Term, Terms
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
@@ -30,9 +30,6 @@ from calib_pin.residual_models import (
 from calib_pin.setup import Setup
 
 _Terms = TypeVar("_Terms", bound=Terms)
-
-FEW = 1000
-"""Configurations that tell whether a correction is zero; then it is zero everywhere."""
 
 
 def require_learnable(name: str, setup: Setup, measurements: Observations) -> None:
@@ -101,10 +98,9 @@ def learned_correction(
     Raises:
         InputError: If the measurements are too few to learn from.
     """
-    directions, known = shift_directions(fitted, problem, theta)
-    rows = training_rows(problem, theta, directions, known)
+    directions, rows = _learnable(fitted, problem, theta)
     found = RESIDUAL_MODELS[name](rows, rng, progress=progress)
-    if not (found.shift.any() or found(rows.q[:FEW]).any()):
+    if not (found.shift.any() or found(rows.q[:SAMPLE]).any()):
         # Nothing held on the validation measurements.
         return None
     return LearnedCorrection(found, directions @ found.shift)
@@ -131,8 +127,7 @@ def left_out(
         masks: Those to leave out, shape (N,) each.
         rng: Random generator of the residual model.
     """
-    directions, known = shift_directions(fitted, problem, theta)
-    rows = training_rows(problem, theta, directions, known)
+    directions, rows = _learnable(fitted, problem, theta)
     found = learned.model.left_out(rows, masks, rng)
     return [LearnedCorrection(one, directions @ one.shift) for one in found]
 
@@ -213,10 +208,10 @@ class _Given:
         return np.ones(len(q))
 
 
-def shift_directions(
+def _learnable(
     fitted: Fit, problem: Problem, theta: Floats
-) -> tuple[Floats, Shifts]:
-    """Directions that the fit could tell, (P, k), and what is known of them.
+) -> tuple[Floats, TrainingRows]:
+    """Directions that the fit could tell, (P, k), and the rows to learn from.
 
     Those of the robot, in the scales of parameters, and free ones of the frames; the
     instruments stay as they were fitted.
@@ -227,16 +222,17 @@ def shift_directions(
         theta: Parameter values of the solution about that, shape (P,).
     """
     parameters, robot = problem.parameters, fitted.directions.robot
-    _, J = problem.linearize(theta)
-    frames = visible_nuisances(J, parameters)
+    frames = visible_nuisances(problem.linearize(theta)[1], parameters)
     for term in problem.terms.values():
         frames[term.of_instrument] = 0.0
     frames = frames[:, frames.any(axis=0)]
-    free, shown = np.zeros(frames.shape[1]), robot.any(axis=1)
-    kinds = []
-    for kind in dict.fromkeys(parameters.kinds[shown].tolist()):
-        own = robot[shown & (parameters.kinds == kind)].T
-        kinds.append(np.concatenate([np.zeros((len(free), own.shape[1])), own]))
+    shown, free = robot.any(axis=1), frames.shape[1]
+    kinds = tuple(
+        np.vstack([np.zeros((free, own.sum())), robot[own].T])
+        for kind in dict.fromkeys(parameters.kinds[shown].tolist())
+        for own in (shown & (parameters.kinds == kind),)
+    )
     values = robot.T @ (fitted.theta / parameters.scales)
-    known = Shifts(np.concatenate([free, values]), tuple(kinds))
-    return parameters.scales[:, None] * np.column_stack([frames, robot]), known
+    known = Shifts(np.concatenate([np.zeros(free), values]), kinds)
+    directions = parameters.scales[:, None] * np.column_stack([frames, robot])
+    return directions, training_rows(problem, theta, directions, known)

@@ -1,4 +1,4 @@
-"""Very many measurements by compiled kernels, chunk by chunk into triangular factors.
+"""Very many measurements by compiled kernels, chunk by chunk into one factor.
 
 The Jacobian of a million measurements does not fit into memory, and nothing needs it: a
 step of Gauss-Newton, a rank and a covariance follow from the triangular factor R of the
@@ -16,19 +16,12 @@ Z turns about z or shifts along it. Whatever stands between two joint motions be
 one segment: constants multiplied together and moved to the left, and behind them the
 screws of the parameters in their order, each transformed by the adjoint. Joints that a
 chain traverses from child to parent have their sign in the motion and inverted screws.
-
-Blocks that differ in their station alone are one stream of measurements: a station is a
-pose before everything else, and meets no twist but its own.
 """
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from itertools import pairwise
-from typing import NamedTuple, TypeAlias
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -37,8 +30,8 @@ from numpy.typing import NDArray
 from calib_pin.compiled import blocks as compiled
 from calib_pin.compiled import kernels, link_kernels, row_kernels
 from calib_pin.compiled.threads import Threads
-from calib_pin.estimation.terms import FRAME, Block, kept
-from calib_pin.kinematics.spatial import Floats, adjoint, invert, se3_exp
+from calib_pin.estimation.terms import Block, Term, kept
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import Screw
 from calib_pin.parameterizations.error_model import ErrorModel
@@ -56,267 +49,175 @@ sample the fit ends a million positions with a noise of 0.1 mm after one pass, a
 thousandth of a standard deviation from where a second one ends."""
 
 
+PASSES = 3
+"""Passes that are remembered: of the nominal robot, of the fitted one, and of that
+about other references."""
+
+
 class ManyRows:
-    """Measurements of blocks of one kind, whitened; see `evaluators.Evaluator`.
+    """Measurements of a block, whitened; see `problem.Evaluator`.
 
     Args:
-        blocks: The S blocks, see `Term.kind`.
+        block: The block.
         sigma: Standard deviations of the residual components of all blocks of the
             problem, shape (M,).
+        last: The last evaluator of the same measurements, whose references and weights
+            may be others; what it has prepared is used again.
     """
 
     reduces = True
 
-    def __init__(self, blocks: Sequence[Block], sigma: Floats) -> None:
+    def __init__(self, block: Block, sigma: Floats, last: Any = None) -> None:
         """Cut the measurements into chunks."""
-        self._refer(blocks)
-        error = self._error
-        joints = [error.screws[k].frame - 1 for k in error.joint_corrections]
-        self._joints = np.array(joints, np.int64)
+        self._block, self._sigma = block, block.table(sigma)
+        error, data = block.term.error, block.data
+        alike = isinstance(last, ManyRows) and last._block.term.error is error
+        self._segments = segments = last._segments if alike else Segments(error)
         # The twist along the joint's axis, of what stands before the joint.
-        along = np.where(self._segments.revolute, 5, 2)
-        self._along = 6 * self._joints + along[self._joints]
-        self._threads = Threads()
-        data = blocks[0].data
-        if len(blocks) > 1:
-            data = Measurements.concatenate(
-                [replace(block.data, station="", sigma=None) for block in blocks]
-            )
-        self._stops = np.cumsum([len(block.data) for block in blocks])
+        along = np.where(segments.revolute, 5, 2)[segments.joints]
+        self._along = 6 * segments.joints + along
+        self._threads, self._chunks = Threads(), list[_Chunk]()
+        self._passes: list[_Pass] = []
+        if isinstance(last, ManyRows) and last._prepared_for(error):
+            self._threads, self._chunks = last._threads, last._chunks
+            self._passes = [
+                one.for_weights(block.term, self._sigma) for one in last._passes
+            ]
+            return
+
+        def chunk(start: int) -> _Chunk:
+            # Views: nothing is copied but the factors of joint corrections.
+            rows = slice(start, start + CHUNK)
+            some = data.rows(rows)
+            factors = error.basis(some.q, some.conditions) * segments.factors
+            return _Chunk(some, rows, factors.T.copy())
+
         starts = range(0, len(data), CHUNK)
-        self._chunks = list(self._threads.map(partial(self._chunk, data), starts))
-        self._sigma = _stacked(blocks, sigma)
+        self._chunks += self._threads.map(chunk, starts)
 
-    def _refer(self, blocks: Sequence[Block]) -> None:
-        """Take blocks with their references."""
-        self._blocks, term = blocks, blocks[0].term
-        self._error = replace(
-            term.error, base=pin.SE3.Identity(), screws=term.error.screws[FRAME:]
-        )
-        self._segments = Segments.of(self._error)
-        self._measurement = term.measurement
-        self._bases = np.array([block.term.error.base.homogeneous for block in blocks])
-        # Parameters of each block, (S, p), with residual and Jacobian of each there.
-        self._known: list[tuple[Floats, list[tuple[Floats, Floats]]]] = []
+    def _prepared_for(self, error: ErrorModel) -> bool:
+        """Whether only frames of an error model are others."""
+        own = self._block.term.error
+        same = error.chain is own.chain and error.screws is own.screws
+        return same and error.payload == own.payload
 
-    @classmethod
-    def of(cls, blocks: Sequence[Block], sigma: Floats, last: object) -> ManyRows:
-        """Measurements by what the last evaluator of them has prepared, if it can.
+    def errors(self, theta: Floats) -> Floats:
+        """Residuals in their units, predicted minus measured, shape (N, d)."""
+        at, residual = self._at(theta), self._block.term.measurement.residual
+        return self._every(lambda c: residual(self._poses(c, at)[0], at.own, c.data))
 
-        Args:
-            blocks: The blocks; their references may be others.
-            sigma: Standard deviations as above; those may be others as well.
-            last: The evaluator, or None.
-        """
-        error = blocks[0].term.error
-        if not isinstance(last, ManyRows):
-            return cls(blocks, sigma)
-        before = last._blocks[0].term.error
-        same = error.chain is before.chain and error.screws is before.screws
-        if not same or error.payload != before.payload:
-            return cls(blocks, sigma)
-        pairs, table = zip(blocks, last._blocks, strict=True), _stacked(blocks, sigma)
-        moved = any(block.term is not other.term for block, other in pairs)
-        if not moved and np.array_equal(table, last._sigma):
-            return last
-        result = copy.copy(last)
-        if moved:
-            result._refer(blocks)
-        result._weigh(table)
-        return result
-
-    def _chunk(self, data: Measurements, start: int) -> _Chunk:
-        """The rows from a start."""
-        # Views: nothing is copied but the factors of joint corrections.
-        every = slice(start, start + CHUNK)
-        data = data.rows(every)
-        factors = self._error.basis(data.q, data.conditions)
-        factors *= self._segments.signs[self._joints]
-        cuts = np.clip([0, *(self._stops - start)], 0, len(data)).tolist()
-        pieces = [
-            _Piece(block, slice(first, stop), factors[first:stop].T.copy())
-            for block, (first, stop) in enumerate(pairwise(cuts))
-            if stop > first
-        ]
-        return _Chunk(data, every, pieces)
-
-    def _weigh(self, table: Floats) -> None:
-        """Take other standard deviations, shape (N, d)."""
-        # What was linearized holds on where they are a multiple.
-        factor, known = self._sigma.min() / table.min(), self._known
-        multiple = 0.0 < factor < np.inf
-        if not multiple or not np.allclose(factor * table, self._sigma, 1e-12, 0.0):
-            known = []
-        self._known = [
-            (values, [(factor * r, factor * J) for r, J in found])
-            for values, found in known
-        ]
-        self._sigma = table
-
-    def errors(self, theta: Floats) -> Sequence[Floats]:
-        """Residuals of each block in their units, shape (N, d)."""
+    def points(self, theta: Floats) -> Floats:
+        """Tool points in the measurement frame, shape (N, 3)."""
         at = self._at(theta)
-        residual, poses = self._measurement.residual, self._poses
-        return self._by_block(lambda c: residual(poses(c, at)[0], at.own, c.data))
+        return self._every(lambda chunk: self._poses(chunk, at)[0][:, :3, 3].copy())
 
-    def points(self, theta: Floats) -> Sequence[Floats]:
-        """Tool points of each block in the measurement frame, shape (N, 3)."""
-        at = self._at(theta)
-        return self._by_block(lambda chunk: self._poses(chunk, at)[0][:, :3, 3].copy())
+    def _every(self, evaluate: Callable[[_Chunk], Floats]) -> Floats:
+        """Values of every measurement, shape (N, ...)."""
+        return np.concatenate(list(self._threads.map(evaluate, self._chunks)))
 
-    def _by_block(self, evaluate: Callable[[_Chunk], Floats]) -> Sequence[Floats]:
-        """Values of every measurement, (N, ...) for each block."""
-        found = np.concatenate(list(self._threads.map(evaluate, self._chunks)))
-        return np.split(found, self._stops[:-1])
+    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
+        """The residual rows reduced by orthogonal transformations.
 
-    def factorize(self, theta: Floats) -> Sequence[tuple[Floats, Floats]]:
-        """The residual rows of each block reduced by orthogonal transformations.
-
-        Of parameters that are near those of one of the last two passes, those of the
-        nominal robot and of the fitted one, it is the linearization there, see `NEAR`.
+        Of parameters that are near those of one of the last passes, it is the
+        linearization there, see `NEAR` and `PASSES`.
 
         Returns:
             Residual, shape (M,), and Jacobian, shape (M, p), M <= p + 1.
         """
-        values = theta[np.array([block.term.index for block in self._blocks])]
-        scales = [parameter.scale for parameter in self._blocks[0].term.parameters]
-        near = np.minimum(NEAR, 0.1 * np.array(scales))
-        for known, found in self._known:
-            steps = values - known
-            if (np.abs(steps) <= near).all():
-                pairs = zip(found, steps, strict=True)
-                return [(r + J @ step, J) for (r, J), step in pairs]
-        found = self._factors(theta)
-        if all(np.isfinite(r).all() for r, _ in found):
-            self._known = [(values, found), *self._known[:1]]
-        return found
+        term = self._block.term
+        values = theta[term.index]
+        near = np.minimum(NEAR, 0.1 * np.array([p.scale for p in term.parameters]))
+        for one in self._passes:
+            step = values - one.values
+            if one.sigma is self._sigma and (np.abs(step) <= near).all():
+                return one.r + one.J @ step, one.J
+        r, J = self._factors(theta)
+        if np.isfinite(r).all():
+            found = _Pass(term, self._sigma, values, r, J)
+            self._passes = [found, *self._passes[: PASSES - 1]]
+        return r, J
 
-    def _factors(self, theta: Floats) -> list[tuple[Floats, Floats]]:
+    def _factors(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same, of all rows."""
-        at = self._at(theta)
-        size = self._padded(len(at.own))
+        at, measurement = self._at(theta), self._block.term.measurement
+        columns = self._segments.columns(theta[self._block.term.of_error])
+        # Twists, corrections, instrument and residual; kernels take an even number.
+        own, (first, count) = len(at.own) + 1, columns.shape
+        to_parameters = np.zeros((first + own + (first + own) % 2, count + own))
+        to_parameters[:first, :count] = columns
+        to_parameters[first : first + own, count:] = np.eye(own)
 
-        def reduced(chunk: _Chunk) -> list[tuple[int, Floats]]:
-            T, motions = self._poses(chunk, at)
-            linear = self._measurement.linearize(T, at.own, chunk.data)
-            others = np.concatenate(
-                [linear.J_instrument, linear.residual[:, :, None]], axis=2
-            )
+        def reduced(chunk: _Chunk) -> Floats:
+            T, motion, starts = self._poses(chunk, at)
+            linear = measurement.linearize(T, at.own, chunk.data)
+            residual = linear.residual[:, :, None]
+            others = np.concatenate([linear.J_instrument, residual], axis=2)
             weights = 1.0 / self._sigma[chunk.rows]
-            aside = weights == 0.0
-            J_pose, others = kept(linear.J_pose, aside), kept(others, aside)
-            found, link = [], at.links[0]
-            for piece, moved in zip(chunk.pieces, motions, strict=True):
-                R, rows = np.zeros((size, size)), piece.rows
-                given = *moved, row_kernels.Corrections(self._along, piece.factors)
-                of_rows = J_pose[rows], others[rows], weights[rows]
-                row_kernels.triangular_factor(link, *given, *of_rows, R)
-                found.append((piece.block, R))
-            return found
+            aside, R = weights == 0.0, np.zeros((len(to_parameters),) * 2)
+            corrections = row_kernels.Corrections(self._along, chunk.factors)
+            given = at.links, motion, starts, corrections
+            rows = kept(linear.J_pose, aside), kept(others, aside), weights
+            row_kernels.triangular_factor(*given, *rows, R)
+            return R
 
-        parts: list[list[Floats]] = [[] for _ in self._blocks]
-        for pieces in self._threads.map(reduced, self._chunks):
-            for block, R in pieces:
-                parts[block].append(R)
-        found = []
-        for factors, B in zip(parts, self._to_parameters(theta), strict=True):
-            R = np.asarray(np.linalg.qr(np.concatenate(factors) @ B, mode="r"))
-            found.append((R[:, -1], R[:, :-1]))
-        return found
+        factors = np.concatenate([*self._threads.map(reduced, self._chunks)])
+        R = np.asarray(np.linalg.qr(factors @ to_parameters, mode="r"))
+        return R[:, -1], R[:, :-1]
 
     def _at(self, theta: Floats) -> _At:
-        """The parameters for the kernels; but for their stations blocks share them."""
-        of_robot, own = self._blocks[0].term.values(theta)
-        inner = of_robot[FRAME:]
-        link = self._segments.links(inner[None])[0]
-        bases, _ = self._stations(theta)
-        links = np.tile(link, (len(bases), 1, 1))
-        links[:, 0] = (bases @ _pose(link[0]))[:, :3].reshape(-1, 12)
-        return _At(links, inner[self._error.joint_corrections], own)
+        """Parameter values as kernels take them."""
+        term = self._block.term
+        of_robot, own = term.values(theta)
+        links = self._segments.links(of_robot[None])[0]
+        return _At(links, of_robot[term.error.joint_corrections], own)
 
-    def _poses(self, chunk: _Chunk, at: _At) -> tuple[Floats, list[_Motions]]:
-        """Tool poses, shape (rows, 4, 4), and the joint motions of each piece."""
-        T, found = np.empty((len(chunk.data), 4, 4)), []
-        revolute, q = self._segments.revolute, chunk.data.q * self._segments.signs
-        for piece in chunk.pieces:
-            motion, starts = compiled.motions(q[piece.rows], revolute)
-            if at.amounts.any():
-                given = motion.copy(), starts, revolute, self._joints, piece.factors
-                kernels.move(*given, at.amounts, motion)
-            kernels.poses(at.links[piece.block], motion, starts, T[piece.rows])
-            found.append((motion, starts))
-        return T, found
-
-    def _stations(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Base frames, (S, 4, 4), and twists of their parameters there, (S, 6, 6)."""
-        terms = [block.term for block in self._blocks]
-        values = theta[np.array([term.index[:FRAME] for term in terms])]
-        twists = np.empty((len(terms), 6, FRAME))
-        behind = np.tile(np.eye(4), (len(terms), 1, 1))
-        for k in reversed(range(FRAME)):
-            twist = terms[0].error.screws[k].twist
-            twists[:, :, k] = adjoint(invert(behind)) @ twist
-            behind = se3_exp(values[:, k, None] * twist) @ behind
-        return self._bases @ behind, twists
-
-    def _padded(self, own: int) -> int:
-        """Columns of twists, instrument and residual, rounded up to two."""
-        count = 6 * len(self._segments.constants) + len(self._joints) + own + 1
-        return count + count % 2
-
-    def _to_parameters(self, theta: Floats) -> Floats:
-        """Matrices from the columns of kernels to parameters and residual, (S, ...)."""
-        of_robot, instrument = self._blocks[0].term.values(theta)
-        inner, own = of_robot[FRAME:], len(instrument)
-        columns = self._segments.columns(inner)
-        twists, count = len(columns), FRAME + len(inner)
-        result = np.zeros((len(self._blocks), self._padded(own), count + own + 1))
-        first = _pose(self._segments.links(inner[None])[0, 0])
-        result[:, :6, :FRAME] = adjoint(invert(first)) @ self._stations(theta)[1]
-        result[:, :twists, FRAME:count] = columns
-        corrections = self._error.joint_corrections
-        others = twists + len(corrections)
-        result[:, np.arange(twists, others), FRAME + corrections] = 1.0
-        result[:, others : others + own + 1, count:] = np.eye(own + 1)
-        return result
+    def _poses(
+        self, chunk: _Chunk, at: _At
+    ) -> tuple[Floats, Floats, NDArray[np.int64]]:
+        """Tool poses, (rows, 4, 4), joint motions and the first row of their blocks."""
+        segments, T = self._segments, np.empty((len(chunk.data), 4, 4))
+        revolute = segments.revolute
+        motion, starts = compiled.motions(chunk.data.q * segments.signs, revolute)
+        if at.amounts.any():
+            given = motion.copy(), starts, revolute, segments.joints, chunk.factors
+            kernels.move(*given, at.amounts, motion)
+        kernels.poses(at.links, motion, starts, T)
+        return T, motion, starts
 
 
-def _stacked(blocks: Sequence[Block], sigma: Floats) -> Floats:
-    """Standard deviations of the measurements of blocks, (M,) -> (N, d)."""
-    tables = [block.table(sigma) for block in blocks]
-    return tables[0] if len(tables) == 1 else np.concatenate(tables)
+class _Pass(NamedTuple):
+    """Linearization of all rows.
 
+    Attributes:
+        term: The term about its references.
+        sigma: Standard deviations of the components, shape (N, d).
+        values: Parameter values, shape (p,).
+        r: Residual there, as of `ManyRows.factorize`, shape (M,).
+        J: Its derivative, shape (M, p).
+    """
 
-_Motions: TypeAlias = "tuple[Floats, NDArray[np.int64]]"
-"""Joint motions and the first row of each block of them, see `compiled.blocks`."""
+    term: Term
+    sigma: Floats
+    values: Floats
+    r: Floats
+    J: Floats
+
+    def for_weights(self, term: Term, sigma: Floats) -> _Pass:
+        """The same with deviations of which its own are a multiple, if it is."""
+        factor = self.sigma.min() / sigma.min()
+        if self.term is not term or not 0.0 < factor < np.inf:
+            return self
+        if not np.allclose(factor * sigma, self.sigma, 1e-12, 0.0):
+            return self
+        return self._replace(sigma=sigma, r=factor * self.r, J=factor * self.J)
 
 
 class _At(NamedTuple):
-    """Parameter values as kernels take them.
-
-    Attributes:
-        links: Links of the chain from each station, shape (S, n + 1, 12).
-        amounts: Amounts of the joint corrections, shape (C,).
-        own: Parameters of the instrument, shape (K,).
-    """
+    """Links of the chain, (n + 1, 12), joint corrections, (C,), instrument, (K,)."""
 
     links: Floats
     amounts: Floats
     own: Floats
-
-
-class _Piece(NamedTuple):
-    """Measurements of one block within a chunk.
-
-    Attributes:
-        block: Position of the block.
-        rows: Where they stand in the chunk.
-        factors: Change of a joint's motion by each correction's amount, (C, rows).
-    """
-
-    block: int
-    rows: slice
-    factors: Floats
 
 
 class _Chunk(NamedTuple):
@@ -324,101 +225,85 @@ class _Chunk(NamedTuple):
 
     Attributes:
         data: The measurements.
-        rows: Where they stand among all of the blocks.
-        pieces: Those of each block.
+        rows: Where they stand among all of the block.
+        factors: Change of a joint's motion by each correction's amount, (C, rows).
     """
 
     data: Measurements
     rows: slice
-    pieces: list[_Piece]
-
-
-def _pose(link: Floats) -> Floats:
-    """A row of (R | p), shape (12,), as a pose, shape (4, 4)."""
-    return np.vstack([link.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
+    factors: Floats
 
 
 Factor: TypeAlias = "pin.SE3 | tuple[int, float]"
 """A constant, or a screw by its position with the sign it is applied with."""
 
 
-@dataclass(frozen=True)
 class Segments:
-    """The segments of an error model with n joints and P parameters of its geometry.
+    """The segments of an error model with n joints, P parameters, C joint corrections.
 
     Joint corrections belong to the motions between them, not to a segment.
 
+    Args:
+        model: An error model without bends, see `compilable`.
+
     Attributes:
         constants: Nominal links as rows of (R | p), shape (n + 1, 12).
-        screws: Screws in the order they apply; `place` is the segment, 0..n, and the
+        screws: Screws in the order they apply; `frame` is the segment, 0..n, and the
             twist acts at its end.
-        parameter: Parameter of each screw, shape (P,).
+        parameter: Parameter of each screw.
         signs: -1 for joints traversed from child to parent, else 1, shape (n,).
         revolute: True for joints that turn, shape (n,).
+        joints: Joint of each correction, shape (C,).
+        factors: Sign of that, shape (C,).
     """
 
-    constants: Floats
-    screws: tuple[Screw, ...]
-    parameter: NDArray[np.int64]
-    signs: Floats
-    revolute: NDArray[np.bool_]
-
-    @staticmethod
-    def of(model: ErrorModel) -> Segments:
-        """The segments of an error model without bends, see `compilable`."""
-        constants: list[pin.SE3] = []
+    def __init__(self, model: ErrorModel) -> None:
+        """Multiply together what stands between the joint motions."""
         screws: list[Screw] = []
         order: list[int] = []
-        for segment, factors in enumerate(_split(model)):
+        constants: list[Floats] = []
+        for segment, factors in reversed([*enumerate(_split(model))]):
             # From the right: what stands behind a screw carries its twist along.
             behind = pin.SE3.Identity()
-            found: list[tuple[int, Screw]] = []
             for factor in reversed(factors):
                 if isinstance(factor, pin.SE3):
                     behind = factor * behind
                     continue
                 k, sign = factor
-                twist = behind.toActionMatrixInverse() @ model.screws[k].twist
-                screw = replace(model.screws[k], frame=segment, twist=sign * twist)
-                found.append((k, screw))
-            constants.append(behind)
-            order += [k for k, _ in reversed(found)]
-            screws += [screw for _, screw in reversed(found)]
-        chain = model.chain
-        return Segments(
-            constants=np.array([c.homogeneous[:3].reshape(-1) for c in constants]),
-            screws=tuple(screws),
-            parameter=np.array(order, np.int64),
-            signs=np.where(chain.reversed, -1.0, 1.0),
-            revolute=chain.revolute,
-        )
-
-    @cached_property
-    def places(self) -> NDArray[np.int64]:
-        """Segment of each screw, shape (P,)."""
-        return np.array([screw.frame for screw in self.screws], np.int64)
-
-    @cached_property
-    def twists(self) -> Floats:
-        """Twist of each screw, shape (P, 6)."""
-        return np.array([screw.twist for screw in self.screws]).reshape(-1, 6)
+                twist = sign * behind.toActionMatrixInverse() @ model.screws[k].twist
+                screws.append(Screw(model.screws[k].parameter, segment, twist))
+                order.append(k)
+            constants.append(behind.homogeneous[:3].reshape(-1))
+        self.constants, self.screws = np.array(constants[::-1]), screws[::-1]
+        self.parameter = np.array(order[::-1], np.int64)
+        self._places = np.array([screw.frame for screw in self.screws], np.int64)
+        self._twists = np.array([s.twist for s in self.screws]).reshape(-1, 6)
+        self.signs = np.where(model.chain.reversed, -1.0, 1.0)
+        self.revolute, self._corrections = model.chain.revolute, model.joint_corrections
+        joints = [model.screws[k].frame - 1 for k in self._corrections]
+        self.joints = np.array(joints, np.int64)
+        self.factors = self.signs[self.joints]
 
     def links(self, theta: Floats) -> Floats:
         """Links of a population of parameter values, (S, P) -> (S, n + 1, 12)."""
         result = np.empty((len(theta), *self.constants.shape))
-        link_kernels.links(
-            self.constants, self.places, self.parameter, self.twists, theta, result
-        )
+        given = self.constants, self._places, self.parameter, self._twists
+        link_kernels.links(*given, np.ascontiguousarray(theta), result)
         return result
 
     def columns(self, theta: Floats) -> Floats:
-        """Body twists at the ends of all segments by parameter, shape (6 n + 6, P)."""
-        count = len(self.constants)
-        twists, _ = ordered_screws(self.screws, theta[self.parameter], count)
-        result = np.zeros((6 * count, len(theta)))
-        for k, (screw, column) in enumerate(zip(self.screws, twists.T, strict=True)):
-            rows = slice(6 * screw.frame, 6 * screw.frame + 6)
-            result[rows, self.parameter[k]] = column
+        """Matrix from parameters to twists and corrections, shape (6 n + 6 + C, P).
+
+        The body twists are those at the ends of all segments.
+        """
+        twists, _ = ordered_screws(
+            self.screws, theta[self.parameter], len(self.constants)
+        )
+        first, count = 6 * len(self.constants), len(self.joints)
+        result = np.zeros((first + count, len(theta)))
+        rows = 6 * self._places[:, None] + np.arange(6)
+        result[rows, self.parameter[:, None]] = twists.T
+        result[np.arange(first, first + count), self._corrections] = 1.0
         return result
 
 
@@ -450,7 +335,7 @@ def _applied(screws: list[int]) -> list[Factor]:
 
 def _to_axis(axis: Floats) -> pin.SE3:
     """A rotation that takes z to a unit axis."""
-    turn = np.cross([0.0, 0.0, 1.0], axis)
+    turn = np.array([-axis[1], axis[0], 0.0])
     sine = float(np.linalg.norm(turn))
     direction = turn / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
     return pin.SE3(pin.exp3(direction * np.arctan2(sine, axis[2])), np.zeros(3))

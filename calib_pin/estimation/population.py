@@ -8,13 +8,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.compiled import blocks as compiled
 from calib_pin.compiled import kernels
-from calib_pin.compiled.blocks import motions
 from calib_pin.compiled.threads import Threads
-from calib_pin.estimation.evaluators import compilable
 from calib_pin.estimation.many_rows import Segments
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.terms import Block
+from calib_pin.estimation.terms import Block, compilable
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Batch, BatchedModel
 from calib_pin.observations import Conditions
@@ -50,21 +49,19 @@ class PopulationCost:
 
     def __init__(self, problem: Problem, threads: int | None = None) -> None:
         """Compute what does not depend on the parameters."""
-        self._problem = problem
-        self._threads = Threads(threads)
+        self._problem, self._threads = problem, Threads(threads)
         self._parts: list[_Part] = []
         self.evaluator: Literal["kernel", "loop"] = "kernel"
         for block in problem.blocks:
-            measurement = block.term.measurement
+            error, measurement = block.term.error, block.term.measurement
             batches: Sequence[Batch] = []
-            error = block.term.error
             if compilable(error) and isinstance(measurement, BatchedModel):
                 weights = 1.0 / block.table(problem.sigma)
                 batches = measurement.batches(block.data, weights)
             if not batches:
                 self.evaluator = "loop"
-                continue
-            segments = Segments.of(error)
+                return
+            segments = Segments(error)
             self._parts += [_Part(block, segments, batch) for batch in batches]
 
     def __call__(self, theta: Floats) -> Floats:
@@ -79,8 +76,7 @@ class PopulationCost:
                 costs[members] += part.costs(theta[members])
 
         least = -(-WORTHWHILE // max(len(self._problem.data), 1))
-        pieces = self._threads.slices(len(theta), least)
-        for _ in self._threads.map(evaluate, pieces):
+        for _ in self._threads.map(evaluate, self._threads.slices(len(theta), least)):
             pass
         return costs
 
@@ -91,30 +87,26 @@ class _Part:
     def __init__(self, block: Block, segments: Segments, batch: Batch) -> None:
         self._batch, self._segments, self._term = batch, segments, block.term
         self._comparison = kernels.COMPARISONS.index(batch.comparison)
-        error, start = block.term.error, block.data.start
-        conditions = block.data.conditions.rows(batch.rows)
-        joints = [error.screws[k].frame - 1 for k in error.joint_corrections]
+        start, conditions = block.data.start, block.data.conditions.rows(batch.rows)
         # From base to tool the joints come in the other order and move back.
-        forward = slice(None, None, -1 if batch.inward else 1)
-        signs = -segments.signs if batch.inward else segments.signs
-        revolute = segments.revolute[forward]
+        way = -1 if batch.inward else 1
+        revolute = segments.revolute[::way]
 
         def move(q: Floats, at: Conditions) -> tuple[Floats, NDArray[np.int64], Floats]:
-            motion, starts = motions((q * signs)[:, forward], revolute)
-            factors = error.basis(q, at) * signs[joints]
-            return motion, starts, factors.T.copy()
+            factors = block.term.error.basis(q, at) * (way * segments.factors)
+            moved = (q * (way * segments.signs))[:, ::way]
+            return *compiled.motions(moved, revolute), factors.T.copy()
 
         motion, starts, factors = move(block.data.q[batch.rows], conditions)
         begin, begin_factors = motion[:0], factors[:, :0]
         if start.size:
             begin, _, begin_factors = move(start[batch.rows], conditions.at_start)
-        places = np.arange(len(revolute))[forward]
         self._rows = kernels.Rows(
             starts=starts,
             motion=motion,
             begin=begin,
             revolute=revolute.copy(),
-            joints=places[joints],
+            joints=np.arange(len(revolute))[::way][segments.joints],
             factors=factors,
             begin_factors=begin_factors,
             point=batch.point,
@@ -126,11 +118,11 @@ class _Part:
     def costs(self, theta: Floats) -> Floats:
         """Half the sums of squares of these measurements, shape (S, P) -> (S,)."""
         of_robot, instrument = self._term.values(theta)
-        chains = self._segments.links(np.ascontiguousarray(of_robot))
-        amounts = of_robot[:, self._term.error.joint_corrections]
-        found, result = self._batch.geometry(instrument), np.empty(len(instrument))
+        chains = self._segments.links(of_robot)
         if self._batch.inward:
             chains = _inverted(chains)
+        amounts = of_robot[:, self._term.error.joint_corrections]
+        found, result = self._batch.geometry(instrument), np.empty(len(instrument))
         of_members = chains, amounts, found.points, found.sites
         kernels.population_costs(self._comparison, *of_members, self._rows, result)
         return result

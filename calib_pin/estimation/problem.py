@@ -1,43 +1,205 @@
-"""The least-squares problem: terms, measurements, and what is known beside them."""
+"""The least-squares problem: terms, measurements, and what is known beside them.
+
+The normal equations of many stations are block-arrow: each frame, tool or instrument
+that only one station has meets the robot, and no other station. With the columns A of
+these and B of all others, the best change of the former follows from that of the
+latter, `a = -A^+ (r + B b)`, and what is left for b is `r + B b` with the range of A
+projected out (the Schur complement, by orthogonal projection). So the cost grows with
+the measurements and not with the square of the stations.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TypeVar
+from itertools import zip_longest
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import stated_in
-from calib_pin.estimation.evaluators import (
-    Evaluator,
-    Evaluators,
-    RowByRow,
-    Rows,
-    Station,
-    eliminate,
-    evaluators,
-    reduced,
-)
-from calib_pin.estimation.layout import Layout
+from calib_pin.estimation.identifiability import RANK
 from calib_pin.estimation.row_blocks import Further, KnownDistances, Priors
-from calib_pin.estimation.terms import Block, Term, Terms
+from calib_pin.estimation.terms import (
+    Block,
+    Term,
+    Terms,
+    ToolPoses,
+    compilable,
+    whitened,
+    whitened_jacobian,
+)
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.parameterizations import needed_conditions
+from calib_pin.parameterizations.error_model import flexures
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import JointPrior, Setup
 
-_Found = TypeVar("_Found")
+
+@dataclass(frozen=True)
+class Component:
+    """One quantity of one instrument at one station, whose noise is one unknown.
+
+    Attributes:
+        name: Name in reports: that of the quantity, with the model and the station
+            behind it where others have the same.
+        quantity: The quantity.
+        model: Name of the measurement model.
+        station: Name of the station.
+    """
+
+    name: str
+    quantity: Quantity
+    model: str
+    station: str
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """Model, quantity and station, which tell it from others."""
+        return self.model, self.quantity.name, self.station
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The M residual components of N measurements.
+
+    Attributes:
+        row: Measurement of each, shape (M,).
+        component: Position of its quantity among `components`, shape (M,).
+        column: Column of the table that is shown, shape (M,).
+        components: The K quantities of all instruments.
+        quantities: The quantities of all models, with their columns of the table.
+        of_keys: Position among `components` of each residual component of the
+            measurements of a block, shape (d,).
+    """
+
+    row: NDArray[np.int32]
+    component: NDArray[np.int32]
+    column: NDArray[np.int32]
+    components: tuple[Component, ...]
+    quantities: tuple[Quantity, ...]
+    of_keys: Mapping[BlockKey, NDArray[np.int64]]
+
+    @staticmethod
+    def of(
+        data: Observations, measured: Mapping[BlockKey, Sequence[Quantity]]
+    ) -> Layout:
+        """The layout of measurements.
+
+        Args:
+            data: The measurements.
+            measured: The quantities of each block, also of those without measurements.
+        """
+        shown, first = side_by_side({key.model: q for key, q in measured.items()})
+        found = _components(measured)
+        position = {c.key: k for k, c in enumerate(found)}
+        of_keys = {
+            key: np.repeat(
+                [position[key.model, q.name, key.station] for q in quantities],
+                [q.columns.stop - q.columns.start for q in quantities],
+            )
+            for key, quantities in measured.items()
+        }
+        parts = []
+        for block, rows in zip(data.blocks, data.slices, strict=True):
+            own = of_keys[block.key].astype(np.int32)
+            place = first[block.model] + np.arange(len(own), dtype=np.int32)
+            row = np.repeat(np.arange(rows.start, rows.stop, dtype=np.int32), len(own))
+            parts.append((row, *(np.tile(of, len(block)) for of in (own, place))))
+        row, component, column = map(np.concatenate, zip(*parts, strict=True))
+        return Layout(row, component, column, found, shown, of_keys)
+
+    @cached_property
+    def of_components(self) -> Sequence[NDArray[np.intp]]:
+        """Where the residual components of each stand, ascending."""
+        order = np.argsort(self.component, kind="stable")
+        ends = np.cumsum(np.bincount(self.component, minlength=len(self.components)))
+        return np.split(order, ends[:-1])
+
+    @property
+    def width(self) -> int:
+        """Columns of the table that is shown."""
+        return int(self.quantities[-1].columns.stop)
+
+    def table(self, flat: Floats, count: int, absent: float = np.nan) -> Floats:
+        """Components side by side, those of other models absent, (M,) -> (count, D)."""
+        result = np.full((count, self.width), absent)
+        result[self.row, self.column] = flat
+        return result
+
+
+def side_by_side(
+    models: Mapping[str, Sequence[Quantity]],
+) -> tuple[tuple[Quantity, ...], Mapping[str, int]]:
+    """Columns of a table that is shown, which has those of all models.
+
+    Args:
+        models: The quantities of each model.
+
+    Returns:
+        The quantities of all with these columns, and the first column of each model.
+    """
+    names = Counter(q.name for found in models.values() for q in found)
+    shown: list[Quantity] = []
+    first: dict[str, int] = {}
+    for model, quantities in models.items():
+        first[model] = at = shown[-1].columns.stop if shown else 0
+        for q in quantities:
+            name = f"{q.name} ({model})" if names[q.name] > 1 else q.name
+            columns = slice(at + q.columns.start, at + q.columns.stop)
+            shown.append(replace(q, name=name, columns=columns))
+    return tuple(shown), first
+
+
+def alike(layout: Layout, known: Layout) -> NDArray[np.intp]:
+    """Position of every component of a layout among those of a fit, shape (K,).
+
+    At a station that was not fitted an instrument measures as it does at the first one.
+
+    Args:
+        layout: The layout; each of its instruments was fitted somewhere.
+        known: The layout of the fit.
+    """
+    position: dict[tuple[str, ...], int] = {}
+    for k, c in enumerate(known.components):
+        position[c.key] = k
+        position.setdefault(c.key[:2], k)
+    found = [position.get(c.key, position[c.key[:2]]) for c in layout.components]
+    return np.array(found, np.intp)
+
+
+def _components(
+    measured: Mapping[BlockKey, Sequence[Quantity]],
+) -> tuple[Component, ...]:
+    """The quantities of all instruments, each once."""
+    found = {
+        (q.name, key.model, key.station): q
+        for key, quantities in measured.items()
+        for q in quantities
+    }
+    stations = Counter((name, model) for name, model, _ in found)
+    models = Counter(name for name, _ in stations)
+    result = []
+    for (name, model, station), quantity in found.items():
+        told = [model] if models[name] > 1 else []
+        if station and stations[name, model] > 1:
+            told.append(station)
+        full = f"{name} ({', '.join(told)})" if told else name
+        result.append(Component(full, quantity, model, station))
+    return tuple(result)
+
 
 SAMPLE = 10_000
 """Measurements that a closed-form start is made from; more do not help it."""
 
 EXACT = 1e-6
-"""Scatter, in standard deviations, below which measurements differ by rounding alone.
-"""
+"""Scatter, in standard deviations, below which measurements differ by rounding alone;
+part of a change of scale that rounding leaves where parameters express it."""
 
 WORTHWHILE = 60
 """Parameters of single stations from which they are eliminated: as many as a robot has.
@@ -62,29 +224,41 @@ class Shared:
     Attributes:
         data: The measurements; their weights may differ.
         setup: What the user states.
-        keys: The blocks that there are terms of.
-        layout: Measurement and quantity of each residual component.
-        given_sigma: Standard deviations that are stated or assumed, shape (M,).
+        terms: The terms; their references may differ.
         evaluators: The last evaluators.
     """
 
     data: Observations
     setup: Setup
-    keys: tuple[BlockKey, ...]
-    layout: Layout | None = None
-    given_sigma: Floats | None = None
-    evaluators: Evaluators = field(default_factory=dict)
+    terms: Mapping[BlockKey, Term]
+    evaluators: Sequence[Evaluator] = ()
 
     def holds(self, problem: Problem) -> bool:
         """Whether a problem differs in weights, references and priors alone."""
-        if problem.setup is not self.setup or tuple(problem.terms) != self.keys:
+        ours, theirs = self.data.blocks, problem.data.blocks
+        same = problem.setup is self.setup and list(problem.terms) == list(self.terms)
+        if not same or len(ours) != len(theirs):
             return False
         names = [item.name for item in fields(Measurements) if item.name != "weight"]
-        ours, theirs = self.data.blocks, problem.data.blocks
-        if len(ours) != len(theirs):
-            return False
         pairs = zip(ours, theirs, strict=True)
         return all(getattr(a, n) is getattr(b, n) for a, b in pairs for n in names)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Measurement and quantity of each residual component."""
+        terms = self.terms.items()
+        return Layout.of(self.data, {k: t.measurement.quantities for k, t in terms})
+
+    @cached_property
+    def given_sigma(self) -> Floats:
+        """Standard deviations that are stated or assumed, shape (M,)."""
+        found = [
+            np.tile(assumed_sigma(self.terms[block.key], self.setup), len(block))
+            if block.sigma is None
+            else block.sigma.reshape(-1)
+            for block in self.data.blocks
+        ]
+        return found[0] if len(found) == 1 else np.concatenate(found)
 
 
 @dataclass(frozen=True)
@@ -113,30 +287,20 @@ class Problem(Terms):
     data: Observations
     setup: Setup = field(default_factory=Setup)
     units: Floats = field(default_factory=lambda: np.zeros(0))
-    _known: Shared | None = field(default=None, repr=False, compare=False)
+    _known: Shared = field(default=None, repr=False, compare=False)  # type: ignore
     held_at: Mapping[int, float] = field(default_factory=dict)
     expected: Priors | None = None
 
     def __post_init__(self) -> None:
         """Share what the problem knows that this one was made from, if it can."""
         if self._known is None or not self._known.holds(self):
-            known = Shared(self.data, self.setup, tuple(self.terms))
+            known = Shared(self.data, self.setup, self.terms)
             object.__setattr__(self, "_known", known)
-
-    @property
-    def _shared(self) -> Shared:
-        assert self._known is not None
-        return self._known
 
     @property
     def layout(self) -> Layout:
         """Measurement and quantity of each residual component."""
-        shared = self._shared
-        if shared.layout is None:
-            terms = self.terms.items()
-            quantities = {key: term.measurement.quantities for key, term in terms}
-            shared.layout = Layout.of(self.data, quantities)
-        return shared.layout
+        return self._known.layout
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
@@ -144,26 +308,15 @@ class Problem(Terms):
         result, start = [], 0
         for data, rows in zip(self.data.blocks, self.data.slices, strict=True):
             term = self.terms[data.key]
-            own = term.of_chain(data)
-            assert isinstance(own, Measurements)
             stop = start + len(data) * term.components
-            result.append(Block(term, own, rows, slice(start, stop)))
+            result.append(Block(term, term.of_chain(data), rows, slice(start, stop)))
             start = stop
         return tuple(result)
 
     @property
     def given_sigma(self) -> Floats:
         """Standard deviations that are stated or assumed, shape (M,)."""
-        shared = self._shared
-        if shared.given_sigma is None:
-            found = [
-                np.tile(assumed_sigma(self.terms[block.key], self.setup), len(block))
-                if block.sigma is None
-                else block.sigma.reshape(-1)
-                for block in self.data.blocks
-            ]
-            shared.given_sigma = found[0] if len(found) == 1 else np.concatenate(found)
-        return shared.given_sigma
+        return self._known.given_sigma
 
     @cached_property
     def sigma(self) -> Floats:
@@ -199,8 +352,7 @@ class Problem(Terms):
 
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (M,)."""
-        parts = self._by_block(lambda one: one.errors(theta))
-        parts = [part.reshape(-1) for part in parts]
+        parts = [one.errors(theta).reshape(-1) for one in self._evaluators]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def residual(self, theta: Floats) -> Floats:
@@ -230,7 +382,7 @@ class Problem(Terms):
         They are by the block's own parameters; of very many measurements those of a
         smaller system with the same normal equations, to full precision.
         """
-        return self._by_block(lambda one: one.factorize(theta))
+        return [one.factorize(theta) for one in self._evaluators]
 
     def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual and its Jacobian by all parameters.
@@ -241,26 +393,39 @@ class Problem(Terms):
         Returns:
             Residual, shape (M,), and Jacobian, shape (M, P).
         """
-        found = self.factorize(theta)
+        pairs = zip(self.blocks, self.factorize(theta), strict=True)
+        parts = [(r, self.spread(block.term, J)) for block, (r, J) in pairs]
         if not self.own_of_stations:
-            return self._with_further(theta, *self._stacked(found))
-        rows: dict[str, list[Rows]] = {}
-        for block, of_block in zip(self.blocks, found, strict=True):
-            station = block.term.frames.station
-            rows.setdefault(station, []).append((block.term.index, *of_block))
-        own = self.own_of_stations
-        done = [eliminate(own[station], those) for station, those in rows.items()]
-        stations, left = zip(*done, strict=True)
+            return self._whole(theta, parts)
+        alone = np.concatenate([*self.own_of_stations.values()])
+        shared = np.setdiff1d(np.arange(len(theta)), alone)
+        rows: dict[str, list[tuple[Floats, Floats]]] = {}
+        for (term, *_), part in zip(self.blocks, parts, strict=True):
+            rows.setdefault(term.frames.station, []).append(part)
         self._eliminated.clear()
-        self._eliminated[theta.tobytes()] = stations
-        return self._with_further(theta, *reduced(left, len(theta)))
+        stations, left = self._eliminated.setdefault(theta.tobytes(), []), []
+        for name, members in rows.items():
+            r, J = map(np.concatenate, zip(*members, strict=True))
+            station, rest = eliminate(self.own_of_stations[name], shared, r, J)
+            stations.append(station)
+            left.append(rest)
+        R, jac = np.concatenate(left), np.zeros((1, len(theta)))
+        if not np.isfinite(R).all():
+            return self._whole(theta, [(np.full(1, np.nan), jac)])
+        R = np.asarray(np.linalg.qr(R, mode="r"))
+        jac = np.zeros((len(R), len(theta)))
+        jac[:, shared] = R[:, :-1]
+        return self._whole(theta, [(R[:, -1], jac)])
 
     def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same with a row for every measured value, however many there are."""
         if not self.many:
             return self.linearize(theta)
-        rows = [RowByRow(b, self.sigma).factorize(theta)[0] for b in self.blocks]
-        return self._with_further(theta, *self._stacked(rows))
+        parts = []
+        for block in self.blocks:
+            r, J = RowByRow(block, self.sigma).factorize(theta)
+            parts.append((r, self.spread(block.term, J)))
+        return self._whole(theta, parts)
 
     def stations(self, theta: Floats) -> Sequence[Station]:
         """The parameters that were eliminated, where these were last linearized.
@@ -298,23 +463,24 @@ class Problem(Terms):
     @property
     def many(self) -> bool:
         """Whether `linearize` returns a smaller system in place of the rows."""
-        reduces = any(one.reduces for one in self._evaluators.values())
+        reduces = any(one.reduces for one in self._evaluators)
         return reduces or bool(self.own_of_stations)
 
     @cached_property
-    def _evaluators(self) -> Evaluators:
-        """Residuals and derivatives of blocks, by the positions of these."""
-        shared = self._shared
-        last, many = shared.evaluators, self._large
-        shared.evaluators = evaluators(self.blocks, self.sigma, many, last)
-        return shared.evaluators
+    def _evaluators(self) -> Sequence[Evaluator]:
+        """Residuals and derivatives of every block."""
+        given = self.sigma, self._large
+        pairs = zip_longest(self.blocks, self._known.evaluators)
+        found = [evaluator_of(block, *given, one) for block, one in pairs]
+        self._known.evaluators = found
+        return found
 
     @cached_property
     def _large(self) -> bool:
         return len(self.layout.row) * len(self.given) >= MANY
 
     @cached_property
-    def _eliminated(self) -> dict[bytes, Sequence[Station]]:
+    def _eliminated(self) -> dict[bytes, list[Station]]:
         """The last elimination, by the parameter values at which it was made."""
         return {}
 
@@ -329,41 +495,23 @@ class Problem(Terms):
         together = Priors.together(prior, parameters)
         return Priors(np.vstack([together.rows, own.rows]), together.mean)
 
-    def _by_block(
-        self, evaluate: Callable[[Evaluator], Iterable[_Found]]
-    ) -> list[_Found]:
-        """Values by the evaluators, block after block."""
-        found = {
-            k: value
-            for positions, one in self._evaluators.items()
-            for k, value in zip(positions, evaluate(one), strict=True)
-        }
-        return [found[k] for k in range(len(found))]
-
-    def _stacked(self, found: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
-        """Residual and Jacobian by all parameters, block after block."""
-        pairs = zip(self.blocks, found, strict=True)
-        parts = [(r, self.spread(block.term, J)) for block, (r, J) in pairs]
+    def _whole(
+        self, theta: Floats, parts: list[tuple[Floats, Floats]]
+    ) -> tuple[Floats, Floats]:
+        """Residual and Jacobian by all parameters, part after part, and `further`."""
+        if len(self.further):
+            further = self.further.residual(theta), self.further.jacobian(theta)
+            parts = [*parts, further]
         if len(parts) == 1:
             return parts[0]
         r, J = zip(*parts, strict=True)
         return np.concatenate(r), np.concatenate(J)
 
-    def _with_further(
-        self, theta: Floats, r: Floats, J: Floats
-    ) -> tuple[Floats, Floats]:
-        """Residual and Jacobian with the further rows behind the measurements."""
-        if not len(self.further):
-            return r, J
-        residual, jacobian = self.further.residual(theta), self.further.jacobian(theta)
-        return np.concatenate([r, residual]), np.concatenate([J, jacobian])
-
 
 def current_units(problem: Problem) -> Floats:
     """Standard deviation of unit weight of every quantity, shape (K,)."""
-    return (
-        problem.units if len(problem.units) else np.ones(len(problem.layout.components))
-    )
+    units, count = problem.units, len(problem.layout.components)
+    return units if len(units) else np.ones(count)
 
 
 def measured_count(problem: Problem) -> int:
@@ -379,13 +527,13 @@ def known_count(problem: Problem) -> int:
 
 def evaluator(problem: Problem) -> str:
     """Name of the way in which measurements are evaluated."""
-    plain = all(isinstance(one, RowByRow) for one in problem._evaluators.values())
+    plain = all(isinstance(one, RowByRow) for one in problem._evaluators)
     return "pinocchio" if plain else "kernel"
 
 
 def tool_points(problem: Problem, theta: Floats) -> list[Floats]:
     """Tool points of every block in its measurement frame, shape (N, 3)."""
-    return problem._by_block(lambda one: one.points(theta))
+    return [one.points(theta) for one in problem._evaluators]
 
 
 def absorbed(problem: Problem) -> int:
@@ -470,12 +618,23 @@ def repeated(problem: Problem) -> NDArray[np.int64]:
     return labels
 
 
+def numbered(labels: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Distinct labels, ascending, and which of them each one is, (n,) -> (C,), (n,)."""
+    largest = int(labels.max(initial=-1))
+    if largest > 8 * len(labels):  # Where most are in use, sorting takes longer.
+        return np.unique(labels, return_inverse=True)
+    used = np.zeros(largest + 1, bool)
+    used[labels] = True
+    return np.flatnonzero(used), (np.cumsum(used) - 1)[labels]
+
+
 def distinct_values(problem: Problem) -> int:
     """Measured values and distances, repetitions of a configuration left out."""
     rows = np.flatnonzero(problem.data.weight > 0.0)
-    _, first = np.unique(repeated(problem)[rows], return_index=True)
-    counted = np.zeros(len(problem.data), bool)
-    counted[rows[first]] = True
+    found, place = numbered(repeated(problem)[rows])
+    first, counted = np.empty(len(found), np.intp), np.zeros(len(problem.data), bool)
+    first[place[::-1]] = rows[::-1]
+    counted[first] = True
     used = counted[problem.layout.row] & np.isfinite(problem.sigma)
     return int(used.sum()) + len(problem.further.distances)
 
@@ -483,3 +642,185 @@ def distinct_values(problem: Problem) -> int:
 def known_values(problem: Problem) -> int:
     """Distinct values and priors: as many directions as that can be determined."""
     return distinct_values(problem) + len(problem.further.priors)
+
+
+if TYPE_CHECKING:
+    from calib_pin.estimation.many_rows import ManyRows
+
+PIECE = 4096
+"""Measurements whose Jacobian is held at once, where there are very many."""
+
+Evaluator: TypeAlias = "RowByRow | ManyRows"
+"""The measurements of a block as a function of all parameters, shape (P,).
+
+Derivatives are by the block's own parameters, shape (p,). Where it `reduces`,
+`factorize` returns fewer rows than there are values.
+"""
+
+
+class RowByRow:
+    """Measurements of a block by Pinocchio, a residual row for each value.
+
+    Args:
+        block: The block.
+        sigma: Standard deviations of the residual components of all blocks of the
+            problem, shape (M,).
+        reduces: Whether only the triangular factor of the rows is wanted, which takes
+            no more memory than a piece of them.
+        last: The evaluator of the same measurements before, whose references or
+            weights may have been others.
+    """
+
+    def __init__(
+        self,
+        block: Block,
+        sigma: Floats,
+        reduces: bool = False,
+        last: Evaluator | None = None,
+    ) -> None:
+        """Prepare nothing: what does not change is computed where it is needed."""
+        self._block, self._sigma = block, block.table(sigma)
+        self.reduces = reduces
+        self._tool = ToolPoses(block.term.error, block.data)
+        if isinstance(last, RowByRow) and last._block.term is block.term:
+            self._tool = last._tool
+
+    def errors(self, theta: Floats) -> Floats:
+        """Residuals in their units, predicted minus measured, shape (N, d)."""
+        term, data = self._block.term, self._block.data
+        of_robot, instrument = term.values(theta)
+        return term.measurement.residual(self._tool(of_robot), instrument, data)
+
+    def points(self, theta: Floats) -> Floats:
+        """Tool points in the measurement frame, shape (N, 3)."""
+        error, data = self._block.term.error, self._block.data
+        basis = error.basis(data.q, data.conditions)
+        return error.poses(data.q, self._block.term.values(theta)[0], basis)[:, :3, 3]
+
+    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Whitened residual, shape (M,), and Jacobian, shape (M, p), M = N d if whole.
+
+        Its rows are those of all values, or a triangular factor of them.
+        """
+        if not self.reduces:
+            return self._rows(theta)
+        block = self._block
+        R = np.zeros((0, len(block.term.index) + 1))
+        for start in range(0, len(block.data), PIECE):
+            rows = slice(start, start + PIECE)
+            data, sigma = block.data.rows(rows), self._sigma[rows].reshape(-1)
+            piece = block._replace(data=data, values=slice(0, len(sigma)))
+            r, J = RowByRow(piece, sigma)._rows(theta)
+            more = np.vstack([R, np.column_stack([J, r])])
+            R = np.asarray(np.linalg.qr(more, mode="r"))
+        return R[:, -1], R[:, :-1]
+
+    def _rows(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
+        term, data = self._block.term, self._block.data
+        of_robot, instrument = term.values(theta)
+        tool = self._tool.linearize(of_robot)
+        linear = term.measurement.linearize(tool.T, instrument, data)
+        J = whitened_jacobian(tool, linear, self._sigma)
+        r = whitened(linear.residual, self._sigma)
+        return r.reshape(-1), J.reshape(-1, len(term.index))
+
+
+def evaluator_of(
+    block: Block, sigma: Floats, many: bool, last: Evaluator | None
+) -> Evaluator:
+    """The evaluator of a block of measurements.
+
+    Compiled kernels take measurements that are many and that they can evaluate. Where
+    places bend row by row, Pinocchio takes them piece by piece.
+
+    Args:
+        block: The measurements with their term.
+        sigma: Standard deviations of the residual components of all blocks, (M,).
+        many: Whether a Jacobian of all measurements would be too large to be handy.
+        last: That of the same measurements with other weights or about other
+            references; what it has prepared is used again.
+    """
+    error, data = block.term.error, block.data
+    if many and compilable(error) and not data.start.size:
+        from calib_pin.estimation.many_rows import ManyRows
+
+        return ManyRows(block, sigma, last)
+    bent = many and len(flexures(error)) > 0 and len(data) > PIECE
+    return RowByRow(block, sigma, bent, last)
+
+
+@dataclass(frozen=True)
+class Station:
+    """The parameters of one station alone, about a linearization.
+
+    Attributes:
+        own: Their positions, shape (k,).
+        shared: Positions of the parameters that no station has alone, shape (m,).
+        root: Factor of their covariance by its own measurements, `A^+ = root U^T`, with
+            U orthonormal, shape (k, rank).
+        response: Their change with the others', `-A^+ B`, shape (k, m).
+        settled: Their best change by themselves, `-A^+ r`, shape (k,).
+    """
+
+    own: NDArray[np.intp]
+    shared: NDArray[np.intp]
+    root: Floats
+    response: Floats
+    settled: Floats
+
+
+def eliminate(
+    own: NDArray[np.intp], shared: NDArray[np.intp], r: Floats, J: Floats
+) -> tuple[Station, Floats]:
+    """Eliminate the parameters of a station from the rows of its measurements.
+
+    Args:
+        own: Positions of its parameters, shape (k,).
+        shared: Positions of those that no station has alone, shape (m,).
+        r: Whitened residual of its measurements, shape (M,).
+        J: Jacobian by all parameters, shape (M, P).
+
+    Returns:
+        The station, and rows that are left for the shared ones, residual last.
+    """
+    U, s, Vt = np.linalg.svd(J[:, own], full_matrices=False)
+    kept = s > RANK * s.max(initial=0.0)
+    U, root = U[:, kept], Vt[kept].T / s[kept]
+    rows = np.column_stack([J[:, shared], r])
+    along = U.T @ rows
+    change = -root @ along
+    station = Station(own, shared, root, change[:, :-1], change[:, -1])
+    return station, rows - U @ along
+
+
+def completed(stations: Sequence[Station], step: Floats) -> Floats:
+    """A step of the shared parameters with that of the eliminated ones, shape (P,)."""
+    result = with_response(stations, step)
+    for station in stations:
+        result[station.own] += station.settled
+    return result
+
+
+def with_response(stations: Sequence[Station], factor: Floats) -> Floats:
+    """Changes of all parameters, where only the shared ones were given, (P, k)."""
+    result = factor.copy()
+    for station in stations:
+        result[station.own] = station.response @ factor[station.shared]
+    return result
+
+
+def own_deviations(stations: Sequence[Station], count: int) -> Floats:
+    """Deviations of parameters by the measurements of their own station, shape (P, k).
+
+    A column has one noise for each station: stations are independent of each other.
+
+    Args:
+        stations: The stations.
+        count: Number of parameters P.
+    """
+    width = max((station.root.shape[1] for station in stations), default=0)
+    result = np.zeros((count, width))
+    for station in stations:
+        result[station.own, : station.root.shape[1]] = station.root
+    return result

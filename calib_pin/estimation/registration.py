@@ -10,8 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
-from calib_pin.estimation.layout import alike
-from calib_pin.estimation.problem import SAMPLE, Problem
+from calib_pin.estimation.problem import SAMPLE, Problem, alike
 from calib_pin.estimation.terms import (
     FRAME,
     Block,
@@ -25,7 +24,7 @@ from calib_pin.measurement_models.references import ReferenceObject
 from calib_pin.observations import BlockKey, Measurements, Observations, trusted
 from calib_pin.parameterizations import frame_pose, frame_screws
 from calib_pin.parameters import ParameterSet
-from calib_pin.setup import WORLD, FrameSetup, Setup
+from calib_pin.setup import WORLD, FrameSetup
 
 
 def registered(problem: Problem, theta: Floats) -> Problem:
@@ -41,14 +40,10 @@ def registered(problem: Problem, theta: Floats) -> Problem:
     """
     _require_loose(problem)
     blocks = [trusted(block).sample(SAMPLE) for block in problem.data.blocks]
-    few = replace(problem, data=Observations(tuple(blocks)))
-    found = Located()
-    for term in few.terms.values():
+    few, found = replace(problem, data=Observations(tuple(blocks))), Located()
+    for term in problem.terms.values():
         found.state(problem.parameters, term)
-    terms = dict(problem.terms)
-    for block in _in_turn(few.blocks, found):
-        terms[block.term.key] = found.register(block, theta)
-    return problem.with_terms(found.placed(list(terms.values())))
+    return problem.with_terms(found.placed(few, few.blocks, theta))
 
 
 @dataclass
@@ -101,16 +96,26 @@ class Located:
         for reference in term.measurement.references:
             self.references[term.frames.place(reference)] = reference
 
-    def placed(self, terms: list[Term]) -> dict[BlockKey, Term]:
-        """Terms about all that has been located."""
-        identity = pin.SE3.Identity()
-        moved = []
-        for term in terms:
+    def placed(
+        self, problem: Problem, blocks: Sequence[Block], theta: Floats
+    ) -> dict[BlockKey, Term]:
+        """Terms about all that has been located, and what some blocks locate of it.
+
+        Args:
+            problem: The problem.
+            blocks: Those of its blocks that are registered; each takes over what those
+                before it have located.
+            theta: Parameter values, shape (P,); those of the robot count.
+        """
+        terms, identity = dict(problem.terms), pin.SE3.Identity()
+        for block in _in_turn(blocks, self):
+            terms[block.term.key] = self.register(block, theta)
+        for key, term in terms.items():
             base = self.bases.get(term.frames.station, identity)
             tool = self.tools.get(term.frames.tool, identity) * term.frames.offset
-            moved.append(replace(term, error=term.error.with_frames(base, tool)))
-        placed = with_shared_references(moved, self.references)
-        return {term.key: term for term in placed}
+            terms[key] = replace(term, error=term.error.with_frames(base, tool))
+        shared = with_shared_references([*terms.values()], self.references)
+        return {term.key: term for term in shared}
 
 
 def relocated(problem: Problem, theta: Floats, station: str) -> Problem:
@@ -119,16 +124,14 @@ def relocated(problem: Problem, theta: Floats, station: str) -> Problem:
     Args:
         problem: The problem of measurements from there, about its solution.
         theta: Parameter values, shape (P,).
-        station: Owner and kind of the base frame, see `Scope`.
+        station: Owner and kind of the base frame, see `Frames`.
     """
-    found, moved = Located(), []
-    for term, _, _, _ in problem.blocks:
+    found = Located()
+    for term in problem.terms.values():
         found.keep(term, theta)
     del found.bases[station]
-    for block in _in_turn(problem.blocks, found):
-        few = block._replace(data=block.data.sample(SAMPLE))
-        moved.append(found.register(few, theta))
-    return problem.with_terms({**problem.terms, **found.placed(moved)})
+    few = [b._replace(data=b.data.sample(SAMPLE)) for b in problem.blocks]
+    return problem.with_terms(found.placed(problem, few, theta))
 
 
 def _in_turn(blocks: Sequence[Block], found: Located) -> Iterator[Block]:
@@ -210,87 +213,69 @@ def extended(
         InputError: If measurements are of a model, a chain or a tool of which none was
             fitted.
     """
+    # Poses are passed on, not poses and what was found about them.
+    problem, values = problem.rebased(theta)
     if new := [block for block in rows.blocks if block.key not in problem.terms]:
-        # Poses are passed on, not poses and what was found about them.
-        problem, theta = problem.rebased(theta)
-    values = theta.copy()
-    terms = {}
-    for key, term in problem.terms.items():
-        own = term.of_instrument
-        measurement = term.measurement.rebased(theta[own])
-        terms[key], values[own] = replace(term, measurement=measurement), 0.0
-    known = problem
-    if new:
-        known, values = _with_stations(problem, terms, values, new)
-        terms = dict(known.terms)
-    there = replace(known, terms=terms, data=rows)
+        problem, values = _with_stations(problem, values, new)
+    terms, there = dict(problem.terms), replace(problem, data=rows)
     for term, data, _, _ in there.blocks:
-        if not term.measurement.references:
-            continue
-        T = term.poses(values, data)
-        measurement = term.measurement.extended(T, data)
-        terms[term.key] = replace(term, measurement=measurement)
-    return _of_parts(there, terms, values)
+        if term.measurement.references:
+            measurement = term.measurement.extended(term.poses(values, data), data)
+            terms[term.key] = replace(term, measurement=measurement)
+    return _of_terms(there, terms, values)
 
 
 def _with_stations(
-    problem: Problem,
-    terms: Mapping[BlockKey, Term],
-    theta: Floats,
-    new: Sequence[Measurements],
+    problem: Problem, theta: Floats, new: Sequence[Measurements]
 ) -> tuple[Problem, Floats]:
     """The problem with stations that none of its terms has, registered.
 
     Args:
-        problem: The problem.
-        terms: Its terms about their instruments.
+        problem: The problem about its solution.
         theta: Parameter values, shape (P,).
         new: Measurements from these stations.
     """
-    every = {**terms}
+    every = dict(problem.terms)
     for block in new:
-        every[block.key] = _elsewhere(terms, block, problem.setup)
+        every[block.key] = _elsewhere(problem, block)
     there = replace(problem, data=Observations(tuple(new)))
-    there, values = _of_parts(there, every, theta)
+    there, values = _of_terms(there, every, theta)
     found = Located()
-    for key in terms:
+    for key in problem.terms:
         found.keep(there.terms[key], values)
     for term, _, _, _ in there.blocks:
         found.state(there.parameters, term)
-    own = [found.register(block, values) for block in _in_turn(there.blocks, found)]
-    placed = found.placed(own)
     if len(problem.units):
         known = alike(there.layout, problem.layout)
         there = replace(there, units=problem.units[known])
-    return replace(there, terms={**there.terms, **placed}), values
+    return there.with_terms(found.placed(there, there.blocks, values)), values
 
 
-def _elsewhere(
-    terms: Mapping[BlockKey, Term], block: Measurements, setup: Setup
-) -> Term:
-    """The part of measurements from another station than any that was fitted."""
-    key = block.key
-    fitted = reversed([*terms.items()])
-    alike = {other._replace(station=""): term for other, term in fitted}
-    term = alike.get(key._replace(station=""))
+def _elsewhere(problem: Problem, block: Measurements) -> Term:
+    """The term of measurements from another station than any that was fitted."""
+    key, setup = block.key, problem.setup
+    fitted = reversed([*problem.terms.items()])
+    term = {k._replace(station=""): t for k, t in fitted}.get(key._replace(station=""))
     if term is None:
         named = {"model": key.model, "chain": key.chain, "tool": key.tool}
         told = ", ".join(f"{what} '{name}'" for what, name in named.items() if name)
         raise block.error(0, f"nothing of this kind was fitted: {told}")
     owner = key.station or "elsewhere"
     base = setup.stations.get(key.station, FrameSetup())
-    free = base.estimate
-    if free is None:
-        free = term.measurement.declaration.external
+    external = term.measurement.declaration.external
+    free = external if base.estimate is None else base.estimate
     screws = *frame_screws("base", 0, free=free), *term.error.screws[FRAME:]
-    station, outer = f"{owner}.station", f"{owner}/"
-    frames = replace(term.frames, station=station, base=base, outer=outer)
-    error = replace(term.error, screws=screws)
-    measurement = measurement_model(key.model, setup, block.target.distinct)
-    return replace(term, key=key, frames=frames, error=error, measurement=measurement)
+    stands = replace(term.frames, station=f"{owner}.station", outer=f"{owner}/")
+    return replace(
+        term,
+        key=key,
+        frames=replace(stands, base=base),
+        error=replace(term.error, screws=screws),
+        measurement=measurement_model(key.model, setup, block.target.distinct),
+    )
 
 
-def _of_parts(
+def _of_terms(
     problem: Problem, terms: Mapping[BlockKey, Term], theta: Floats
 ) -> tuple[Problem, Floats]:
     """The problem of other terms, and its parameter values: zero for what is new.
@@ -300,7 +285,7 @@ def _of_parts(
         terms: All of its terms, those of further blocks or with more references.
         theta: Values of the parameters that it had, shape (P,).
     """
-    found, given = assembled(list(terms.values()))
+    found, given = assembled([*terms.values()])
     position = {name: k for k, name in enumerate(given.names)}
     moved = [position[name] for name in problem.given.names]
     values = np.zeros(len(given))

@@ -3,10 +3,20 @@
 Known distances between points, those of a gauge or of the sockets of one plate, say
 nothing of the robot by themselves. A ball in two sockets a known distance apart is what
 gives a robot without any other length its scale.
+
+Where on its axis the errors of a joint are expected, wherever its frame stands.
+
+A frame may stand anywhere on its axis, and the robot is the same. Errors that are
+equally large about every frame are not: a milliradian about a frame that stands a meter
+off moves the joint by a millimeter more. They are counted at the foot of the
+perpendicular from the tip, and from there at that on the axis before, back to the base:
+places that the axes alone tell, and that stay within the robot where axes are nearly
+parallel.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,8 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
-from calib_pin.estimation.directions import inverse_root
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.estimation.identifiability import inverse_root
+from calib_pin.estimation.terms import FRAME, Terms
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.references import (
     Anchor,
     Plane,
@@ -175,9 +187,8 @@ class KnownDistances:
         whole = tuple(k for k in known if all(name in found for name in k.between))
         pairs = [(found[k.between[0]], found[k.between[1]]) for k in whole]
         columns = np.array([(a[1], b[1]) for a, b in pairs], np.int64)
-        return KnownDistances(
-            whole, tuple((a[0], b[0]) for a, b in pairs), columns.reshape(-1, 2, 3)
-        )
+        ends = tuple((a[0], b[0]) for a, b in pairs)
+        return KnownDistances(whole, ends, columns.reshape(-1, 2, 3))
 
     def __len__(self) -> int:
         """Number of distances and angles D."""
@@ -222,10 +233,10 @@ class KnownDistances:
         result = theta.copy()
         for k, (one, other) in enumerate(self.ends):
             known, columns = self.stated[k], self.columns[k]
-            if known.unit == "rad" or columns.min() < 0:
+            flat = isinstance(one, Plane) and isinstance(other, Plane)
+            if not flat or known.unit == "rad" or columns.min() < 0:
                 continue
-            if not (isinstance(one, Plane) and isinstance(other, Plane)):
-                continue
+            assert isinstance(one, Plane) and isinstance(other, Plane)
             a, b = one.turned(result[columns[0]])[0], other.turned(result[columns[1]])
             angle = float(np.arccos(min(abs(float(a @ b[0])), 1.0)))
             if angle > PARALLEL:
@@ -313,3 +324,52 @@ def _angle(a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
     side = np.where(cosine < 0.0, -1.0, 1.0)
     slope = (-side / np.maximum(sine, 1e-12))[..., None] * [1.0, 1.0, 1.0, 0.0]
     return np.arctan2(sine, side * cosine), slope * b, slope * a
+
+
+def expected_places(system: Terms, parameters: ParameterSet) -> Floats:
+    """Errors about the frames of joints by independent ones at their places.
+
+    Of joints all of whose six errors are free and have no prior of their own; others
+    stay as they are.
+
+    Args:
+        system: The robot and how it is measured.
+        parameters: Its parameters.
+
+    Returns:
+        Matrix C of `theta = scales * C e`, shape (P, P).
+    """
+    result = np.eye(len(parameters))
+    left = parameters.free & ~parameters.nuisance & ~np.isfinite(parameters.priors)
+    for term in system.terms.values():
+        places = feet(term.error.chain)
+        joints = defaultdict[tuple[int, str], list[int]](list)
+        for k in range(FRAME, len(term.error.screws) - FRAME):
+            screw = term.error.screws[k]
+            if screw.basis is None and left[term.index[k]]:
+                stem = screw.parameter.name.rpartition(".")[0]
+                joints[screw.frame, stem].append(k)
+        for (frame, _), own in joints.items():
+            index = term.index[own]
+            if len(own) == FRAME and frame <= len(places):
+                twists = np.array([term.error.screws[k].twist for k in own]).T
+                there = np.eye(FRAME)
+                there[:3, 3:] = skew(places[frame - 1])
+                # Both in the scales of the parameters: translations, then rotations.
+                scales = parameters.scales[index]
+                block = np.linalg.solve(twists * scales, there * scales)
+                result[np.ix_(index, index)] = block
+            # What several chains share has one place.
+            left[index] = False
+    return result
+
+
+def feet(chain: Chain) -> Floats:
+    """Place of the errors of every joint, in its own frame, shape (n, 3) [m]."""
+    frames, zero = chain.joint_frames(), np.zeros((1, len(chain.joints)))
+    point, result = chain.poses(zero)[0, :3, 3], np.zeros((len(frames), 3))
+    for k in reversed(range(len(frames))):
+        turn, origin, axis = frames[k, :3, :3], frames[k, :3, 3], chain.axes[k]
+        result[k] = ((point - origin) @ turn @ axis) * axis
+        point = origin + turn @ result[k]
+    return result

@@ -13,9 +13,14 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from calib_pin.errors import require_known, stated_in
-from calib_pin.estimation.directions import Directions
-from calib_pin.estimation.evaluators import completed
-from calib_pin.estimation.problem import SAMPLE, Problem, evaluator, known_count
+from calib_pin.estimation.identifiability import Directions
+from calib_pin.estimation.problem import (
+    SAMPLE,
+    Problem,
+    completed,
+    evaluator,
+    known_count,
+)
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import states_sigmas
 from calib_pin.progress import Progress
@@ -54,7 +59,8 @@ ENOUGH = 1e-12
 """The same for very many rows; of a million it is a thousandth of a deviation."""
 
 INVISIBLE = 1e-3
-"""Gain in chi-square, in squared deviations of unit weight, that nobody can see."""
+"""Gain in chi-square, in squared deviations of unit weight, or change of an estimate,
+in its own deviations, that nobody can see."""
 
 NEGLIGIBLE = 0.01
 """Part of the cost that an evolution may leave to gain and yet have converged."""
@@ -77,8 +83,8 @@ class Solution(LeastSquaresResult):
         """The solution with the steps of the one it started from, and its search."""
         searched = self if self.evolution or not last.evolution else last
         way, evolution = searched.evaluator, searched.evolution
-        found = replace(self, evaluator=way, evolution=evolution)
-        return replace(found, nit=self.nit + last.nit, nfev=self.nfev + last.nfev)
+        nit, nfev = self.nit + last.nit, self.nfev + last.nfev
+        return replace(self, evaluator=way, evolution=evolution, nit=nit, nfev=nfev)
 
 
 class Solver:

@@ -13,31 +13,30 @@ on one tip. Where there is only one of them it has the base or the tool frame.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple, Self, TypeAlias
+from typing import NamedTuple, Self
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
-from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.measurement_models import Linearization, MeasurementModel, declared
 from calib_pin.measurement_models.references import ReferenceObject
 from calib_pin.observations import (
     BlockKey,
-    Conditions,
     Indices,
     Labels,
     Measurements,
     Targets,
 )
 from calib_pin.parameterizations import frame_pose
-from calib_pin.parameterizations.error_model import ErrorModel, varying
+from calib_pin.parameterizations.error_model import ErrorModel, flexures, varying
 from calib_pin.parameterizations.linearization import PoseLinearization
 from calib_pin.parameters import Parameter, ParameterSet
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
@@ -82,39 +81,6 @@ class Frames:
 
 
 @dataclass(frozen=True)
-class Configurations:
-    """Configurations at which one block of measurements could be taken.
-
-    Attributes:
-        key: The block.
-        q: Joint positions, shape (N, n) [rad, m].
-        target: Target that the instrument measures in each.
-        conditions: What holds at each beside the joint positions.
-        start: Where relative measurements start, shape (N, n); (0, 0) for others.
-    """
-
-    key: BlockKey
-    q: Floats
-    target: Labels
-    conditions: Conditions
-    start: Floats
-
-    def rows(self, index: NDArray[Any]) -> Configurations:
-        """The configurations that a mask or an index array picks, in its order."""
-        return replace(
-            self,
-            q=self.q[index],
-            target=self.target[index],
-            conditions=self.conditions.rows(index),
-            start=self.start[index] if self.start.size else self.start,
-        )
-
-
-Configured: TypeAlias = Configurations | Measurements
-"""Configurations, also those of measurements beside their values."""
-
-
-@dataclass(frozen=True)
 class ToolLinearization:
     """Tool poses of N configurations and their derivatives.
 
@@ -151,7 +117,7 @@ class ToolPoses:
         at: The configurations.
     """
 
-    def __init__(self, error: ErrorModel, at: Configured) -> None:
+    def __init__(self, error: ErrorModel, at: Measurements) -> None:
         """Prepare nothing: what does not change is computed where it is needed."""
         self._error, self._at = error, at
 
@@ -166,9 +132,8 @@ class ToolPoses:
 
     def linearize(self, of_robot: Floats) -> ToolLinearization:
         """The poses with their derivatives."""
-        poses, *start = (
-            self._error.linearize(q, of_robot, basis) for q, basis in self._ends
-        )
+        linearize = self._error.linearize
+        poses, *start = (linearize(q, of_robot, basis) for q, basis in self._ends)
         if not start:
             return ToolLinearization(poses.T, poses, None)
         return ToolLinearization(invert(start[0].T) @ poses.T, poses, start[0])
@@ -221,28 +186,12 @@ def kept(values: Floats, aside: NDArray[np.bool_]) -> Floats:
     return np.where(aside.reshape(*aside.shape, *[1] * (values.ndim - 2)), 0.0, values)
 
 
-def linearized_at(
-    chain: Chain,
-    measurement: MeasurementModel,
-    T: Floats,
-    instrument: Floats,
-    q: Floats,
-    target: Targets,
-) -> Linearization:
-    """Linearization of a measurement model where it measures what it predicts.
+def compilable(model: ErrorModel) -> bool:
+    """Whether nothing but the joints' own motions changes row by row.
 
-    Args:
-        chain: The chain.
-        measurement: The measurement model.
-        T: Tool poses in the measurement frame, shape (N, 4, 4).
-        instrument: Instrument parameters, shape (K,).
-        q: Joint positions, shape (N, n) [rad, m].
-        target: Target of each measurement.
+    Compiled kernels know corrections of these alone.
     """
-    # Derivatives are those of residuals, so a model is told what was measured.
-    values, names = measurement.predict(T, instrument, target), Labels.of(target)
-    data = Measurements(chain.joints, q, measurement.name, values, target=names)
-    return measurement.linearize(T, instrument, data)
+    return model.learned is None and len(flexures(model)) == 0
 
 
 @dataclass(frozen=True)
@@ -290,22 +239,6 @@ class Term:
             ]
         return tuple(result)
 
-    @cached_property
-    def kind(self) -> object:
-        """The same in terms which are one stream of measurements but for stations."""
-        model = self.measurement
-        if not is_dataclass(model):
-            return self.key
-        values = [getattr(model, item.name) for item in fields(model)]
-        return (
-            self.key._replace(station=""),
-            self.error.tool.homogeneous.tobytes(),
-            self.error.payload,
-            self.index[FRAME:].tobytes(),
-            type(model),
-            *(tuple(map(id, v)) if isinstance(v, tuple) else id(v) for v in values),
-        )
-
     @property
     def components(self) -> int:
         """Residual components d of a measurement."""
@@ -329,29 +262,45 @@ class Term:
         """
         return theta[..., self.of_error], theta[..., self.of_instrument]
 
-    def of_chain(self, at: Configured) -> Configured:
+    def of_chain(self, at: Measurements) -> Measurements:
         """Configurations of all joints with those of its chain alone."""
-        if np.array_equal(self.columns, np.arange(at.q.shape[1])):
+        if at.joints == self.error.chain.joints:
             return at
-        own: dict[str, Any] = {
-            "q": at.q[:, self.columns],
-            "start": at.start[:, self.columns] if at.start.size else at.start,
-            "conditions": at.conditions.of_joints(self.columns),
-        }
-        if isinstance(at, Measurements):
-            own["joints"] = self.error.chain.joints
-        return replace(at, **own)
+        return replace(
+            at,
+            joints=self.error.chain.joints,
+            q=at.q[:, self.columns],
+            start=at.start[:, self.columns] if at.start.size else at.start,
+            conditions=at.conditions.of_joints(self.columns),
+        )
 
-    def poses(self, theta: Floats, at: Configured) -> Floats:
+    def poses(self, theta: Floats, at: Measurements) -> Floats:
         """Tool poses as in `ToolLinearization`, shape (N, 4, 4).
 
         Args:
             theta: Values of all parameters, shape (P,).
             at: Configurations of its chain.
         """
-        return ToolPoses(self.error, at)(self.values(theta)[0])
+        return ToolPoses(self.error, self.of_chain(at))(self.values(theta)[0])
 
-    def jacobian(self, theta: Floats, at: Configured, sigma: Floats) -> Floats:
+    def linearized(
+        self, T: Floats, instrument: Floats, q: Floats, target: Targets
+    ) -> Linearization:
+        """Linearization of the measurement model where it measures what it predicts.
+
+        Args:
+            T: Tool poses in the measurement frame, shape (N, 4, 4).
+            instrument: Instrument parameters, shape (K,).
+            q: Joint positions of its chain, shape (N, n) [rad, m].
+            target: Target of each measurement.
+        """
+        # Derivatives are those of residuals, so a model is told what was measured.
+        model, joints = self.measurement, self.error.chain.joints
+        values, names = model.predict(T, instrument, target), Labels.of(target)
+        data = Measurements(joints, q, model.name, values, target=names)
+        return model.linearize(T, instrument, data)
+
+    def jacobian(self, theta: Floats, at: Measurements, sigma: Floats) -> Floats:
         """Whitened Jacobian of noise-free measurements by its parameters, (N, d, p).
 
         Args:
@@ -360,9 +309,9 @@ class Term:
             sigma: Standard deviations of the residual components, shape (N, d).
         """
         of_robot, instrument = self.values(theta)
+        at = self.of_chain(at)
         tool = ToolPoses(self.error, at).linearize(of_robot)
-        chain, model = self.error.chain, self.measurement
-        linear = linearized_at(chain, model, tool.T, instrument, at.q, at.target)
+        linear = self.linearized(tool.T, instrument, at.q, at.target)
         return whitened_jacobian(tool, linear, sigma)
 
     def rebased(self, theta: Floats) -> Self:
@@ -464,7 +413,7 @@ class Terms:
             result[term.index[varying(term.error)]] = False
         return result
 
-    def predict(self, theta: Floats, at: Configured) -> Floats:
+    def predict(self, theta: Floats, at: Measurements) -> Floats:
         """Noise-free values in the layout of `Measurements.values`, shape (N, D).
 
         Args:
@@ -472,19 +421,19 @@ class Terms:
             at: Configurations of one block.
         """
         term = self.terms[at.key]
-        T = term.poses(theta, term.of_chain(at))
-        return term.measurement.predict(T, term.values(theta)[1], at.target)
+        instrument = term.values(theta)[1]
+        return term.measurement.predict(term.poses(theta, at), instrument, at.target)
 
-    def observable(self, theta: Floats, at: Configured) -> NDArray[np.bool_]:
+    def observable(self, theta: Floats, at: Measurements) -> NDArray[np.bool_]:
         """Whether an instrument can measure at each configuration, shape (N,).
 
         Arguments as for `predict`.
         """
         term = self.terms[at.key]
-        T = term.poses(theta, term.of_chain(at))
-        return term.measurement.observable(T, term.values(theta)[1], at.target)
+        T, instrument = term.poses(theta, at), term.values(theta)[1]
+        return term.measurement.observable(T, instrument, at.target)
 
-    def jacobian(self, theta: Floats, at: Configured, sigma: Floats) -> Floats:
+    def jacobian(self, theta: Floats, at: Measurements, sigma: Floats) -> Floats:
         """Whitened Jacobian of noise-free measurements of a block, shape (N, d, P).
 
         Args:
@@ -493,7 +442,7 @@ class Terms:
             sigma: Standard deviations of the residual components, shape (N, d).
         """
         term = self.terms[at.key]
-        return self.spread(term, term.jacobian(theta, term.of_chain(at), sigma))
+        return self.spread(term, term.jacobian(theta, at, sigma))
 
     def spread(self, term: Term, J: Floats) -> Floats:
         """Columns of the parameters of a term among those of all, (..., p) -> (..., P).
@@ -642,11 +591,9 @@ def prefixed(terms: Iterable[Term]) -> list[Term]:
     named = set().union(*several) - {BASE, TOOL}
     result = []
     for term in terms:
-        station, tool = (
-            f"{place.rpartition('.')[0]}/" if place in named else ""
-            for place in (term.frames.station, term.frames.tool)
-        )
-        frames = replace(term.frames, outer=station, inner=tool)
+        ends = term.frames.station, term.frames.tool
+        owners = [f"{p.rpartition('.')[0]}/" if p in named else "" for p in ends]
+        frames = replace(term.frames, outer=owners[0], inner=owners[1])
         result.append(replace(term, frames=frames))
     return result
 
@@ -670,12 +617,9 @@ def _owners(places: set[tuple[str, str]], default: str) -> dict[tuple[str, str],
     """
     if len(places) == 1:
         return dict.fromkeys(places, "")
-    links: dict[str, set[str]] = {}
+    links, result = Counter(name for name, _ in places), {}
     for name, link in places:
-        links.setdefault(name, set()).add(link)
-    result = {}
-    for name, link in places:
-        known = link == default or (name and len(links[name]) == 1)
+        known = link == default or (name and links[name] == 1)
         result[name, link] = "/".join(filter(None, (name, "" if known else link)))
     return result
 

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.directions import visible_nuisances
 from calib_pin.estimation.evidence import ByCount, PoseErrors, TipAccuracy, rms
-from calib_pin.estimation.fitted import Fit, posterior_about
+from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.identifiability import visible_nuisances
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 
 SAMPLES = 300
-"""Configurations of the workspace."""
+"""Configurations that stand for the workspace."""
 
 ROWS = 400
 """Measurements among which the error is followed from few to many."""
@@ -119,10 +119,10 @@ def tip_accuracy(
     if len(problem.setup.payloads) > 1 and not error.payload:
         error = error.carrying(next(iter(problem.setup.payloads)))
     q = error.chain.random_configurations(SAMPLES, rng)
-    T, J = error.jacobian(q, theta[own])
     # Parameters are deviations from references, and so is their covariance.
-    settled = posterior_about(fitted, *fitted.problem.rebased(fitted.theta))
-    twists = settled.twists(replace(term, error=error), q, J)
+    about = fitted.problem.terms[term.key].error
+    T, J = error.with_frames(about.base, about.tool).jacobian(q, fitted.theta[own])
+    twists = fitted.posterior.twists(replace(term, error=error), q, J)
     position, orientation = _deviations(twists)
     alone = map(rms, _deviations(without_frames(twists, J)))
     few = replace(problem, data=problem.data.sample(ROWS))

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from calib_pin.errors import OptionError, nearest
-from calib_pin.estimation.robust.weights import LOSSES
+from calib_pin.estimation.robust import LOSSES
 from calib_pin.estimation.solve import SOLVERS
 from calib_pin.io.files import read_bytes
 from calib_pin.io.json_text import decoded, format_keys, plain, reading, typed

@@ -12,15 +12,14 @@ from calib_pin.errors import OptionError, require_known
 from calib_pin.estimation.formulation import Stated, setup_of
 from calib_pin.estimation.identifiability import Structure
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices, Measurements, Observations
 from calib_pin.parameterizations import frame_pose
-from calib_pin.planning.aims import Aim, Aims, require_plannable
 from calib_pin.planning.criteria import CRITERIA, Prediction
 from calib_pin.planning.planned_problem import (
-    STRUCTURE,
     Predicted,
     TipTests,
     assumed_tools,
@@ -31,7 +30,7 @@ from calib_pin.planning.planned_problem import (
 )
 from calib_pin.planning.search import METHODS, Found, Progress, Search
 from calib_pin.planning.travel import visits
-from calib_pin.planning.workspace import Workspace
+from calib_pin.planning.workspace import TIDY, Aim, Aims, Workspace, require_plannable
 from calib_pin.solvers import Status
 from calib_pin.validation.assessment import estimates, robot_errors
 from calib_pin.validation.result import CoupledGroup, ParameterEstimate, Printed
@@ -40,17 +39,11 @@ from calib_pin.workers import SERIAL, Workers
 CRITERION_NAMES = (*CRITERIA, "prediction")
 """Names of all criteria."""
 
-TESTS = 300
-"""Candidates at which the tip's error is predicted where no test poses are given."""
-
 MORE = 40
 """Most configurations beyond those wanted that the table looks at."""
 
 RANDOM_SETS = 25
 """Random sets that a plan is compared with."""
-
-DIGITS = 6
-"""Decimals of planned joint positions, where nothing speaks against rounding."""
 
 
 @dataclass(frozen=True)
@@ -213,7 +206,7 @@ def plan(
         problem, collisions, distance, Aims.of(problem, keys), points
     )
     # However few are to choose from, all that may be measured shows the structure.
-    wanted = max(candidates, count, STRUCTURE)
+    wanted = max(candidates, count, SAMPLES)
     spread = workspace.candidates(wanted, rng, progress, count, workers)
     spread.require(count)
     # A part of an even spread is one too.
@@ -224,7 +217,7 @@ def plan(
     at = TipTests.of(
         rows,
         {
-            name: spread.q[chain_of == name][:TESTS] if tests is None else tests
+            name: spread.q[chain_of == name][:SAMPLES] if tests is None else tests
             for name in dict.fromkeys(chain_of.tolist())
         },
     )
@@ -271,10 +264,8 @@ def _finished(
     information = search.objective.information(rows.rows(q, aim))
     assert information is not None, "the search only ends in sets that determine all"
     rng = np.random.default_rng(0)  # A generator that nothing shares.
-    draws = (
-        rng.choice(len(search.candidates.q), search.count, replace=False)
-        for _ in range(RANDOM_SETS)
-    )
+    size, count = len(search.candidates.q), search.count
+    draws = (rng.choice(size, count, replace=False) for _ in range(RANDOM_SETS))
     predicted = predict(information, rows.basis, tests, problem.parameters)
     told = robot_errors(problem, structure, predicted)
     predicted = replace(predicted, robot_errors=told)
@@ -303,7 +294,7 @@ def _finished(
 
 def _rounded(workspace: Workspace, q: Floats, aim: Indices) -> Floats:
     """Positions as people write them, where that leaves a set allowed."""
-    tidy = np.clip(np.round(q, DIGITS), workspace.lower, workspace.upper)
+    tidy = np.clip(np.round(q * TIDY) / TIDY, workspace.lower, workspace.upper)
     tidy = workspace.settled(tidy, aim)
     if workspace.distance == 0.0:
         return np.where(workspace.inside(tidy, aim)[:, None], tidy, q)

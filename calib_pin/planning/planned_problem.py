@@ -9,39 +9,34 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import InputError, OptionError
-from calib_pin.estimation.configurations import asked
-from calib_pin.estimation.directions import (
-    WEAK,
-    Directions,
-    visible_directions,
-    visible_nuisances,
-)
 from calib_pin.estimation.formulation import (
     make_problem,
     nominal_problem,
     require_known,
 )
-from calib_pin.estimation.identifiability import Structure
-from calib_pin.estimation.nominal import register, structure_at
+from calib_pin.estimation.identifiability import (
+    WEAK,
+    Directions,
+    Structure,
+    visible_directions,
+    visible_nuisances,
+)
+from calib_pin.estimation.nominal import asked, register, structure_at
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.terms import Configured
+from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.chains import Robots
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared, measurement_model
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.pose import Pose
-from calib_pin.observations import BlockKey, Indices, Observations
+from calib_pin.observations import BlockKey, Indices, Measurements, Observations
 from calib_pin.parameters import ParameterSet
-from calib_pin.planning.aims import Aims, Look, sides_tried
-from calib_pin.planning.information import Information
+from calib_pin.planning.criteria import Information
 from calib_pin.planning.rows import IdentificationRows, LookRows
-from calib_pin.planning.workspace import Candidates
+from calib_pin.planning.workspace import Aims, Candidates, Look, sides_tried
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.result import RobotError
-
-STRUCTURE = 300
-"""Candidates that show what can be identified at all."""
 
 ASSUMED_TOOL = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
 """Where a target sits in the tip that nobody has stated: beside the last axis [m]."""
@@ -147,10 +142,10 @@ def identification(
         information of measured rows and priors in the same columns, shape (m, m).
     """
     zero = np.zeros(len(problem.parameters))
-    first = slice(STRUCTURE)
+    first = slice(SAMPLES)
     at = _looked_at(problem, aims, candidates.q[first], candidates.aim[first])
     if measured is not None:
-        at += measured.sample(STRUCTURE).blocks
+        at += measured.sample(SAMPLES).blocks
     structure, J = structure_at(problem, zero, at)
     nuisances = visible_nuisances(J, problem.parameters)
     robot = visible_directions(J, problem.parameters)
@@ -173,9 +168,9 @@ def identification(
 
 def _looked_at(
     problem: Problem, aims: Aims, q: Floats, aim: Indices
-) -> list[Configured]:
+) -> list[Measurements]:
     """The configurations with all targets that each instrument measures in them."""
-    result: list[Configured] = []
+    result: list[Measurements] = []
     for look in aims.looks:
         rows, target = look.measured(q, aim)
         result.append(asked(problem, look.term.key, q[rows], target))
@@ -214,11 +209,8 @@ class TipTests:
             )
             basis = rows.basis[term.of_error]
             aim = np.arange(len(q)) % max(len(sides), 1)
-            J = (
-                LookRows(look, basis, np.ones(6))
-                .rows(q, aim)
-                .reshape(-1, 2, 3, len(basis.T))
-            )
+            J = LookRows(look, basis, np.ones(6)).rows(q, aim)
+            J = J.reshape(-1, 2, 3, len(basis.T))
             found.append(np.einsum("npdi,npdj->pij", J, J, optimize=True) / len(q))
         return TipTests(*np.mean(found, axis=0))
 
@@ -255,7 +247,7 @@ def predict(
 ) -> Predicted:
     """Covariance of a fit; what it will not be able to tell stays at nominal there.
 
-    A fit also holds all errors by the size that its measurements show (`stages`),
+    A fit also holds all errors by the size that its measurements show (`fitted`),
     which nobody knows before: of a variance v it leaves `v / (1 + v / size^2)`.
 
     Args:

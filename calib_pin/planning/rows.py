@@ -24,12 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.problem import Problem, assumed_sigma
-from calib_pin.estimation.terms import linearized_at
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import CurvedModel
 from calib_pin.observations import Indices, Labels
 from calib_pin.parameterizations.linearization import PoseLinearization
-from calib_pin.planning.aims import Aims, Look
+from calib_pin.planning.workspace import Aims, Look
 
 Pullback = Callable[[Floats], Floats]
 """Derivative by the rows, (N, d, m), to derivative by the configurations, (N, n)."""
@@ -163,15 +162,9 @@ class LookRows:
         if self.look.at_once:
             measured = np.flatnonzero(self.look.seen(q, aim))
         place, names = self._measured(aim, measured)
-        linear = linearized_at(
-            term.error.chain,
-            term.measurement,
-            poses.T[place],
-            self._instrument,
-            own[place],
-            names,
-        )
-        J = np.zeros((len(q) * each, size, 6 + len(self._instrument)))
+        instrument = self._instrument
+        linear = term.linearized(poses.T[place], instrument, own[place], names)
+        J = np.zeros((len(q) * each, size, 6 + len(instrument)))
         both = np.concatenate([linear.J_pose, linear.J_instrument], axis=2)
         J[measured] = both / self.sigma[:, None]
         return poses, J.reshape(len(q), each * size, J.shape[2]), measured

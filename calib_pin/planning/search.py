@@ -17,10 +17,8 @@ from numpy.typing import NDArray
 from calib_pin.errors import OptionError, require_known
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices
-from calib_pin.planning.criteria import CRITERIA, Criterion
-from calib_pin.planning.information import Information
+from calib_pin.planning.criteria import CRITERIA, Criterion, Information, Selection
 from calib_pin.planning.rows import IdentificationRows
-from calib_pin.planning.selection import Selection
 from calib_pin.planning.workspace import Candidates, Workspace
 from calib_pin.solvers import (
     ParticleSwarm,

@@ -11,7 +11,7 @@ from calib_pin.control.compensation import Compensation
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.joint_columns import JointColumns
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.planning.ways import Passage
+from calib_pin.planning.travel import Passage
 from calib_pin.report.blocks import Block, Line, Names, Table, Tone, table
 from calib_pin.report.tables import UNIT, amount, counted, measures
 

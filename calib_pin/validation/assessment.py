@@ -10,12 +10,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.estimation.directions import (
-    Directions,
-    half_covariance,
-    practical_directions,
-    robot_singular_values,
-)
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import (
     Stated,
@@ -23,13 +17,19 @@ from calib_pin.estimation.formulation import (
     require_known,
     setup_of,
 )
-from calib_pin.estimation.geometric_columns import KINDS, Columns, geometric_columns
 from calib_pin.estimation.identifiability import (
+    KINDS,
+    Columns,
     Combination,
+    Directions,
     Structure,
     combinations,
     everett_count,
+    geometric_columns,
+    half_covariance,
     observability,
+    practical_directions,
+    robot_singular_values,
 )
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem, absorbed, distinct_values, known_count

@@ -9,9 +9,14 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError, InputError
-from calib_pin.estimation.conditions import require_conditions
 from calib_pin.estimation.evidence import Finding, rms
-from calib_pin.estimation.formulation import Stated, fitting, make_problem, setup_of
+from calib_pin.estimation.formulation import (
+    Stated,
+    fitting,
+    make_problem,
+    require_conditions,
+    setup_of,
+)
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.registration import extended

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation import learning
-from calib_pin.estimation.directions import half_covariance, visible_nuisances
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import (
     Fit,
@@ -35,8 +34,9 @@ from calib_pin.estimation.fitted import (
     effect_rows,
     shared_variances,
 )
+from calib_pin.estimation.identifiability import half_covariance, visible_nuisances
 from calib_pin.estimation.problem import EXACT, Problem, known_count
-from calib_pin.estimation.robust.studentized import by_size, spectrum
+from calib_pin.estimation.robust import by_size, spectrum
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.validation.model_errors import (

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calib_pin.estimation.layout import side_by_side
+from calib_pin.estimation.problem import side_by_side
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity
 from calib_pin.observations import BlockKey, Measurements, Observations

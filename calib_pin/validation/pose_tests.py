@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, enumerated
-from calib_pin.estimation.directions import column_space
 from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.identifiability import column_space
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.registration import extended, registered, relocated

@@ -21,14 +21,14 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError
-from calib_pin.estimation.directions import nuisance_basis
 from calib_pin.estimation.evidence import TRUSTED, rms
+from calib_pin.estimation.fitted import robot_rows
 from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.identifiability import nuisance_basis
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.registration import registered
-from calib_pin.estimation.robot_rows import robot_rows
 from calib_pin.estimation.solve import least_squares
-from calib_pin.estimation.statistics.innovations import (
+from calib_pin.estimation.statistics.population_prior import (
     Cause,
     Explanation,
     Sparse,

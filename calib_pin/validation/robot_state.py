@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, enumerated
-from calib_pin.estimation.robot_rows import robot_rows
+from calib_pin.estimation.fitted import robot_rows
 from calib_pin.estimation.statistics.population_prior import RobotEvidence
 from calib_pin.estimation.terms import FRAME, Terms
 from calib_pin.kinematics.robot_types import robot_type

@@ -11,16 +11,17 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.directions import (
-    WEAK,
-    column_space,
-    rounding,
-    visible_nuisances,
-)
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit, likely_posteriors
-from calib_pin.estimation.identifiability import Combination, combinations
+from calib_pin.estimation.identifiability import (
+    WEAK,
+    Combination,
+    column_space,
+    combinations,
+    rounding,
+    visible_nuisances,
+)
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.terms import FRAME, Block, Term
 from calib_pin.kinematics.spatial import Floats

@@ -15,8 +15,8 @@ from numba import config
 
 import calib_pin
 from benchmarks.timing import best, show
-from calib_pin.estimation.configurations import asked
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.nominal import asked
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats

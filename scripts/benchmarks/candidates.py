@@ -22,10 +22,10 @@ from matplotlib.figure import Figure
 import calib_pin
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
-from calib_pin.planning.plan import TESTS
 from calib_pin.planning.planned_problem import TipTests, identification
 from calib_pin.planning.search import Found, Search
 from calib_pin.planning.workspace import Candidates, Workspace
@@ -98,11 +98,11 @@ def values(job: Job) -> list[tuple[float, ...]]:
     case = CASES[job.case]
     problem = nominal_problem(case.chain(), case.model, Setup(tool_frame=TOOL))
     workspace, rng = Workspace.create(problem), np.random.default_rng(job.seed)
-    every = workspace.candidates(max(*job.sizes, TESTS), rng)
+    every = workspace.candidates(max(*job.sizes, SAMPLES), rng)
     _, rows, known = identification(problem, workspace.aims, every)
     criterion: Criterion = CRITERIA["condition"]
     if job.criterion == "prediction":
-        criterion = Prediction(TipTests.of(rows, {"": every.q[:TESTS]}).position)
+        criterion = Prediction(TipTests.of(rows, {"": every.q[:SAMPLES]}).position)
     result = []
     for size in job.sizes:
         first = Candidates(every.q[:size], every.aim[:size], every.tried)

@@ -12,10 +12,9 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.collision import load_collisions
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices
-from calib_pin.planning.criteria import CRITERIA, Criterion
+from calib_pin.planning.criteria import CRITERIA, Criterion, Selection
 from calib_pin.planning.planned_problem import identification
 from calib_pin.planning.search import Search
-from calib_pin.planning.selection import Selection
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, Setup
 

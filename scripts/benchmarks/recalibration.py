@@ -29,7 +29,7 @@ from benchmarks.criterion import Criterion, Line, at_most, between
 from benchmarks.verdict.jobs import SEED, Job, draw, stream
 from benchmarks.verdict.truth import WORKSPACE, position_error
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.estimation.robot_rows import robot_rows
+from calib_pin.estimation.fitted import robot_rows
 from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats

@@ -15,12 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import calib_pin
-from calib_pin.estimation.configurations import observable_configurations
-from calib_pin.estimation.directions import visible_directions
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import analyze_structure
+from calib_pin.estimation.identifiability import visible_directions
+from calib_pin.estimation.nominal import analyze_structure, observable_configurations
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey

@@ -228,7 +228,7 @@ def _simulated(nominal: Problem, truth: Floats, q: Floats) -> Floats:
             nominal.data.joints, piece, "position", np.zeros((len(piece), 3))
         )
         problem = replace(nominal, data=Observations.of(empty))
-        found += ManyRows(problem.blocks, problem.sigma).errors(truth)
+        found.append(ManyRows(problem.blocks[0], problem.sigma).errors(truth))
     return np.concatenate(found)
 
 

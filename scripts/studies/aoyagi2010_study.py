@@ -28,13 +28,12 @@ import numpy as np
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.tip_accuracy import SAMPLES
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.planning.criteria import CRITERIA
-from calib_pin.planning.information import Information
+from calib_pin.planning.criteria import CRITERIA, Information
 from calib_pin.planning.planned_problem import (
     ASSUMED_TOOL,
-    STRUCTURE,
     identification,
 )
 from calib_pin.planning.rows import IdentificationRows
@@ -216,7 +215,7 @@ def _rows(noise: float) -> IdentificationRows:
     error = part.error.with_frames(part.error.base, ASSUMED_TOOL)
     problem = nominal.with_terms({part.key: replace(part, error=error)})
     workspace = Workspace.create(problem)
-    spread = workspace.candidates(STRUCTURE, np.random.default_rng(0))
+    spread = workspace.candidates(SAMPLES, np.random.default_rng(0))
     _, rows, _ = identification(problem, workspace.aims, spread)
     return rows
 

@@ -14,8 +14,7 @@ import numpy as np
 
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.planning.criteria import Prediction
-from calib_pin.planning.information import Information
+from calib_pin.planning.criteria import Information, Prediction
 from calib_pin.planning.planned_problem import TipTests, identification
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.search import Search

@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 
 import calib_pin
-from calib_pin.estimation.directions import visible_directions
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.identifiability import visible_directions
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.collision import load_collisions
@@ -21,8 +21,8 @@ from calib_pin.kinematics.spatial import Floats, adjoint, from_quaternion, inver
 from calib_pin.measurement_models.base import Curvature, Linearization
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.observations import Measurements
-from calib_pin.planning.aims import Aims
 from calib_pin.planning.rows import IdentificationRows
+from calib_pin.planning.workspace import Aims
 
 PUBLISHED = {"hand-picked": "hand_picked.csv", "swarm": "swarm.csv"}
 """The published sets of configurations."""

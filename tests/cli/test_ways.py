@@ -15,7 +15,7 @@ import yaml
 from calib_pin.cli import main
 from calib_pin.io.collision import load_collisions
 from calib_pin.io.results import read_calibration
-from calib_pin.planning.ways import Ways
+from calib_pin.planning.travel import Ways
 from calib_pin.setup import Obstacle
 from tests.cli.files import table, write
 

@@ -55,7 +55,7 @@ def members(problem: Problem, sizes: tuple[float, ...]) -> Floats:
 
 def kernel_poses(error: ErrorModel, theta: Floats, q: Floats) -> Floats:
     """Tool poses of an error model by the kernels, shape (N, 4, 4)."""
-    segments = Segments.of(error)
+    segments = Segments(error)
     (chain,) = segments.links(theta[None])
     motion, starts = motions(q * segments.signs, segments.revolute)
     T = np.full((len(q), 4, 4), np.nan)
@@ -108,12 +108,12 @@ def test_all_robots(example_robot: Path, measured: Measured) -> None:
             size = np.abs(expected).max()
             found = kernel_poses(part.error, part.values(member)[0], data.q)
             np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * size)
-        rows = ManyRows(problem.blocks, problem.sigma)
+        rows = ManyRows(problem.blocks[0], problem.sigma)
         r, J = problem.linearize(theta[1])
         lengths = np.linalg.norm(np.column_stack([J, r]), axis=0)
         lengths[lengths == 0.0] = 1.0
         unit, exact = np.outer(lengths, lengths), products(r, J)
-        found = products(*rows.factorize(theta[1])[0])
+        found = products(*rows.factorize(theta[1]))
         np.testing.assert_allclose(found / unit, exact / unit, rtol=0, atol=1e-11)
 
 

@@ -11,16 +11,21 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
-from calib_pin.estimation.configurations import asked, named_targets
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.nominal import asked, named_targets
 from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem, known_count, measured_count
 from calib_pin.estimation.registration import registered
+from calib_pin.estimation.terms import frames_of_blocks
+from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import (
+    WORLD,
     CameraSetup,
+    ChainSetup,
     FrameSetup,
     PointSetup,
     Setup,
@@ -240,3 +245,80 @@ def test_measurements_of_an_unknown_socket(
     problem = make_problem(ARM, Observations((positions, wrong)), SETUP)
     with refused(InputError, reason="'s/2'", file="m.csv", line=10):
         registered(problem, np.zeros(len(problem.parameters)))
+
+
+MEASURED, CAMERA, TOUCH = map(BlockKey, ("position", "camera", "fixed-point"))
+STATED = FrameSetup((1.0, 2.0, 3.0))
+
+
+@pytest.fixture(scope="module")
+def tree(urdf_of: Callable[..., str]) -> Callable[..., Chains]:
+    """Chains of a trunk with two limbs: `tree("", "right")`."""
+    joints = [("trunk", "root", "chest"), ("l", "chest", "left"), ("r", "chest", "end")]
+    text = urdf_of(*({"name": n, "parent": p, "child": c} for n, p, c in joints))
+    robot = parse_robot(text.encode(), "tree.urdf")
+    stated = {
+        "right": ChainSetup(tip="end"),
+        "touch": ChainSetup(base="left", tip="end"),
+    }
+
+    def make(*names: str) -> Chains:
+        return Chains(robot, None, "left", stated, names)
+
+    return make
+
+
+AT_BASE, AT_TOOL = "base.frame", "tool.frame"
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ([MEASURED], [(AT_BASE, AT_TOOL)]),
+        # A name alone tells nothing apart.
+        ([MEASURED._replace(station="one", tool="ball")], [(AT_BASE, AT_TOOL)]),
+        (
+            [
+                MEASURED._replace(station="one"),
+                MEASURED._replace(station="two", tool="ball"),
+            ],
+            [("one.station", AT_TOOL), ("two.station", "ball.tool")],
+        ),
+        # What stands still has the station of what moves.
+        (
+            [MEASURED, MEASURED._replace(chain=WORLD)],
+            [(AT_BASE, AT_TOOL), (AT_BASE, "root.tool")],
+        ),
+        # A tool of each limb; the base is one link.
+        (
+            [MEASURED, MEASURED._replace(chain="right")],
+            [(AT_BASE, AT_TOOL), (AT_BASE, "end.tool")],
+        ),
+        # The same probe, mounted on one hand and then on the other.
+        (
+            [MEASURED._replace(chain=chain, tool="ball") for chain in ("", "right")],
+            [(AT_BASE, "ball.tool"), (AT_BASE, "ball/end.tool")],
+        ),
+        # A hand that is touched is a place of its own.
+        (
+            [MEASURED, TOUCH._replace(chain="touch")],
+            [(AT_BASE, AT_TOOL), ("left.station", "end.tool")],
+        ),
+        # A camera among others follows nothing that these do.
+        ([MEASURED, CAMERA], [(AT_BASE, AT_TOOL), ("camera.station", "camera.tool")]),
+        (
+            [MEASURED, CAMERA._replace(tool="ball")],
+            [(AT_BASE, AT_TOOL), ("camera.station", "ball.tool")],
+        ),
+        ([CAMERA], [(AT_BASE, AT_TOOL)]),
+        ([MEASURED, TOUCH], [(AT_BASE, AT_TOOL), (AT_BASE, AT_TOOL)]),
+    ],
+)
+def test_names_of_frames(
+    keys: list[BlockKey],
+    expected: list[tuple[str, str]],
+    tree: Callable[..., Chains],
+) -> None:
+    chains = tree(*dict.fromkeys(key.chain for key in keys))
+    found = frames_of_blocks(chains, keys, Setup())
+    assert [(found[key].station, found[key].tool) for key in keys] == expected

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 import calib_pin.setup as of
 from calib_pin.cli.options import meanings
 from calib_pin.errors import CalibPinError, InputError
-from calib_pin.estimation.robust.weights import LOSSES
+from calib_pin.estimation.robust import LOSSES
 from calib_pin.estimation.solve import SOLVERS
 from calib_pin.io import setup as setup_files
 from calib_pin.io.json_text import encode

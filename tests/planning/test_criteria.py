@@ -7,8 +7,13 @@ import pytest
 
 from calib_pin.estimation.identifiability import observability
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.planning.criteria import CRITERIA, SHARPER, Criterion, Prediction
-from calib_pin.planning.information import Information
+from calib_pin.planning.criteria import (
+    CRITERIA,
+    SHARPER,
+    Criterion,
+    Information,
+    Prediction,
+)
 
 COLUMNS, NUISANCES = 8, 3
 

@@ -8,7 +8,7 @@ import pytest
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.planning.information import Information
+from calib_pin.planning.criteria import Information
 from calib_pin.planning.planned_problem import identification
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup

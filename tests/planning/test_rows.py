@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.configurations import asked, observable_configurations
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.nominal import asked, observable_configurations
 from calib_pin.estimation.problem import Problem, sigma_at
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import BlockKey, Indices
-from calib_pin.planning.aims import Aims
 from calib_pin.planning.rows import IdentificationRows
+from calib_pin.planning.workspace import Aims
 from calib_pin.setup import PointSetup, Setup
 
 Equipped = Callable[..., Problem]

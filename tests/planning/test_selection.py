@@ -8,9 +8,13 @@ import numpy as np
 import pytest
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
-from calib_pin.planning.information import Information
-from calib_pin.planning.selection import Selection
+from calib_pin.planning.criteria import (
+    CRITERIA,
+    Criterion,
+    Information,
+    Prediction,
+    Selection,
+)
 from calib_pin.solvers import exchange, greedy
 
 COLUMNS, NUISANCES = 5, 2

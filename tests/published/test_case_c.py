@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.directions import visible_directions
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.identifiability import visible_directions
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.measurements import read_configurations

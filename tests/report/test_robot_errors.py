@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.directions import robot_values
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.identifiability import robot_values
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.kinematics.chain import Chain
 from calib_pin.report.robot_errors import corrections, held

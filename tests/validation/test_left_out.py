@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 import calib_pin
 from calib_pin.estimation import problem as problems
-from calib_pin.estimation.directions import nuisance_basis
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.identifiability import nuisance_basis
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats

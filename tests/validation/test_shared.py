@@ -9,10 +9,10 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
-from calib_pin.estimation.directions import WEAK, projected
 from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.identifiability import WEAK, projected
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import FrameSetup, Setup, ToolSetup

@@ -15,8 +15,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib_pin.errors import enumerated
-from calib_pin.estimation.directions import column_space
 from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.identifiability import column_space
 from calib_pin.estimation.problem import EXACT
 from calib_pin.estimation.statistics.distributions import f_tail, student_tail
 from calib_pin.kinematics.spatial import Floats

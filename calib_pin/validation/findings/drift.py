@@ -13,8 +13,8 @@ from functools import partial
 
 import numpy as np
 
-from calib_pin.estimation.directions import column_space
 from calib_pin.estimation.evidence import Finding, Severity
+from calib_pin.estimation.identifiability import column_space
 from calib_pin.estimation.problem import EXACT, error_table
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.estimation.terms import FRAME

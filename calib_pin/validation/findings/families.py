@@ -15,7 +15,7 @@ import numpy as np
 from calib_pin.errors import enumerated
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.problem import EXACT
-from calib_pin.estimation.statistics.systematic import candidates
+from calib_pin.estimation.statistics.variance_components import candidates
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.parameterizations.placement import JointOffset, Placement
 from calib_pin.units import DISPLAY

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib_pin.estimation.directions import half_covariance
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.identifiability import half_covariance
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import DistanceSetup

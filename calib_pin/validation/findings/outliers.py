@@ -13,7 +13,7 @@ import numpy as np
 from calib_pin.errors import enumerated
 from calib_pin.estimation.evidence import Finding, Outlier, Severity
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.robust.causes import exchanged_with
+from calib_pin.estimation.robust import exchanged_with
 from calib_pin.measurement_models.readings import place_of
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import LENGTH_SCALE

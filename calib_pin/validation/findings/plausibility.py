@@ -19,12 +19,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.estimation.directions import projected
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.identifiability import projected
 from calib_pin.estimation.nominal import growth
 from calib_pin.estimation.problem import tool_points
-from calib_pin.estimation.statistics.systematic import sampled
+from calib_pin.estimation.statistics.variance_components import sampled
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import INSTRUMENT

@@ -9,9 +9,8 @@ import numpy as np
 
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import fit
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, robot_rows
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.robot_rows import robot_rows
 from calib_pin.estimation.row_blocks import Priors
 from calib_pin.estimation.statistics.distributions import chi_square_tail
 from calib_pin.setup import PopulationPrior

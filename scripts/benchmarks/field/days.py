@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.verdict.defects import narrow
 from benchmarks.verdict.jobs import BOARD, PIXELS, Job, draw, log_uniform, stream
 from benchmarks.verdict.truth import WORKSPACE, position_error
-from calib_pin.estimation.configurations import asked
+from calib_pin.estimation.nominal import asked
 from calib_pin.io.urdf import locate_robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements

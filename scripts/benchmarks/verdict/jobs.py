@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 
 import calib_pin
-from calib_pin.estimation.configurations import asked, brought_to_contact
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import analyze_structure
+from calib_pin.estimation.nominal import analyze_structure, asked, brought_to_contact
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements

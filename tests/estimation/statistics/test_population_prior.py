@@ -10,9 +10,13 @@ import pytest
 from calib_pin.errors import OptionError
 from calib_pin.estimation.statistics.population_prior import (
     LEAST,
+    Cause,
+    Explanation,
     Population,
     RobotEvidence,
+    Sparse,
     common_errors,
+    explained,
     joint_deviations,
     population_of,
 )
@@ -132,3 +136,112 @@ def test_what_is_common_and_what_belongs_to_one() -> None:
     assert bent["j1"].spreads > 4.0 and bent["j1"].chance < 1e-4
     others = [d for row in deviations[:-1] for d in row]
     assert sum(d.significant for d in others) <= 1
+
+
+COUNT = 24
+
+
+def innovations(seed: int, sizes, jump=0.0) -> Explanation:
+    """Innovations by a prior, two causes of true sizes, and a jump of one effect."""
+    rng = np.random.default_rng(seed)
+    half = 0.3 * rng.normal(size=(COUNT, 10))
+    E = rng.normal(size=(COUNT, 30))
+    direction = np.random.default_rng(7).normal(size=(COUNT, 1))
+    values = (
+        half @ rng.normal(size=10)
+        + sizes[0] * E @ rng.normal(size=30)
+        + sizes[1] * rng.normal(size=COUNT)
+        + jump * direction[:, 0]
+    )
+    causes = (
+        Cause("drift", E, 0.1, 2.0),
+        Cause("noise", np.eye(COUNT), 1.0, 50.0),
+    )
+    return Explanation(values, half @ half.T, causes)
+
+
+def jump_of(sizes=(0.3, 30.0)) -> Sparse:
+    direction = np.random.default_rng(7).normal(size=(COUNT, 1))
+    return Sparse("jump", direction, np.geomspace(*sizes, 12))
+
+
+def test_the_likeliest_sizes_are_a_maximum() -> None:
+    """Of the likelihood with what was expected, by differences."""
+    first = innovations(3, (0.4, 1.2))
+    found, told = first.fitted()
+    assert 2.0 < sum(told) < COUNT and min(told) > 0.0
+
+    def height(k: int, factor: float) -> float:
+        causes = list(found.causes)
+        causes[k] = replace(causes[k], size=factor * causes[k].size)
+        there = replace(found, causes=tuple(causes))
+        return there.likelihood + first.expected(there)
+
+    for k in (0, 1):
+        best = height(k, 1.0)
+        assert height(k, 1.05) < best and height(k, 0.95) < best
+    # A few effects tell the one, beside two that expected a quarter of it.
+    assert 0.2 < found.causes[0].size < 0.8
+    assert found.causes[1].size == pytest.approx(1.2, rel=0.4)
+
+
+def test_stated_sizes_stay_and_others_have_a_limit() -> None:
+    first = innovations(0, (3.0, 1.0))
+    drift, noise = first.causes
+    fixed = replace(first, causes=(replace(drift, worth=np.inf), noise))
+    assert fixed.fitted()[0].causes[0].size == drift.size
+    free = first.fitted()[0].causes[0].size
+    bounded = replace(first, causes=(replace(drift, most=0.5 * free), noise))
+    assert bounded.fitted()[0].causes[0].size == pytest.approx(0.5 * free)
+
+
+def test_effects_are_those_of_a_linear_normal_model() -> None:
+    first = innovations(1, (0.1, 1.0), jump=5.0)
+    cause = jump_of().of(4.0)
+    both = replace(first, causes=(*first.causes, cause))
+    value, covariance = both.effects(cause)
+    inverse = np.linalg.inv(first.covariance)
+    E = cause.effects
+    information = E.T @ inverse @ E + 1.0 / 4.0**2
+    assert covariance == pytest.approx(1.0 / information)
+    assert value == pytest.approx(E.T @ inverse @ first.values / information[0, 0])
+    assert value[0] == pytest.approx(5.0, abs=4.0 * covariance[0, 0] ** 0.5)
+
+
+def test_a_jump_is_told_and_none_is_invented() -> None:
+    for jump, count in ((6.0, 1), (0.0, 0)):
+        causes = [innovations(k, (0.1, 1.0), jump) for k in range(3)]
+        told = [len(explained(one, [jump_of()], 50.0, 2)[1]) for one in causes]
+        assert told == [count] * 3
+
+
+def test_the_cause_that_explains_it_wins() -> None:
+    """A wide one that holds the narrow one has less evidence, and explains as much."""
+    wide = np.column_stack([jump_of().effects, np.eye(COUNT)[:, :5]])
+    others = [Sparse("wide", wide, jump_of().sizes), jump_of()]
+    first = innovations(2, (0.1, 1.0), jump=6.0)
+    found, sparse, evidence = explained(first, others, 50.0, 2)
+    assert [cause.name for cause in sparse] == ["jump"] and evidence > np.log(50.0)
+    assert found.causes[0].size < 0.4
+    without = found.without({"jump"})
+    assert without.misfit(wide) <= without.misfit(sparse[0].effects) < without.square
+
+
+def test_a_cause_that_others_have_made_needless_is_dropped() -> None:
+    """The sum of two explains most at first."""
+    E = np.random.default_rng(7).normal(size=(COUNT, 3)) * [9.0, 7.0, 4.0]
+    causes = [
+        Sparse(name, effects[:, None], np.geomspace(0.01, 3.0, 12))
+        for name, effects in (("all", E.sum(1)), ("one", E[:, 0]), ("two", E[:, 1]))
+    ]
+    first = innovations(2, (0.1, 1.0))
+    drift, noise = first.causes
+    first = replace(
+        first,
+        values=first.values + E[:, :2].sum(1),
+        causes=(replace(drift, worth=np.inf), noise),
+    )
+    (best,) = explained(first, causes, 50.0, 1)[1]
+    assert best.name == "all"
+    _, sparse, _ = explained(first, causes, 50.0, 4)
+    assert {cause.name for cause in sparse} == {"one", "two"}

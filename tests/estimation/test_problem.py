@@ -9,10 +9,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.estimation.evaluators import completed
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
-from calib_pin.estimation.problem import Problem, absorbed
+from calib_pin.estimation.problem import Problem, absorbed, completed
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import BlockKey, Observations

@@ -18,8 +18,7 @@ from calib_pin.errors import OptionError
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.robust.causes import _places
-from calib_pin.estimation.robust.weights import LOSSES
+from calib_pin.estimation.robust import LOSSES, _places
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Labels, Measurements, Observations
 

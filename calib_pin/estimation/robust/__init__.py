@@ -1,1 +1,0 @@
-"""Robust estimation: measurements that do not fit are found and set aside."""

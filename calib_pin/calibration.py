@@ -48,12 +48,11 @@ from calib_pin.validation.judgement import (
     quantity_errors,
     unexplained,
 )
-from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
 from calib_pin.validation.model_selection import USES, select_model
-from calib_pin.validation.recalibration import started
 from calib_pin.validation.result import (
     CalibrationResult,
+    MeasurementErrors,
     ModelSelection,
     NamedArray,
     Recalibration,
@@ -62,6 +61,7 @@ from calib_pin.validation.result import (
     UrdfResult,
     Validation,
 )
+from calib_pin.validation.robot_state import started
 from calib_pin.validation.shared import breakdown
 from calib_pin.validation.splits import FOLDS, split
 from calib_pin.workers import SERIAL, Workers

@@ -22,14 +22,13 @@ from calib_pin.observations import Measurements, Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
 from calib_pin.units import DISPLAY
-from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.findings import explained, find
 from calib_pin.validation.findings.case import Case, Others, some_of
 from calib_pin.validation.judgement import CHECK, told, too_large
 from calib_pin.validation.model_errors import located_names, registered
-from calib_pin.validation.result import Evaluation
+from calib_pin.validation.result import Accuracy, Evaluation
 
 MOVED = 0.5
 """Part of the errors that a registration may leave to be worth a word."""

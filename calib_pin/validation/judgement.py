@@ -30,13 +30,11 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.progress import Progress
 from calib_pin.setup import JointPrior
 from calib_pin.units import DISPLAY
-from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.findings import find
 from calib_pin.validation.findings.case import Case, Others
-from calib_pin.validation.gains import PRESS
-from calib_pin.validation.held_out import HeldOut
+from calib_pin.validation.held_out import PRESS, HeldOut
 from calib_pin.validation.model_errors import ModelErrors
-from calib_pin.validation.result import ToolAccuracy
+from calib_pin.validation.result import Accuracy, QuantityErrors, ToolAccuracy
 
 SCALE = (
     "the absolute scale is unobservable: a robot larger by any factor fits these "

@@ -26,7 +26,6 @@ from calib_pin.estimation.terms import FRAME, Block, Term
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices
 from calib_pin.parameterizations.linearization import ordered_screws
-from calib_pin.validation.accuracy import QuantityErrors
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings.unmoved_joints import still_joints
 from calib_pin.validation.judgement import quantity_errors
@@ -38,6 +37,7 @@ from calib_pin.validation.result import (
     CoupledFrames,
     Frame,
     FrameSummary,
+    QuantityErrors,
     ToolAccuracy,
     frames_of,
 )

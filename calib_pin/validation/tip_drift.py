@@ -10,8 +10,8 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.tip_accuracy import frame_motions
 from calib_pin.kinematics.spatial import Floats, adjoint, invert, se3_exp, so3_log
 from calib_pin.parameterizations import NOTHING
-from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.calibrated_model import CalibratedChain
+from calib_pin.validation.result import Accuracy
 
 SAMPLES = 1000
 """Configurations of the workspace."""

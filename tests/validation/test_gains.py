@@ -15,7 +15,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.distributions import student_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.gains import gains
+from calib_pin.validation.held_out import gains
 from calib_pin.validation.model_errors import ModelErrors, predicted_variance
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))

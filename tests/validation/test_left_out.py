@@ -22,8 +22,13 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
 from calib_pin.validation import left_out as module
-from calib_pin.validation.held_out import cross_validate
-from calib_pin.validation.left_out import Linear, left_out, press, press_check
+from calib_pin.validation.held_out import (
+    Linear,
+    cross_validate,
+    left_out,
+    press,
+    press_check,
+)
 from calib_pin.validation.model_errors import (
     ModelErrors,
     model_errors,

@@ -13,8 +13,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
-from calib_pin.validation.accuracy import Accuracy
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.result import Accuracy, CalibrationResult
 
 TOOL = FrameSetup((0.05, 0.1, 0.1), (0.3, 0.2, 0.1))
 BASE = FrameSetup((1.0, -2.0, 0.3), (0.4, -0.3, 2.0))

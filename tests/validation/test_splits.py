@@ -21,7 +21,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.setup import DistanceSetup, FrameSetup, Setup
 from calib_pin.validation import splits
-from calib_pin.validation.left_out import left_out
+from calib_pin.validation.held_out import left_out
 from calib_pin.validation.splits import (
     FOLDS,
     REGIONS,

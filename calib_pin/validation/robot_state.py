@@ -55,8 +55,62 @@ from calib_pin.validation.result import (
 FLOOR = 1e-4
 """Least standard deviation of an error, in its expected size: far below any drift."""
 
-ROUNDING = 1e-9
-"""Part of a joint's motion that its errors lack where they hold its offset."""
+EXPECTED = (DriftSize("geometry", 1e-5, 2.0), DriftSize("joint offsets", 3e-5, 2.0))
+"""Drift between two calibrations that is expected where nothing is known yet; one of
+four times the size is none: the robot has been changed."""
+
+REMEMBERED = 50.0
+"""Errors that a drift is worth at most: in a year it may be another one."""
+
+CALM = float(np.log(10.0))
+"""Logarithm of the evidence that a robot does not drift which the first calibration
+after another one is thought to have; later ones have that of all before them. Without
+it one in ten robots that do not drift seems to (months of `scripts/benchmark`)."""
+
+SOME = 300
+"""Measurements that are compared, and values that known noise is worth, at most; more
+do not make it clearer."""
+
+SELDOM = 0.01
+"""Chance that the offset of a joint changes at once between two calibrations, for which
+measurements are planned."""
+
+KNOWN = 1e-5
+"""Standard deviation of a frame that is known [m, rad]."""
+
+SURE = 30.0
+"""Evidence for a sudden change by that for none from which it is told.
+
+By chance as much comes about in at most one of 30 calibrations (Markov's inequality,
+which is wide: of 704 simulated weeks without a change one was told to have one)."""
+
+CLOSE = 9.0
+"""Chi-square by which one simple change may explain less than another, and is not told
+from it: three standard deviations."""
+
+CHANCES = {"offset": 1.0, "base": 1.0, "tool": 1.0, "placement": 0.05, "robot": 0.05}
+"""How likely kinds of sudden changes are beside each other: a joint that was hit slips
+on its axis first of all, and instruments and tools are set up anew."""
+
+FRAMES, SIMPLE = ("base", "tool"), ("offset", "base", "tool")
+"""Changes of frames, and of one thing, which few measurements tell from each other."""
+
+NOISE, NOISE_GREW = "noise", "noisier"
+"""Causes: the noise as it is known, and more of it by another instrument."""
+
+JUMPS = 4
+"""Most causes beside drift and noise that are told, sudden changes and wrong
+measurements."""
+
+SIZES = {
+    "changes": np.geomspace(0.03, 10.0, 16),
+    "frames": np.geomspace(0.03, 1e4, 24),
+    "wrong": np.geomspace(3.0, 1e4, 16),
+    "noise": np.geomspace(1.0, 30.0, 8),
+}
+"""Sizes of sudden changes, in expected sizes of errors (from 30 um and 90 urad on) and
+of frames, which may be anywhere; errors of wrong measurements, in standard deviations;
+and further noise of another instrument, by what is known of the older one."""
 
 Frame = tuple[str, str]
 """`base` or `tool`, and the station or the tool; empty for the only one."""
@@ -258,7 +312,7 @@ def _offsets(system: Terms, robot: NDArray[np.bool_]) -> Iterator[Change]:
                     T[:, k] += twist * screw.parameter.scale
             motion = chain.motions[frame - 1]
             along = np.linalg.lstsq(T, motion, rcond=1e-9)[0]
-            if joint in found or np.abs(T @ along - motion).max() > ROUNDING:
+            if joint in found or np.abs(T @ along - motion).max() > 1e-9:
                 continue
             found.add(joint)
             unit = "rad" if chain.revolute[frame - 1] else "m"
@@ -294,76 +348,6 @@ def robot_evidence(result: CalibrationResult) -> RobotEvidence:
     scales, robot = np.array([p.scale for p in own]), robot_type(model.chains)
     sizes = {c.quantity: c.estimate for c in noise if c.estimate > 0.0}
     return RobotEvidence(robot, names, units, scales, told.rows, told.values, sizes)
-
-
-EXPECTED = (DriftSize("geometry", 1e-5, 2.0), DriftSize("joint offsets", 3e-5, 2.0))
-"""Drift between two calibrations that is expected where nothing is known yet."""
-
-MOST = {"geometry": 4e-5, "joint offsets": 1.2e-4}
-"""Drift from which it is none: the robot has been changed."""
-
-REMEMBERED = 50.0
-"""Errors that a drift is worth at most: in a year it may be another one."""
-
-CALM = float(np.log(10.0))
-"""Logarithm of the evidence that a robot does not drift which the first calibration
-after another one is thought to have; later ones have that of all before them. Without
-it one in ten robots that do not drift seems to (months of `scripts/benchmark`)."""
-
-KNOWN_NOISE = 300.0
-"""Values that known noise is worth at most."""
-
-SOME = 300
-"""Measurements that are compared; more do not make it clearer."""
-
-SELDOM = 0.01
-"""Chance that the offset of a joint changes at once between two calibrations, for which
-measurements are planned."""
-
-KNOWN = 1e-5
-"""Standard deviation of a frame that is known [m, rad]."""
-
-SURE = 30.0
-"""Evidence for a sudden change by that for none from which it is told.
-
-By chance as much comes about in at most one of 30 calibrations (Markov's inequality,
-which is wide: of 704 simulated weeks without a change one was told to have one)."""
-
-CLOSE = 9.0
-"""Chi-square by which one simple change may explain less than another, and is not told
-from it: three standard deviations."""
-
-CHANCES = {"offset": 1.0, "base": 1.0, "tool": 1.0, "placement": 0.05, "robot": 0.05}
-"""How likely kinds of sudden changes are beside each other: a joint that was hit slips
-on its axis first of all, and instruments and tools are set up anew."""
-
-FRAMES = ("base", "tool")
-"""Changes of frames."""
-
-SIMPLE = ("offset", *FRAMES)
-"""Changes of one thing, which few measurements tell from each other."""
-
-SAME = 0.01
-"""Part of what a change does by which another one differs at least."""
-
-NOISE, NOISE_GREW = "noise", "noisier"
-"""Causes: the noise as it is known, and more of it by another instrument."""
-
-JUMPS = 4
-"""Most causes beside drift and noise that are told, sudden changes and wrong
-measurements."""
-
-SIZES = np.geomspace(0.03, 10.0, 16)
-"""Sizes of sudden changes, in expected sizes of errors: from 30 um and 90 urad on."""
-
-FAR = np.geomspace(0.03, 1e4, 24)
-"""The same of frames, which may be anywhere."""
-
-WRONG = np.geomspace(3.0, 1e4, 16)
-"""Errors of measurements that are wrong, in standard deviations."""
-
-NOISIER = np.geomspace(1.0, 30.0, 8)
-"""Further noise of another instrument, by what is known of the older one."""
 
 
 @serial_blas
@@ -410,15 +394,15 @@ def started(
     # About frames and instrument that suit the older robot.
     theta = np.zeros(len(robot))
     theta[robot] = older.values[older.places(problem.given, robot)]
-    there = registered(problem, theta)
+    problem = registered(problem, theta)
     # Stations are not eliminated here: what they absorb is projected out later.
-    theta = least_squares(there, theta, nuisance_basis(there.parameters)).x
-    news = Innovations(there, theta, older, noise)
-    step, effects, more = news.explained(start, process_noise, len(data))
-    errors = tuple((n, u, Accuracy.of(own)) for n, u, own in error_sizes(there, theta))
+    theta = least_squares(problem, theta, nuisance_basis(problem.parameters)).x
+    expected = expected_drifts(start, process_noise)
+    news = Innovations(problem, theta, older, noise, expected)
+    step, prior = news.explained(start, expected, len(data))
+    sizes = error_sizes(problem, theta)
+    errors = tuple((name, unit, Accuracy.of(own)) for name, unit, own in sizes)
     steps = () if start.recalibration is None else start.recalibration.steps
-    grown = {name: more * sigma for name, sigma in known.items()}
-    prior = news.state.prior(effects, grown)
     return replace(setup, prior=prior), Recalibration(errors, (*steps, step))
 
 
@@ -457,39 +441,39 @@ def require_usable(chains: Chains, setup: Setup, start: CalibrationResult) -> No
     Raises:
         OptionError: If it is such.
     """
-    for reason, given, allowed in _objections(chains, setup, start):
-        file = start.provenance.file or None
-        raise OptionError(reason, file=file, value=given, allowed=allowed)
-
-
-def _objections(
-    chains: Chains, setup: Setup, start: CalibrationResult
-) -> Iterator[tuple[str, str | None, str | None]]:
-    """Why an older calibration says nothing of a robot, what is given, and allowed."""
-    older, now = start.model.setup, setup.report.serial_number
-    pair = start.model.chains, chains
-    difference = robot_type(pair[0]).difference(robot_type(pair[1]))
-    ends, new = ({(c[n].base, c[n].tip) for n in c.names} for c in pair)
+    model, older = start.model.chains, start.model.setup
+    difference = robot_type(model).difference(robot_type(chains))
+    ends, new = ({(c[n].base, c[n].tip) for n in c.names} for c in (model, chains))
     if not difference and ends != new:
         difference = "its chain goes from {} to {}".format(*min(new - ends or new))
-    if difference:
-        reason = f"the older calibration is not of this robot: {difference}"
-        yield reason, chains.robot.name, pair[0].robot.name
-    if (before := older.report.serial_number) and now and before != now:
-        reason = f"the older calibration is of serial number '{before}', these "
-        yield f"{reason}measurements are of '{now}' ({setup.file})", None, None
-    if start.verdict not in TRUSTED:
-        reason = f"an older calibration that is {start.verdict} is no start"
-        yield f"{reason}: {start.reason}", None, None
-    if learned := older.learned or setup.learned:
-        reason = "a learned correction cannot be carried on from an older calibration"
-        yield reason, learned, "parameters alone"
-    if set(older.parameters) != set(setup.parameters):
-        reason = "the older calibration has other parameters"
-        yield reason, ", ".join(setup.parameters), ", ".join(older.parameters)
-    if not np.isfinite(start.covariance).all() or not start.statistics.noise:
-        reason = "the older calibration does not say how sure it is of its parameters"
-        yield reason, None, "a calibration of this version, with noise and redundancy"
+    serials = older.report.serial_number, setup.report.serial_number
+    learned = older.learned or setup.learned
+    given, known = (", ".join(one.parameters) for one in (setup, older))
+    robots, other = (chains.robot.name, model.robot.name), set(older.parameters)
+    unsure = not np.isfinite(start.covariance).all() or not start.statistics.noise
+    whose = "is of serial number '{}', these measurements are of '{}'".format(*serials)
+    sure = "a calibration of this version, with noise and redundancy"
+    it = "the older calibration"
+    for refused, reason, *values in (
+        (difference, f"{it} is not of this robot: {difference}", *robots),
+        (all(serials) and len({*serials}) > 1, f"{it} {whose} ({setup.file})"),
+        (
+            start.verdict not in TRUSTED,
+            f"an older calibration that is {start.verdict} is no start: {start.reason}",
+        ),
+        (
+            learned,
+            "a learned correction cannot be carried on from an older calibration",
+            learned,
+            "parameters alone",
+        ),
+        (other != {*setup.parameters}, f"{it} has other parameters", given, known),
+        (unsure, f"{it} does not say how sure it is of its parameters", None, sure),
+    ):
+        if refused:
+            value, allowed = values or (None, None)
+            file = start.provenance.file or None
+            raise OptionError(reason, file=file, value=value, allowed=allowed)
 
 
 def expected_drifts(
@@ -523,7 +507,7 @@ def pooled_noise(start: CalibrationResult) -> tuple[NoiseSize, ...]:
             worth = known.worth + left
             square = known.worth * known.sigma**2 + left * own.estimate**2
             sigma = float(np.sqrt(square / worth))
-            found[name] = NoiseSize(name, sigma, min(worth, KNOWN_NOISE))
+            found[name] = NoiseSize(name, sigma, min(worth, SOME))
     return tuple(found.values())
 
 
@@ -538,12 +522,12 @@ class Innovations:
         parameters: All P parameters, frames among the errors of the robot.
         rows: W, what measurements see of the parameters in scales, and below that the
             frames which are known now and were not, shape (r, P).
-        values: Their values, shape (r,).
         measured: Noise of the measurements in the rows, shape (r, m).
         known: The noise as it is known.
         sudden: What may have changed at once, by name.
         drifting: How the parameters drift, shapes (P, k), by the names of drifts.
         wrong: What may be wrong of the measurements.
+        first: The innovations, with drift and noise as they are expected.
     """
 
     def __init__(
@@ -552,6 +536,7 @@ class Innovations:
         theta: Floats,
         older: RobotState,
         noise: Sequence[NoiseSize],
+        expected: Sequence[DriftSize],
     ) -> None:
         """Compare the measurements of a problem, robot and frames at theta.
 
@@ -560,6 +545,7 @@ class Innovations:
             theta: Parameter values, shape (P,).
             older: The older calibration.
             noise: The noise as it is known.
+            expected: The drift as it is expected.
         """
         problem, theta = problem.rebased(theta)
         robot = problem.parameters.free & ~problem.parameters.nuisance
@@ -572,26 +558,35 @@ class Innovations:
         problem = replace(problem, given=ParameterSet(tuple(given)), units=units)
         self.known, self.parameters = tuple(noise), problem.parameters
         scales, known = self.parameters.scales, np.diag(self.state.covariance) > 0.0
-        told = robot_rows(problem, theta, ())
-        count, every = len(told.values), np.eye(len(scales))
+        told, every = robot_rows(problem, theta, ()), np.eye(len(scales))
         below = np.diag(scales / KNOWN)[~self.parameters.free & known]
         self.rows = np.vstack([told.rows @ every[told.robot], below])
-        self.measured = np.eye(len(self.rows))[:, :count]
-        self.values = self.measured @ told.values
+        self.measured = M = np.eye(len(self.rows))[:, : len(told.values)]
         self.sudden = changes(problem, robot)
         self.drifting = drifts(problem, robot, self.sudden.values())
         for (kind, name), own in frames.items():
             self.sudden[f"{kind} {name}"] = Change(name, kind, every[:, own])
-        groups = problem.data.groups()
+        groups, along = problem.data.groups(), M @ told.along
         labels, of_value = np.unique(groups).tolist(), groups[problem.layout.row]
-        along = self.measured @ told.along
-        chance = 1.0 / len(labels)
-        wrong = {f"measurement {k}": along[:, of_value == k] for k in labels}
-        self.wrong = [Sparse(name, E, WRONG, chance) for name, E in wrong.items()]
+        wrong = ((f"measurement {k}", along[:, of_value == k]) for k in labels)
+        how = SIZES["wrong"], 1.0 / len(labels)
+        self.wrong = [Sparse(name, E, *how) for name, E in wrong]
+        # In scales, of which frames that have been free had others.
+        W, most = self.rows / scales, {d.name: 4.0 * d.size for d in EXPECTED}
+        V = W @ self.state.covariance @ W.T + np.eye(len(W)) - M @ M.T
+        drifting = (
+            Cause(d.name, self.rows @ self.drifting[d.name], d.size, d.worth, limit)
+            for d in expected
+            for limit in [max(most[d.name], d.size)]
+        )
+        worth = min(max(sum(one.worth for one in noise), 1.0), SOME)
+        causes = *drifting, Cause(NOISE, M, 1.0, worth)
+        values = M @ told.values - W @ self.state.values
+        self.first = Explanation(values, V, causes)
 
     def explained(
-        self, start: CalibrationResult, process_noise: float | None, count: int
-    ) -> tuple[RecalibrationStep, list[tuple[float, Floats]], float]:
+        self, start: CalibrationResult, expected: Sequence[DriftSize], count: int
+    ) -> tuple[RecalibrationStep, JointPrior]:
         """Drift, noise, sudden changes and wrong measurements that explain it best.
 
         All of a joint or of the robot explains nearly everything, and so does noise:
@@ -599,87 +594,71 @@ class Innovations:
 
         Args:
             start: The older calibration.
-            process_noise: See `started`.
+            expected: The drift as it is expected.
             count: Number of all new measurements.
 
         Returns:
-            The step; sizes of changes and their directions in scales, shapes (P, k), by
-            which the older calibration becomes wider; and the noise by what was known.
+            The step, and the prior that the older calibration is.
         """
-        expected, begun = expected_drifts(start, process_noise), start.recalibration
-        first = self._explanation(expected)
+        first, begun = self.first, start.recalibration
         families = SIMPLE, (*SIMPLE, NOISE_GREW), (*CHANCES, NOISE_GREW)
         tried = (explained(first, self._sparse(f), SURE, JUMPS) for f in families)
         found, sparse, _ = max(tried, key=lambda one: one[2])
         names = {drift.name for drift in expected}
         calm, _ = found.without(names).fitted()
-        more_still = calm.likelihood + first.without(names).expected(calm)
-        more_still -= found.likelihood + first.expected(found)
-        still = more_still + (CALM if begun is None else begun.last.still)
+        still = calm.likelihood + first.without(names).expected(calm)
+        still -= found.likelihood + first.expected(found)
+        still += 0.0 if begun is None else begun.last.still
+        believed = still + CALM if begun is None else still
         _, told = found.fitted()
-        sizes = tuple(
-            replace(drift, size=cause.size, worth=min(drift.worth + n, REMEMBERED))
-            if np.isfinite(drift.worth)
-            else drift
-            for drift, cause, n in zip(expected, found.causes, told, strict=False)
-        )
-        wider = np.ones(len(sizes))
-        if np.isfinite(expected[0].worth):
-            # A robot that may drift is as uncertain as that is likely; and squares of
-            # sizes that few errors tell are larger in the mean than their likeliest.
-            part = float(np.exp(-np.logaddexp(0.0, still)))
-            worth = np.array([d.worth for d in sizes])
-            wider = np.sqrt(part * worth / np.maximum(worth - 2.0, 1.0))
-            found = calm if still > 0.0 else found
-        pairs = zip(wider.tolist(), sizes, strict=True)
-        effects = [(by * drift.size, self.drifting[drift.name]) for by, drift in pairs]
+        drifted, effects = list[DriftSize](), list[tuple[float, Floats]]()
+        for drift, cause, n in zip(expected, found.causes, told, strict=False):
+            wider = 1.0
+            if np.isfinite(drift.worth):
+                worth = min(drift.worth + n, REMEMBERED)
+                drift = replace(drift, size=cause.size, worth=worth)
+                # A robot that may drift is as uncertain as that is likely; and squares
+                # of sizes that few errors tell are larger in the mean than their
+                # likeliest.
+                part = float(np.exp(-np.logaddexp(0.0, believed)))
+                wider = (part * worth / max(worth - 2.0, 1.0)) ** 0.5
+            drifted.append(drift)
+            effects.append((wider * drift.size, self.drifting[drift.name]))
+        if np.isfinite(expected[0].worth) and believed > 0.0:
+            found = calm
         sudden, jumps = [c for c in sparse if c.name in self.sudden], list[Jump]()
         hit = dict[str, float]()
         for cause in sudden:
-            others = self._others(found, cause, sudden)
-            jumps.append(self._jump(found, cause, *others))
+            instead, beside = self._others(found, cause, sudden)
+            jumps.append(self._jump(found, cause, instead, beside))
             # A single change tells little of the size that such changes have.
-            hit |= dict.fromkeys([cause.name, *others[0]], max(cause.size, 1.0))
+            hit |= dict.fromkeys([cause.name, *instead], max(cause.size, 1.0))
         effects += [(size, self.sudden[name].directions) for name, size in hit.items()]
         # A tracker that was set up anew is no error of the prediction.
         moved = (c for c in sudden if self.sudden[c.name].kind in FRAMES)
         chi2 = replace(first, causes=(*first.causes, *moved)).square
-        still = float(still - (CALM if begun is None else 0.0))
         made = start.provenance.file, start.provenance.created, count, chi2
-        step = RecalibrationStep(
-            *made, len(self.values), self.known, sizes, tuple(jumps), still
-        )
+        values = len(first.values), self.known, tuple(drifted), tuple(jumps)
         # Beside what all have shown, as much more as these show by chance.
-        more = max(found.square / len(self.values), 1.0) ** 0.5
-        grown = next(c.size for c in found.causes if c.name == NOISE)
-        return step, effects, more * grown
+        more = max(found.square / len(first.values), 1.0) ** 0.5
+        more *= next(c.size for c in found.causes if c.name == NOISE)
+        grown = {one.quantity: more * one.sigma for one in self.known}
+        prior = self.state.prior(effects, grown)
+        return RecalibrationStep(*made, *values, float(still)), prior
 
-    def _explanation(self, expected: Sequence[DriftSize]) -> Explanation:
-        """The innovations, with drift and noise as they are expected."""
-        # In scales, of which frames that have been free had others.
-        W, M = self.rows / self.parameters.scales, self.measured
-        known = W @ self.state.covariance @ W.T + np.eye(len(W)) - M @ M.T
-        causes = [
-            Cause(d.name, self.rows @ self.drifting[d.name], d.size, d.worth, most)
-            for d in expected
-            for most in [max(MOST.get(d.name, 0.0), d.size)]
-        ]
-        worth = min(max(sum(one.worth for one in self.known), 1.0), KNOWN_NOISE)
-        causes.append(Cause(NOISE, M, 1.0, worth))
-        values = self.values - W @ self.state.values
-        return Explanation(values, known, tuple(causes))
-
-    def _sparse(self, kinds: Collection[str]) -> list[Sparse]:
+    def _sparse(self, kinds: Collection[str]) -> tuple[Sparse, ...]:
         """Causes of some kinds that are there or not, and wrong measurements."""
         counts = Counter(change.kind for change in self.sudden.values())
-        found = []
-        for name, change in self.sudden.items():
-            sizes = FAR if change.kind in FRAMES else SIZES
-            chance = CHANCES[change.kind] / counts[change.kind]
+        found = list(self.wrong)
+        for name, change in reversed(self.sudden.items()):
             if change.kind in kinds:
-                found.append(Sparse(name, self.rows @ change.directions, sizes, chance))
-        grown = [Sparse(NOISE_GREW, self.measured, NOISIER)] * (NOISE_GREW in kinds)
-        return [*found, *self.wrong, *grown]
+                sizes = SIZES["frames" if change.kind in FRAMES else "changes"]
+                chance = CHANCES[change.kind] / counts[change.kind]
+                effects = self.rows @ change.directions
+                found.insert(0, Sparse(name, effects, sizes, chance))
+        if NOISE_GREW in kinds:
+            found.append(Sparse(NOISE_GREW, self.measured, SIZES["noise"]))
+        return tuple(found)
 
     def _others(
         self, found: Explanation, cause: Cause, sudden: Sequence[Cause]
@@ -700,7 +679,8 @@ class Innovations:
             rest = moved - E @ np.linalg.lstsq(E, moved, rcond=None)[0]
             if without.misfit(moved) <= limit:
                 instead.append(name)
-            elif np.linalg.norm(rest) < SAME * np.linalg.norm(moved):
+            # All but a hundredth of it is done by the other one.
+            elif np.linalg.norm(rest) < 0.01 * np.linalg.norm(moved):
                 beside.append(name)
         return instead, beside
 

@@ -35,6 +35,7 @@ from calib_pin.validation.findings.case import Case, Others
 from calib_pin.validation.held_out import PRESS, HeldOut
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.result import Accuracy, QuantityErrors, ToolAccuracy
+from calib_pin.validation.splits import FEWEST_HELD_OUT
 
 SCALE = (
     "the absolute scale is unobservable: a robot larger by any factor fits these "
@@ -42,17 +43,13 @@ SCALE = (
 )
 """Why a robot of unknown size must not be trusted."""
 
-MISSING = (
-    "add a known length: a distance between two sockets, say ('distances' in the setup "
-    "file), or a length of the robot that is held ('fixed')"
-)
-"""The advice where no distance is stated."""
-
-STATED = (
-    "the stated distances are too uncertain, or their ends are not measured, or set "
-    "aside"
-)
-"""The advice where there are distances."""
+KNOWN_LENGTH = {
+    False: "add a known length: a distance between two sockets, say ('distances' in "
+    "the setup file), or a length of the robot that is held ('fixed')",
+    True: "the stated distances are too uncertain, or their ends are not measured, or "
+    "set aside",
+}
+"""The advice, by whether distances are stated."""
 
 CHECK = (
     "check the base and tip links, the joint columns with their signs and offsets, and "
@@ -60,16 +57,14 @@ CHECK = (
 )
 """The advice about measurements that nothing explains."""
 
-
 NAMED = 3
 """Causes that a reason names; findings name all of them."""
 
 UNEXPLAINED = 20.0
 """Remaining errors, in expected sizes of an error, that no calibration leaves."""
 
-LEFT, NOISY = 0.5, 3.0
-"""Part of the nominal robot's errors, and multiple of the noise, up to which errors
-that are left say nothing."""
+NOISY = 3.0
+"""Multiple of the noise up to which errors that are left say nothing."""
 
 LARGE, COARSE = 0.005, 0.02
 """Errors that are left, by the reach of the robot, that no robot has which has been
@@ -82,9 +77,9 @@ Seven real robots of 0.9 to 1.3 m leave 0.01 to 0.36 % of their reach, a hobby a
 BREAKDOWN = 0.4
 """Part of the configurations beyond which what is set aside may be the better part."""
 
-CLUSTERS, CONFIGURATIONS = 5, 8
-"""Independent held-out configurations, or stretches of a path, and distinct
-configurations, without which a fit counts as unchecked."""
+CONFIGURATIONS = 8
+"""Distinct configurations without which a fit counts as unchecked, as it does without
+`FEWEST_HELD_OUT` independent held-out ones, or stretches of a path."""
 
 REDUNDANT = 10.0
 """Redundant values by which noise that nobody has stated is known to a factor of two.
@@ -104,15 +99,19 @@ Of a thousand perfect robots one is refused.
 MISJUDGED = 2.0
 """Found by predicted held-out error from which a fit misjudges itself."""
 
-EXACT = 1e-6
-"""Gain on exact measurements, in given standard deviations, that is rounding."""
-
 SURE = 0.9
 """Probability that the corrected robot is better over the workspace for `good`.
 
 Of 345 simulated jobs with 0.95 or more, narrow ones and paths among them, one was
 worse; a real arm of a humanoid, measured in front of it, has 0.95.
 """
+
+LIKELY = 0.95
+"""Probability of a bound, and from which a configuration counts as better."""
+
+SAMPLES, DRAWS = (100, 300), 400
+"""Configurations at which the tool is predicted, measured ones and others; and draws of
+an error by which a bound is found, for each size of errors."""
 
 
 @dataclass(frozen=True)
@@ -145,9 +144,8 @@ class Judgement:
             return "untrusted", reason
         nothing = _chance(self) > GAIN_CHANCE
         if reason := _unchecked(self):
-            if nothing and _as_nominal(self.fitted):
-                return _no_gain(self)
-            return "unchecked", reason
+            nominal = nothing and _as_nominal(self.fitted)
+            return _no_gain(self) if nominal else ("unchecked", reason)
         first = self.gains[0]
         # Where parts are left out little may be left; PRESS leaves out one each.
         chances = [g.better for g in self.gains if g.quantity == first.quantity]
@@ -197,37 +195,24 @@ def judge(
             have been sought with another model otherwise.
     """
     fitted, data = model.fit, model.fit.problem.data
-    chains = Chains.of(chains)
-    parts = held_out.counted
-    errors = quantity_errors(
-        model.problem.layout.quantities,
-        fitted_errors.counted(data.weight),
-        ModelErrors.joined(parts) if parts else None,
-    )
-    validation = held_out.measurements if held_out.apart else None
-    counting = data.weight > 0.0
+    parts, counting = held_out.counted, data.weight > 0.0
+    held = ModelErrors.joined(parts) if parts else None
+    quantities = model.problem.layout.quantities
+    errors = quantity_errors(quantities, fitted_errors.counted(data.weight), held)
     accuracies = dict.fromkeys(model.problem.by_chain, ToolAccuracy())
     if fitted.noise:
         kept = data.rows(counting)
-        accuracies = {
-            name: tool_accuracy(model, term, kept, np.random.default_rng(seed))
-            for name, term in model.problem.by_chain.items()
-        }
-    case = Case.of(fitted, chains, validation, progress, others, accuracies)
-    found = find(case, seek)
+        for name, term in model.problem.by_chain.items():
+            rng = np.random.default_rng(seed)
+            accuracies[name] = tool_accuracy(model, term, kept, rng)
+    validation = held_out.measurements if held_out.apart else None
+    about = validation, progress, others, accuracies
+    found = find(Case.of(fitted, Chains.of(chains), *about), seek)
     findings = (*found.causes, *held_out.findings, *found.others)
-    groups = data.groups()
-    seen = np.count_nonzero(np.bincount(groups[counting]))
-    aside = 1.0 - seen / max(groups.max() + 1, 1)
-    return Judgement(
-        fitted,
-        errors,
-        held_out.gains,
-        findings,
-        accuracies,
-        max(aside, fitted.robust.disagreement),
-        found.causes,
-    )
+    seen = data.rows(counting).configurations / max(data.configurations, 1)
+    aside = max(1.0 - seen, fitted.robust.disagreement)
+    judged = findings, accuracies, aside, found.causes
+    return Judgement(fitted, errors, held_out.gains, *judged)
 
 
 def quantity_errors(
@@ -267,10 +252,8 @@ def too_large(name: str, unit: str, found: Accuracy) -> str:
     """Why errors of a quantity are more than a robot has; empty where they are not."""
     if not found.rms > UNEXPLAINED * expected_size(unit):
         return ""
-    size = _shown(found.rms, unit)
-    return (
-        f"{name} errors of {size} rms remain, far more than a robot's geometry explains"
-    )
+    size = f"{name} errors of {_shown(found.rms, unit)} rms remain"
+    return f"{size}, far more than a robot's geometry explains"
 
 
 def _distrust(grounds: Judgement) -> str:
@@ -279,18 +262,15 @@ def _distrust(grounds: Judgement) -> str:
     if causes := grounds.causes:
         return told(causes)
     if not fitted.structure.scaled:
-        stated = bool(fitted.problem.setup.distances)
-        return f"{SCALE}; {STATED if stated else MISSING}"
+        return f"{SCALE}; {KNOWN_LENGTH[bool(fitted.problem.setup.distances)]}"
     if not fitted.result.status.success:
         return fitted.result.status.advice
-    for finding in grounds.findings:
-        if finding.severity == "error":
-            return "; ".join(filter(None, (finding.message, finding.remedy)))
+    if errors := [f for f in grounds.findings if f.severity == "error"]:
+        return told(errors[:1])
     if grounds.aside > BREAKDOWN:
         return (
             f"{100.0 * grounds.aside:.0f} % of the configurations are outliers; beyond "
-            f"{100.0 * BREAKDOWN:.0f} % they cannot be told from the others; "
-            f"{CHECK}"
+            f"{100.0 * BREAKDOWN:.0f} % they cannot be told from the others; {CHECK}"
         )
     if reason := unexplained(fitted, grounds.errors):
         return f"{reason}; {CHECK}"
@@ -307,22 +287,20 @@ def _unaccounted(grounds: Judgement, coarse: float) -> str:
     quantity = next(iter(grounds.errors), None)
     if quantity is None or quantity.unit != "m":
         return ""
-    before, after = _both(quantity)
-    noise, problem = _noise(grounds, quantity), grounds.fitted.problem
-    if after <= max(LEFT * before, NOISY * (noise or 0.0)):
+    before, after = (sizes.rms for sizes in quantity.shown)
+    noise, blocks = _noise(grounds, quantity), grounds.fitted.problem.blocks
+    # Half of the nominal robot's errors may be left.
+    if after <= max(0.5 * before, NOISY * (noise or 0.0)):
         return ""
-    reach = max(
-        float(np.linalg.norm(term.error.chain.poses(data.q)[:, :3, 3], axis=1).max())
-        for term, data, _, _ in problem.blocks
-    )
+    tips = (term.error.chain.poses(data.q)[:, :3, 3] for term, data, _, _ in blocks)
+    reach = max(float(np.linalg.norm(points, axis=1).max()) for points in tips)
     if after <= (coarse if noise is None else LARGE) * reach:
         return ""
     times = "" if noise is None else f", {after / noise:.2g} times the noise"
     known = "" if noise else ", state the 'noise' if the instrument is so coarse"
+    lacks = (f for f in grounds.findings if f.code == "model-lacks")
     advice = f"measure at rest{known}, and {CHECK}"
-    for finding in grounds.findings:
-        if finding.code == "model-lacks":
-            advice = f"{finding.message}; {finding.remedy}"
+    advice = next((f"{f.message}; {f.remedy}" for f in lacks), advice)
     return (
         f"{quantity.name} errors of {_shown(after, 'm')} rms remain of "
         f"{_shown(before, 'm')}{times}: nothing that was estimated explains them; "
@@ -383,13 +361,13 @@ def _unchecked(grounds: Judgement) -> str:
     data = fitted.problem.data
     distinct = data.rows(data.weight > 0.0).configurations
     # Exact rows say by one what noisy ones say by many.
-    least = (CLUSTERS, CONFIGURATIONS) if fitted.noise else (1, 1)
-    if held < least[0] or distinct < least[1]:
-        return (
-            f"{held} independent held-out configurations of {distinct} are too few to "
-            "check the fit with; measure more configurations"
-        )
-    return ""
+    least = (FEWEST_HELD_OUT, CONFIGURATIONS) if fitted.noise else (1, 1)
+    if held >= least[0] and distinct >= least[1]:
+        return ""
+    return (
+        f"{held} independent held-out configurations of {distinct} are too few to "
+        "check the fit with; measure more configurations"
+    )
 
 
 def _disproved(grounds: Judgement) -> str:
@@ -421,19 +399,13 @@ def _gain(grounds: Judgement, shown: bool, nothing: bool) -> tuple[str, str]:
     Shown is by held-out measurements; nothing, that the errors may be chance.
     """
     gain, (chain, workspace) = grounds.gains[0], grounds.worst
-    name, before, after = _errors(grounds)
-    held = f"{_where(grounds)}{_against_noise(grounds)}"
-    found = f"{name} error {after} rms instead of {before}"
-    if not after:
-        found = f"{name} errors smaller by {_difference(grounds, name)}"
+    found, _, held = _compared(grounds)
     first = grounds.errors[0].validation_before
     last = grounds.errors[0].validation_after
     if gain.mean > 0.0 and first and last and last.rms > first.rms:
         # A few that nobody can predict, near the plane of a camera say, outweigh all.
-        found = (
-            f"errors smaller by {gain.mean:.2g} +- {gain.deviation:.1g} of their "
-            "standard deviations"
-        )
+        by = f"{gain.mean:.2g} +- {gain.deviation:.1g}"
+        found = f"errors smaller by {by} of their standard deviations"
     if workspace is None:
         # Exact rows leave no doubt.
         return "good", f"{found} on {held}"
@@ -479,21 +451,11 @@ def _no_gain(grounds: Judgement) -> tuple[str, str]:
     """`no-gain`, unless more is left than noise and a robot explain."""
     if reason := _unaccounted(grounds, LARGE):
         return "untrusted", reason
-    return "no-gain", _nothing(grounds)
-
-
-def _nothing(grounds: Judgement) -> str:
-    """The reason why nothing is to be corrected."""
     reason = "the measurements show no error of the robot"
-    if not grounds.gains:
-        return reason
-    name, before, after = _errors(grounds)
-    found = f"{name} error {before} rms as it is, {after} corrected"
-    if not before:
-        found = (
-            f"{name} errors differ by {_difference(grounds, name)} if it is corrected"
-        )
-    return f"{reason}: {found}, on {_where(grounds)}{_against_noise(grounds)}"
+    if grounds.gains:
+        _, found, held = _compared(grounds)
+        reason += f": {found}, on {held}"
+    return "no-gain", reason
 
 
 def _chance(grounds: Judgement) -> float:
@@ -501,62 +463,37 @@ def _chance(grounds: Judgement) -> float:
     fitted, evidence = grounds.fitted, grounds.fitted.evidence
     if evidence is None or evidence.count == 0:
         # Exact rows leave no doubt, but for rounding.
-        return float(all(abs(gain.mean) < EXACT for gain in grounds.gains))
+        return float(all(abs(gain.mean) < 1e-6 for gain in grounds.gains))
     return f_tail(evidence.square / evidence.count, evidence.count, max(fitted.dof, 1))
 
 
-def _errors(grounds: Judgement) -> tuple[str, str, str]:
-    """The first quantity that was held out, its errors before and after.
+def _compared(grounds: Judgement) -> tuple[str, str, str]:
+    """Errors of the first quantity if it gains, if it does not, and where they are of.
 
-    Empty sizes where the test leaves out one configuration each (PRESS): those of
-    measurements that were fitted say nothing.
+    Where the test leaves out one configuration each (PRESS), errors of measurements
+    that were fitted say nothing, and their mean difference is told.
     """
-    if not grounds.errors:
-        return "", "", ""
-    quantity = grounds.errors[0]
-    pair = quantity.validation_before, quantity.validation_after
-    if grounds.gains[0].method == PRESS or not all(pair):
-        return quantity.name, "", ""
-    before, after = (_shown(a.rms, quantity.unit) for a in pair if a)
-    return quantity.name, before, after
-
-
-def _difference(grounds: Judgement, name: str) -> str:
-    """Mean gain of a quantity, with its deviation."""
-    first = grounds.gains[0]
-    own = (g for g in grounds.gains if (g.method, g.quantity) == (first.method, name))
-    gain = next(own, first)
-    units = {quantity.name: DISPLAY[quantity.unit] for quantity in grounds.errors}
-    unit, factor = units.get(gain.quantity, ("of their standard deviations", 1.0))
-    return f"{factor * gain.mean:.3g} +- {factor * gain.deviation:.1g} {unit}"
-
-
-def _where(grounds: Judgement) -> str:
-    """The configurations that a gain is of."""
-    gain = grounds.gains[0]
+    gain, quantity = grounds.gains[0], grounds.errors[0]
+    name, (before, after) = quantity.name, quantity.shown
+    where = f"{gain.configurations} independent held-out configurations"
     if gain.method == PRESS:
-        return f"{gain.configurations} configurations, each predicted by the others"
-    return f"{gain.configurations} independent held-out configurations"
-
-
-def _against_noise(grounds: Judgement) -> str:
-    """How far errors that are left are above the noise, the end of a sentence."""
-    quantity = next(iter(grounds.errors), None)
-    noise = None if quantity is None else _noise(grounds, quantity)
-    if quantity is None or not noise:
-        return ""
-    times = _both(quantity)[1] / noise
-    if times < NOISY:
-        return ""
-    return f" ({times:.2g} times the noise, {_shown(noise, quantity.unit)})"
-
-
-def _both(quantity: QuantityErrors) -> tuple[float, float]:
-    """Errors before and after, rms, of held-out measurements where there are any."""
-    held = quantity.validation_before, quantity.validation_after
-    before, after = held if all(held) else (quantity.before, quantity.after)
-    assert before is not None and after is not None
-    return before.rms, after.rms
+        where = f"{gain.configurations} configurations, each predicted by the others"
+    old, new = (_shown(sizes.rms, quantity.unit) for sizes in (before, after))
+    falls = f"{name} error {new} rms instead of {old}"
+    stays = f"{name} error {old} rms as it is, {new} corrected"
+    if gain.method == PRESS or after is not quantity.validation_after:
+        of_first = (g for g in grounds.gains if g.method == gain.method)
+        own = next((g for g in of_first if g.quantity == name), gain)
+        units = {quantity.name: DISPLAY[quantity.unit] for quantity in grounds.errors}
+        unit, factor = units.get(own.quantity, ("of their standard deviations", 1.0))
+        by = f"{factor * own.mean:.3g} +- {factor * own.deviation:.1g} {unit}"
+        falls = f"{name} errors smaller by {by}"
+        stays = f"{name} errors differ by {by} if it is corrected"
+    noise = _noise(grounds, quantity)
+    if noise and after.rms >= NOISY * noise:
+        times = f"{after.rms / noise:.2g} times the noise"
+        where += f" ({times}, {_shown(noise, quantity.unit)})"
+    return falls, stays, where
 
 
 def _shown(size: float, unit: str) -> str:
@@ -564,23 +501,15 @@ def _shown(size: float, unit: str) -> str:
     return f"{factor * size:.3g} {shown}"
 
 
-MEASURED, SAMPLES = 100, 300
-"""Configurations at which the tool is predicted, measured ones and others."""
-
-LIKELY = 0.95
-"""Probability of a bound, and from which a configuration counts as better."""
-
-DRAWS = 400
-"""Draws of an error by which a bound is found, for each size of errors."""
-
-
 def tool_accuracy(
     model: FittedModel, term: Term, data: Observations, rng: np.random.Generator
 ) -> ToolAccuracy:
     """The accuracy to expect of a chain where it was measured and elsewhere."""
     blocks = tuple(b for b in data.blocks if b.chain == term.key.chain)
-    kept = Observations(blocks).sample(MEASURED).q[:, term.columns] if blocks else None
-    spread = term.error.chain.random_configurations(SAMPLES, rng)
+    kept = (
+        Observations(blocks).sample(SAMPLES[0]).q[:, term.columns] if blocks else None
+    )
+    spread = term.error.chain.random_configurations(SAMPLES[1], rng)
     loaded = term.error.carrying(model.problem.setup.heaviest)
     term = replace(term, error=loaded)
     measured, workspace = (

@@ -79,6 +79,13 @@ class QuantityErrors:
     validation_before: Accuracy | None = field(metadata={"key": "validation.before"})
     validation_after: Accuracy | None = field(metadata={"key": "validation.after"})
 
+    @property
+    def shown(self) -> tuple[Accuracy, Accuracy]:
+        """Before and after, of held-out measurements where there are any."""
+        if self.validation_before and self.validation_after:
+            return self.validation_before, self.validation_after
+        return self.before, self.after
+
     def __post_init__(self) -> None:
         """Refuse a unit that is none."""
         if self.unit not in DISPLAY:
@@ -1083,9 +1090,7 @@ class Tables(Identification, Breakdown):
         rows: list[tuple[str, ...]] = [("mean error", "nominal", "calibrated", "")]
         for error in self.errors:
             unit, factor = DISPLAY[error.unit]
-            before = error.validation_before or error.before
-            after = error.validation_after or error.after
-            sizes = (f"{factor * accuracy.mean:.4g}" for accuracy in (before, after))
+            sizes = (f"{factor * accuracy.mean:.4g}" for accuracy in error.shown)
             rows.append((error.name, *sizes, unit))
         rows.append(("parameter", "value", "std. dev.", ""))
         for p in self.parameters:

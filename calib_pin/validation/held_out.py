@@ -48,18 +48,17 @@ from calib_pin.validation.model_errors import (
 from calib_pin.validation.splits import FEWEST_HELD_OUT, FOLDS, MOST, Grouping, folds
 from calib_pin.workers import SERIAL, Workers
 
-UNDETERMINED = 1e-9
-"""Part of a group that the others predict, below which they do not: rounding."""
-
 ALONE = 1e-6
-"""The same from which a group holds all that is known of something."""
+"""Part of a group that the others predict, below which it holds all that is known of
+something."""
 
-BENT = 0.1
+BENT, STEPS = 0.1, 3
 """Length of a further step of a fit without a group, in standard deviations, from which
-the problem is not linear enough."""
+the problem is not linear enough, and most steps."""
 
-STEPS = 3
-"""Most steps of such a fit with the normal matrix of the first."""
+ALL, PRESS = "all", "press"
+"""The quantity that stands for all of them, whitened, and the check by the hat
+matrix."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +141,7 @@ def press(robot: Linear, labels: NDArray[np.int64]) -> tuple[Floats, Floats]:
     for at in by_size(label):
         U, squares = spectrum(robot.columns[at])
         left = 1.0 - squares
-        known = left > UNDETERMINED
+        known = left > 1e-9  # Below, the others do not predict it: rounding.
         gain = np.where(known, 1.0 / np.where(known, left, 1.0), 0.0) - 1.0
         along = gain * np.einsum("gms,gm->gs", U, whitened[at])
         whitened[at] += np.einsum("gms,gs->gm", U, along)
@@ -170,18 +169,24 @@ def left_out(
         # The elimination of stations is no sum over groups.
         return [None] * len(masks)
     robots = Linear.of(fit)
-    pairs = [_pair(robots, mask, placed=learned is None) for mask in masks]
-    effects: Floats | None = None
+
+    def pair(mask: NDArray[np.bool_]) -> tuple[Rest, Rest] | None:
+        before, after = (without(robot, mask) for robot in robots)
+        if before is None or after is None or (learned is not None and after.alone):
+            return None
+        return before, after
+
+    pairs, effects = [*map(pair, masks)], None
     anew: Iterator[LearnedCorrection | None] = repeat(None)
     if learned is not None:
-        parts = [mask for mask, pair in zip(masks, pairs, strict=True) if pair]
+        parts = [mask for mask, both in zip(masks, pairs, strict=True) if both]
         about, rng = fit.problem.rebased(fit.theta), np.random.default_rng(seed)
         anew = iter(learning.left_out(learned, fit, *about, parts, rng))
     elif not fit.problem.many:
         effects = effect_rows(fit)
     return [
-        None if pair is None else _errors(model, robots[1], mask, pair, effects, anew)
-        for mask, pair in zip(masks, pairs, strict=True)
+        both and _errors(model, robots[1], mask, both, effects, anew)
+        for mask, both in zip(masks, pairs, strict=True)
     ]
 
 
@@ -206,27 +211,6 @@ class Rest(NamedTuple):
     alone: tuple[int, ...] = ()
 
 
-def _pair(
-    robots: tuple[Linear, Linear], mask: NDArray[np.bool_], *, placed: bool
-) -> tuple[Rest, Rest] | None:
-    """Nominal and fitted robot without a group of measurements.
-
-    Args:
-        robots: Those of all N measurements.
-        mask: The group, shape (N,).
-        placed: Whether the group may place what only it knows.
-
-    Returns:
-        The robots; None where the others do not determine them.
-    """
-    before, after = (without(robot, mask) for robot in robots)
-    if before is None or after is None or (after.alone and not placed):
-        return None
-    least, most = robots[1].problem.parameters.bounds
-    beyond = (after.theta < least) | (after.theta > most)
-    return None if beyond.any() else (before, after)
-
-
 def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
     """A solution without some measurements.
 
@@ -243,34 +227,43 @@ def without(robot: Linear, mask: NDArray[np.bool_]) -> Rest | None:
         linearized one by one, one step is all there is to make.
     """
     problem, F = robot.problem, robot.factor
+    alone, fun = np.zeros(F.shape[0], bool), robot.fun
     if problem.many:
         some = replace(problem, data=problem.data.rows(mask))
-        fun, jac = some.linearize(robot.theta)
-        count = len(fun) - len(some.further)
-        B = jac[:count] @ F
-        if (inverse := _inverse(B, 0)) is None:
-            return None
-        step = inverse[0].T @ (robot.columns.T @ robot.fun - B.T @ fun[:count])
-        return Rest(robot.theta - F @ (inverse[0] @ step), inverse[0])
-    out, alone = _group(robot, mask[problem.layout.row])
-    if (inverse := _inverse(robot.columns[out], int(alone.sum()))) is None:
+        r, jac = some.linearize(robot.theta)
+        count = len(r) - len(some.further)
+        B, r = jac[:count] @ F, r[:count]
+    else:
+        own = mask[problem.layout.row]
+        out, alone = _group(robot, own)
+        B, r = robot.columns[out], fun[out]
+    # N_g = 1 - B^T B in the columns of F, of which what is alone has none.
+    left, Q = np.linalg.eigh(np.eye(B.shape[1]) - B.T @ B)
+    count = int(alone.sum())
+    if np.count_nonzero(left < ALONE) != count:
         return None
-    inner, held = inverse
-    theta, fun = robot.theta, robot.fun
+    inner, held = Q[:, count:] / np.sqrt(left[count:]), Q[:, :count]
+    theta = robot.theta
     for k in range(STEPS):
-        step = inner.T @ (robot.columns.T @ np.where(out, 0.0, fun))
+        step = inner.T @ (robot.columns.T @ fun - B.T @ r)
         if k and np.linalg.norm(step) <= BENT * max(robot.unit, EXACT):
             break
         theta = theta - F @ (inner @ step)
+        if problem.many:
+            break
         fun = problem.residual(theta)
+        r = fun[out]
     else:
         return None
     if held.size:
-        own = np.flatnonzero(mask[problem.layout.row])
-        placed, triangle = np.linalg.qr(robot.columns[own] @ held)
+        placed, triangle = np.linalg.qr(robot.columns[: len(own)][own] @ held)
         if np.sum(placed**2, axis=1).max() > 1.0 - ALONE:
             return None  # It says no more than where they are.
-        theta = theta - F @ held @ np.linalg.solve(triangle, placed.T @ fun[own])
+        by = np.linalg.solve(triangle, placed.T @ fun[: len(own)][own])
+        theta = theta - F @ held @ by
+    least, most = problem.parameters.bounds
+    if ((theta < least) | (theta > most)).any():
+        return None
     return Rest(theta, inner, tuple(np.flatnonzero(alone).tolist()))
 
 
@@ -281,24 +274,12 @@ def _group(
     count = len(own)
     out = np.append(own, np.zeros(len(robot.fun) - count, bool))
     known = slice(count, count + len(robot.problem.further.distances))
-    seen = robot.jac != 0.0
-    elsewhere = ~out
+    seen, elsewhere = robot.jac != 0.0, ~out
     elsewhere[known] = False
     alone = seen[out].any(axis=0) & ~seen[elsewhere].any(axis=0)
     alone &= robot.problem.parameters.free
     out[known] = seen[known][:, alone].any(axis=1)
     return out, alone
-
-
-def _inverse(B: Floats, alone: int) -> tuple[Floats, Floats] | None:
-    """Factor of `(1 - B^T B)^-1`, shape (k, k'), and what has none, shape (k, l).
-
-    None where these are not as many directions as parameters that are alone.
-    """
-    left, Q = np.linalg.eigh(np.eye(B.shape[1]) - B.T @ B)
-    if np.count_nonzero(left < ALONE) != alone:
-        return None
-    return Q[:, alone:] / np.sqrt(left[alone:]), Q[:, :alone]
 
 
 def _errors(
@@ -372,13 +353,6 @@ def _deviations(
         values, V = np.linalg.eigh(core)
         moved = moved @ (V * np.sqrt(np.maximum(values, 0.0)))
     return replace(fit.posterior, by_noise=fit.unit * moved, by_effects=by_effects)
-
-
-ALL = "all"
-"""Name of the quantity that stands for all of them, whitened."""
-
-PRESS = "press"
-"""Name of the check by the hat matrix."""
 
 
 def gains(

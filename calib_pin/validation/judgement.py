@@ -506,17 +506,14 @@ def tool_accuracy(
 ) -> ToolAccuracy:
     """The accuracy to expect of a chain where it was measured and elsewhere."""
     blocks = tuple(b for b in data.blocks if b.chain == term.key.chain)
-    kept = (
-        Observations(blocks).sample(SAMPLES[0]).q[:, term.columns] if blocks else None
-    )
     spread = term.error.chain.random_configurations(SAMPLES[1], rng)
-    loaded = term.error.carrying(model.problem.setup.heaviest)
-    term = replace(term, error=loaded)
-    measured, workspace = (
-        None if q is None else expected_accuracy(model.fit, term, model.theta, q, rng)
-        for q in (kept, spread)
-    )
-    return ToolAccuracy(None, measured, workspace)
+    term = replace(term, error=term.error.carrying(model.problem.setup.heaviest))
+    given, found = (model.fit, term, model.theta), list[ExpectedAccuracy | None]()
+    if blocks:
+        kept = Observations(blocks).sample(SAMPLES[0]).q[:, term.columns]
+        found.append(expected_accuracy(*given, kept, rng))
+    measured, *_ = *found, None
+    return ToolAccuracy(None, measured, expected_accuracy(*given, spread, rng))
 
 
 def expected_accuracy(
@@ -541,8 +538,7 @@ def expected_accuracy(
         q: Configurations of the chain, shape (N, n) [rad, m].
         rng: Draws the errors by which the bound is found.
     """
-    parameters = fitted.problem.parameters
-    index = term.of_error
+    parameters, index = fitted.problem.parameters, term.of_error
     scales, nuisance = parameters.scales[index], parameters.nuisance[index]
     robot = parameters.free[index] & ~nuisance
     _, J = term.error.jacobian(q, theta[index])
@@ -550,24 +546,17 @@ def expected_accuracy(
     effects = np.zeros((*J.shape[:2], 0))
     if fitted.effects is not None:
         absorbed = fitted.posterior.by_effects[index]
-        absorbed = np.where(nuisance[:, None], 0.0, absorbed)
-        there = fitted.effects.twists(term, q)
-        effects = without_frames(J @ absorbed - there, J)
+        absorbed = J @ np.where(nuisance[:, None], 0.0, absorbed)
+        effects = without_frames(absorbed - fitted.effects.twists(term, q), J)
     mean, own_scales = (theta[index] / scales)[robot], scales[robot, None]
-    halves = [
-        likely.by_noise[index[robot]] / own_scales
-        for likely in likely_posteriors(fitted)
-    ]
-    C = np.array([half @ half.T for half in halves])
-    sizes = zip(
-        *(
-            _sizes(mean, own[:, k], effects[:, k], _scatter(fitted, term, unit), C, rng)
-            for k, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad"))
-        ),
-        strict=True,
-    )
+    likely = (one.by_noise[index[robot]] for one in likely_posteriors(fitted))
+    C = np.array([half @ half.T for half in (by / own_scales for by in likely)])
+    pair = []
+    for k, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad")):
+        scatter = _scatter(fitted, term, unit)
+        pair.append(_sizes(mean, own[:, k], effects[:, k], scatter, C, rng))
+    nominal, calibrated, bound, unmodeled = starmap(PoseErrors, zip(*pair, strict=True))
     better, share = _better(mean, own[:, :3], effects[:, :3], C)
-    nominal, calibrated, bound, unmodeled = starmap(PoseErrors, sizes)
     return ExpectedAccuracy(nominal, calibrated, bound, unmodeled, better, share)
 
 
@@ -595,18 +584,14 @@ def _sizes(
     left = float(np.mean([s.sum() for s in squares]))
     by_effects = np.einsum("ndi,ndj->ij", effects, effects, optimize=True) / len(J)
     lacking = np.maximum(np.linalg.eigvalsh(by_effects), 0.0)
-    draws = [
-        np.concatenate([s, lacking])
-        @ rng.chisquare(1.0, (len(s) + len(lacking), DRAWS))
-        for s in squares
-    ]
+    every = (np.concatenate([s, lacking]) for s in squares)
+    draws = [s @ rng.chisquare(1.0, (len(s), DRAWS)) for s in every]
     # At so many configurations, what scatters is about its mean.
     others = float(lacking.sum()) + 3.0 * scatter
     gain = np.sum((J @ mean) ** 2, axis=1).mean()
     bound = np.quantile(np.concatenate(draws), LIKELY) + 3.0 * scatter
-    nominal, calibrated, bounded, unmodeled = np.sqrt(
-        [gain + left + others, left + others, bound, others]
-    ).tolist()
+    found = np.sqrt([gain + left + others, left + others, bound, others])
+    nominal, calibrated, bounded, unmodeled = found.tolist()
     return nominal, calibrated, bounded, unmodeled
 
 
@@ -637,14 +622,10 @@ def _scatter(fitted: Fit, term: Term, unit: str) -> float:
     Of the first quantity in a unit that the chain of a part is measured by; zero where
     noise is neither stated nor repeated, so that nothing tells both apart.
     """
-    components = {
-        k
-        for key, of_key in fitted.problem.layout.of_keys.items()
-        if key.chain == term.key.chain
-        for k in of_key.tolist()
-    }
+    of_keys = fitted.problem.layout.of_keys.items()
+    own = [of_key for key, of_key in of_keys if key.chain == term.key.chain]
     for k, noise in enumerate(fitted.noise):
-        if k in components and noise.unit == unit:
+        if noise.unit == unit and any(k in of_key for of_key in own):
             found = (noise.unmodeled or 0.0) ** 2
             if fitted.effects is not None:
                 explained = max(1.0 - float(fitted.effects.noise[k]), 0.0)

@@ -1010,6 +1010,14 @@ class CalibrationResult(Identification, Breakdown):
         recalibration: How it went on from an older calibration; None where it did not.
     """
 
+    model: CalibratedModel = field(metadata={"key": None})
+    reference: CalibratedModel = field(metadata={"key": None})
+    verdict: str = field(metadata={"key": "verdict.status"})
+    reason: str = field(metadata={"key": "verdict.reason"})
+    errors: tuple[QuantityErrors, ...] = field(metadata={"by": "name"})
+    covariance: NamedArray
+    fitted: MeasurementErrors = field(metadata={"key": None})
+    held_out: MeasurementErrors | None = field(metadata={"key": None})
     validation: Validation
     solver: SolverSummary
     statistics: Statistics

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, enumerated
 from calib_pin.estimation.directions import column_space
-from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.formulation import make_problem, with_parameters
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.registration import extended, registered, relocated
@@ -50,7 +50,6 @@ from calib_pin.estimation.terms import FRAME
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Observations
-from calib_pin.parameters import matching
 from calib_pin.setup import LimitSetup, Setup
 from calib_pin.units import DISPLAY
 from calib_pin.validation import model_errors
@@ -697,13 +696,9 @@ class FrameFit(NamedTuple):
 
 def _as_stated(chains: Chains, rows: Observations, setup: Setup) -> FrameFit:
     """The nominal robot with frames as a setup states them, and their priors."""
-    bare = replace(setup, parameters=(), learned=None, fixed=(), bounds={}, prior={})
-    names = make_problem(chains, rows, bare).parameters.names
-    fixed = tuple(glob for glob in setup.fixed if matching(glob, names))
-    priors = setup.prior_by_glob
-    prior = {glob: priors[glob] for glob in priors if matching(glob, names)}
-    problem = make_problem(chains, rows, replace(bare, fixed=fixed, prior=prior))
-    theta, parameters = np.zeros(len(names)), problem.parameters
+    plain = replace(setup, learned=None, bounds={}, prior=setup.prior_by_glob)
+    problem = make_problem(chains, rows, with_parameters(chains, rows, plain, ()))
+    theta, parameters = np.zeros(len(problem.parameters)), problem.parameters
     known = np.diag(parameters.priors)[:, parameters.free]
     return FrameFit(registered(problem, theta), theta, known)
 

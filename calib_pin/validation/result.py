@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from importlib import import_module
 from importlib.metadata import version
 from typing import Any, NamedTuple
@@ -1137,23 +1136,6 @@ class CalibrationResult(Identification, Breakdown):
         """The figures of the report by name, as matplotlib figures."""
         found: dict[str, Any] = upper("report.figures", "figures", self)
         return found
-
-    def _repr_html_(self) -> str:
-        """Verdict, accuracy and identifiable parameters, for notebooks."""
-        rows: list[tuple[str, ...]] = [("mean error", "nominal", "calibrated", "")]
-        for error in self.errors:
-            unit, factor = DISPLAY[error.unit]
-            sizes = (f"{factor * accuracy.mean:.4g}" for accuracy in error.shown)
-            rows.append((error.name, *sizes, unit))
-        rows.append(("parameter", "value", "std. dev.", ""))
-        for p in self.parameters:
-            if p.sigma is not None:
-                unit, factor = DISPLAY.get(p.unit, (p.unit, 1.0))
-                value, sigma = f"{factor * p.value:+.4f}", f"{factor * p.sigma:.2g}"
-                rows.append((p.name, value, sigma, unit))
-        table = "".join(f"<tr><td>{'<td>'.join(map(escape, row))}" for row in rows)
-        said = f"<b>{self.verdict.upper()}</b>: {escape(self.reason)}"
-        return f"<p>{said}</p><table>{table}</table>"
 
 
 @dataclass(frozen=True, repr=False)

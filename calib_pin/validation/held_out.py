@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -164,30 +163,47 @@ def left_out(
     Returns:
         The errors; None where it takes a fit of the others to tell.
     """
-    fit, learned = model.fit, model.learned
+    fit, learned, result = model.fit, model.learned, list[ModelErrors | None]()
     if not masks or fit.problem.own_of_stations:
         # The elimination of stations is no sum over groups.
         return [None] * len(masks)
-    robots = Linear.of(fit)
-
-    def pair(mask: NDArray[np.bool_]) -> tuple[Rest, Rest] | None:
+    robots, found = Linear.of(fit), dict[int, tuple[Rest, Rest]]()
+    for k, mask in enumerate(masks):
         before, after = (without(robot, mask) for robot in robots)
-        if before is None or after is None or (learned is not None and after.alone):
-            return None
-        return before, after
-
-    pairs, effects = [*map(pair, masks)], None
-    anew: Iterator[LearnedCorrection | None] = repeat(None)
+        placed = learned is not None and after is not None and after.alone
+        if before is not None and after is not None and not placed:
+            found[k] = before, after
+    effects, anew = None, dict[int, LearnedCorrection]()
     if learned is not None:
-        parts = [mask for mask, both in zip(masks, pairs, strict=True) if both]
         about, rng = fit.problem.rebased(fit.theta), np.random.default_rng(seed)
-        anew = iter(learning.left_out(learned, fit, *about, parts, rng))
+        given = *about, [masks[k] for k in found], rng
+        taught = learning.left_out(learned, fit, *given)
+        anew = dict(zip(found, taught, strict=True))
     elif not fit.problem.many:
         effects = effect_rows(fit)
-    return [
-        both and _errors(model, robots[1], mask, both, effects, anew)
-        for mask, both in zip(masks, pairs, strict=True)
-    ]
+    for k, mask in enumerate(masks):
+        if k not in found:
+            result.append(None)
+            continue
+        before, after = found[k]
+        rows, theta = fit.problem.data.rows(mask), after.theta
+        problem, deviations = fit.problem, fit.posterior
+        if k in anew:
+            of_error = np.concatenate([t.of_error for t in problem.terms.values()])
+            step = np.zeros_like(theta)
+            step[of_error] = (theta - fit.theta)[of_error]
+            # What was learned stands on the geometry; where it fades, that remains.
+            correction = replace(anew[k], shift=anew[k].shift - step)
+            problem = learning.with_learned(model.problem, correction)
+            theta = model.theta + step
+        elif not problem.many:
+            deviations = _deviations(fit, robots[1], after, mask, effects)
+        nominal = Registered(replace(fit.problem, data=rows), before.theta)
+        calibrated = Registered(replace(problem, data=rows), theta, after.alone)
+        pair, positions = (nominal, calibrated), np.flatnonzero(mask)
+        errors = errors_of_registered(model, *pair, positions, deviations)
+        result.append(replace(errors, reason=unusable(fit)))
+    return result
 
 
 def unusable(fitted: Fit) -> str:
@@ -280,44 +296,6 @@ def _group(
     alone &= robot.problem.parameters.free
     out[known] = seen[known][:, alone].any(axis=1)
     return out, alone
-
-
-def _errors(
-    model: FittedModel,
-    robot: Linear,
-    mask: NDArray[np.bool_],
-    pair: tuple[Rest, Rest],
-    effects: Floats | None,
-    anew: Iterator[LearnedCorrection | None],
-) -> ModelErrors:
-    """Errors of a group by a pair of robots that were fitted without it.
-
-    Args:
-        model: The model of all measurements.
-        robot: Its geometry.
-        mask: The group, shape (N,).
-        pair: Nominal and fitted robot without it.
-        effects: Effects of gears and compliance in all rows, shape (M, S).
-        anew: The next correction that was learned without it.
-    """
-    fit, (before, after) = model.fit, pair
-    rows = fit.problem.data.rows(mask)
-    problem, theta, deviations = fit.problem, after.theta, fit.posterior
-    if (learned := next(anew)) is not None:
-        of_error = np.concatenate([t.of_error for t in problem.terms.values()])
-        step = np.zeros_like(theta)
-        step[of_error] = (theta - fit.theta)[of_error]
-        # What was learned stands on the geometry; where it fades, that remains.
-        learned = replace(learned, shift=learned.shift - step)
-        problem = learning.with_learned(model.problem, learned)
-        theta = model.theta + step
-    elif not problem.many:
-        deviations = _deviations(fit, robot, after, mask, effects)
-    nominal = Registered(replace(fit.problem, data=rows), before.theta)
-    calibrated = Registered(replace(problem, data=rows), theta, after.alone)
-    given = np.flatnonzero(mask), deviations
-    found = errors_of_registered(model, nominal, calibrated, *given)
-    return replace(found, reason=unusable(fit))
 
 
 def _deviations(

@@ -72,7 +72,7 @@ OFFSETS = JointOffset.name
 TOGETHER = (Transmission.name, Compliance.name)
 """Effects that are tried together whether they help alone or not."""
 
-QUICK, SLOW = 0.05, 0.5
+QUICK, SLOW = 0.05, 0.7
 """Parts of the time left that a candidate takes, the second with a learned
 correction."""
 

@@ -107,7 +107,7 @@ def calibrate(
         others: Other robots that may have been measured.
         workers: Who fits folds and candidates; the result is the same.
         start: An older calibration of the robot to go on from, with the same
-            parameters; see `validation.recalibration`.
+            parameters; see `validation.robot_state`.
         process_noise: How far each error of the geometry may have drifted since then,
             standard deviation [m, rad]; default as the measurements show it.
 
